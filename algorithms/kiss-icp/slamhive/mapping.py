@@ -1,0 +1,82 @@
+"""KISS-ICP under the container contract: LiDAR scans in, the sensor's trajectory out."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from kiss_icp.config import KISSConfig
+from kiss_icp.config.parser import load_config
+from kiss_icp.kiss_icp import KissICP
+
+from slamhive.runtime.app import run
+from slamhive.runtime.config import RunConfig
+from slamhive.runtime.frames import Frame
+from slamhive.runtime.trajectory import Poses
+
+
+class KissIcpOdometry:
+    """Registers each scan against the map.
+
+    KISS-ICP undoes the motion within a scan towards the time 1.0 of its normalised stamps, the scan's end (its
+    ``Preprocessor`` moves a point by ``(stamp - 1) * delta``), so a pose is the sensor's at the end of the scan.
+    """
+
+    def __init__(self, config: RunConfig) -> None:
+        values = config.parameters
+        self._time_field = values.get("points_point_time_field")
+        self._time_unit = str(values.get("points_point_time_unit", "s"))
+        self._stamp = str(values.get("points_stamp", "start"))
+        self._duration_s = float(values.get("points_scan_duration_s", 1.0 / float(values["points_rate_hz"])))
+        self._odometry = KissICP(configure(values))
+        self._stamps_s: list[float] = []
+        self._poses: list[np.ndarray] = []
+
+    def process(self, frame: Frame) -> None:
+        """Register the scan."""
+        cloud = frame.points("points")
+        if len(cloud.points_m) == 0:
+            return
+        normalised = np.empty(0)
+        if self._time_field:
+            offsets_s = cloud.offsets_s(str(self._time_field), self._time_unit)
+            normalised = (offsets_s - offsets_s.min()) / self._duration_s
+        self._odometry.register_frame(cloud.points_m, np.clip(normalised, 0.0, 1.0))
+        self._stamps_s.append(self._pose_stamp_s(frame.stamp_s))
+        self._poses.append(self._odometry.last_pose.copy())
+
+    def finish(self) -> Poses:
+        """One pose for each scan."""
+        return Poses(np.array(self._stamps_s), np.array(self._poses).reshape(-1, 4, 4))
+
+    def about(self) -> dict[str, Any]:
+        """The package that ran."""
+        return {"package": "kiss-icp", "version": version("kiss-icp")}
+
+    def _pose_stamp_s(self, stamp_s: float) -> float:
+        deskewed = bool(self._time_field) and self._odometry.config.data.deskew
+        to_end_s = {"start": 1.0, "middle": 0.5, "end": 0.0}[self._stamp] * self._duration_s
+        # Without deskewing a scan stands for its middle.
+        return stamp_s + to_end_s - (0.0 if deskewed else 0.5 * self._duration_s)
+
+
+def configure(values: dict[str, Any]) -> KISSConfig:
+    """KISS-ICP's configuration with the parameters of the run."""
+    config = load_config(None)
+    config.data.max_range = values["max_range"]
+    config.data.min_range = values["min_range"]
+    config.data.deskew = values["deskew"] and bool(values.get("points_point_time_field"))
+    config.mapping.voxel_size = values["voxel_size"]
+    config.mapping.max_points_per_voxel = values["max_points_per_voxel"]
+    config.registration.max_num_iterations = values["max_num_iterations"]
+    config.registration.convergence_criterion = values["convergence_criterion"]
+    config.registration.max_num_threads = values["max_num_threads"]
+    config.adaptive_threshold.initial_threshold = values["initial_threshold"]
+    config.adaptive_threshold.min_motion_th = values["min_motion_th"]
+    return config
+
+
+if __name__ == "__main__":
+    sys.exit(run(KissIcpOdometry))

@@ -1,0 +1,161 @@
+"""ORB-SLAM3 under the container contract, in five modes: which one follows from the sensors of the run."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from orb_settings import distortion, settings_text, transform
+from pyorbslam3 import Sensor, Slam, TrackResult
+
+from slamhive.errors import InvalidInput
+from slamhive.runtime.app import run
+from slamhive.runtime.config import RunConfig
+from slamhive.runtime.frames import Frame
+from slamhive.runtime.messages import to_grey
+from slamhive.runtime.paths import ORB_VOCABULARY_VARIABLE
+from slamhive.runtime.trajectory import Poses, transform_from
+
+SENSORS = {
+    frozenset({"left"}): Sensor.MONOCULAR,
+    frozenset({"left", "right"}): Sensor.STEREO,
+    frozenset({"left", "depth"}): Sensor.RGBD,
+    frozenset({"left", "imu"}): Sensor.IMU_MONOCULAR,
+    frozenset({"left", "right", "imu"}): Sensor.IMU_STEREO,
+}
+PREPARED_VARIABLE = "SLAMHIVE_PREPARED"
+
+
+class OrbSlam3:
+    """Tracks frame by frame; the trajectory is the one after all optimisation.
+
+    ORB-SLAM3's final trajectory (``SaveTrajectoryEuRoC``) is used in every mode: the live poses of the inertial modes
+    jump between world frames, and ``SaveTrajectoryTUM`` does not serve monocular runs. It describes the left camera,
+    in the inertial modes the IMU.
+    """
+
+    def __init__(self, config: RunConfig) -> None:
+        self._roles = set(config.algorithm_remap)
+        self._values = config.parameters
+        self._vocabulary = vocabulary_path()
+        self._work = tempfile.TemporaryDirectory(prefix="orb-slam3-")
+        settings = Path(self._work.name) / "settings.yaml"
+        settings.write_text(settings_text(self._values, self._roles), encoding="utf-8")
+        try:
+            sensor = SENSORS[frozenset(self._roles)]
+        except KeyError:
+            raise InvalidInput(f"ORB-SLAM3 has no mode for {', '.join(sorted(self._roles))}") from None
+        self._slam = Slam(self._vocabulary, settings, sensor)
+        self._track = self._tracker()
+        self._imu = np.empty((0, 7))
+        self._stamps_s: list[float] = []
+        self._tracked = False
+
+    def process(self, frame: Frame) -> None:
+        """Track one frame with the IMU samples up to its stamp; later ones are kept for the next."""
+        samples = np.concatenate([self._imu, frame.imu])
+        due = samples[:, 0] <= frame.stamp_s
+        self._imu = samples[~due]
+        result = self._track(frame, samples[due] if "imu" in self._roles else None)
+        self._stamps_s.append(frame.stamp_s)
+        self._tracked = self._tracked or bool(result.pose_valid)
+
+    def finish(self) -> Poses:
+        """Stop all threads, then take the final trajectory. Saving when nothing was tracked would crash."""
+        self._slam.shutdown()
+        if not self._tracked:
+            return Poses(np.empty(0), np.empty((0, 4, 4)))
+        path = Path(self._work.name) / "trajectory.txt"
+        self._slam.save_trajectory_euroc(str(path))
+        table = np.loadtxt(path, ndmin=2, comments="#").reshape(-1, 8)
+        poses = np.array([transform_from(row[1:4], row[4:8]) for row in table]).reshape(-1, 4, 4)
+        if self._roles == {"left", "right"}:
+            poses = poses @ self._T_rectified_left()
+        return Poses(self._nearest_stamps_s(table[:, 0] * 1e-9), poses)
+
+    def about(self) -> dict[str, Any]:
+        """The package that ran and the vocabulary it used."""
+        content = self._vocabulary.read_bytes()
+        small = ORB_VOCABULARY_VARIABLE not in os.environ
+        return {
+            "package": "pyorbslam3",
+            "version": version("pyorbslam3"),
+            "vocabulary": {
+                "name": "small, trained on rendered rooms" if small else self._vocabulary.name,
+                "words": sum(line.split(b" ", 2)[1:2] == [b"1"] for line in content.splitlines()[1:]),
+                "sha256": hashlib.sha256(content).hexdigest(),
+            },
+        }
+
+    def _tracker(self) -> Callable[[Frame, np.ndarray | None], TrackResult]:
+        if "right" in self._roles:
+            return lambda frame, imu: self._slam.track_stereo(
+                to_grey(frame.image("left")), to_grey(frame.image("right")), frame.stamp_s, imu=imu
+            )
+        if "depth" in self._roles:
+            return lambda frame, imu: self._slam.track_rgbd(
+                to_grey(frame.image("left")), frame.image("depth").astype(np.float32), frame.stamp_s, imu=imu
+            )
+        return lambda frame, imu: self._slam.track_monocular(to_grey(frame.image("left")), frame.stamp_s, imu=imu)
+
+    def _nearest_stamps_s(self, stamps_s: np.ndarray) -> np.ndarray:
+        """The frames' own stamps: the file's have been through single nanoseconds in floating point."""
+        known = np.array(self._stamps_s)
+        after = np.clip(np.searchsorted(known, stamps_s), 1, max(len(known) - 1, 1))
+        before = np.maximum(after - 1, 0)
+        after = np.minimum(after, len(known) - 1)
+        nearer = np.abs(known[before] - stamps_s) <= np.abs(known[after] - stamps_s)
+        return np.where(nearer, known[before], known[after])
+
+    def _T_rectified_left(self) -> np.ndarray:
+        """ORB-SLAM3 rectifies stereo images itself and tracks the rectified camera: its pose in terms of the left."""
+        values = self._values
+        matrices = [
+            np.array(
+                [
+                    [values[f"{role}_fx"], 0, values[f"{role}_cx"]],
+                    [0, values[f"{role}_fy"], values[f"{role}_cy"]],
+                    [0, 0, 1.0],
+                ]
+            )
+            for role in ("left", "right")
+        ]
+        T_right_left = transform(values, "right", "left")
+        rotation = cv2.stereoRectify(
+            matrices[0],
+            np.array(distortion(values, "left") or [0.0] * 4),
+            matrices[1],
+            np.array(distortion(values, "right") or [0.0] * 4),
+            (int(values["left_width"]), int(values["left_height"])),
+            T_right_left[:3, :3],
+            T_right_left[:3, 3:],
+        )[0]
+        T = np.eye(4)
+        T[:3, :3] = rotation
+        return T
+
+
+def vocabulary_path() -> Path:
+    """The vocabulary asked for, or the small one made when the package was prepared; nothing is downloaded."""
+    chosen = os.environ.get(ORB_VOCABULARY_VARIABLE)
+    if not chosen:
+        chosen = str(Path(os.environ.get(PREPARED_VARIABLE, "/opt/prepared")) / "small_vocabulary.txt")
+    path = Path(chosen)
+    if not path.is_file():
+        raise InvalidInput(f"ORB vocabulary {path} does not exist", "build the package again, or set ORB_VOCABULARY")
+    return path
+
+
+if __name__ == "__main__":
+    code = run(OrbSlam3)
+    sys.stdout.flush()
+    # The library's threads and destructors crash at interpreter exit now and then; all results are on disk.
+    os._exit(code)

@@ -1,0 +1,1 @@
+"""Recordings: reading them, and making datasets of them (importers, the synthetic room)."""

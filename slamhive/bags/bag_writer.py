@@ -1,0 +1,154 @@
+"""Writing ROS 1 bags with the standard sensor messages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from slamhive.domain.sensors import Sensor
+
+Array = NDArray[Any]
+
+IMAGE = "sensor_msgs/msg/Image"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+IMU = "sensor_msgs/msg/Imu"
+POINTS = "sensor_msgs/msg/PointCloud2"
+_FIELD_CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+"""PointField's datatype constants by numpy kind and size."""
+
+NS_PER_S = 1_000_000_000
+
+
+def nanoseconds(seconds: float) -> int:
+    """The stamp nearest to ``seconds``."""
+    return round(seconds * NS_PER_S)
+
+
+class BagWriter:
+    """A ROS 1 bag being written; use as a context manager. Stamps are integer nanoseconds.
+
+    Connections appear in the bag in the order of their first message; header sequence numbers count from 0 for each
+    topic. Nothing but the arguments ends up in the file, so equal input makes equal bytes.
+
+    Args:
+        path: A file that does not exist yet.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._store = get_typestore(Stores.ROS1_NOETIC)
+        self._writer = Writer(path)
+        self._connections: dict[str, Connection] = {}
+        self._counts: dict[str, int] = {}
+
+    def __enter__(self) -> Self:
+        self._writer.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._writer.close()
+
+    def image(self, sensor: Sensor, stamp_ns: int, pixels: Array, encoding: str) -> None:
+        """A ``sensor_msgs/Image``; ``pixels`` is (h, w) or (h, w, channels) in the encoding's own type."""
+        data = np.ascontiguousarray(pixels)
+        message = self._message(
+            IMAGE,
+            header=self._header(sensor.topic, stamp_ns, sensor.name),
+            height=data.shape[0],
+            width=data.shape[1],
+            encoding=encoding,
+            is_bigendian=0,
+            step=data.strides[0],
+            data=data.reshape(-1).view(np.uint8),
+        )
+        self._write(sensor.topic, IMAGE, stamp_ns, message)
+
+    def camera_info(self, sensor: Sensor, topic: str, stamp_ns: int, baseline_m: float = 0.0) -> None:
+        """The ``sensor_msgs/CameraInfo`` of a rectified camera, ``baseline_m`` to the right of its left partner."""
+        c = {key: float(sensor.calibration[key]) for key in ("fx", "fy", "cx", "cy")}  # type: ignore[arg-type]
+        no_region = self._message(
+            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+        )
+        message = self._message(
+            CAMERA_INFO,
+            header=self._header(topic, stamp_ns, sensor.name),
+            height=sensor.calibration["height"],
+            width=sensor.calibration["width"],
+            distortion_model="plumb_bob",
+            D=np.zeros(5),
+            K=np.array([c["fx"], 0, c["cx"], 0, c["fy"], c["cy"], 0, 0, 1.0]),
+            R=np.eye(3).reshape(-1),
+            P=np.array([c["fx"], 0, c["cx"], -c["fx"] * baseline_m, 0, c["fy"], c["cy"], 0, 0, 0, 1.0, 0]),
+            binning_x=0,
+            binning_y=0,
+            roi=no_region,
+        )
+        self._write(topic, CAMERA_INFO, stamp_ns, message)
+
+    def imu(self, sensor: Sensor, stamp_ns: int, rate_radps: Array, force_mps2: Array) -> None:
+        """A ``sensor_msgs/Imu`` without orientation (its covariance says so, as the message's definition asks)."""
+        no_orientation = np.zeros(9)
+        no_orientation[0] = -1.0
+        message = self._message(
+            IMU,
+            header=self._header(sensor.topic, stamp_ns, sensor.name),
+            orientation=self._message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+            orientation_covariance=no_orientation,
+            angular_velocity=self._vector(rate_radps),
+            angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=self._vector(force_mps2),
+            linear_acceleration_covariance=np.zeros(9),
+        )
+        self._write(sensor.topic, IMU, stamp_ns, message)
+
+    def points(self, sensor: Sensor, stamp_ns: int, received_ns: int, points: Array) -> None:
+        """A ``sensor_msgs/PointCloud2`` of a structured array (n,), stamped ``stamp_ns``, received later."""
+        layout: Mapping[str, Any] = points.dtype.fields or {}
+        fields = [
+            self._message(
+                "sensor_msgs/msg/PointField",
+                name=name,
+                offset=place[1],
+                datatype=_FIELD_CODES[place[0].str[1:]],
+                count=1,
+            )
+            for name, place in layout.items()
+        ]
+        message = self._message(
+            POINTS,
+            header=self._header(sensor.topic, stamp_ns, sensor.name),
+            height=1,
+            width=len(points),
+            fields=fields,
+            is_bigendian=False,
+            point_step=points.dtype.itemsize,
+            row_step=points.dtype.itemsize * len(points),
+            data=np.frombuffer(points.tobytes(), dtype=np.uint8),
+            is_dense=True,
+        )
+        self._write(sensor.topic, POINTS, received_ns, message)
+
+    def _message(self, kind: str, **fields: Any) -> Any:
+        return self._store.types[kind](**fields)
+
+    def _vector(self, values: Array) -> Any:
+        return self._message("geometry_msgs/msg/Vector3", x=float(values[0]), y=float(values[1]), z=float(values[2]))
+
+    def _header(self, topic: str, stamp_ns: int, frame: str) -> Any:
+        stamp = self._message("builtin_interfaces/msg/Time", sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
+        return self._message("std_msgs/msg/Header", seq=self._counts.get(topic, 0), stamp=stamp, frame_id=frame)
+
+    def _write(self, topic: str, kind: str, received_ns: int, message: Any) -> None:
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
+        self._writer.write(self._connections[topic], received_ns, self._store.serialize_ros1(message, kind))
+        self._counts[topic] = self._counts.get(topic, 0) + 1

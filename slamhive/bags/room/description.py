@@ -1,0 +1,98 @@
+"""``dataset.yaml`` of the room: what its sensors are, in the terms of ``docs/dataset-format.md``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from slamhive.bags.geometry import Array
+from slamhive.bags.room.options import RoomOptions
+from slamhive.bags.room.rig import DEPTH_UNITS_PER_M, Rig
+from slamhive.bags.staging import GROUND_TRUTH_FILE
+from slamhive.domain.dataset import Dataset, GroundTruth
+from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
+
+
+def describe(folder: Path, options: RoomOptions, rig: Rig, checksum: str) -> Dataset:
+    """The dataset that ``options`` and ``rig`` make."""
+    return Dataset(
+        name=options.name,
+        folder=folder,
+        bag=f"{options.name}.bag",
+        duration_s=options.duration_s,
+        sensors=(*_cameras(options, rig), _imu(options, rig), _lidar(options, rig)),
+        groundtruth=GroundTruth(GROUND_TRUTH_FILE, gravity_aligned=True),
+        checksum=checksum,
+        title="Synthetic room",
+        description=(
+            f"A rendered, textured room of 8 x 6 x 3 m, {options.duration_s:g} s, seed {options.seed}: rectified grey "
+            "stereo, exact depth, IMU with noise and drifting biases, LiDAR distorted by the motion."
+        ),
+        licence="GPL-3.0-or-later",
+        source=f"slamhive dataset room --seconds {options.duration_s:g} --seed {options.seed}",
+        attributes=("synthetic", "indoor"),
+    )
+
+
+def _cameras(options: RoomOptions, rig: Rig) -> tuple[Sensor, Sensor, Sensor]:
+    camera = rig.camera
+    intrinsics: dict[str, float | int | str | tuple[float, ...]] = {
+        "width": camera.width,
+        "height": camera.height,
+        "fx": camera.fx,
+        "fy": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        "model": "pinhole",
+        "distortion": (0.0, 0.0, 0.0, 0.0),
+        "rectified": True,
+    }
+    grey = {**intrinsics, "encoding": "mono8"}
+    depth = {**intrinsics, "encoding": "16UC1", "units_per_m": DEPTH_UNITS_PER_M, "registered_to": "cam0"}
+    left, right = _flat(rig.T_body_left), _flat(rig.T_body_right)
+    rate_hz = options.camera_rate_hz
+    return (
+        Sensor("cam0", SensorKind.CAMERA, "/cam0/image_raw", rate_hz, left, grey),
+        Sensor("cam1", SensorKind.CAMERA, "/cam1/image_raw", rate_hz, right, grey),
+        Sensor("depth0", SensorKind.DEPTH, "/depth0/image_raw", rate_hz, left, depth),
+    )
+
+
+def _imu(options: RoomOptions, rig: Rig) -> Sensor:
+    noise = rig.imu_noise
+    return Sensor(
+        "imu0",
+        SensorKind.IMU,
+        "/imu0",
+        options.imu_rate_hz,
+        calibration={
+            "gyroscope_noise_density": noise.gyroscope_noise_density,
+            "accelerometer_noise_density": noise.accelerometer_noise_density,
+            "gyroscope_random_walk": noise.gyroscope_random_walk,
+            "accelerometer_random_walk": noise.accelerometer_random_walk,
+        },
+    )
+
+
+def _lidar(options: RoomOptions, rig: Rig) -> Sensor:
+    model = rig.lidar
+    return Sensor(
+        "lidar0",
+        SensorKind.LIDAR,
+        "/points",
+        options.lidar_rate_hz,
+        _flat(rig.T_body_lidar),
+        {
+            "beams": model.beams,
+            "minimum_range_m": model.minimum_range_m,
+            "maximum_range_m": model.maximum_range_m,
+            "range_noise_m": model.range_noise_m,
+            "point_time_field": "t",
+            "point_time_unit": "ns",
+            "stamp": "start",
+            "scan_duration_s": model.scan_duration_s,
+        },
+    )
+
+
+def _flat(T: Array) -> Matrix4:
+    return tuple(float(value) for value in T.reshape(-1))

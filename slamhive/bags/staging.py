@@ -1,0 +1,112 @@
+"""Making a dataset folder: everything is written aside and renamed at the end, so a folder is whole or absent."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from slamhive.catalogue.dataset_file import DATASET_FILE, dataset_to_yaml
+from slamhive.domain.dataset import Dataset
+from slamhive.errors import Conflict, Unavailable
+
+Progress = Callable[[float, str], None]
+"""Called with the fraction done (0..1) and what is being done."""
+
+GROUND_TRUTH_FILE = "groundtruth.txt"
+PLAY_SCRIPT = "rosbag_play.py"
+_SPARE_BYTES = 50_000_000
+
+
+@contextmanager
+def new_dataset_folder(folder: Path, needed_bytes: int) -> Iterator[Path]:
+    """Yield an empty folder beside ``folder`` that takes its place when the block ends well.
+
+    On any error the folder aside is removed; after a kill it stays and the next call for the same name empties it.
+
+    Raises:
+        Conflict: ``folder`` exists, or another process is making it.
+        Unavailable: the disk is full or refuses.
+    """
+    if folder.exists():
+        raise _taken(folder)
+    aside = folder.with_name(f".{folder.name}.partial")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = _lock(aside, folder)
+        try:
+            _empty(aside)
+            _check_space(folder, needed_bytes)
+            yield aside
+            _rename(aside, folder)
+        except BaseException:
+            shutil.rmtree(aside, ignore_errors=True)
+            raise
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise Unavailable(f"{folder} cannot be written: {error.strerror}", "check space and rights") from error
+
+
+def seal(aside: Path, dataset: Dataset) -> None:
+    """Add ``dataset.yaml`` and the play script to a folder that holds the bag already."""
+    script = Path(__file__).with_name(PLAY_SCRIPT).read_text(encoding="utf-8")
+    (aside / PLAY_SCRIPT).write_text(script, encoding="utf-8")
+    (aside / DATASET_FILE).write_text(dataset_to_yaml(dataset), encoding="utf-8")
+
+
+def checksum(path: Path) -> str:
+    """``sha256:<hex>`` of a file."""
+    with path.open("rb") as stream:
+        return f"sha256:{hashlib.file_digest(stream, 'sha256').hexdigest()}"
+
+
+def _lock(aside: Path, folder: Path) -> int:
+    """Make ``aside`` and hold it: a lock on the folder itself, which the kernel drops with the process."""
+    aside.mkdir(exist_ok=True)
+    descriptor = os.open(aside, os.O_RDONLY)
+    if not _holds(descriptor, aside):
+        os.close(descriptor)
+        raise Conflict(f"dataset {folder.name!r} is being made by another process", "wait for it to end")
+    return descriptor
+
+
+def _holds(descriptor: int, aside: Path) -> bool:
+    """Take the lock, and see that the folder was not renamed or removed by its last holder meanwhile."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return os.path.samestat(os.fstat(descriptor), aside.stat())
+    except (BlockingIOError, FileNotFoundError):
+        return False
+
+
+def _empty(aside: Path) -> None:
+    for entry in aside.iterdir():
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink()
+
+
+def _check_space(folder: Path, needed_bytes: int) -> None:
+    free = shutil.disk_usage(folder.parent).free
+    if free < needed_bytes + _SPARE_BYTES:
+        raise Unavailable(
+            f"{folder.parent} has {free / 1e6:.0f} MB free, dataset {folder.name!r} needs about "
+            f"{(needed_bytes + _SPARE_BYTES) / 1e6:.0f} MB",
+            "free some space, or move the data root (SLAMHIVE_DATA)",
+        )
+
+
+def _rename(aside: Path, folder: Path) -> None:
+    if folder.exists():
+        raise _taken(folder)
+    aside.rename(folder)
+
+
+def _taken(folder: Path) -> Conflict:
+    return Conflict(f"dataset {folder.name!r} exists already", "choose another name, or remove it first")

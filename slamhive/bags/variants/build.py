@@ -1,0 +1,76 @@
+"""Making a variant of a dataset: its recording treated step by step, its description kept true to it."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+from slamhive.bags.staging import Progress, seal
+from slamhive.bags.variants.editing import topics_of
+from slamhive.bags.variants.ros1_output import BagExtent
+from slamhive.bags.variants.ros1_variant import make_ros1
+from slamhive.bags.variants.streams import Treatment, treat
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.variant import Variant
+from slamhive.errors import InvalidInput
+
+
+def is_identity(dataset: Dataset, variant: Variant) -> bool:
+    """Whether ``variant`` of ``dataset`` is the dataset itself (all factors are 1); raises as :func:`treat`."""
+    return not any(treatment.steps for treatment in treat(dataset, variant))
+
+
+def build_variant(dataset: Dataset, variant: Variant, folder: Path, progress: Progress) -> Dataset:
+    """Make ``variant`` of ``dataset`` in ``folder``, which is empty; the dataset itself if nothing changes.
+
+    The folder is a dataset folder of its own: recording under the name of the source's, ground truth, ``dataset.yaml``
+    with rates, sizes and intrinsics as they are now. Whoever calls writes aside and renames (the cache does).
+
+    Raises:
+        NotFound: a step or sensor that does not exist.
+        InvalidInput: steps that make no sense here, or a recording that is damaged or of a kind that cannot be written.
+        OSError: the disk is full or refuses.
+    """
+    treatments = treat(dataset, variant)
+    if not any(treatment.steps for treatment in treatments):
+        return dataset
+    _check_source(dataset)
+    (folder / dataset.bag).parent.mkdir(parents=True, exist_ok=True)
+
+    def choose(present: dict[str, str]) -> dict[str, Treatment]:
+        return topics_of(dataset, treatments, present)
+
+    digest, before, after = make_ros1(dataset.bag_path, folder / dataset.bag, choose, progress)
+    steps = "; ".join(str(step) for step in variant)
+    made = replace(
+        dataset,
+        folder=folder,
+        checksum=digest,
+        duration_s=_duration_s(dataset, before, after),
+        sensors=tuple(treatment.after for treatment in treatments),
+        description=f"{dataset.description} Variant: {steps}.".strip(),
+    )
+    if dataset.groundtruth_path is not None:
+        shutil.copyfile(dataset.groundtruth_path, folder / dataset.groundtruth_path.name)
+    seal(folder, made)
+    return made
+
+
+def _check_source(dataset: Dataset) -> None:
+    path = dataset.bag_path
+    if not path.exists():
+        raise InvalidInput(f"{path} does not exist", "restore the dataset's recording")
+    if path.suffix != ".bag":
+        raise InvalidInput(
+            f"{path} is no ROS 1 bag, and variants are made of ROS 1 bags only",
+            "convert it: rosbags-convert --src RECORDING --dst NAME.bag",
+        )
+
+
+def _duration_s(dataset: Dataset, before: BagExtent, after: BagExtent) -> float:
+    """The stated duration less what is missing at the ends."""
+    if before.start_ns is None or before.end_ns is None or after.start_ns is None or after.end_ns is None:
+        return 0.0
+    lost_ns = (before.end_ns - before.start_ns) - (after.end_ns - after.start_ns)
+    return max(0.0, dataset.duration_s - lost_ns * 1e-9)

@@ -1,0 +1,304 @@
+"""The cache of variants: each made once however many ask for it, whole or absent, dropped least recently used first.
+
+``<root>/<key>/`` is a dataset folder with ``variant.json`` beside the recording; ``<key>.lock`` beside it carries the
+locks (``flock``: the kernel lets go of them with the process, however it dies). Whoever uses a variant shares its lock,
+whoever makes or removes one holds it alone. ``.<key>.partial`` is work in progress and never taken for a variant.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from slamhive.bags.staging import Progress
+from slamhive.bags.variants.locks import Busy, exclusive, is_held, shared
+from slamhive.bags.variants.manifest import (
+    MANIFEST,
+    UNREADABLE,
+    VariantPlan,
+    changed_file,
+    flush,
+    problem,
+    read_manifest,
+    write_manifest,
+    written_bytes,
+)
+from slamhive.catalogue.dataset_file import load_dataset
+from slamhive.domain.dataset import Dataset
+from slamhive.errors import Conflict, InvalidInput, Unavailable, unknown
+
+logger = logging.getLogger(__name__)
+
+_ROOM_LOCK = ".room.lock"
+_LOCK = ".lock"
+_PARTIAL = ".partial"
+
+Builder = Callable[[Path, Progress], Dataset]
+"""Writes the dataset into an empty folder and says what it has written."""
+
+
+@dataclass(frozen=True, slots=True)
+class VariantEntry:
+    """One variant that lies in the cache; ``used_at`` is when it was last held."""
+
+    key: str
+    dataset: str
+    steps: tuple[Mapping[str, Any], ...]
+    size_bytes: int
+    made_at: datetime
+    used_at: datetime
+    in_use: bool
+
+
+@dataclass(frozen=True, slots=True)
+class CacheLimits:
+    """How much the cache may hold, and what is to stay free on its disk."""
+
+    cache_bytes: int
+    free_bytes: int = 0
+
+
+def nothing_kept() -> Collection[str]:
+    """No variant is in use but those that processes hold."""
+    return ()
+
+
+class VariantCache:
+    """The variants of one data root, shared by all processes.
+
+    Args:
+        root: Their folder; made when the first variant is.
+        limits: Kept to when a variant is made.
+        kept: Keys that are in use although no process holds them (by a container whose worker was killed).
+    """
+
+    def __init__(self, root: Path, limits: CacheLimits, kept: Callable[[], Collection[str]] = nothing_kept) -> None:
+        self._root = root
+        self._limits = limits
+        self._kept = kept
+
+    @contextmanager
+    def hold(self, plan: VariantPlan, build: Builder, progress: Progress) -> Iterator[Dataset]:
+        """The variant, made first if need be; nobody removes it before the block ends.
+
+        ``progress`` is also called while another process makes it; an exception from there ends the wait.
+
+        Raises:
+            InvalidInput: the recording cannot be read, or the variant can never fit.
+            Unavailable: the disk is full now, or refuses.
+        """
+        self._make_root()
+        while True:
+            with shared(self._lock(plan.key), progress):
+                if problem(self._folder(plan.key)) is None:
+                    self._touch(plan.key)
+                    yield load_dataset(self._folder(plan.key))
+                    self._touch(plan.key)
+                    return
+            with exclusive(self._lock(plan.key), progress):
+                if problem(self._folder(plan.key)) is not None:
+                    self._make(plan, build, progress)
+
+    @contextmanager
+    def hold_made(self, key: str) -> Iterator[None]:
+        """Keep a variant that was made earlier, for a run that goes on; fine if it is gone."""
+        self._make_root()
+        with shared(self._lock(key), _silent):
+            yield
+
+    def check_room(self, plan: VariantPlan) -> None:
+        """Raise what :meth:`hold` would for lack of room, even with every unused variant removed; changes nothing."""
+        self._check_limit(plan)
+        if problem(self._folder(plan.key)) is not None:
+            unused_bytes = sum(entry.size_bytes for entry in self.entries() if not entry.in_use)
+            self._check_disk(plan, self._free_bytes() + unused_bytes)
+
+    def entries(self) -> tuple[VariantEntry, ...]:
+        """All variants, the most recently used first."""
+        kept = self._kept()
+        found = [entry for key in self._keys() if (entry := self._entry(key, kept)) is not None]
+        return tuple(sorted(found, key=lambda entry: entry.used_at, reverse=True))
+
+    def find(self, key: str) -> VariantEntry:
+        """The variant whose key begins with ``key``; raises NotFound, or InvalidInput if several do."""
+        keys = [found for found in self._keys() if key and found.startswith(key)]
+        if len(keys) > 1:
+            raise InvalidInput(f"variant {key!r} is not clear: {', '.join(keys)}", "give more of its key")
+        entry = self._entry(keys[0], self._kept()) if keys else None
+        if entry is None:
+            raise unknown("variant", key, self._keys(), "slamhive variants list shows all")
+        return entry
+
+    def drop(self, key: str) -> None:
+        """Remove a variant; raises Conflict while it is in use."""
+        in_use = Conflict(f"variant {key} is in use", "wait for its runs to end, or cancel them")
+        if key in self._kept():
+            raise in_use
+        try:
+            with exclusive(self._lock(key)):
+                self._remove(key)
+                self._lock(key).unlink(missing_ok=True)
+        except Busy:
+            raise in_use from None
+
+    def verify(self, key: str) -> str | None:
+        """Read every byte of a variant; what is wrong with it, None if nothing is."""
+        folder = self._folder(key)
+        with shared(self._lock(key), _silent):
+            return problem(folder) or changed_file(folder)
+
+    def _make(self, plan: VariantPlan, build: Builder, progress: Progress) -> None:
+        """With the variant's lock held alone: write aside, flush to disk, rename."""
+        aside = self._aside(plan.key)
+        try:
+            self._remove(plan.key)
+            self._reserve(plan)
+            dataset = build(aside, progress)
+            write_manifest(aside, plan, dataset)
+            flush(aside)
+            aside.rename(self._folder(plan.key))
+        except BaseException as error:
+            shutil.rmtree(aside, ignore_errors=True)
+            if isinstance(error, OSError):
+                raise Unavailable(
+                    f"variant {plan.key} of {plan.dataset} cannot be written: {error.strerror}",
+                    "check space and rights",
+                ) from error
+            raise
+        with exclusive(self._root / _ROOM_LOCK, _silent):
+            self._evict(wanted_bytes=0)
+
+    def _reserve(self, plan: VariantPlan) -> None:
+        """Make the folder aside, once there is room for what will be in it; others count it from then on."""
+        self._check_limit(plan)
+        with exclusive(self._root / _ROOM_LOCK, _silent):
+            self._sweep()
+            self._evict(plan.needed_bytes)
+            self._check_disk(plan, self._free_bytes())
+            self._lock(plan.key).write_text(str(plan.needed_bytes), encoding="ascii")
+            self._aside(plan.key).mkdir()
+
+    def _check_limit(self, plan: VariantPlan) -> None:
+        if plan.needed_bytes > self._limits.cache_bytes:
+            raise InvalidInput(
+                f"a variant of {plan.dataset} may need {_megabytes(plan.needed_bytes)}, the cache is to hold "
+                f"{_megabytes(self._limits.cache_bytes)}",
+                "raise VARIANT_CACHE_BYTES",
+            )
+
+    def _check_disk(self, plan: VariantPlan, free_bytes: int) -> None:
+        if free_bytes < plan.needed_bytes:
+            raise Unavailable(
+                f"{self._root} has {_megabytes(max(0, free_bytes))} to spare, a variant of {plan.dataset} needs "
+                f"about {_megabytes(plan.needed_bytes)}",
+                "free some space, or move the data root (SLAMHIVE_DATA)",
+            )
+
+    def _evict(self, wanted_bytes: int) -> None:
+        """Remove what was not used for longest, until the cache and the disk have room for ``wanted_bytes``."""
+        entries = self.entries()
+        held_bytes = sum(entry.size_bytes for entry in entries) + sum(self._reserved().values())
+        for entry in reversed(entries):
+            if held_bytes + wanted_bytes <= self._limits.cache_bytes and self._free_bytes() >= wanted_bytes:
+                return
+            try:
+                self.drop(entry.key)
+            except Conflict:
+                continue
+            held_bytes -= entry.size_bytes
+            logger.info("variant %s of %s made room (%s)", entry.key, entry.dataset, _megabytes(entry.size_bytes))
+
+    def _free_bytes(self) -> int:
+        """What the disk can still take: less than is free, by the reserve and by what others are about to write."""
+        unwritten = sum(max(0, wanted - written_bytes(self._aside(key))) for key, wanted in self._reserved().items())
+        place = self._root if self._root.exists() else self._root.parent
+        return shutil.disk_usage(place).free - self._limits.free_bytes - unwritten
+
+    def _reserved(self) -> dict[str, int]:
+        """Bytes asked for by each variant that is being made."""
+        found: dict[str, int] = {}
+        for aside in self._root.glob(f".*{_PARTIAL}"):
+            key = aside.name[1 : -len(_PARTIAL)]
+            try:
+                found[key] = int(self._lock(key).read_text(encoding="ascii") or 0)
+            except (OSError, ValueError):
+                found[key] = 0
+        return found
+
+    def _sweep(self) -> None:
+        """Remove what killed builds have left behind."""
+        for key in self._reserved():
+            try:
+                with exclusive(self._lock(key)):
+                    shutil.rmtree(self._aside(key), ignore_errors=True)
+            except Busy:
+                continue
+
+    def _remove(self, key: str) -> None:
+        """With the lock held alone: out of the way in one step, then file by file."""
+        aside, folder = self._aside(key), self._folder(key)
+        try:
+            if aside.exists():
+                shutil.rmtree(aside)
+            if folder.exists():
+                folder.rename(aside)
+                shutil.rmtree(aside)
+        except OSError as error:
+            raise Unavailable(f"{folder} cannot be removed: {error.strerror}", "check rights") from error
+
+    def _keys(self) -> list[str]:
+        return sorted(path.parent.name for path in self._root.glob(f"[!.]*/{MANIFEST}"))
+
+    def _entry(self, key: str, kept: Collection[str]) -> VariantEntry | None:
+        """None if it was removed meanwhile, or cannot be read: it is made anew when asked for."""
+        try:
+            manifest = read_manifest(self._folder(key))
+            used_s = (self._folder(key) / MANIFEST).stat().st_mtime
+        except UNREADABLE:
+            return None
+        return VariantEntry(
+            key=key,
+            dataset=manifest.dataset,
+            steps=manifest.steps,
+            size_bytes=manifest.size_bytes,
+            made_at=manifest.made_at,
+            used_at=datetime.fromtimestamp(used_s, UTC),
+            in_use=key in kept or is_held(self._lock(key)),
+        )
+
+    def _touch(self, key: str) -> None:
+        """Used now: the manifest's time of change says when."""
+        try:
+            os.utime(self._folder(key) / MANIFEST)
+        except OSError as error:
+            logger.info("variant %s: %s", key, error)
+
+    def _make_root(self) -> None:
+        try:
+            self._root.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise Unavailable(f"{self._root} cannot be made: {error.strerror}", "check space and rights") from None
+
+    def _folder(self, key: str) -> Path:
+        return self._root / key
+
+    def _aside(self, key: str) -> Path:
+        return self._root / f".{key}{_PARTIAL}"
+
+    def _lock(self, key: str) -> Path:
+        return self._root / f"{key}{_LOCK}"
+
+
+def _megabytes(size_bytes: int) -> str:
+    return f"{size_bytes / 1e6:.0f} MB"
+
+
+def _silent(_fraction: float, _text: str) -> None:
+    """Progress that nobody looks at."""

@@ -1,0 +1,68 @@
+"""Intrinsics of an image that was resized.
+
+Integer pixel coordinates are at pixel centres, so the image's left edge is at -0.5. An image of ``w`` pixels resized to
+``w'`` maps the coordinate ``u`` to ``u' = (u + 0.5) s - 0.5`` with ``s = w'/w``, each axis with its own factor. Hence
+``fx' = s fx`` and ``cx' = (cx + 0.5) s - 0.5``. Distortion acts before the intrinsics and rectification before the
+projection: both stay as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from slamhive.bags.variants.step import Array
+from slamhive.domain.sensors import Sensor
+from slamhive.errors import InvalidInput
+
+
+def image_size(sensor: Sensor) -> tuple[int, int]:
+    """Width and height in pixels of a camera's or depth sensor's images."""
+    width, height = sensor.calibration["width"], sensor.calibration["height"]
+    assert isinstance(width, int)
+    assert isinstance(height, int)
+    return width, height
+
+
+def pixel_map(old_size: tuple[int, int], new_size: tuple[int, int]) -> Array:
+    """The (3, 3) matrix that takes homogeneous pixel coordinates of the old image to the new one's."""
+    sx, sy = new_size[0] / old_size[0], new_size[1] / old_size[1]
+    return np.array([[sx, 0.0, 0.5 * sx - 0.5], [0.0, sy, 0.5 * sy - 0.5], [0.0, 0.0, 1.0]])
+
+
+def scale_sensor(sensor: Sensor, new_size: tuple[int, int]) -> Sensor:
+    """``sensor`` with images of ``new_size`` (width, height); keys other than size and intrinsics are kept."""
+    calibration = sensor.calibration
+    fx, fy, cx, cy = (float(calibration[key]) for key in ("fx", "fy", "cx", "cy"))  # type: ignore[arg-type]
+    A = pixel_map(image_size(sensor), new_size)
+    scaled = {
+        "width": new_size[0],
+        "height": new_size[1],
+        "fx": float(A[0, 0] * fx),
+        "fy": float(A[1, 1] * fy),
+        "cx": float(A[0, 0] * cx + A[0, 2]),
+        "cy": float(A[1, 1] * cy + A[1, 2]),
+    }
+    return replace(sensor, calibration={**calibration, **scaled})
+
+
+def scale_camera_info(info: Any, new_size: tuple[int, int], topic: str) -> Any:
+    """A ``sensor_msgs/CameraInfo`` for images of ``new_size``: K, P, width and height; D and R are kept.
+
+    Works on messages of ROS 1 (K, P) and ROS 2 (k, p). Raises InvalidInput for binned or cropped images.
+    """
+    roi = info.roi
+    if info.binning_x > 1 or info.binning_y > 1 or roi.x_offset or roi.y_offset or roi.do_rectify:
+        raise InvalidInput(
+            f"{topic} describes binned or cropped images, which cannot be resized",
+            "record full images, or drop the step",
+        )
+    A = pixel_map((info.width, info.height), new_size)
+    names = ("K", "P") if hasattr(info, "K") else ("k", "p")
+    K, P = (np.asarray(getattr(info, name)).reshape(3, -1) for name in names)
+    scaled = {names[0]: (A @ K).reshape(-1), names[1]: (A @ P).reshape(-1)}
+    if roi.width or roi.height:
+        roi = replace(roi, width=new_size[0], height=new_size[1])
+    return replace(info, width=new_size[0], height=new_size[1], roi=roi, **scaled)

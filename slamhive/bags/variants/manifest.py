@@ -1,0 +1,118 @@
+"""``variant.json``, which lies beside a variant's recording: where it comes from, and how to see that it is whole."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from slamhive.bags.staging import checksum
+from slamhive.catalogue.dataset_file import load_dataset
+from slamhive.domain.dataset import Dataset
+from slamhive.errors import SlamHiveError
+from slamhive.files import write_aside
+
+MANIFEST = "variant.json"
+
+UNREADABLE = (OSError, ValueError, KeyError, TypeError)
+"""What reading a manifest that is damaged, or removed meanwhile, may raise."""
+
+
+@dataclass(frozen=True, slots=True)
+class VariantPlan:
+    """What is to be made: its key, where it comes from, its steps as JSON, and a bound of its size."""
+
+    key: str
+    dataset: str
+    steps: tuple[Mapping[str, Any], ...]
+    needed_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """The content of ``variant.json``. ``files``: {path in the folder: (bytes, checksum)}."""
+
+    dataset: str
+    steps: tuple[Mapping[str, Any], ...]
+    made_at: datetime
+    files: Mapping[str, tuple[int, str]]
+
+    @property
+    def size_bytes(self) -> int:
+        """Of all files together."""
+        return sum(size for size, _ in self.files.values())
+
+
+def write_manifest(folder: Path, plan: VariantPlan, dataset: Dataset) -> None:
+    """Describe ``folder``, in which ``dataset`` was written; nothing is added to it afterwards."""
+    known = {dataset.bag: dataset.checksum}
+    files: dict[str, tuple[int, str]] = {}
+    for path in sorted(entry for entry in folder.rglob("*") if entry.is_file()):
+        name = path.relative_to(folder).as_posix()
+        files[name] = (path.stat().st_size, known.get(name) or checksum(path))
+    content = {
+        "dataset": plan.dataset,
+        "steps": list(plan.steps),
+        "made_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "files": files,
+    }
+    write_aside(folder / MANIFEST, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of ``folder``; raises one of :data:`UNREADABLE`."""
+    content = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    return Manifest(
+        dataset=str(content["dataset"]),
+        steps=tuple(dict(step) for step in content["steps"]),
+        made_at=datetime.fromisoformat(content["made_at"]),
+        files={str(name): (int(size), str(digest)) for name, (size, digest) in content["files"].items()},
+    )
+
+
+def problem(folder: Path) -> str | None:
+    """What keeps a variant from being used, as far as names and sizes tell; None if nothing does."""
+    if not folder.is_dir():
+        return "it is not there"
+    try:
+        for name, (size_bytes, _) in read_manifest(folder).files.items():
+            found_bytes = (folder / name).stat().st_size
+            if found_bytes != size_bytes:
+                return f"{name} has {found_bytes} bytes, {size_bytes} were written"
+        load_dataset(folder)
+    except (*UNREADABLE, SlamHiveError) as error:
+        return f"{type(error).__name__}: {error}"
+    return None
+
+
+def changed_file(folder: Path) -> str | None:
+    """Read every byte; which file is not what was written, None if all are."""
+    for name, (_, expected) in read_manifest(folder).files.items():
+        if checksum(folder / name) != expected:
+            return f"{name} has changed since it was written"
+    return None
+
+
+def flush(folder: Path) -> None:
+    """Everything to disk: what gets its name afterwards is whole, also after a power cut."""
+    for path in [*folder.rglob("*"), folder]:
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def written_bytes(folder: Path) -> int:
+    """The size of what is in ``folder`` now, while somebody writes or removes there."""
+    total = 0
+    for path in folder.rglob("*"):
+        try:
+            total += path.stat().st_size
+        except FileNotFoundError:
+            continue
+    return total

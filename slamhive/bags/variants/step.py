@@ -1,0 +1,145 @@
+"""The seam of pre-processing: one step, and what it does to one topic.
+
+A step is a frozen pydantic model: its fields are its options. It says which sensors it can be used on, how their
+calibration changes, and what happens to the messages of one topic (:class:`Operation`). Steps are applied in order;
+each sees what the ones before it have left. To add one, subclass :class:`Step` (or :class:`SeededStep`) in a file of
+its own and register the class in ``steps.py``, or announce it from a package of yours in the entry-point group
+``slamhive.variant_steps``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from slamhive.domain.sensors import Sensor
+
+Array = NDArray[Any]
+Seed = tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message on its way through a transform.
+
+    ``index`` counts the messages of the topic in the source, from 0 and in order of time, whatever earlier steps have
+    dropped; ``stamp_ns`` is the receive time.
+    """
+
+    index: int
+    stamp_ns: int
+    seed: Seed
+
+    def random(self) -> np.random.Generator:
+        """Randomness of this message alone: the same whichever thread works on it, and when."""
+        return np.random.default_rng((*self.seed, self.index))
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """The messages of one topic, as a step finds them.
+
+    ``sensor`` is calibrated as the steps before have left it; ``count`` messages are in the source.
+    """
+
+    sensor: Sensor
+    count: int
+    seed: Seed
+
+    def random(self) -> np.random.Generator:
+        """Randomness of the stream as a whole, for what goes on over many messages (bursts, drifts)."""
+        return np.random.default_rng(self.seed)
+
+
+Keep = Callable[[int, int], bool]
+"""``keep(index, stamp_ns)``: called for each message that reaches the step, in order of time, ``index`` from 0."""
+
+Restamp = Callable[[int, int], int]
+"""``restamp(index, stamp_ns)``: the new header stamp; called as :data:`Keep` is. Receive times never change."""
+
+Transform = Callable[[Array, Message], Array]
+"""A pure function of its arguments, called from several threads at once and in any order; it returns a new array.
+
+Images come as (h, w) or (h, w, channels) in the encoding's own type (channels in the encoding's order; a compressed
+image as OpenCV decodes it, blue first), point clouds as structured arrays (n,) with the cloud's fields, IMU samples as
+float64 (6,): angular velocity (rad/s), then specific force (m/s²).
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """What a step does to the messages of one topic; a part that is None leaves them as they are.
+
+    ``keep`` and ``restamp`` are decided before anything is decoded. Messages with neither a new stamp nor a transform
+    are copied byte by byte. ``uses_stamps`` asks for header stamps; without it the time given is that of reception,
+    which the bag's index holds and costs nothing. A restamp implies it.
+    """
+
+    keep: Keep | None = None
+    restamp: Restamp | None = None
+    transform: Transform | None = None
+    uses_stamps: bool = False
+
+
+class Step(BaseModel, ABC):
+    """One pre-processing step with its options; immutable and comparable."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    kind: ClassVar[str]
+    """The name it is registered and declared under."""
+
+    version: ClassVar[int] = 1
+    """Part of a variant's identity: raise it when the same options make different bytes."""
+
+    @property
+    def entropy(self) -> int:
+        """What randomness starts from; see :class:`SeededStep`."""
+        return 0
+
+    @abstractmethod
+    def applies_to(self, sensor: Sensor) -> bool:
+        """Whether this kind of sensor can be treated at all."""
+
+    @abstractmethod
+    def operation(self, stream: Stream) -> Operation:
+        """What happens to one topic's messages."""
+
+    def check(self, sensor: Sensor) -> None:
+        """Raise InvalidInput if the options make no sense on this sensor (a rate above its own)."""
+
+    def is_identity(self, sensor: Sensor) -> bool:  # noqa: ARG002 - for those that know better
+        """Whether nothing changes on this sensor (every factor is 1): such a step needs no copy of the data."""
+        return False
+
+    def calibrate(self, sensor: Sensor) -> Sensor:
+        """The sensor as ``dataset.yaml`` describes it afterwards; a fault is not announced, so most return it as is."""
+        return sensor
+
+    def stream_seed(self, position: int, sensor: Sensor) -> Seed:
+        """Entropy for one use of the step: its seed, kind and place among those of its kind, and the sensor's topic.
+
+        Neither the data nor other steps take part, so a fault hits the same messages alike at every rate and
+        resolution, and two settings can be compared without the luck of the draw between them.
+        """
+        text = f"{self.kind}\0{position}\0{sensor.topic}".encode()
+        digest = hashlib.sha256(text).digest()
+        return (self.entropy, *(int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4)))
+
+
+class SeededStep(Step):
+    """A step that draws random numbers: ``seed`` decides them all."""
+
+    seed: int = Field(default=0, ge=0, lt=2**32, description="Decides every random number.")
+
+    @property
+    def entropy(self) -> int:
+        """The option ``seed``."""
+        return self.seed

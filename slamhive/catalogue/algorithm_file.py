@@ -1,0 +1,176 @@
+"""``algorithm.yaml`` to :class:`~slamhive.domain.algorithm.Algorithm`, one for each mode of the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from slamhive import strict_yaml
+from slamhive.catalogue.validation import check_name_in, first_problem, refuse_non_finite
+from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input
+from slamhive.domain.numbers import plain
+from slamhive.domain.parameters import Parameter, ParameterType
+from slamhive.domain.sensors import SensorKind, SensorSetup
+from slamhive.errors import InvalidInput
+from slamhive.files import hash_files
+
+ALGORITHM_FILE = "algorithm.yaml"
+MAPPING_SCRIPT = "slamhive/mapping.py"
+
+PlainValue = bool | int | float | str | list[float]
+
+
+class _ParameterModel(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    type: ParameterType
+    default: PlainValue
+    help: str
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: list[str] = Field(default_factory=list)
+    general: str | None = None
+
+    @model_validator(mode="after")
+    def _definition_makes_sense(self) -> _ParameterModel:
+        if self.minimum is not None and self.maximum is not None and self.minimum > self.maximum:
+            raise ValueError(f"minimum {plain(self.minimum)} is larger than maximum {plain(self.maximum)}")
+        if self.type is ParameterType.ENUM and not self.choices:
+            raise ValueError("an enum needs choices")
+        return self
+
+
+class _ModeModel(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    title: str
+    setup: SensorSetup
+    inputs: dict[str, SensorKind]
+    trajectory_role: str
+    name: str | None = None
+    parameters: list[str] | None = None
+    defaults: dict[str, PlainValue] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _frame_is_an_input(self) -> _ModeModel:
+        if self.trajectory_role not in self.inputs:
+            raise ValueError(f"trajectory_role {self.trajectory_role!r} is none of the inputs {sorted(self.inputs)}")
+        return self
+
+
+class _ResourcesModel(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    cpu_cores: float = Field(default=2.0, gt=0)
+    memory_mb: int = Field(default=4096, gt=0)
+
+
+class _PackageModel(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    format: Literal[1]
+    package: str
+    title: str
+    version: str
+    upstream: str
+    licence: str
+    citation: str
+    system_packages: list[str] = Field(default_factory=list)
+    system_libraries: list[str] = Field(default_factory=list)
+    resources: _ResourcesModel = Field(default_factory=_ResourcesModel)
+    modes: dict[str, _ModeModel] = Field(min_length=1)
+    parameters: dict[str, _ParameterModel] = Field(default_factory=dict)
+
+
+def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
+    """Read ``folder/algorithm.yaml``: the algorithms of one package, one for each mode.
+
+    A mode may narrow the package's parameters (``parameters: [names]``) and override defaults. Raises InvalidInput
+    naming the file and the place.
+    """
+    path = folder / ALGORITHM_FILE
+    content = strict_yaml.load(path)
+    refuse_non_finite(content, path)
+    try:
+        model = _PackageModel.model_validate(content)
+    except ValidationError as error:
+        raise InvalidInput(f"{path}: {first_problem(error, _PackageModel)}") from None
+    _check_names(path, model)
+    if not (folder / MAPPING_SCRIPT).is_file():
+        raise InvalidInput(
+            f"{folder} lacks {MAPPING_SCRIPT}", "the container contract starts it; see docs/container-contract.md"
+        )
+    package = AlgorithmPackage(
+        name=model.package,
+        folder=folder,
+        title=model.title,
+        version=model.version,
+        upstream=model.upstream,
+        licence=model.licence,
+        citation=model.citation,
+        system_packages=tuple(model.system_packages),
+        system_libraries=tuple(model.system_libraries),
+        cpu_cores=model.resources.cpu_cores,
+        memory_mb=model.resources.memory_mb,
+    )
+    algorithms = tuple(_algorithm(path, package, name, mode, model) for name, mode in model.modes.items())
+    names = [algorithm.name for algorithm in algorithms]
+    for name in names:
+        if names.count(name) > 1:
+            raise InvalidInput(f"{path}: two modes have the name {name!r}", "give each mode a name of its own")
+    return algorithms
+
+
+def package_hash(folder: Path) -> str:
+    """SHA-256 over the names and contents of the package's files: which version of the wrapper ran."""
+    return hash_files(folder)
+
+
+def _check_names(path: Path, model: _PackageModel) -> None:
+    """All names that become paths, labels, keys of the configuration or elements of a page are plain."""
+    named = [("package", model.package)]
+    for mode, content in model.modes.items():
+        named += [("mode", mode), *(("role", role) for role in content.inputs)]
+        named += [] if content.name is None else [("algorithm", content.name)]
+    for key, parameter in model.parameters.items():
+        named += [("parameter", key)]
+        named += [] if parameter.general is None else [("general parameter", parameter.general)]
+    for kind, name in named:
+        check_name_in(path, kind, name)
+
+
+def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeModel, whole: _PackageModel) -> Algorithm:
+    keys = list(whole.parameters) if model.parameters is None else model.parameters
+    for key in [*keys, *model.defaults]:
+        if key not in whole.parameters:
+            raise InvalidInput(f"{path}: mode {mode} names parameter {key!r}, which is not defined")
+    name = model.name or (package.name if len(whole.modes) == 1 else f"{package.name}-{mode}")
+    return Algorithm(
+        name=check_name_in(path, "algorithm", name),
+        package=package,
+        mode=mode,
+        title=model.title,
+        setup=model.setup,
+        inputs=tuple(Input(role, kind) for role, kind in model.inputs.items()),
+        trajectory_role=model.trajectory_role,
+        parameters=tuple(_parameter(path, key, whole.parameters[key], model.defaults) for key in keys),
+    )
+
+
+def _parameter(path: Path, key: str, model: _ParameterModel, defaults: dict[str, Any]) -> Parameter:
+    raw = defaults.get(key, model.default)
+    parameter = Parameter(
+        key=key,
+        type=model.type,
+        default=0,
+        help=model.help,
+        unit=model.unit,
+        minimum=model.minimum,
+        maximum=model.maximum,
+        choices=tuple(model.choices),
+        general=model.general,
+    )
+    try:
+        default = parameter.parse(raw)
+    except InvalidInput as error:
+        raise InvalidInput(f"{path}: default of {error.message}", error.remedy) from None
+    return Parameter(**{**{name: getattr(parameter, name) for name in parameter.__slots__}, "default": default})

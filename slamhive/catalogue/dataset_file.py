@@ -1,0 +1,183 @@
+"""``dataset.yaml`` to :class:`~slamhive.domain.dataset.Dataset` and back."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from slamhive import strict_yaml
+from slamhive.catalogue.validation import check_name_in, first_problem, refuse_non_finite
+from slamhive.domain.dataset import Dataset, GroundTruth
+from slamhive.domain.sensors import IDENTITY4, Sensor, SensorKind, is_rigid
+from slamhive.errors import InvalidInput
+
+DATASET_FILE = "dataset.yaml"
+FORMAT = 1
+
+_TOPIC = re.compile(r"/?[A-Za-z0-9_/]{1,200}")
+_CHECKSUM = re.compile(r"sha256:[0-9a-f]{64}")
+REQUIRED_CALIBRATION: dict[SensorKind, tuple[str, ...]] = {
+    SensorKind.CAMERA: ("width", "height", "fx", "fy", "cx", "cy"),
+    SensorKind.DEPTH: ("width", "height", "fx", "fy", "cx", "cy", "units_per_m"),
+    SensorKind.IMU: (),
+    SensorKind.LIDAR: (),
+}
+
+
+class _SensorModel(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    kind: SensorKind
+    topic: str
+    rate_hz: float = Field(gt=0, le=100_000)
+    T_body_sensor: list[float] = Field(default_factory=lambda: list(IDENTITY4), min_length=16, max_length=16)
+    calibration: dict[str, bool | int | float | str | list[float]] = Field(default_factory=dict)
+
+    @field_validator("topic")
+    @classmethod
+    def _is_a_topic(cls, value: str) -> str:
+        if not _TOPIC.fullmatch(value):
+            raise ValueError("must be a topic like /cam0/image_raw: letters, digits, '_' and '/', at most 200")
+        return value
+
+    @field_validator("T_body_sensor")
+    @classmethod
+    def _is_rigid(cls, value: list[float]) -> list[float]:
+        if not is_rigid(tuple(value)):
+            raise ValueError("must be a rigid transform by rows: a rotation, a translation in m, last row 0 0 0 1")
+        return value
+
+
+class _GroundTruthModel(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    file: str
+    gravity_aligned: bool
+    positions_only: bool = False
+
+
+class _DatasetModel(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    format: Literal[1]
+    name: str
+    title: str = ""
+    description: str = ""
+    licence: str = ""
+    source: str = ""
+    attributes: list[str] = Field(default_factory=list)
+    bag: str
+    duration_s: float = Field(ge=0)
+    checksum: str
+    sensors: list[_SensorModel]
+    groundtruth: _GroundTruthModel | None = None
+
+    @field_validator("checksum")
+    @classmethod
+    def _is_a_checksum(cls, value: str) -> str:
+        if not _CHECKSUM.fullmatch(value):
+            raise ValueError("must be sha256: and 64 hexadecimal digits, in lower case")
+        return value
+
+    @field_validator("bag")
+    @classmethod
+    def _stays_inside(cls, value: str) -> str:
+        path = PurePosixPath(value)
+        if path.is_absolute() or ".." in path.parts or not path.parts:
+            raise ValueError("must be a path inside the dataset folder")
+        return value
+
+
+def load_dataset(folder: Path) -> Dataset:
+    """Read ``folder/dataset.yaml``; raises InvalidInput naming the file and the place."""
+    path = folder / DATASET_FILE
+    content = strict_yaml.load(path)
+    refuse_non_finite(content, path)
+    try:
+        model = _DatasetModel.model_validate(content)
+    except ValidationError as error:
+        raise InvalidInput(f"{path}: {first_problem(error, _DatasetModel)}") from None
+    check_name_in(path, "dataset", model.name)
+    if model.groundtruth is not None:
+        _check_plain_file(path, model.groundtruth.file)
+    _check_sensors(path, model.sensors)
+    return Dataset(
+        name=model.name,
+        folder=folder,
+        bag=model.bag,
+        duration_s=model.duration_s,
+        sensors=tuple(_sensor(sensor) for sensor in model.sensors),
+        groundtruth=None if model.groundtruth is None else GroundTruth(**model.groundtruth.model_dump()),
+        checksum=model.checksum,
+        title=model.title,
+        description=model.description,
+        licence=model.licence,
+        source=model.source,
+        attributes=tuple(model.attributes),
+    )
+
+
+def dataset_to_yaml(dataset: Dataset) -> str:
+    """The text of ``dataset.yaml`` for ``dataset``; what :func:`load_dataset` reads back to an equal value."""
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "name": dataset.name,
+        "title": dataset.title,
+        "description": dataset.description,
+        "licence": dataset.licence,
+        "source": dataset.source,
+        "attributes": list(dataset.attributes),
+        "bag": dataset.bag,
+        "duration_s": dataset.duration_s,
+        "checksum": dataset.checksum,
+        "sensors": [
+            {
+                "name": sensor.name,
+                "kind": sensor.kind.value,
+                "topic": sensor.topic,
+                "rate_hz": sensor.rate_hz,
+                "T_body_sensor": list(sensor.T_body_sensor),
+                "calibration": {
+                    key: list(value) if isinstance(value, tuple) else value for key, value in sensor.calibration.items()
+                },
+            }
+            for sensor in dataset.sensors
+        ],
+    }
+    if dataset.groundtruth is not None:
+        content["groundtruth"] = {
+            "file": dataset.groundtruth.file,
+            "gravity_aligned": dataset.groundtruth.gravity_aligned,
+            "positions_only": dataset.groundtruth.positions_only,
+        }
+    return strict_yaml.dump(content)
+
+
+def _sensor(model: _SensorModel) -> Sensor:
+    return Sensor(
+        name=model.name,
+        kind=model.kind,
+        topic=model.topic,
+        rate_hz=model.rate_hz,
+        T_body_sensor=tuple(model.T_body_sensor),
+        calibration={
+            key: tuple(value) if isinstance(value, list) else value for key, value in model.calibration.items()
+        },
+    )
+
+
+def _check_sensors(path: Path, sensors: list[_SensorModel]) -> None:
+    names = [sensor.name for sensor in sensors]
+    for sensor in sensors:
+        check_name_in(path, "sensor", sensor.name)
+        if names.count(sensor.name) > 1:
+            raise InvalidInput(f"{path}: two sensors have the name {sensor.name!r}", "give each a name of its own")
+        missing = [key for key in REQUIRED_CALIBRATION[sensor.kind] if key not in sensor.calibration]
+        if missing:
+            raise InvalidInput(f"{path}: sensor {sensor.name} lacks calibration {', '.join(missing)}")
+
+
+def _check_plain_file(path: Path, name: str) -> None:
+    if PurePosixPath(name).name != name or name in {"", ".", ".."}:
+        raise InvalidInput(f"{path}: ground truth file {name!r} must be a plain file name in the dataset folder")

@@ -1,0 +1,107 @@
+"""What ``docker build`` of an algorithm package gets to see: a folder put together from package, runtime and host."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import slamhive
+from slamhive.errors import InvalidInput, Unavailable
+from slamhive.files import hash_files
+
+HOST_CERTIFICATES = Path("/usr/local/share/ca-certificates")
+"""Where Debian and Ubuntu keep the certificates of private authorities."""
+
+RUNTIME_PARTS = ("__init__.py", "errors.py", "files.py", "strict_yaml.py", "runtime")
+"""What runs inside the images: the modules that the runtime imports, and itself."""
+
+RENDERING_PARTS = ("__init__.py", "errors.py", "bags/__init__.py", "bags/geometry.py", "bags/room")
+"""What renders the images that a package's ``prepare.py`` may train on."""
+
+BASE_SCRIPT = "docker/base/install-runtime.sh"
+
+_PASSED_ON = ("PIP_INDEX_URL", "PIP_EXTRA_INDEX_URL")
+_LEFT_OUT = shutil.ignore_patterns("__pycache__", "*.pyc")
+
+
+@dataclass(frozen=True, slots=True)
+class BuildContext:
+    """A staged context: its folder, the Dockerfile's path in it, and the build arguments."""
+
+    path: Path
+    dockerfile: str
+    build_args: dict[str, str]
+
+
+def stage_context(
+    package_folder: Path,
+    project_root: Path,
+    target: Path,
+    certificates: Path = HOST_CERTIFICATES,
+    environment: Mapping[str, str] = os.environ,
+) -> BuildContext:
+    """Put the build context of a package together in ``target``, which must not exist.
+
+    Args:
+        package_folder: ``algorithms/<name>``.
+        project_root: Folder with ``docker/base``.
+        target: The context; see ``docker/base/README.md`` for what lies where.
+        certificates: Folder whose ``*.crt`` files the image is to trust while building; may be absent.
+        environment: ``BASE_IMAGE`` and pip's index settings become build arguments.
+
+    Raises:
+        InvalidInput: the package has no Dockerfile.
+        Unavailable: the disk refuses.
+    """
+    if not (package_folder / "Dockerfile").is_file():
+        raise InvalidInput(f"{package_folder} has no Dockerfile", "add one, or load the image with docker load")
+    source = Path(slamhive.__file__).parent
+    try:
+        shutil.copytree(package_folder, target / "package", ignore=_LEFT_OUT)
+        copy_parts(source, RUNTIME_PARTS, target / "runtime" / "slamhive")
+        copy_parts(source, RENDERING_PARTS, target / "rendering" / "slamhive")
+        base = target / "base"
+        (base / "ca-certificates").mkdir(parents=True)
+        shutil.copy(project_root / BASE_SCRIPT, base)
+        shutil.copy(source / "runtime" / "requirements.txt", base)
+        for certificate in sorted(certificates.glob("*.crt")):
+            shutil.copy(certificate, base / "ca-certificates")
+        _set_plain_modes(target)
+    except OSError as error:
+        raise Unavailable(f"the build context {target} cannot be made: {error}", "check space and rights") from None
+    return BuildContext(target, "package/Dockerfile", build_arguments(environment))
+
+
+def build_arguments(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """The build arguments that the host's environment names: base image and pip's index settings."""
+    return {key: environment[key] for key in ("BASE_IMAGE", *_PASSED_ON) if environment.get(key)}
+
+
+def context_hash(package_folder: Path, project_root: Path) -> str:
+    """What an image is made from, as one SHA-256: an image that carries another one is out of date."""
+    source = Path(slamhive.__file__).parent
+    parts = [hash_files(package_folder), hash_files(source, RUNTIME_PARTS), hash_files(project_root, (BASE_SCRIPT,))]
+    if (package_folder / "prepare.py").is_file():
+        parts.append(hash_files(source, RENDERING_PARTS))
+    return "sha256:" + hashlib.sha256("".join(parts).encode()).hexdigest()
+
+
+def copy_parts(source: Path, parts: tuple[str, ...], target: Path) -> None:
+    """Copy files and folders below ``source`` to the same places below ``target``. Raises OSError."""
+    for part in parts:
+        copy = target / part
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        if (source / part).is_dir():
+            shutil.copytree(source / part, copy, ignore=_LEFT_OUT)
+        else:
+            shutil.copy(source / part, copy)
+
+
+def _set_plain_modes(folder: Path) -> None:
+    """Readable by any user, whatever the umask of the checkout: runs use the controller's user id."""
+    for path in [folder, *folder.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)

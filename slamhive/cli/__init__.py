@@ -1,0 +1,7 @@
+"""The ``slamhive`` command."""
+
+from __future__ import annotations
+
+from slamhive.cli.main import main
+
+__all__ = ["main"]

@@ -1,0 +1,101 @@
+"""``slamhive algorithm``: list, show, build."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from slamhive.cli.context import CliContext, json_option, pass_cli
+from slamhive.cli.output import messages, print_json, print_table
+from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.services.catalogue_json import algorithm_to_json
+
+
+@click.group()
+def algorithm() -> None:
+    """List, show and build algorithms."""
+
+
+@algorithm.command("list")
+@json_option
+@pass_cli
+def list_(cli: CliContext, as_json: bool) -> None:
+    """List all algorithms and whether they are built."""
+    hive = cli.hive(indexed=False)
+    executor = hive.executor(hive.executor_name())
+    identities: dict[str, str | None] = {}
+    problems: dict[str, str] = {}
+    for package in hive.catalogue.packages():
+        try:
+            identities[package.name] = executor.identity(package)
+        except SlamHiveError as error:
+            identities[package.name] = None
+            problems[package.name] = f"not available: {error}"
+    found = hive.catalogue.algorithms()
+    if as_json:
+        print_json([{**algorithm_to_json(entry), "identity": identities[entry.package.name]} for entry in found])
+        return
+    rows = [
+        (
+            entry.name,
+            entry.title,
+            entry.package.version,
+            entry.package.licence,
+            problems.get(entry.package.name) or ("built" if identities[entry.package.name] else "not built"),
+        )
+        for entry in found
+    ]
+    print_table(("name", "title", "version", "licence", f"for {executor.name}"), rows)
+    for broken in hive.catalogue.broken():
+        messages.print(f"left out: {broken.problem}", markup=False, soft_wrap=True)
+
+
+@algorithm.command("show")
+@click.argument("name")
+@json_option
+@pass_cli
+def show(cli: CliContext, name: str, as_json: bool) -> None:
+    """Show one algorithm: what it needs, and its parameters with type, default, range and unit."""
+    entry = cli.hive(indexed=False).catalogue.algorithm(name)
+    if as_json:
+        print_json(algorithm_to_json(entry))
+        return
+    click.echo(f"{entry.name}: {entry.title} ({entry.package.title} {entry.package.version}, {entry.package.licence})")
+    click.echo(f"needs {', '.join(f'{i.role} ({i.kind})' for i in entry.inputs)}; {entry.package.upstream}")
+    rows = [(p.key, _text(p.default), p.expectation, p.general, p.help) for p in entry.parameters]
+    print_table(("parameter", "default", "expected", "general name", "help"), rows, right=("default",))
+
+
+@algorithm.command("build")
+@click.argument("names", nargs=-1)
+@click.option("--all", "all_", is_flag=True, help="Build all packages.")
+@click.option("--executor", help="docker or process; default: the one in force.")
+@pass_cli
+def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | None) -> None:
+    """Build the images (for the process executor: the environments) of the algorithms or packages NAMES."""
+    if bool(names) == all_:
+        raise InvalidInput("name the algorithms to build, or give --all", "slamhive algorithm list shows them")
+    hive = cli.hive(indexed=False)
+    hive.check_writable()
+    packages = hive.catalogue.packages() if all_ else {hive.catalogue.package(name) for name in names}
+    chosen = hive.executor(hive.executor_name(executor))
+    failures: list[SlamHiveError] = []
+    for package in sorted(packages, key=lambda entry: entry.name):
+        messages.print(f"building {package.name} for {chosen.name}", style="bold")
+        try:
+            identity = chosen.build(package, lambda line: messages.print(line, style="dim", markup=False))
+        except SlamHiveError as error:
+            failures.append(error)
+            messages.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+        else:
+            click.echo(f"{package.name}: {identity}")
+    if failures:
+        raise click.exceptions.Exit(1)
+
+
+def _text(value: Any) -> str:
+    return ", ".join(f"{number:g}" for number in value) if isinstance(value, tuple) else str(value)
+
+
+COMMANDS = (algorithm,)

@@ -1,0 +1,62 @@
+"""What all commands share: the installation, opened when it is first needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Any
+
+import click
+
+from slamhive.errors import NotFound
+from slamhive.services.hive import Hive, check_indexed, open_hive
+
+
+class CliContext:
+    """The options of the root command, and the installation they lead to."""
+
+    def __init__(self, options: dict[str, Any]) -> None:
+        self._options = options
+        self._hive: Hive | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The settings given as options of the root command and of the subcommand."""
+        return dict(self._options)
+
+    def hive(self, *, indexed: bool = True) -> Hive:
+        """The installation. ``indexed`` refuses one whose database has lost its runs."""
+        if self._hive is None:
+            self._hive = open_hive(self._options)
+        if indexed:
+            check_indexed(self._hive)
+        return self._hive
+
+    def options_with(self, **more: Any) -> None:
+        """Add options of a subcommand before the installation is opened."""
+        self._options.update(more)
+
+    def close(self) -> None:
+        """Close what was opened."""
+        if self._hive is not None:
+            self._hive.close()
+
+
+def choice(kind: type[StrEnum]) -> click.Choice[str]:
+    """The values of an enumeration as a choice (click itself would offer the names)."""
+    return click.Choice([member.value for member in kind])
+
+
+def run_number(text: str) -> int:
+    """The number of a run, as the type of an argument; one that no database can hold is unknown as any other."""
+    try:
+        number = int(text)
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not a valid integer.") from None
+    if abs(number) >= 2**63:
+        raise NotFound(f"unknown run {number}")
+    return number
+
+
+pass_cli: Callable[..., Any] = click.make_pass_decorator(CliContext)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")

@@ -1,0 +1,65 @@
+"""``slamhive reindex``, ``slamhive doctor``, ``slamhive settings``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import click
+
+from slamhive.cli.context import CliContext, json_option, pass_cli
+from slamhive.cli.output import counting_bar, messages, print_json, print_table
+from slamhive.project import project_root
+from slamhive.services.doctor import Verdict, examine
+from slamhive.services.reindex import reindex, run_folders
+from slamhive.settings import settings_in_force
+
+
+@click.command("reindex")
+@json_option
+@pass_cli
+def reindex_command(cli: CliContext, as_json: bool) -> None:
+    """Rebuild the database rows of all runs from their folders."""
+    hive = cli.hive(indexed=False)
+    hive.check_writable()
+    with counting_bar("reading run folders", len(run_folders(hive.settings.runs_folder))) as show:
+        report = reindex(hive, lambda done, _total: show(done, ""))
+    if as_json:
+        skipped = [{"folder": str(folder), "reason": reason} for folder, reason in report.skipped]
+        print_json({"runs": report.runs, "evaluations": report.evaluations, "skipped": skipped})
+    else:
+        click.echo(f"{report.runs} runs and {report.evaluations} evaluations filed, {len(report.skipped)} left out")
+        for folder, reason in report.skipped:
+            messages.print(f"left out: {folder}: {reason}", markup=False, soft_wrap=True)
+    if report.skipped:
+        raise click.exceptions.Exit(1)
+
+
+@click.command("doctor")
+@json_option
+@pass_cli
+def doctor(cli: CliContext, as_json: bool) -> None:
+    """Tell what works on this machine, what does not, and what to do about it."""
+    checks = examine(cli.hive(indexed=False))
+    if as_json:
+        print_json([asdict(check) for check in checks])
+    else:
+        rows = [(check.name, check.verdict.value, check.found, check.remedy) for check in checks]
+        print_table(("what", "verdict", "found", "remedy"), rows)
+    if any(check.verdict is Verdict.FAILED for check in checks):
+        raise click.exceptions.Exit(1)
+
+
+@click.command("settings")
+@json_option
+@pass_cli
+def settings(cli: CliContext, as_json: bool) -> None:
+    """List all settings: the value in force, where it comes from, unit and meaning."""
+    entries = settings_in_force(project_root(), options=cli.options)
+    if as_json:
+        print_json([{**asdict(entry.info), "value": entry.value, "source": entry.source} for entry in entries])
+        return
+    rows = [(entry.info.name, entry.value, entry.source, entry.info.unit, entry.info.help) for entry in entries]
+    print_table(("setting", "value", "from", "unit", "meaning"), rows)
+
+
+COMMANDS = (reindex_command, doctor, settings)

@@ -1,0 +1,240 @@
+"""``slamhive run`` and ``slamhive runs``: start, watch, list, show, cancel, retry."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
+from slamhive.cli.output import messages, print_json, print_table
+from slamhive.cli.variants import parse_steps, step_option
+from slamhive.cli.waiting import run_to_end
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.protocol import Alignment
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.errors import InvalidInput
+from slamhive.services.request import Submission
+from slamhive.services.run_json import evaluation_to_json, run_to_json, timestamp
+from slamhive.store import RunFilter, RunRecord, RunSort
+
+SPARE = ("time s", "RAM MB", "CPU cores", "tracked", "poses", "dataset", "reason")
+COLUMNS = (
+    "id",
+    "algorithm",
+    "dataset",
+    "state",
+    "reason",
+    "poses",
+    "ATE m",
+    "tracked",
+    "CPU cores",
+    "RAM MB",
+    "time s",
+)
+NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
+
+
+@click.command()
+@click.argument("algorithm")
+@click.argument("dataset")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; may be repeated.")
+@step_option
+@click.option("--repeat", type=int, default=1, show_default=True, help="How many runs of this configuration.")
+@click.option("--executor", help="docker or process; default: the one in force.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the first repeat.")
+@click.option("--playback", type=choice(PlaybackMode), default="realtime", show_default=True)
+@click.option("--rate", type=float, default=1.0, show_default=True, help="Playback speed.")
+@click.option("--cpus", type=float, help="CPU limit in cores.")
+@click.option("--memory", type=int, help="Memory limit in MB.")
+@click.option("--timeout", type=float, help="Wall-clock limit in s; default: from the dataset's duration.")
+@click.option("--align", type=choice(Alignment), help="Alignment; default: what the sensors deserve.")
+@click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first.")
+@click.option("--wait", is_flag=True, help="Stay until the runs have ended; works on them if no worker runs.")
+@click.option("--evaluate/--no-evaluate", default=True, show_default=True, help="Evaluate each run that succeeds.")
+@json_option
+@pass_cli
+def run(cli: CliContext, algorithm: str, dataset: str, settings: tuple[str, ...], **options: Any) -> None:
+    """Run ALGORITHM on DATASET."""
+    hive = cli.hive()
+    submitted = hive.submit(
+        Submission(
+            algorithm=algorithm,
+            dataset=dataset,
+            parameters=parse_assignments(settings),
+            repeat=options["repeat"],
+            executor=options["executor"],
+            seed=options["seed"],
+            playback_mode=options["playback"],
+            playback_rate=options["rate"],
+            evaluate=options["evaluate"],
+            alignment=options["align"],
+            cpu_cores=options["cpus"],
+            memory_mb=options["memory"],
+            timeout_s=options["timeout"],
+            priority=options["priority"],
+            variant=parse_steps(options["steps"]),
+        )
+    )
+    run_ids = [entry.id for entry in submitted]
+    if options["wait"]:
+        run_to_end(hive, run_ids, evaluate=options["evaluate"])
+    elif not hive.worker_alive():
+        messages.print(
+            "no worker runs on this machine; `slamhive worker` (or `slamhive serve`) takes the queued runs",
+            soft_wrap=True,
+        )
+    ended = [hive.run(run_id) for run_id in run_ids]
+    print_runs(ended, options["as_json"])
+    if options["wait"] and any(entry.state is not RunState.SUCCEEDED for entry in ended):
+        raise click.exceptions.Exit(1)
+
+
+@click.group(invoke_without_command=True)
+@click.option("--state", "states", type=choice(RunState), multiple=True, help="Only these states.")
+@click.option("--reason", "reasons", type=choice(FailureReason), multiple=True, help="Only these failures.")
+@click.option("--algorithm", "algorithms", multiple=True, help="Only these algorithms.")
+@click.option("--dataset", "datasets", multiple=True, help="Only these datasets.")
+@click.option("--sort", default="id", show_default=True, help="Column or metric, e.g. ate.rmse.")
+@click.option("--ascending", is_flag=True, help="Smallest first.")
+@click.option("--limit", type=click.IntRange(1, 1000), default=50, show_default=True)
+@json_option
+@pass_cli
+@click.pass_context
+def runs(context: click.Context, cli: CliContext, /, as_json: bool, **options: Any) -> None:
+    """List runs, or look at one."""
+    if context.invoked_subcommand is not None:
+        return
+    hive = cli.hive()
+    wanted = RunFilter(
+        states=tuple(RunState(state) for state in options["states"]),
+        reasons=tuple(FailureReason(reason) for reason in options["reasons"]),
+        algorithms=options["algorithms"],
+        datasets=options["datasets"],
+    )
+    page = hive.runs(wanted, RunSort(options["sort"], not options["ascending"]), limit=options["limit"])
+    if not page.records and not as_json and any(hive.counts().values()):
+        messages.print("no run matches; `slamhive runs` lists all")
+        return
+    print_runs(list(page.records), as_json)
+    if not as_json:
+        messages.print(f"{len(page.records)} of {page.total} runs")
+
+
+@runs.command("show")
+@click.argument("run_id", type=run_number)
+@json_option
+@pass_cli
+def show(cli: CliContext, run_id: int, as_json: bool) -> None:
+    """Show one run: configuration, outcome, figures, events, evaluations."""
+    hive = cli.hive()
+    entry = hive.run(run_id)
+    content = {
+        **run_to_json(entry),
+        "folder": str(hive.folder(run_id).root),
+        "events": [
+            {"at": timestamp(e.at), "from": e.from_state, "to": e.to_state, "why": e.why} for e in hive.events(run_id)
+        ],
+        "evaluations": [evaluation_to_json(evaluation) for evaluation in hive.evaluations(run_id)],
+        "provenance": {key: hive.record(run_id).get(key) for key in ("software", "algorithm", "dataset", "host")},
+    }
+    if as_json:
+        print_json(content)
+        return
+    click.echo(f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {entry.state}")
+    if entry.detail:
+        click.echo(f"{entry.reason or 'note'}: {entry.detail}")
+    click.echo(f"folder {content['folder']}")
+    print_table(("parameter", "value"), [(key, value) for key, value in content["parameters"].items()])
+    metrics = content["metrics"]
+    if metrics:
+        rows = [(key, f"{part['value']:.6g}", part["unit"]) for key, part in metrics.items()]
+        print_table(("metric", "value", "unit"), rows, right=("value",))
+    if entry.protocol is not None:
+        click.echo(f"protocol {entry.protocol.fingerprint}: {entry.protocol.label}")
+    for evaluation in content["evaluations"]:
+        if evaluation["reason"]:
+            click.echo(f"evaluation {evaluation['id']} {evaluation['state']}: {evaluation['reason']}")
+    rows_of_events = [(e["at"], e["from"], e["to"], e["why"]) for e in content["events"]]
+    print_table(("at", "from", "to", "why"), rows_of_events)
+
+
+@runs.command("log")
+@click.argument("run_id", type=run_number)
+@click.option("--bytes", "max_bytes", type=click.IntRange(1), default=200_000, show_default=True, help="The last ...")
+@pass_cli
+def log(cli: CliContext, run_id: int, max_bytes: int) -> None:
+    """Print what the run has printed so far."""
+    click.echo(cli.hive().log(run_id, max_bytes), nl=False)
+
+
+@runs.command("cancel")
+@click.argument("run_ids", type=run_number, nargs=-1, required=True)
+@pass_cli
+def cancel(cli: CliContext, run_ids: tuple[int, ...]) -> None:
+    """Cancel runs: queued ones at once, active ones as soon as their worker has ended them."""
+    for run_id in run_ids:
+        entry = cli.hive().cancel(run_id)
+        click.echo(f"run {entry.id}: {entry.state if entry.state.ended else 'is being cancelled'}")
+
+
+@runs.command("retry")
+@click.argument("run_ids", type=run_number, nargs=-1, required=True)
+@json_option
+@pass_cli
+def retry(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
+    """Queue new runs with the configurations of ended ones."""
+    hive = cli.hive()
+    new = [hive.retry(run_id) for run_id in run_ids]
+    print_runs(new, as_json)
+
+
+def parse_assignments(settings: tuple[str, ...]) -> dict[str, str]:
+    """``KEY=VALUE`` texts as a mapping; raises InvalidInput for one without ``=`` or a key given twice."""
+    parsed: dict[str, str] = {}
+    for text in settings:
+        key, sign, value = text.partition("=")
+        if not sign or not key:
+            raise InvalidInput(f"--set {text!r} is not KEY=VALUE", "for example --set nFeatures=2000")
+        if key in parsed:
+            raise InvalidInput(f"--set {key} is given twice")
+        parsed[key] = value
+    return parsed
+
+
+def run_row(entry: RunRecord) -> tuple[Any, ...]:
+    """One line of the table of runs."""
+    metrics = entry.metrics or {}
+    return (
+        entry.id,
+        entry.algorithm,
+        entry.dataset,
+        entry.state.value,
+        None if entry.reason is None else entry.reason.value,
+        entry.poses,
+        _number(metrics.get("ate.rmse"), "{:.4f}"),
+        _number(metrics.get("tracked_fraction"), "{:.3f}"),
+        _number(metrics.get("cpu.mean"), "{:.2f}"),
+        _number(metrics.get("ram.max"), "{:.0f}", 1e-6),
+        _number(metrics.get("duration"), "{:.1f}"),
+    )
+
+
+def _number(value: float | None, pattern: str, factor: float = 1.0) -> str | None:
+    return None if value is None else pattern.format(value * factor)
+
+
+def print_runs(entries: list[RunRecord], as_json: bool) -> None:
+    """Runs as a table on stdout, or as a JSON list."""
+    if as_json:
+        print_json([run_to_json(entry) for entry in entries])
+    elif entries:
+        print_table(COLUMNS, [run_row(entry) for entry in entries], right=NUMBERS, spare=SPARE)
+        for entry in entries:
+            if entry.detail and entry.state is RunState.FAILED:
+                messages.print(f"run {entry.id}: {entry.detail}", markup=False, soft_wrap=True)
+    else:
+        messages.print("no runs; `slamhive run ALGORITHM DATASET` starts one")
+
+
+COMMANDS = (run, runs)

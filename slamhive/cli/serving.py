@@ -1,0 +1,86 @@
+"""``slamhive worker``, ``slamhive serve``, ``slamhive demo``."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+from types import FrameType
+
+import click
+
+from slamhive.cli.context import CliContext, pass_cli
+from slamhive.cli.demo import run_demo
+from slamhive.cli.output import messages
+from slamhive.services.worker_process import WorkerProcess
+from slamhive.settings import Mode
+
+STAND_BY_S = 1.0
+
+
+@click.command("worker")
+@click.option("--slots", type=int, help="Runs at a time; each slot has cores of its own.")
+@click.option("--until-idle", is_flag=True, help="End when nothing is left to do.")
+@click.option("--patient", is_flag=True, help="If a worker runs already, wait and take over when it ends.")
+@pass_cli
+def worker_command(cli: CliContext, slots: int | None, until_idle: bool, patient: bool) -> None:
+    """Take queued runs, one after the other, and evaluate them. Ends on Ctrl-C; runs go on and are found again."""
+    cli.options_with(worker_slots=slots)
+    logging.getLogger("slamhive").setLevel(logging.INFO)
+    hive = cli.hive()
+    worker = hive.worker()
+
+    stopped = threading.Event()
+
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        stopped.set()
+        worker.stop()
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    name, reason = hive.executor_choice()
+    messages.print(
+        f"worker {worker.owner}: {hive.settings.worker_slots} slot(s), executor {name} ({reason})", soft_wrap=True
+    )
+    while patient and not stopped.is_set() and hive.worker_alive():
+        stopped.wait(STAND_BY_S)
+    if not stopped.is_set():
+        worker.run(until_idle=until_idle)
+
+
+@click.command("serve")
+@click.option("--host", help="Address to bind to; default 127.0.0.1.")
+@click.option("--port", type=int, help="Port to bind to; default 5000.")
+@click.option("--worker/--no-worker", "with_worker", default=True, show_default=True, help="Also start a worker.")
+@pass_cli
+def serve_command(cli: CliContext, host: str | None, port: int | None, with_worker: bool) -> None:
+    """Serve the web pages, and start a worker unless one runs already."""
+    cli.options_with(host=host, port=port)
+    logging.getLogger("slamhive").setLevel(logging.WARNING)
+    hive = cli.hive()
+    serve_until_stopped(cli, with_worker=with_worker and hive.settings.mode is Mode.WORKSTATION)
+
+
+def serve_until_stopped(cli: CliContext, *, with_worker: bool) -> None:
+    """Serve the web pages in this process; a worker, if asked for and none runs, in a process of its own."""
+    from slamhive.web.serve import WebServer  # noqa: PLC0415 - Flask and plotly take a second that others save
+
+    hive = cli.hive()
+    server = WebServer(hive, hive.settings.host, hive.settings.port)
+    with WorkerProcess(hive.settings, wanted=with_worker):
+        messages.print(f"serving {server.url} (Ctrl-C ends)", markup=False)
+        server.run()
+
+
+@click.command("demo")
+@click.option("--serve/--no-serve", "serving", default=True, show_default=True, help="Serve the web pages at the end.")
+@click.option("--seconds", type=float, default=15.0, show_default=True, help="Duration of the room in s.")
+@pass_cli
+def demo_command(cli: CliContext, serving: bool, seconds: float) -> None:
+    """Render the room, run three SLAM systems on it, evaluate, print a table, serve the pages."""
+    run_demo(cli.hive(), seconds)
+    if serving:
+        serve_until_stopped(cli, with_worker=True)
+
+
+COMMANDS = (worker_command, serve_command, demo_command)

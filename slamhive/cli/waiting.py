@@ -1,0 +1,129 @@
+"""Waiting for runs with progress, and working on them if nobody else does."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+from slamhive.cli.output import counting_bar, messages
+from slamhive.domain.run import RunState
+from slamhive.errors import Conflict, SlamHiveError
+from slamhive.services.hive import Hive
+from slamhive.services.worker import Worker
+from slamhive.store import EvaluationState, RunRecord
+
+PAUSE_S = 0.3
+TAKE_OVER_S = 1.0
+
+
+def run_to_end(
+    hive: Hive,
+    run_ids: Sequence[int],
+    *,
+    evaluate: bool,
+    on_end: Callable[[RunRecord], None] | None = None,
+) -> None:
+    """Wait until all these runs have ended and, with ``evaluate``, been evaluated.
+
+    If no worker runs on this machine, this process works on these runs itself. An interrupt (Ctrl-C) cancels what has
+    not ended. ``on_end`` is called with each run as soon as it is complete.
+    """
+    helper = _Helper(hive, run_ids)
+    helper.start()
+    try:
+        _show_until_complete(hive, run_ids, evaluate, on_end, helper.failure)
+    except KeyboardInterrupt:
+        messages.print("interrupted: cancelling what has not ended")
+        _cancel_all(hive, run_ids)
+        raise
+    finally:
+        helper.stop()
+    if helper.failure:
+        raise helper.failure[0]
+
+
+class _Helper:
+    """Works on the given runs whenever no other worker of this machine does."""
+
+    def __init__(self, hive: Hive, run_ids: Sequence[int]) -> None:
+        self.failure: list[BaseException] = []
+        self._hive = hive
+        self._run_ids = run_ids
+        self._ends = threading.Event()
+        self._worker: Worker | None = None
+        self._thread = threading.Thread(target=self._work, name="embedded-worker")
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._ends.set()
+        if self._worker is not None:
+            self._worker.stop()
+        self._thread.join()
+
+    def _work(self) -> None:
+        while not self._ends.is_set():
+            self._worker = self._hive.worker(only=self._run_ids)
+            try:
+                self._worker.run(until_idle=True)
+            except Conflict:
+                pass  # another worker has the machine; it may take these runs, or end without
+            except BaseException as error:  # noqa: BLE001 - handed to the waiting thread
+                self.failure.append(error)
+                return
+            self._ends.wait(TAKE_OVER_S)
+
+
+def _show_until_complete(
+    hive: Hive,
+    run_ids: Sequence[int],
+    evaluate: bool,
+    on_end: Callable[[RunRecord], None] | None,
+    failure: list[BaseException],
+) -> None:
+    waiting = list(run_ids)
+    with counting_bar("runs", len(run_ids)) as show:
+        while waiting and not failure:
+            records = hive.store.read(lambda t: t.runs.get_many(waiting, with_metrics=True))
+            complete = [record for record in records if _is_complete(hive, record, evaluate)]
+            for record in complete:
+                waiting.remove(record.id)
+                if on_end is not None:
+                    on_end(record)
+            active = next((record for record in records if record.state.active), None)
+            show(len(run_ids) - len(waiting), "" if active is None else _activity(hive, active))
+            if waiting:
+                time.sleep(PAUSE_S)
+
+
+def _is_complete(hive: Hive, record: RunRecord, evaluate: bool) -> bool:
+    if not record.state.ended:
+        return False
+    if not evaluate or record.state is not RunState.SUCCEEDED:
+        return True
+    open_states = {EvaluationState.QUEUED, EvaluationState.RUNNING}
+    return all(evaluation.state not in open_states for evaluation in hive.evaluations(record.id))
+
+
+def _activity(hive: Hive, record: RunRecord) -> str:
+    progress = hive.progress(record.id)
+    text = f"run {record.id} {record.algorithm} on {record.dataset}: "
+    if progress is None:
+        return text + record.state.value
+    left = "" if progress.left_s is None else f", {progress.left_s:.0f} s left"
+    return f"{text}{progress.text}{left}"
+
+
+def _cancel_all(hive: Hive, run_ids: Sequence[int]) -> None:
+    for run_id in run_ids:
+        try:
+            hive.cancel(run_id)
+        except SlamHiveError:
+            continue  # it has ended already
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline:
+        if all(record.state.ended for record in hive.store.read(lambda t: t.runs.get_many(run_ids))):
+            return
+        time.sleep(PAUSE_S)

@@ -1,0 +1,77 @@
+"""An algorithm as a user sees it: one mode of one package, with what it needs and what can be set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.parameters import Parameter
+from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
+from slamhive.errors import InvalidInput
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """One sensor that an algorithm listens to, under a role of its own (``left``, ``depth``, ``points``, ``imu``)."""
+
+    role: str
+    kind: SensorKind
+
+
+@dataclass(frozen=True, slots=True)
+class AlgorithmPackage:
+    """One folder below ``algorithms/``: code, image and provenance shared by all modes of an upstream project."""
+
+    name: str
+    folder: Path
+    title: str
+    version: str
+    upstream: str
+    licence: str
+    citation: str
+    system_packages: tuple[str, ...] = ()
+    system_libraries: tuple[str, ...] = ()
+    cpu_cores: float = 2.0
+    memory_mb: int = 4096
+
+    @property
+    def image(self) -> str:
+        """The Docker image that holds this package."""
+        return f"slam-hive-algorithm:{self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class Algorithm:
+    """A runnable algorithm: a package in one mode.
+
+    ``trajectory_role`` names the input whose frame the poses in ``traj.txt`` describe.
+    """
+
+    name: str
+    package: AlgorithmPackage
+    mode: str
+    title: str
+    setup: SensorSetup
+    inputs: tuple[Input, ...]
+    trajectory_role: str
+    parameters: tuple[Parameter, ...]
+
+    def assign(self, dataset: Dataset) -> dict[str, Sensor]:
+        """Which sensor of ``dataset`` serves which role, in the dataset's order for each kind.
+
+        Raises InvalidInput, before anything starts, if the dataset lacks a sensor.
+        """
+        assigned: dict[str, Sensor] = {}
+        for kind in SensorKind:
+            roles = [entry.role for entry in self.inputs if entry.kind is kind]
+            available = dataset.of_kind(kind)
+            if len(roles) > len(available):
+                has = ", ".join(f"{sensor.name} ({sensor.kind})" for sensor in dataset.sensors) or "no sensors"
+                raise InvalidInput(
+                    f"{self.name} needs {len(roles)} {kind} sensor{'s' if len(roles) > 1 else ''}, "
+                    f"dataset {dataset.name} has {len(available)} ({has})",
+                    "choose a dataset that has them, or an algorithm that needs less",
+                )
+            assigned.update(zip(roles, available, strict=False))
+        return assigned

@@ -1,0 +1,56 @@
+"""A configuration: what exactly is run. Two configurations with equal content are one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from enum import StrEnum
+
+from slamhive.domain.parameters import Value
+from slamhive.domain.variant import Variant
+
+
+class PlaybackMode(StrEnum):
+    """How the recording is fed: in real time (a slow algorithm loses frames) or one message after the other."""
+
+    REALTIME = "realtime"
+    SEQUENTIAL = "sequential"
+
+
+@dataclass(frozen=True, slots=True)
+class Playback:
+    """How the recording is fed; ``rate`` scales real time (2.0 is twice as fast)."""
+
+    mode: PlaybackMode = PlaybackMode.REALTIME
+    rate: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """An algorithm, a dataset and what is done to it beforehand, every parameter's value, and how the data is fed."""
+
+    algorithm: str
+    dataset: str
+    parameters: dict[str, Value]
+    playback: Playback = Playback()
+    variant: Variant = ()
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 over the content, independent of the order in which parameters were given."""
+        content: dict[str, object] = {
+            "algorithm": self.algorithm,
+            "dataset": self.dataset,
+            "parameters": {key: _tagged(value) for key, value in self.parameters.items()},
+            "playback": [self.playback.mode.value, float(self.playback.rate)],
+        }
+        if self.variant:
+            content["variant"] = [step.content for step in self.variant]
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _tagged(value: Value) -> list[object]:
+    """The value with its type, so that 1, 1.0, True and "1" stay four different values."""
+    return [type(value).__name__, list(value) if isinstance(value, tuple) else value]

@@ -1,0 +1,60 @@
+"""A dataset: a recording with known sensors, and the ground truth it may come with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.errors import lacks
+
+
+@dataclass(frozen=True, slots=True)
+class GroundTruth:
+    """The reference trajectory of a dataset: TUM format, poses of the body frame in a fixed world frame.
+
+    ``gravity_aligned`` says that the world's z axis points up, which yaw + position alignment needs.
+    """
+
+    file: str
+    gravity_aligned: bool
+    positions_only: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """A recording as ``dataset.yaml`` describes it. ``folder`` holds the bag, the ground truth and the YAML."""
+
+    name: str
+    folder: Path
+    bag: str
+    duration_s: float
+    sensors: tuple[Sensor, ...]
+    groundtruth: GroundTruth | None
+    checksum: str
+    title: str = ""
+    description: str = ""
+    licence: str = ""
+    source: str = ""
+    attributes: tuple[str, ...] = ()
+
+    @property
+    def bag_path(self) -> Path:
+        """Where the recording lies: a file (ROS 1, MCAP) or a folder (ROS 2)."""
+        return self.folder / self.bag
+
+    @property
+    def groundtruth_path(self) -> Path | None:
+        """Where the ground truth lies, None for a dataset without."""
+        return None if self.groundtruth is None else self.folder / self.groundtruth.file
+
+    def of_kind(self, kind: SensorKind) -> tuple[Sensor, ...]:
+        """The sensors of one kind, in the order of ``dataset.yaml``."""
+        return tuple(sensor for sensor in self.sensors if sensor.kind is kind)
+
+    def sensor(self, name: str) -> Sensor:
+        """The sensor called ``name``; raises NotFound."""
+        for sensor in self.sensors:
+            if sensor.name == name:
+                return sensor
+        raise lacks(f"dataset {self.name}", "sensor", name, [sensor.name for sensor in self.sensors])

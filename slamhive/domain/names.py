@@ -1,0 +1,24 @@
+"""Names that users give to datasets, algorithms and parameters: one rule for all of them."""
+
+from __future__ import annotations
+
+import re
+
+from slamhive.errors import InvalidInput
+
+NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}"
+_NAME = re.compile(NAME_PATTERN)
+
+
+def check_name(kind: str, name: str) -> str:
+    """Return ``name`` if it is safe as a folder, image tag part and URL segment; raise InvalidInput otherwise.
+
+    Letters, digits, ``_``, ``.`` and ``-``, at most 64, the first a letter or digit, no ``..``: path separators,
+    quotes, newlines and markup are therefore impossible in every place a name ends up.
+    """
+    if not isinstance(name, str) or not _NAME.fullmatch(name) or ".." in name:
+        raise InvalidInput(
+            f"{kind} name {name!r} is not allowed",
+            "use 1 to 64 letters, digits, '_', '.' or '-', the first a letter or digit, without '..'",
+        )
+    return name

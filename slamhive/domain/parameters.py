@@ -1,0 +1,170 @@
+"""Typed parameters of an algorithm: what a key means, what it may be, and parsing text into a typed value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TypeVar
+
+from slamhive.domain.numbers import plain
+from slamhive.errors import InvalidInput, lacks
+
+Number = TypeVar("Number", int, float)
+Scalar = int | float | str | bool
+Value = Scalar | tuple[float, ...]
+"""A parameter value. A matrix is a flat, row-major tuple of floats."""
+
+
+class ParameterType(StrEnum):
+    """The types that a parameter of ``algorithm.yaml`` can have."""
+
+    INT = "int"
+    FLOAT = "float"
+    BOOL = "bool"
+    STRING = "string"
+    ENUM = "enum"
+    MATRIX = "matrix"
+
+
+_TRUE = {"1", "true", "yes", "on"}
+_FALSE = {"0", "false", "no", "off"}
+_LARGEST_INT = 2**63 - 1
+_MAX_TEXT = 1024
+_SHOWN = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """The definition of one algorithm parameter.
+
+    ``minimum`` and ``maximum`` are inclusive. ``general`` is the name under which the same thing is known across
+    algorithms (``image_rate``, ``voxel_size``), so that different algorithms share an axis.
+    """
+
+    key: str
+    type: ParameterType
+    default: Value
+    help: str
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    general: str | None = None
+
+    def parse(self, raw: object) -> Value:
+        """Turn text (CLI, form) or a YAML value into the typed value; raise InvalidInput naming key, value, remedy."""
+        value = self._typed(raw)
+        self._check_range(raw, value)
+        return value
+
+    @property
+    def expectation(self) -> str:
+        """What a legal value looks like, in words: ``int, 100 to 10000 features``."""
+        if self.type is ParameterType.ENUM:
+            return f"one of {', '.join(self.choices)}"
+        if self.type is ParameterType.BOOL:
+            return "true or false"
+        bounds = ""
+        if self.minimum is not None and self.maximum is not None:
+            bounds = f", {plain(self.minimum)} to {plain(self.maximum)}"
+        elif self.minimum is not None:
+            bounds = f", at least {plain(self.minimum)}"
+        elif self.maximum is not None:
+            bounds = f", at most {plain(self.maximum)}"
+        return f"{self.type}{bounds}{' ' + self.unit if self.unit else ''}"
+
+    def _refuse(self, raw: object) -> InvalidInput:
+        found = repr(raw)
+        found = found if len(found) <= _SHOWN else f"{found[:_SHOWN]}..."
+        return InvalidInput(f"parameter {self.key}={found} is not allowed", f"expected {self.expectation}")
+
+    def _typed(self, raw: object) -> Value:
+        parsers: dict[ParameterType, Callable[[object], Value]] = {
+            ParameterType.INT: self._as_int,
+            ParameterType.FLOAT: self._as_float,
+            ParameterType.BOOL: self._as_bool,
+            ParameterType.STRING: self._as_string,
+            ParameterType.ENUM: self._as_choice,
+            ParameterType.MATRIX: self._as_matrix,
+        }
+        return parsers[self.type](raw)
+
+    def _as_int(self, raw: object) -> int:
+        if isinstance(raw, float) and raw.is_integer():
+            number = int(raw)
+        elif isinstance(raw, int) and not isinstance(raw, bool):
+            number = raw
+        elif isinstance(raw, str):
+            number = self._read(int, raw)
+        else:
+            raise self._refuse(raw)
+        if abs(number) > _LARGEST_INT:
+            raise self._refuse(raw)
+        return number
+
+    def _as_float(self, raw: object) -> float:
+        if isinstance(raw, bool) or not isinstance(raw, int | float | str):
+            raise self._refuse(raw)
+        number = self._read(float, raw)
+        if not math.isfinite(number):
+            raise self._refuse(raw)
+        return number
+
+    def _read(self, kind: Callable[[str | float], Number], raw: str | float) -> Number:
+        """``raw`` as a number; Python's own notations (``1_000``, digits of other scripts) are not what users mean."""
+        if isinstance(raw, str) and ("_" in raw or not raw.isascii()):
+            raise self._refuse(raw)
+        try:
+            return kind(raw)
+        except (ValueError, OverflowError):
+            raise self._refuse(raw) from None
+
+    def _as_bool(self, raw: object) -> bool:
+        text = str(raw).strip().lower()
+        if text in _TRUE:
+            return True
+        if text in _FALSE:
+            return False
+        raise self._refuse(raw)
+
+    def _as_string(self, raw: object) -> str:
+        text = str(raw)
+        if any(ord(character) < 32 for character in text) or len(text) > _MAX_TEXT:
+            raise self._refuse(raw)
+        return text
+
+    def _as_choice(self, raw: object) -> str:
+        if str(raw) not in self.choices:
+            raise self._refuse(raw)
+        return str(raw)
+
+    def _as_matrix(self, raw: object) -> tuple[float, ...]:
+        parts = raw if isinstance(raw, list | tuple) else str(raw).strip().strip("[]").split(",")
+        return tuple(self._as_float(part) for part in parts)
+
+    def _check_range(self, raw: object, value: Value) -> None:
+        numbers = value if isinstance(value, tuple) else (value,)
+        for number in numbers:
+            if isinstance(number, str | bool):
+                continue
+            too_small = self.minimum is not None and number < self.minimum
+            too_large = self.maximum is not None and number > self.maximum
+            if too_small or too_large:
+                raise self._refuse(raw)
+
+
+def parse_settings(owner: str, parameters: tuple[Parameter, ...], settings: Mapping[str, object]) -> dict[str, Value]:
+    """All parameters of ``owner`` with their values: the defaults, overridden by ``settings``, in definition order.
+
+    Raises NotFound for an unknown key (with the nearest known one) and InvalidInput for a value that does not fit.
+    """
+    known = {parameter.key: parameter for parameter in parameters}
+    for key in settings:
+        if key not in known:
+            raise lacks(owner, "parameter", key, list(known))
+    return {
+        key: parameter.parse(settings[key]) if key in settings else parameter.default
+        for key, parameter in known.items()
+    }

@@ -1,0 +1,81 @@
+"""A mapping run: its states, the reasons it can fail for, and the one table of legal moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+
+from slamhive.errors import Conflict
+
+
+class RunState(StrEnum):
+    """Where a run is in its life."""
+
+    QUEUED = "queued"
+    PREPARING = "preparing"
+    STARTING = "starting"
+    RUNNING = "running"
+    COLLECTING = "collecting"
+    CANCELLING = "cancelling"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+    @property
+    def ended(self) -> bool:
+        """Nothing follows this state (a retry is a new run)."""
+        return self in _ENDED
+
+    @property
+    def active(self) -> bool:
+        """A worker holds the run."""
+        return not self.ended and self is not RunState.QUEUED
+
+
+class FailureReason(StrEnum):
+    """Why a run failed."""
+
+    IMAGE_MISSING = "image_missing"
+    PREPROCESS_ERROR = "preprocess_error"
+    START_ERROR = "start_error"
+    NONZERO_EXIT = "nonzero_exit"
+    TIMEOUT = "timeout"
+    OUT_OF_MEMORY = "out_of_memory"
+    NO_TRAJECTORY = "no_trajectory"
+    EMPTY_TRAJECTORY = "empty_trajectory"
+    MALFORMED_TRAJECTORY = "malformed_trajectory"
+    LOST = "lost"
+
+
+_ENDED = frozenset({RunState.SUCCEEDED, RunState.FAILED, RunState.CANCELLED})
+
+_S = RunState
+LEGAL_MOVES: dict[RunState, frozenset[RunState]] = {
+    _S.QUEUED: frozenset({_S.PREPARING, _S.CANCELLED}),
+    _S.PREPARING: frozenset({_S.STARTING, _S.FAILED, _S.CANCELLING, _S.QUEUED}),
+    _S.STARTING: frozenset({_S.RUNNING, _S.FAILED, _S.CANCELLING}),
+    _S.RUNNING: frozenset({_S.COLLECTING, _S.FAILED, _S.CANCELLING}),
+    _S.COLLECTING: frozenset({_S.SUCCEEDED, _S.FAILED}),
+    _S.CANCELLING: frozenset({_S.CANCELLED}),
+    _S.SUCCEEDED: frozenset(),
+    _S.FAILED: frozenset(),
+    _S.CANCELLED: frozenset(),
+}
+"""The one table of legal moves. A worker that died in a state is followed by one that goes on from that state."""
+
+
+def check_move(run_id: int, current: RunState, target: RunState) -> None:
+    """Raise Conflict if a run may not go from ``current`` to ``target``."""
+    if target not in LEGAL_MOVES[current]:
+        raise Conflict(f"run {run_id} is {current}, it cannot become {target}")
+
+
+@dataclass(frozen=True, slots=True)
+class RunEvent:
+    """One move of a run: when (UTC), from where, to where, and why."""
+
+    at: datetime
+    from_state: RunState | None
+    to_state: RunState
+    why: str

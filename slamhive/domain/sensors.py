@@ -1,0 +1,68 @@
+"""Sensors of a dataset, and what kind of sensing an algorithm does with them."""
+
+from __future__ import annotations
+
+import math
+import operator
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+Matrix4 = tuple[float, ...]
+"""A 4x4 homogeneous transform as 16 floats, row-major."""
+
+IDENTITY4: Matrix4 = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+_RIGID_TOLERANCE = 1e-3
+
+
+def is_rigid(transform: Matrix4) -> bool:
+    """Whether ``transform`` is a rotation (orthonormal within 1e-3, no reflection) and a translation, all finite."""
+    if len(transform) != len(IDENTITY4) or not all(math.isfinite(number) for number in transform):
+        return False
+    rows = [transform[start : start + 3] for start in (0, 4, 8)]
+    dots = [(sum(map(operator.mul, a, b)), float(a is b)) for a in rows for b in rows]
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return (
+        all(abs(found - wanted) <= _RIGID_TOLERANCE for found, wanted in dots)
+        and determinant > 0
+        and tuple(transform[12:]) == IDENTITY4[12:]
+    )
+
+
+class SensorKind(StrEnum):
+    """The kinds of sensor a dataset can hold."""
+
+    CAMERA = "camera"
+    DEPTH = "depth"
+    IMU = "imu"
+    LIDAR = "lidar"
+
+
+class SensorSetup(StrEnum):
+    """What an algorithm senses with; decides which alignment its trajectory deserves."""
+
+    MONO = "mono"
+    STEREO = "stereo"
+    RGBD = "rgbd"
+    MONO_INERTIAL = "mono-inertial"
+    STEREO_INERTIAL = "stereo-inertial"
+    LIDAR = "lidar"
+    LIDAR_INERTIAL = "lidar-inertial"
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """One sensor of a dataset and the topic its messages are recorded on.
+
+    ``T_body_sensor`` maps points in the sensor frame to the body frame (metres). ``calibration`` holds the
+    numbers that only this kind of sensor has, under the keys documented in ``docs/dataset-format.md``
+    (``width``, ``fx``, ``gyroscope_noise_density`` ...).
+    """
+
+    name: str
+    kind: SensorKind
+    topic: str
+    rate_hz: float
+    T_body_sensor: Matrix4 = IDENTITY4
+    calibration: dict[str, float | int | str | tuple[float, ...]] = field(default_factory=dict)

@@ -1,0 +1,60 @@
+"""The errors of SLAM Hive: every mistake a user can make becomes one of these, and one clear line.
+
+The message says what was found (naming the value), the remedy what to do about it. The command line prints
+``str(error)`` and exits with 1; the web layer maps each kind to an HTTP status. Anything else that escapes is a
+bug and keeps its traceback.
+"""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+
+
+class SlamHiveError(Exception):
+    """Root of all errors that are explained to the user rather than traced.
+
+    Args:
+        message: What was expected and what was found, naming the value.
+        remedy: What the user can do about it, optional.
+    """
+
+    def __init__(self, message: str, remedy: str | None = None) -> None:
+        self.message = " ".join(message.split())
+        self.remedy = " ".join(remedy.split()) if remedy else None
+        super().__init__(self.message if self.remedy is None else f"{self.message}; {self.remedy}")
+
+
+class InvalidInput(SlamHiveError):
+    """A value, a file or a combination of values that cannot be used."""
+
+
+class NotFound(SlamHiveError):
+    """A name or identifier that nothing answers to."""
+
+
+class Conflict(SlamHiveError):
+    """The request is well-formed but does not fit the present state (a name taken, a run that has ended)."""
+
+
+class Forbidden(SlamHiveError):
+    """The mode in force does not allow this."""
+
+
+class Unavailable(SlamHiveError):
+    """Something outside this process does not answer (Docker engine, database, disk space, a library)."""
+
+
+def unknown(kind: str, name: str, known: list[str], remedy: str | None = None) -> NotFound:
+    """The one wording for a name that nothing answers to; suggests the nearest known name."""
+    return NotFound(f"unknown {kind} {name!r}; {nearest(name, known)}", remedy)
+
+
+def lacks(owner: str, kind: str, name: str, known: list[str]) -> NotFound:
+    """The wording for a name that ``owner`` does not have: ``kiss-icp has no parameter 'voxl_size'; did you ...``."""
+    return NotFound(f"{owner} has no {kind} {name!r}; {nearest(name, known)}")
+
+
+def nearest(name: str, known: list[str]) -> str:
+    """The known name that is most like ``name`` as a question, or all known names."""
+    near = get_close_matches(name, known, n=1)
+    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(sorted(set(known))) or 'none'}"

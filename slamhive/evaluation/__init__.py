@@ -1,0 +1,1 @@
+"""Evaluating estimated trajectories against ground truth with evo."""

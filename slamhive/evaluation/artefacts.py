@@ -1,0 +1,116 @@
+"""What an evaluation leaves on disk; every file is written aside and renamed, ``result.json`` last."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from evo.core.result import Result
+from evo.core.trajectory import PoseTrajectory3D
+
+from slamhive.errors import SlamHiveError, Unavailable
+from slamhive.evaluation.engine import ENGINE, Evaluated, evaluate
+from slamhive.evaluation.job import (
+    RESULT_FILE,
+    Artefacts,
+    EvaluationResult,
+    EvaluationTask,
+    failed_result,
+    result_to_json,
+)
+from slamhive.evaluation.references import References
+from slamhive.files import write_aside
+from slamhive.trajectory.tum import format_tum
+
+APE_FILE = "ape.zip"
+RPE_FILE = "rpe.zip"
+ALIGNED_FILE = "traj.tum"
+REFERENCE_FILE = "groundtruth.tum"
+ERRORS_FILE = "errors.csv"
+FILES = (APE_FILE, RPE_FILE, ALIGNED_FILE, REFERENCE_FILE, ERRORS_FILE)
+
+
+def run_task(task: EvaluationTask, references: References) -> EvaluationResult:
+    """Evaluate one task and write what it asks for; a failure is a result with a reason, and is written too."""
+    try:
+        _remove(task.output, [RESULT_FILE])
+        evaluated = evaluate(task, references)
+        if isinstance(evaluated, Evaluated):
+            _write_files(task, evaluated)
+            result = evaluated.result
+        else:
+            _remove(task.output, FILES)
+            result = evaluated
+        write_aside(task.output / RESULT_FILE, result_to_json(result) + "\n")
+    except SlamHiveError as error:
+        return failed_result(task, str(error), ENGINE)
+    return result
+
+
+def _write_files(task: EvaluationTask, evaluated: Evaluated) -> None:
+    if task.artefacts is Artefacts.METRICS:
+        return
+    write_aside(task.output / APE_FILE, _result_archive(evaluated.ape, task.id))
+    if evaluated.rpe is None:
+        _remove(task.output, [RPE_FILE])
+    else:
+        write_aside(task.output / RPE_FILE, _result_archive(evaluated.rpe, task.id))
+    write_aside(task.output / ALIGNED_FILE, _tum(evaluated.aligned))
+    reference = evaluated.reference
+    write_aside(
+        task.output / REFERENCE_FILE, format_tum(reference.stamps_s, reference.positions_m, reference.quats_xyzw)
+    )
+    write_aside(task.output / ERRORS_FILE, _errors_csv(evaluated))
+    if task.artefacts is Artefacts.PLOTS:
+        # Plotting loads matplotlib and evo's settings, which the figures alone do not need.
+        from slamhive.evaluation.plots import write_plots  # noqa: PLC0415
+
+        write_plots(task.output, evaluated)
+
+
+def load_libraries(tasks: Iterable[EvaluationTask]) -> None:
+    """Import what the artefacts of ``tasks`` need, so that forked workers inherit it.
+
+    Two workers that import evo's plotting at once would write evo's settings file at once.
+    """
+    wanted = {task.artefacts for task in tasks}
+    if wanted - {Artefacts.METRICS}:
+        import evo.tools.file_interface  # noqa: F401, PLC0415
+    if Artefacts.PLOTS in wanted:
+        import slamhive.evaluation.plots  # noqa: F401, PLC0415
+
+
+def _tum(trajectory: PoseTrajectory3D) -> str:
+    quats_xyzw = np.roll(trajectory.orientations_quat_wxyz, -1, axis=1)
+    return format_tum(trajectory.timestamps, trajectory.positions_xyz, quats_xyzw)
+
+
+def _errors_csv(evaluated: Evaluated) -> str:
+    rows = np.column_stack((evaluated.aligned.timestamps, evaluated.ape.np_arrays["error_array"]))
+    return "timestamp,ape_m\n" + ("%.9f,%.9f\n" * len(rows)) % tuple(rows.ravel().tolist())
+
+
+def _result_archive(result: Result, name: str) -> bytes:
+    """The zip that ``evo_res`` opens, with the task's id as the estimate's name; the trajectories lie beside it."""
+    from evo.tools import file_interface  # noqa: PLC0415  (brings in rosbags, which the figures do not need)
+
+    named = Result()
+    named.add_info(result.info | {"est_name": name})
+    named.add_stats(result.stats)
+    named.np_arrays.update(result.np_arrays)
+    buffer = io.BytesIO()
+    file_interface.save_res_file(buffer, named)
+    return buffer.getvalue()
+
+
+def _remove(folder: Path, names: Iterable[str]) -> None:
+    """Remove files of an earlier evaluation, and what a killed one left half-written: none may pass for this one's."""
+    try:
+        for name in names:
+            (folder / name).unlink(missing_ok=True)
+            for unfinished in folder.glob(f".{name}.*"):
+                unfinished.unlink(missing_ok=True)
+    except OSError as error:
+        raise Unavailable(f"{folder} cannot be written: {error.strerror}", "check space and rights") from None

@@ -1,0 +1,133 @@
+"""The job file between the controller and the evaluation container: many runs in one start.
+
+The controller writes ``job.json``; the entry script evaluates every task, writes ``result.json`` into each task's
+output folder (aside, then renamed), and prints one JSON line per task to stdout as progress.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.sensors import IDENTITY4, Matrix4
+from slamhive.errors import InvalidInput
+
+RESULT_FILE = "result.json"
+
+
+class Artefacts(StrEnum):
+    """What an evaluation leaves besides the figures."""
+
+    METRICS = "metrics"
+    FILES = "files"
+    PLOTS = "plots"
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationTask:
+    """One run to evaluate. Paths are as the evaluating process sees them.
+
+    ``T_body_sensor`` is the pose of the frame that the estimate describes in the ground truth's body frame; the
+    ground truth is moved into that frame (which is metric, whatever the estimate's scale).
+    ``artefacts``: METRICS writes figures only; FILES adds ``ape.zip``, ``rpe.zip`` and the aligned ``traj.tum``;
+    PLOTS adds the paper's figures.
+    """
+
+    id: str
+    estimate: Path
+    reference: Path
+    output: Path
+    protocol: Protocol
+    T_body_sensor: Matrix4 = IDENTITY4
+    artefacts: Artefacts = Artefacts.FILES
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationResult:
+    """What came out of one task. ``reason`` says in one line why it failed; ``metrics`` is then empty."""
+
+    id: str
+    fingerprint: str
+    reason: str | None
+    metrics: dict[str, float]
+    poses: int
+    matched_poses: int
+    engine: str
+
+    @property
+    def succeeded(self) -> bool:
+        """All figures could be computed."""
+        return self.reason is None
+
+
+def failed_result(
+    task: EvaluationTask, reason: str, engine: str, *, poses: int = 0, matched_poses: int = 0
+) -> EvaluationResult:
+    """The result of a task that could not be evaluated, with its one-line ``reason``."""
+    return EvaluationResult(
+        id=task.id,
+        fingerprint=task.protocol.fingerprint,
+        reason=" ".join(reason.split()),
+        metrics={},
+        poses=poses,
+        matched_poses=matched_poses,
+        engine=engine,
+    )
+
+
+def job_to_json(tasks: Sequence[EvaluationTask]) -> str:
+    """The text of ``job.json``."""
+    return json.dumps({"format": 1, "tasks": [_task_to_json(task) for task in tasks]}, indent=1)
+
+
+def job_from_json(text: str) -> tuple[EvaluationTask, ...]:
+    """Read ``job.json``; raises InvalidInput if it is not one."""
+    try:
+        content = json.loads(text)
+        return tuple(_task_from_json(entry) for entry in content["tasks"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InvalidInput(f"job.json is not an evaluation job: {error!r}") from None
+
+
+def result_to_json(result: EvaluationResult) -> str:
+    """The text of ``result.json``, and one progress line."""
+    return json.dumps(asdict(result), allow_nan=False)
+
+
+def result_from_json(text: str) -> EvaluationResult:
+    """Read ``result.json``; raises InvalidInput if it is not one."""
+    try:
+        return EvaluationResult(**json.loads(text))
+    except (ValueError, TypeError) as error:
+        raise InvalidInput(f"{RESULT_FILE} is not an evaluation result: {error!r}") from None
+
+
+def _task_to_json(task: EvaluationTask) -> dict[str, Any]:
+    return {
+        "id": task.id,
+        "estimate": str(task.estimate),
+        "reference": str(task.reference),
+        "output": str(task.output),
+        "protocol": asdict(task.protocol),
+        "T_body_sensor": list(task.T_body_sensor),
+        "artefacts": task.artefacts.value,
+    }
+
+
+def _task_from_json(entry: dict[str, Any]) -> EvaluationTask:
+    protocol = dict(entry["protocol"])
+    protocol["alignment"] = Alignment(protocol["alignment"])
+    return EvaluationTask(
+        id=entry["id"],
+        estimate=Path(entry["estimate"]),
+        reference=Path(entry["reference"]),
+        output=Path(entry["output"]),
+        protocol=Protocol(**protocol),
+        T_body_sensor=tuple(entry["T_body_sensor"]),
+        artefacts=Artefacts(entry["artefacts"]),
+    )

@@ -1,0 +1,185 @@
+"""Evaluate many runs with one start: prepare the job, start it, and account for every task whatever happens."""
+
+from __future__ import annotations
+
+import logging
+import stat
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from slamhive.errors import InvalidInput
+from slamhive.evaluation.batch import Batch, BatchMount, BatchStarter
+from slamhive.evaluation.job import (
+    RESULT_FILE,
+    EvaluationResult,
+    EvaluationTask,
+    failed_result,
+    job_to_json,
+    result_from_json,
+)
+from slamhive.evaluation.process_starter import ProcessStarter
+from slamhive.files import write_aside
+
+__all__ = ["EvaluationRunner", "ProcessStarter", "ResultCallback"]
+
+logger = logging.getLogger(__name__)
+
+ResultCallback = Callable[[EvaluationResult], None]
+
+START_TIMEOUT_S = 120.0
+TASK_TIMEOUT_S = 120.0
+_ENGINE_NOT_REACHED = "slamhive"
+_REMEDIES = {
+    "estimate": "start the run again",
+    "ground truth": "put the dataset's file back, or import the dataset again",
+}
+_MAX_RESULT_BYTES = 1_000_000
+
+
+class EvaluationRunner:
+    """Runs evaluations through a starter.
+
+    Args:
+        starter: What runs the batch: a process, or a container.
+    """
+
+    def __init__(self, starter: BatchStarter) -> None:
+        self._starter = starter
+
+    def run(
+        self,
+        tasks: Sequence[EvaluationTask],
+        scratch: Path,
+        on_result: ResultCallback,
+        stopping: threading.Event | None = None,
+        cores: tuple[int, ...] | None = None,
+    ) -> list[EvaluationResult]:
+        """Evaluate ``tasks``; one result for each, in the same order.
+
+        A task whose result is missing when the batch ends gets a reason that says how it ended. If ``stopping`` is
+        set, tasks not yet done are left out instead: nothing is known of them and they can be done later.
+
+        Args:
+            tasks: With distinct ids and existing output folders; paths of this machine.
+            scratch: An empty folder of the caller, for the job file and the like.
+            on_result: Called once for every result, as soon as it is known, in the caller's thread.
+            stopping: Set from outside to end early.
+            cores: The numbers of the cores to evaluate on, None for all.
+
+        Raises:
+            Unavailable: The batch cannot be started at all.
+        """
+        stopping = stopping or threading.Event()
+        collected = _Collected(tasks, on_result)
+        ready = []
+        for task in tasks:
+            problem = _input_problem(task)
+            if problem is None:
+                ready.append(task)
+            else:
+                collected.add(failed_result(task, problem, _ENGINE_NOT_REACHED))
+        if ready:
+            how_it_ended = self._run_batch(ready, scratch, collected, stopping, cores)
+            collected.take_files(ready)
+            if not stopping.is_set():
+                for task in ready:
+                    if task.id not in collected.results:
+                        reason = f"evaluation ended early: {how_it_ended or 'no result was written'}"
+                        collected.add(failed_result(task, reason, _ENGINE_NOT_REACHED))
+        return [collected.results[task.id] for task in tasks if task.id in collected.results]
+
+    def _run_batch(
+        self,
+        tasks: Sequence[EvaluationTask],
+        scratch: Path,
+        collected: _Collected,
+        stopping: threading.Event,
+        cores: tuple[int, ...] | None,
+    ) -> str | None:
+        job_path = scratch / "job.json"
+        inside, mounts = _place(tasks, job_path, isolated=self._starter.isolated)
+        write_aside(job_path, job_to_json(inside))
+        batch = Batch(
+            job=mounts[0].target,
+            mounts=mounts,
+            scratch=scratch,
+            timeout_s=START_TIMEOUT_S + TASK_TIMEOUT_S * len(tasks),
+            cores=cores,
+        )
+        return self._starter.run_batch(batch, collected.add_line, stopping)
+
+
+class _Collected:
+    """Results by task id; each is handed on once."""
+
+    def __init__(self, tasks: Sequence[EvaluationTask], on_result: ResultCallback) -> None:
+        self.results: dict[str, EvaluationResult] = {}
+        self._fingerprints = {task.id: task.protocol.fingerprint for task in tasks}
+        self._on_result = on_result
+
+    def add(self, result: EvaluationResult) -> None:
+        if result.id in self.results or self._fingerprints.get(result.id) != result.fingerprint:
+            return
+        self.results[result.id] = result
+        self._on_result(result)
+
+    def add_line(self, line: str) -> None:
+        try:
+            result = result_from_json(line)
+        except InvalidInput:
+            logger.info("evaluation: %s", line.rstrip())
+            return
+        self.add(result)
+
+    def take_files(self, tasks: Sequence[EvaluationTask]) -> None:
+        """Results that were written although their line did not arrive."""
+        for task in tasks:
+            if task.id in self.results:
+                continue
+            try:
+                with (task.output / RESULT_FILE).open(encoding="utf-8") as stream:
+                    result = result_from_json(stream.read(_MAX_RESULT_BYTES))
+            except (OSError, ValueError, InvalidInput):
+                continue
+            if result.id == task.id:
+                self.add(result)
+
+
+def _input_problem(task: EvaluationTask) -> str | None:
+    for name, path in (("estimate", task.estimate), ("ground truth", task.reference)):
+        try:
+            mode = path.lstat().st_mode if name == "estimate" else path.stat().st_mode
+        except FileNotFoundError:
+            return f"there is no {name}: {path} does not exist; {_REMEDIES[name]}"
+        except OSError as error:
+            return f"the {name} {path} cannot be read: {error.strerror}; {_REMEDIES[name]}"
+        if not stat.S_ISREG(mode):
+            return f"the {name} {path} is not a regular file; {_REMEDIES[name]}"
+    return None
+
+
+def _place(
+    tasks: Sequence[EvaluationTask], job_path: Path, *, isolated: bool
+) -> tuple[list[EvaluationTask], tuple[BatchMount, ...]]:
+    """The tasks with paths as the batch sees them, and its mounts, the job file's first."""
+    places: dict[Path, BatchMount] = {}
+
+    def place(path: Path, target: str, *, read_only: bool = True) -> Path:
+        path = path.absolute()
+        if path not in places:
+            places[path] = BatchMount(path, target if isolated else str(path), read_only)
+        return Path(places[path].target)
+
+    place(job_path, "/slamhive/job.json")
+    inside = [
+        replace(
+            task,
+            estimate=place(task.estimate, f"/slamhive/estimates/{number}/{task.estimate.name}"),
+            reference=place(task.reference.resolve(), f"/slamhive/references/{number}/{task.reference.name}"),
+            output=place(task.output, f"/slamhive/outputs/{number}", read_only=False),
+        )
+        for number, task in enumerate(tasks)
+    ]
+    return inside, tuple(places.values())

@@ -1,0 +1,160 @@
+"""The executor seam: what every way of running an algorithm offers. See ``docs/executors.md``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Protocol
+
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.errors import SlamHiveError, Unavailable
+
+ProgressCallback = Callable[[str], None]
+"""Called with one line of what is going on (a build step, a layer pulled)."""
+
+
+class ImageMissing(SlamHiveError):
+    """The image or environment of a package does not exist and could not be made."""
+
+
+class StartFailed(SlamHiveError):
+    """The engine refused to start the run."""
+
+
+class EngineUnavailable(Unavailable):
+    """The engine does not answer now; the caller may try again, nothing is known to be lost."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """A host path and where the container sees it."""
+
+    source: Path
+    target: str
+    read_only: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a run may use. None means no limit of ours. ``cpuset`` holds core numbers."""
+
+    cpu_cores: float | None = None
+    memory_bytes: int | None = None
+    pids: int = 512
+    cpuset: tuple[int, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RunSpec:
+    """Everything an executor needs to start one run; frozen into the run folder before the start.
+
+    ``key`` identifies the run across restarts and installations; starting the same key twice yields the same
+    container. ``identity`` is the image digest, or the environment's hash for the process executor.
+    """
+
+    key: str
+    run_id: int
+    package: str
+    package_folder: Path
+    image: str
+    identity: str
+    command: tuple[str, ...]
+    mounts: tuple[Mount, ...]
+    environment: dict[str, str]
+    limits: Limits
+    timeout_s: float
+    log_path: Path
+
+
+@dataclass(frozen=True, slots=True)
+class RunHandle:
+    """What must be remembered to find a started run again after a restart: plain strings, stored with the run.
+
+    ``data["started_at"]`` is when the engine started the run, ISO 8601 in UTC, the same for whoever adopts it; it is
+    not there if the engine does not say.
+    """
+
+    executor: str
+    data: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """The run is going on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exited:
+    """The run has ended. ``exit_code`` is 128 + signal for a signal."""
+
+    exit_code: int
+    out_of_memory: bool = False
+    started_at: datetime | None = None
+    ended_at: datetime | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Gone:
+    """Nothing answers to the handle any more and nobody knows how it ended."""
+
+    why: str
+
+
+RunStatus = Running | Exited | Gone
+
+
+class UsageSource(Protocol):
+    """Where CPU and memory figures of a started run come from."""
+
+    def read(self) -> tuple[float, int] | None:
+        """CPU time used so far (s, summed over cores) and memory in use (bytes); None once the run is gone."""
+
+    def peak_memory_bytes(self) -> int | None:
+        """The kernel's own high-water mark, None where it keeps none."""
+
+    def close(self) -> None:
+        """Let go of files and connections."""
+
+
+class Executor(Protocol):
+    """One way of running algorithms. All methods may raise EngineUnavailable."""
+
+    name: str
+
+    def unavailable_because(self) -> str | None:
+        """Why this executor cannot be used on this machine, with the remedy; None if it can."""
+
+    def identity(self, package: AlgorithmPackage) -> str | None:
+        """The image digest (or environment hash) that a start would use now; None if it has to be built."""
+
+    def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
+        """Make the image or environment unless it is there already; returns its identity. Raises ImageMissing."""
+
+    def start(self, spec: RunSpec) -> RunHandle:
+        """Start the run, or find the one that was started under ``spec.key``. Raises ImageMissing, StartFailed."""
+
+    def poll(self, handle: RunHandle) -> RunStatus:
+        """How the run stands."""
+
+    def stop(self, handle: RunHandle, grace_s: float) -> None:
+        """End the run: politely, and by force after ``grace_s``. A run that has ended already is fine."""
+
+    def save_log(self, handle: RunHandle, path: Path) -> None:
+        """Write what the run has printed so far to ``path``."""
+
+    def remove(self, handle: RunHandle) -> None:
+        """Remove what is left of the run in the engine. Nothing left is fine."""
+
+    def discard(self, spec: RunSpec) -> None:
+        """End and remove whatever was started under ``spec.key``, by whomever. Nothing there is fine."""
+
+    def usage_source(self, handle: RunHandle) -> UsageSource | None:
+        """Where to sample the run's CPU and memory; None if it has ended."""
+
+    def sweep(self, live_keys: Collection[str]) -> list[str]:
+        """Remove what is left in the engine of runs other than ``live_keys``; names of the removed."""
+
+    def close(self) -> None:
+        """Close connections; runs go on. Not to be used any more."""

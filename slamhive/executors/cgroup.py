@@ -1,0 +1,139 @@
+"""CPU and memory of a container from the kernel's control-group files, versions 1 and 2.
+
+Memory in use is the working set: usage minus inactive file cache, as ``docker stats`` and Kubernetes count it, since
+the kernel takes that cache back whenever somebody needs the memory. The peak is the kernel's own counter
+(``memory.max_usage_in_bytes``, ``memory.peak``) and includes file cache: an algorithm that reads a large recording
+through the page cache shows it. The project's player drops the pages behind itself, so that the peak tells of the
+algorithm; see ``docs/executors.md``.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+CGROUP_ROOT = Path("/sys/fs/cgroup")
+_NS = 1e-9
+_US = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class CgroupV1:
+    """The files of one container under version 1, where every controller has a tree of its own."""
+
+    cpuacct: Path
+    memory: Path
+
+    def read(self) -> tuple[float, int] | None:
+        """CPU time (s) and working set (bytes); None once the group is gone."""
+        try:
+            cpu_s = int((self.cpuacct / "cpuacct.usage").read_text()) * _NS
+            usage = int((self.memory / "memory.usage_in_bytes").read_text())
+            inactive = parse_flat((self.memory / "memory.stat").read_text()).get("total_inactive_file", 0)
+        except (OSError, ValueError):
+            return None
+        return cpu_s, max(0, usage - inactive)
+
+    def peak_memory_bytes(self) -> int | None:
+        """``memory.max_usage_in_bytes``."""
+        return _read_int(self.memory / "memory.max_usage_in_bytes")
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+@dataclass(frozen=True, slots=True)
+class CgroupV2:
+    """The files of one container under version 2, one folder for all controllers."""
+
+    folder: Path
+
+    def read(self) -> tuple[float, int] | None:
+        """CPU time (s) and working set (bytes); None once the group is gone."""
+        try:
+            cpu_s = parse_flat((self.folder / "cpu.stat").read_text())["usage_usec"] * _US
+            usage = int((self.folder / "memory.current").read_text())
+            inactive = parse_flat((self.folder / "memory.stat").read_text()).get("inactive_file", 0)
+        except (OSError, ValueError, KeyError):
+            return None
+        return cpu_s, max(0, usage - inactive)
+
+    def peak_memory_bytes(self) -> int | None:
+        """``memory.peak``, which kernels have from 5.19 on."""
+        return _read_int(self.folder / "memory.peak")
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+Cgroup = CgroupV1 | CgroupV2
+
+
+def cgroup_of(pid: int, container_id: str, root: Path = CGROUP_ROOT, proc: Path = Path("/proc")) -> Cgroup | None:
+    """The control group of a container's first process; None if it is not on this machine or cannot be read.
+
+    A worker in a container sees the control groups of the host, but not its processes: the group is then looked for
+    by its name.
+
+    Args:
+        pid: As the engine reports it.
+        container_id: Must occur in the group's path: a pid of another machine means nothing here.
+        root: Where the control groups are mounted.
+        proc: Where the process files are mounted.
+    """
+    group = _group_of_process(pid, container_id, root, proc) or _group_by_name(container_id, root)
+    return group if group is not None and group.read() is not None else None
+
+
+def _group_of_process(pid: int, container_id: str, root: Path, proc: Path) -> Cgroup | None:
+    try:
+        memberships = parse_memberships((proc / str(pid) / "cgroup").read_text())
+    except OSError:
+        return None
+    cpuacct, memory = memberships.get("cpuacct", ""), memberships.get("memory", "")
+    if container_id in cpuacct and container_id in memory:
+        return CgroupV1(root / "cpuacct" / cpuacct.lstrip("/"), root / "memory" / memory.lstrip("/"))
+    if container_id in memberships.get("", "") and not cpuacct:
+        return CgroupV2(root / memberships[""].lstrip("/"))
+    return None
+
+
+def _group_by_name(container_id: str, root: Path) -> Cgroup | None:
+    """The group wherever the engine put it: in ``docker/<id>`` or ``system.slice/docker-<id>.scope``, mostly."""
+    if (root / "cpuacct").is_dir():
+        cpuacct = _find_folder(root / "cpuacct", container_id)
+        memory = _find_folder(root / "memory", container_id)
+        return None if cpuacct is None or memory is None else CgroupV1(cpuacct, memory)
+    folder = _find_folder(root, container_id)
+    return None if folder is None else CgroupV2(folder)
+
+
+def _find_folder(tree: Path, container_id: str) -> Path | None:
+    for parent, folders, _ in os.walk(tree):
+        for name in folders:
+            if name in (container_id, f"docker-{container_id}.scope"):
+                return Path(parent, name)
+    return None
+
+
+def parse_memberships(text: str) -> dict[str, str]:
+    """``/proc/<pid>/cgroup``: {controller: path}; version 2 has the controller ``""``."""
+    memberships: dict[str, str] = {}
+    for line in text.splitlines():
+        _, controllers, path = line.split(":", 2)
+        memberships.update(dict.fromkeys(controllers.split(","), path))
+    return memberships
+
+
+def parse_flat(text: str) -> dict[str, int]:
+    """A flat keyed file (``memory.stat``, ``cpu.stat``): {key: number}."""
+    pairs = (line.split() for line in text.splitlines())
+    return {pair[0]: int(pair[1]) for pair in pairs if len(pair) == 2}
+
+
+def _read_int(path: Path) -> int | None:
+    try:
+        return int(path.read_text())
+    except (OSError, ValueError):
+        return None

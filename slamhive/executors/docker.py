@@ -1,0 +1,263 @@
+"""Runs algorithms in Docker containers, hardened as the container contract says.
+
+The engine is the memory: a container is found again by its name, which follows from the run's key, and carries the key,
+the run and the installation as labels. A reply of "no such container" (404) or "exists already" (409) is therefore an
+answer and not an error.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Collection
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import docker
+import docker.errors
+from docker.types import LogConfig, Mount
+
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.executors.base import (
+    EngineUnavailable,
+    Exited,
+    Gone,
+    ImageMissing,
+    ProgressCallback,
+    RunHandle,
+    Running,
+    RunSpec,
+    RunStatus,
+    StartFailed,
+    UsageSource,
+)
+from slamhive.executors.cgroup import cgroup_of
+from slamhive.executors.docker_engine import (
+    EVALUATION_KEY,
+    HARDENING,
+    INSTALLATION_LABEL,
+    KEY_LABEL,
+    RUN_LABEL,
+    connect,
+    container_name,
+    engine_errors,
+)
+from slamhive.executors.docker_image import find_image, make_image
+from slamhive.executors.docker_stats import DockerStatsSource
+from slamhive.executors.registry import ExecutorContext
+from slamhive.files import write_aside
+
+ROS_ENVIRONMENT = {"HOME": "/tmp", "ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://localhost:11311"}  # noqa: S108
+"""HOME is the container's own /tmp: the user of the run has no other folder to write to."""
+
+_UNSET_TIME = "0001-"
+
+
+def _is_live(container: Any, live_keys: Collection[str]) -> bool:
+    key = str(container.labels.get(KEY_LABEL))
+    return key in live_keys or (key.startswith(EVALUATION_KEY) and container.status == "running")
+
+
+class DockerExecutor:
+    """The executor ``docker``. Safe to share between threads."""
+
+    name = "docker"
+
+    def __init__(self, context: ExecutorContext) -> None:
+        self._context = context
+        self._lock = threading.Lock()
+        self._client: docker.DockerClient | None = None
+
+    def unavailable_because(self) -> str | None:
+        """Why Docker cannot be used now; None if an engine answers."""
+        try:
+            with engine_errors("asking the Docker engine", EngineUnavailable):
+                self._engine().ping()
+        except EngineUnavailable as error:
+            return str(error)
+        return None
+
+    def identity(self, package: AlgorithmPackage) -> str | None:
+        """The digest of the image of this version of the package; None if it has to be built or pulled."""
+        return find_image(self._engine(), package, self._context.project_root)
+
+    def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
+        """Find, pull or build the image; returns its digest. Raises ImageMissing."""
+        return make_image(self._engine(), package, self._context.project_root, progress)
+
+    def start(self, spec: RunSpec) -> RunHandle:
+        """Create and start the run's container, or find it in whatever state it is."""
+        container = self._find(container_name(spec.key)) or self._create(spec)
+        if container.labels.get(KEY_LABEL) != spec.key:
+            raise StartFailed(f"container {container.name} belongs to another run", f"docker rm {container.name}")
+        if container.status == "created":
+            self._start_created(container, spec)
+        data = {"container": str(container.id), "key": spec.key}
+        started = self._find(data["container"])
+        started_at = None if started is None else _time(started.attrs["State"].get("StartedAt"))
+        if started_at is not None:
+            data["started_at"] = started_at.isoformat()
+        return RunHandle(self.name, data)
+
+    def poll(self, handle: RunHandle) -> RunStatus:
+        """The state as the engine knows it."""
+        container = self._find(handle.data["container"])
+        if container is None:
+            return Gone("the container was removed from outside")
+        state = container.attrs["State"]
+        if state["Status"] == "created":
+            return Gone("the container was never started")
+        if state["Status"] not in ("exited", "dead"):
+            return Running()
+        return Exited(
+            exit_code=int(state["ExitCode"]),
+            out_of_memory=bool(state.get("OOMKilled")),
+            started_at=_time(state.get("StartedAt")),
+            ended_at=_time(state.get("FinishedAt")),
+        )
+
+    def stop(self, handle: RunHandle, grace_s: float) -> None:
+        """SIGTERM, and SIGKILL after ``grace_s``."""
+        container = self._find(handle.data["container"])
+        if container is None:
+            return
+        with engine_errors(f"stopping {container.name}", EngineUnavailable):
+            try:
+                container.stop(timeout=max(0, round(grace_s)))
+            except docker.errors.NotFound:
+                return
+
+    def save_log(self, handle: RunHandle, path: Path) -> None:
+        """Write what the run has printed so far; nothing if the container is gone."""
+        container = self._find(handle.data["container"])
+        if container is None:
+            return
+        with engine_errors(f"reading the log of {container.name}", EngineUnavailable):
+            # The engine itself caps the log, see container_options.
+            write_aside(path, container.logs(stdout=True, stderr=True))
+
+    def remove(self, handle: RunHandle) -> None:
+        """Remove the container, running or not."""
+        self._remove(handle.data["container"])
+
+    def discard(self, spec: RunSpec) -> None:
+        """Remove the container that has the name of the run's key, unless another run's has it."""
+        container = self._find(container_name(spec.key))
+        if container is not None and container.labels.get(KEY_LABEL) == spec.key:
+            self._remove(str(container.id))
+
+    def usage_source(self, handle: RunHandle) -> UsageSource | None:
+        """The container's control group where its files are on this machine, the engine's statistics otherwise."""
+        container = self._find(handle.data["container"])
+        if container is None or container.status != "running":
+            return None
+        group = cgroup_of(int(container.attrs["State"]["Pid"]), container.id)
+        return group or DockerStatsSource(container)
+
+    def sweep(self, live_keys: Collection[str]) -> list[str]:
+        """Remove containers of this installation whose run is over; an evaluation that still works is let be."""
+        label = f"{INSTALLATION_LABEL}={self._context.installation}"
+        with engine_errors("listing containers", EngineUnavailable):
+            containers = self._engine().containers.list(all=True, filters={"label": label}, ignore_removed=True)
+        stale = [entry for entry in containers if not _is_live(entry, live_keys)]
+        for container in stale:
+            self._remove(str(container.id))
+        return [str(container.name) for container in stale]
+
+    def close(self) -> None:
+        """Close the connection to the engine."""
+        with self._lock:
+            if self._client is not None:
+                self._client.close()
+                self._client = None
+
+    def _engine(self) -> docker.DockerClient:
+        with self._lock:
+            if self._client is None:
+                self._client = connect()
+            return self._client
+
+    def _find(self, name_or_id: str) -> Any | None:
+        with engine_errors("looking for the container", EngineUnavailable):
+            try:
+                return self._engine().containers.get(name_or_id)
+            except docker.errors.NotFound:
+                return None
+
+    def _create(self, spec: RunSpec) -> Any:
+        with engine_errors(f"starting run {spec.run_id}", StartFailed):
+            try:
+                return self._engine().containers.create(**container_options(spec, self._context))
+            except docker.errors.ImageNotFound:
+                raise ImageMissing(f"image {spec.image} ({spec.identity[:19]}) is gone", "build it again") from None
+            except docker.errors.APIError as error:
+                if error.status_code != 409:
+                    raise
+        container = self._find(container_name(spec.key))
+        if container is None:
+            raise StartFailed(f"the container of run {spec.run_id} disappeared while it was made", "try again")
+        return container
+
+    def _start_created(self, container: Any, spec: RunSpec) -> None:
+        try:
+            with engine_errors(f"starting run {spec.run_id}", StartFailed):
+                container.start()
+        except StartFailed:
+            self._remove(str(container.id))
+            raise
+
+    def _remove(self, container_id: str) -> None:
+        with engine_errors("removing a container", EngineUnavailable):
+            try:
+                self._engine().api.remove_container(container_id, force=True, v=True)
+            except docker.errors.NotFound:
+                return
+            except docker.errors.APIError as error:
+                if error.status_code != 409:  # 409: it is being removed already
+                    raise
+
+
+def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]:
+    """The arguments of ``containers.create`` for a run: pure, so that a test can read them."""
+    limits = spec.limits
+    options: dict[str, Any] = {
+        **HARDENING,
+        "image": spec.identity,
+        "name": container_name(spec.key),
+        "entrypoint": list(spec.command),
+        "command": [],
+        "labels": {
+            KEY_LABEL: spec.key,
+            RUN_LABEL: str(spec.run_id),
+            INSTALLATION_LABEL: context.installation,
+        },
+        "environment": {**ROS_ENVIRONMENT, **spec.environment},
+        "mounts": [
+            Mount(mount.target, str(mount.source.resolve()), type="bind", read_only=mount.read_only)
+            for mount in spec.mounts
+        ],
+        "user": f"{os.getuid()}:{os.getgid()}",
+        "pids_limit": limits.pids,
+        "log_config": LogConfig(
+            type=LogConfig.types.JSON,
+            config={"max-size": str(max(1000, context.log_max_bytes // 2)), "max-file": "2"},
+        ),
+    }
+    if limits.memory_bytes is not None:
+        options["mem_limit"] = limits.memory_bytes
+        options["memswap_limit"] = limits.memory_bytes
+    if limits.cpu_cores is not None:
+        options["nano_cpus"] = round(limits.cpu_cores * 1e9)
+    if limits.cpuset is not None:
+        options["cpuset_cpus"] = ",".join(map(str, limits.cpuset))
+    return options
+
+
+def _time(text: str | None) -> datetime | None:
+    """A time as the engine writes it, with nanoseconds; None for one that is not set."""
+    if not text or text.startswith(_UNSET_TIME):
+        return None
+    seconds, _, fraction = text.rstrip("Z").partition(".")
+    moment = datetime.fromisoformat(seconds).replace(tzinfo=UTC)
+    return moment.replace(microsecond=int(fraction[:6].ljust(6, "0"))) if fraction else moment

@@ -1,0 +1,142 @@
+"""Runs a batch of evaluations in a container of the evaluation image, as hardened as a run, always removed."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import tempfile
+import threading
+import uuid
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import docker
+import docker.errors
+import requests
+from docker.types import Mount
+
+from slamhive.catalogue.image_context import HOST_CERTIFICATES, BuildContext, build_arguments
+from slamhive.errors import Unavailable
+from slamhive.evaluation.batch import IMAGE, Batch, LineCallback
+from slamhive.evaluation.image_context import evaluation_context_hash, stage_evaluation_context
+from slamhive.evaluation.line_feed import LineFeed
+from slamhive.executors.base import EngineUnavailable
+from slamhive.executors.docker_build import build_image, content_of, get_image, name_image
+from slamhive.executors.docker_engine import (
+    EVALUATION_KEY,
+    HARDENING,
+    INSTALLATION_LABEL,
+    KEY_LABEL,
+    connect,
+    engine_errors,
+)
+from slamhive.executors.registry import ExecutorContext
+
+logger = logging.getLogger(__name__)
+
+_PIDS = 512
+_KEPT_LINES = 4
+_EXIT_WAIT_S = 10
+
+
+class DockerStarter:
+    """Starts the evaluation image; see :class:`slamhive.evaluation.batch.BatchStarter`.
+
+    Args:
+        context: Tells the containers of this installation from others.
+        image: The evaluation image.
+    """
+
+    isolated = True
+
+    def __init__(self, context: ExecutorContext, image: str = IMAGE) -> None:
+        self._context = context
+        self._image = image
+
+    def run_batch(self, batch: Batch, on_line: LineCallback, stopping: threading.Event) -> str | None:
+        """Run the batch to its end, handing over its lines; how it ended if not well, in one line."""
+        last: deque[str] = deque(maxlen=_KEPT_LINES)
+
+        def take(line: str) -> None:
+            last.append(line.strip())
+            on_line(line)
+
+        with contextlib.closing(connect()) as client:
+            self._ensure_image(client)
+            container = self._start(client, batch)
+            try:
+                given_up = LineFeed(_lines_of(container)).follow(batch.timeout_s, take, stopping)
+                return given_up or _how_it_ended(container, last)
+            finally:
+                with engine_errors("removing the evaluation container", EngineUnavailable):
+                    container.remove(force=True, v=True)
+
+    def _ensure_image(self, client: docker.DockerClient) -> None:
+        """Build the image unless the engine has one made from just this code."""
+        root = self._context.project_root
+        content = evaluation_context_hash(root)
+        image = get_image(client, self._image)
+        if image is not None and content_of(image) == content:
+            return
+        logger.info("building %s", self._image)
+        with tempfile.TemporaryDirectory(prefix="slamhive-build-") as folder:
+            context = BuildContext(Path(folder) / "context", "Dockerfile", build_arguments())
+            context.path.mkdir()
+            stage_evaluation_context(root, context.path, sorted(HOST_CERTIFICATES.glob("*.crt")))
+            digest = build_image(client, self._image, context, content, root, logger.debug)
+        name_image(client, digest, self._image)
+
+    def _start(self, client: docker.DockerClient, batch: Batch) -> Any:
+        mounts = [
+            Mount(entry.target, str(entry.source.resolve()), type="bind", read_only=entry.read_only)
+            for entry in batch.mounts
+        ]
+        with engine_errors("starting the evaluation", Unavailable):
+            try:
+                return client.containers.run(
+                    self._image,
+                    [batch.job],
+                    detach=True,
+                    mounts=mounts,
+                    labels={
+                        KEY_LABEL: f"{EVALUATION_KEY}{uuid.uuid4().hex}",
+                        INSTALLATION_LABEL: self._context.installation,
+                    },
+                    environment={"HOME": "/tmp"},  # noqa: S108 - the container's own; evo writes settings there
+                    user=f"{os.getuid()}:{os.getgid()}",
+                    pids_limit=_PIDS,
+                    cpuset_cpus=None if batch.cores is None else ",".join(map(str, batch.cores)),
+                    **HARDENING,
+                )
+            except docker.errors.ImageNotFound:
+                raise Unavailable(f"image {self._image} was removed from outside", "try again") from None
+
+
+def _lines_of(container: Any) -> Iterator[str]:
+    """Standard output line by line; ends also if the connection breaks: the exit code tells the rest."""
+    rest = b""
+    try:
+        for chunk in container.logs(stdout=True, stderr=False, stream=True, follow=True):
+            *whole, rest = (rest + chunk).split(b"\n")
+            for line in whole:
+                yield line.decode(errors="replace")
+    except (requests.exceptions.RequestException, docker.errors.APIError):
+        pass
+    if rest:
+        yield rest.decode(errors="replace")
+
+
+def _how_it_ended(container: Any, last: deque[str]) -> str | None:
+    try:
+        with engine_errors("waiting for the evaluation", EngineUnavailable):
+            exit_code = int(container.wait(timeout=_EXIT_WAIT_S)["StatusCode"])
+            if exit_code == 0:
+                return None
+            errors = container.logs(stdout=False, stderr=True, tail=_KEPT_LINES).decode(errors="replace")
+    except EngineUnavailable as error:
+        return str(error)
+    said = " | ".join(errors.strip().splitlines() or last)
+    return f"exit code {exit_code}: {said}" if said else f"exit code {exit_code}"

@@ -1,0 +1,150 @@
+"""Building images with the engine, whatever they are for: base image, build arguments, progress, staleness."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from collections import deque
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import docker
+import docker.errors
+
+from slamhive.catalogue.image_context import BuildContext
+from slamhive.executors.base import ImageMissing, ProgressCallback
+from slamhive.executors.docker_engine import engine_errors
+
+CONTENT_LABEL = "slamhive.content"
+PUBLIC_BASE = "debian:bookworm-slim"
+OWN_BASE = "slam-hive-base:bookworm"
+BASE_ARGUMENT = "BASE_IMAGE"
+_LAST_LINES = 4
+_ENGINE_CHATTER = ("--->", "Removing intermediate container", "Removing container")
+
+
+def get_image(client: docker.DockerClient, name: str) -> Any | None:
+    """The image called ``name``, None if the engine does not have it."""
+    with engine_errors(f"looking for {name}", ImageMissing):
+        try:
+            return client.images.get(name)
+        except docker.errors.ImageNotFound:
+            return None
+
+
+def content_of(image: Any) -> str | None:
+    """The hash of what the image was made from; None for an image that was not built here."""
+    return (image.labels or {}).get(CONTENT_LABEL)
+
+
+def build_image(
+    client: docker.DockerClient,
+    name: str,
+    context: BuildContext,
+    content: str,
+    project_root: Path,
+    progress: ProgressCallback,
+) -> str:
+    """Build an image from a staged context; returns its digest. Raises ImageMissing naming the step that failed.
+
+    The image has no name yet, so that nobody takes it before the caller has looked into it and called
+    :func:`name_image`.
+
+    The build has the host's network: packages come from wherever the host gets them, mirrors and proxies included.
+
+    Args:
+        client: The engine.
+        name: What it will be called, for messages.
+        context: The staged context; a base image is chosen unless its arguments name one.
+        content: The hash of what the image is made from, kept as a label.
+        project_root: The folder with ``docker/base``.
+        progress: Called with each line.
+    """
+    arguments = dict(context.build_args)
+    if BASE_ARGUMENT not in arguments:
+        arguments[BASE_ARGUMENT] = choose_base(client, project_root, progress)
+    with engine_errors(f"building {name}", ImageMissing):
+        events = client.api.build(
+            path=str(context.path),
+            dockerfile=context.dockerfile,
+            buildargs=arguments,
+            labels={CONTENT_LABEL: content},
+            network_mode="host",
+            rm=True,
+            forcerm=True,
+            decode=True,
+        )
+        digest = follow_build(events, name, progress)
+    if digest is None:
+        raise ImageMissing(f"{name} was built, but the engine does not say where it is", "build it again")
+    return digest
+
+
+def name_image(client: docker.DockerClient, digest: str, name: str) -> None:
+    """Call an image ``name`` (repository and tag). Raises ImageMissing."""
+    repository, _, tag = name.rpartition(":")
+    with engine_errors(f"naming {name}", ImageMissing):
+        client.api.tag(digest, repository, tag)
+
+
+def choose_base(client: docker.DockerClient, project_root: Path, progress: ProgressCallback) -> str:
+    """The image to build on: the public one if it is here or a registry answers, else one made with debootstrap.
+
+    Raises ImageMissing with the last line of what went wrong.
+    """
+    for name in (PUBLIC_BASE, OWN_BASE):
+        if get_image(client, name) is not None:
+            return name
+    repository, _, tag = PUBLIC_BASE.rpartition(":")
+    progress(f"pulling {PUBLIC_BASE}")
+    try:
+        with engine_errors(f"pulling {PUBLIC_BASE}", ImageMissing):
+            client.images.pull(repository, tag=tag)
+    except ImageMissing as error:
+        progress(f"{error.message}; making {OWN_BASE} with debootstrap")
+    else:
+        return PUBLIC_BASE
+    _make_base(client, project_root / "docker" / "base" / "make-base.sh")
+    return OWN_BASE
+
+
+def _make_base(client: docker.DockerClient, script: Path) -> None:
+    """Make the base image's files with debootstrap and hand them to the engine."""
+    repository, _, tag = OWN_BASE.rpartition(":")
+    with tempfile.TemporaryDirectory(prefix="slamhive-base-") as folder:
+        archive = Path(folder) / "base.tar"
+        made = subprocess.run(["/bin/sh", str(script), str(archive)], capture_output=True, text=True, check=False)
+        if made.returncode != 0:
+            words = (made.stderr or made.stdout).strip().splitlines() or ["it says nothing"]
+            raise ImageMissing(f"no registry answers and {script.name} failed: {words[-1]}", "set BASE_IMAGE")
+        with engine_errors(f"importing {OWN_BASE}", ImageMissing):
+            answer = client.api.import_image_from_file(str(archive), repository, tag, changes=['CMD ["/bin/sh"]'])
+    if get_image(client, OWN_BASE) is None:
+        raise ImageMissing(f"the engine did not take {OWN_BASE}: {answer}", "set BASE_IMAGE")
+
+
+def follow_build(events: Iterable[dict[str, Any]], name: str, progress: ProgressCallback) -> str | None:
+    """Pass the lines of a build on; the digest of what was built, None if the engine does not say.
+
+    Raises ImageMissing naming the step that failed and its last lines.
+    """
+    step = "the first step"
+    digest: str | None = None
+    last: deque[str] = deque(maxlen=_LAST_LINES)
+    for event in events:
+        for raw in str(event.get("stream", "")).splitlines():
+            line = raw.strip()
+            if not line or line.startswith(_ENGINE_CHATTER):
+                continue
+            if line.startswith("Step "):
+                step = line
+                last.clear()
+            else:
+                last.append(line)
+            progress(f"{name}: {line}")
+        if "error" in event:
+            raise ImageMissing(f"building {name} failed at {step}: {' | '.join([*last, str(event['error'])])}")
+        if "ID" in (event.get("aux") or {}):
+            digest = str(event["aux"]["ID"])
+    return digest

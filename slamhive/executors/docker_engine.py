@@ -1,0 +1,79 @@
+"""The connection to a Docker engine, and what its errors mean to us."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import docker
+import docker.errors
+import requests
+import urllib3
+
+from slamhive.errors import SlamHiveError
+from slamhive.executors.base import EngineUnavailable
+
+KEY_LABEL = "slamhive.key"
+RUN_LABEL = "slamhive.run"
+INSTALLATION_LABEL = "slamhive.installation"
+
+EVALUATION_KEY = "evaluation-"
+"""Keys that begin with this belong to evaluations, not to runs."""
+
+_TIMEOUT_S = 60
+_NAME_LIMIT = 63
+_SERVER_ERROR = 500
+
+HARDENING: dict[str, Any] = {
+    "cap_drop": ["ALL"],
+    "security_opt": ["no-new-privileges"],
+    "network_mode": "none",
+    "init": True,
+    "shm_size": 256 * 1024 * 1024,
+}
+"""What every container of ours is started with. ROS 2 moves images through /dev/shm; its default of 64 MB is short."""
+
+
+@contextmanager
+def engine_errors(doing: str, failure: type[SlamHiveError]) -> Iterator[None]:
+    """Turn the SDK's errors into ours: EngineUnavailable if nobody answers, ``failure`` if the engine refuses.
+
+    Args:
+        doing: What was being done, for the message (``"starting run 7"``).
+        failure: The error for a refusal.
+    """
+    try:
+        yield
+    except (requests.exceptions.ConnectionError, requests.exceptions.Timeout) as error:
+        raise _no_answer(doing, error) from None
+    except (requests.exceptions.ChunkedEncodingError, urllib3.exceptions.HTTPError) as error:
+        raise _no_answer(doing, error) from None
+    except docker.errors.APIError as error:
+        raise failure(f"{doing}: {error.explanation or error}") from None
+    except docker.errors.DockerException as error:
+        raise _no_answer(doing, error) from None
+
+
+def connect() -> docker.DockerClient:
+    """A client of the engine that the environment names (``DOCKER_HOST``). Raises EngineUnavailable."""
+    with engine_errors("connecting to Docker", EngineUnavailable):
+        return docker.from_env(timeout=_TIMEOUT_S)
+
+
+def container_name(key: str) -> str:
+    """The container's name for a run's key: 63 characters at most, different for different keys."""
+    slug = re.sub(r"[^a-zA-Z0-9_.-]+", "-", key)
+    name = f"slamhive-{slug}"
+    if slug == key and len(name) <= _NAME_LIMIT:
+        return name
+    digest = hashlib.sha256(key.encode()).hexdigest()[:12]
+    return f"{name[: _NAME_LIMIT - 13]}-{digest}"
+
+
+def _no_answer(doing: str, error: Exception) -> EngineUnavailable:
+    return EngineUnavailable(
+        f"{doing}: no Docker engine answers ({type(error).__name__})", "start it, or check DOCKER_HOST and your rights"
+    )

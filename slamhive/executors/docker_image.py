@@ -1,0 +1,85 @@
+"""Images of algorithm packages: found, pulled or built, and checked to keep the container contract."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import docker
+import docker.errors
+
+from slamhive.catalogue.image_context import context_hash, stage_context
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.executors.base import ImageMissing, ProgressCallback
+from slamhive.executors.docker_build import build_image, content_of, get_image, name_image
+from slamhive.executors.docker_engine import engine_errors
+
+MAPPING_SCRIPT = "/slamhive/mapping.py"
+
+
+def find_image(client: docker.DockerClient, package: AlgorithmPackage, project_root: Path) -> str | None:
+    """The digest (image id) that a start would use now; None if the image is missing or out of date.
+
+    A package without a Dockerfile uses an image made elsewhere (for the published SLAM Hive), taken as it is.
+    """
+    image = get_image(client, package.image)
+    if image is None:
+        return None
+    if _has_dockerfile(package) and content_of(image) != context_hash(package.folder, project_root):
+        return None
+    return str(image.id)
+
+
+def make_image(
+    client: docker.DockerClient, package: AlgorithmPackage, project_root: Path, progress: ProgressCallback
+) -> str:
+    """Find, pull or build the image of ``package``; returns its digest. Raises ImageMissing."""
+    found = find_image(client, package, project_root)
+    if found is not None:
+        return found
+    if not _has_dockerfile(package):
+        return _pull(client, package, progress)
+    content = context_hash(package.folder, project_root)
+    with tempfile.TemporaryDirectory(prefix="slamhive-build-") as folder:
+        context = stage_context(package.folder, project_root, Path(folder) / "context")
+        digest = build_image(client, package.image, context, content, project_root, progress)
+    check_mapping_script(client, digest, package.image)
+    name_image(client, digest, package.image)
+    return digest
+
+
+def check_mapping_script(client: docker.DockerClient, digest: str, name: str) -> None:
+    """Raise ImageMissing if the image lacks ``/slamhive/mapping.py``. Nothing of the image is run for it."""
+    with engine_errors(f"looking into {name}", ImageMissing):
+        container = client.containers.create(digest, command=["true"], network_mode="none")
+        try:
+            stream: Any = container.get_archive(MAPPING_SCRIPT)[0]
+            stream.close()
+        except docker.errors.NotFound:
+            raise ImageMissing(
+                f"image {name} lacks {MAPPING_SCRIPT}", "its Dockerfile must copy the package's slamhive/ to /slamhive"
+            ) from None
+        finally:
+            container.remove(force=True)
+
+
+def _has_dockerfile(package: AlgorithmPackage) -> bool:
+    return (package.folder / "Dockerfile").is_file()
+
+
+def _pull(client: docker.DockerClient, package: AlgorithmPackage, progress: ProgressCallback) -> str:
+    name, _, tag = package.image.rpartition(":")
+    remedy = f"load it with docker load, or add a Dockerfile to {package.folder}"
+    problem = "the registry does not have it"
+    try:
+        with engine_errors(f"pulling {package.image}", ImageMissing):
+            for event in client.api.pull(name, tag=tag, stream=True, decode=True):
+                problem = str(event.get("error", problem))
+                progress(f"{package.image}: {event.get('status', '')} {event.get('progress', '')}".strip())
+    except ImageMissing as error:
+        problem = error.message
+    image = get_image(client, package.image)
+    if image is None:
+        raise ImageMissing(f"{package.image} cannot be pulled: {problem}", remedy)
+    return str(image.id)

@@ -1,0 +1,211 @@
+"""The Python environment of an algorithm package, for runs without a container.
+
+``<data>/environments/<package>-<hash>/`` holds ``venv/``, ``prepared/`` (what the package's ``prepare.py`` made) and
+``ready``, written last: a folder without it is the remains of a build that was killed, and is made again. A virtual
+environment knows its own path and therefore cannot be renamed, so it is built in place under a lock.
+``<data>/environments/runtime-<hash>/`` holds the few modules that algorithms may import from this project.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import venv
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import slamhive
+from slamhive.catalogue.image_context import RUNTIME_PARTS, copy_parts
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.errors import Unavailable
+from slamhive.executors.base import ImageMissing, ProgressCallback
+from slamhive.files import hash_files
+
+REQUIREMENTS_FILE = "requirements.txt"
+PREPARE_SCRIPT = "prepare.py"
+PREPARE_VARIABLE = "SLAMHIVE_PREPARE_DIR"
+RUNTIME_REQUIREMENTS = Path("runtime") / REQUIREMENTS_FILE
+
+_READY = "ready"
+_HASH_DIGITS = 12
+_NOT_PREPARED_FROM = frozenset({"slamhive", "algorithm.yaml", "Dockerfile", "README.md", "__pycache__"})
+_FIND_LIBRARIES = """
+import ctypes, sys
+for name in sys.argv[1:]:
+    try:
+        ctypes.CDLL(name)
+    except OSError:
+        print(name)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Environment:
+    """Where the parts of one environment lie."""
+
+    folder: Path
+    runtime: Path
+
+    @property
+    def python(self) -> Path:
+        """The interpreter."""
+        return self.folder / "venv" / "bin" / "python"
+
+    @property
+    def prepared(self) -> Path:
+        """What ``prepare.py`` made."""
+        return self.folder / "prepared"
+
+    @property
+    def ready(self) -> bool:
+        """Both parts are complete."""
+        return (self.folder / _READY).is_file() and self.runtime.is_dir()
+
+
+class Environments:
+    """All environments of a data root."""
+
+    def __init__(self, data: Path) -> None:
+        self._root = data / "environments"
+
+    def identity(self, package: AlgorithmPackage) -> str:
+        """``<environment hash>-<runtime hash>``: what a run of ``package`` would use now."""
+        return f"{_environment_hash(package)}-{_short_hash(_package_folder(), RUNTIME_PARTS)}"
+
+    def find(self, package_name: str, identity: str) -> Environment:
+        """The environment with this identity, ready or not."""
+        environment_hash, _, runtime_hash = identity.partition("-")
+        return Environment(self._root / f"{package_name}-{environment_hash}", self._root / f"runtime-{runtime_hash}")
+
+    def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
+        """Make what is missing; returns the identity. Raises ImageMissing naming what went wrong and the remedy."""
+        _check_libraries(package)
+        identity = self.identity(package)
+        environment = self.find(package.name, identity)
+        if environment.ready:
+            return identity
+        with self._locked(environment.folder.name):
+            if not (environment.folder / _READY).is_file():
+                self._make(package, environment, progress)
+            if not environment.runtime.is_dir():
+                _stage_runtime(environment.runtime)
+        return identity
+
+    def _make(self, package: AlgorithmPackage, environment: Environment, progress: ProgressCallback) -> None:
+        shutil.rmtree(environment.folder, ignore_errors=True)
+        environment.prepared.mkdir(parents=True)
+        progress(f"{package.name}: making its Python environment")
+        venv.EnvBuilder(symlinks=True, with_pip=False).create(environment.folder / "venv")
+        files = [package.folder / REQUIREMENTS_FILE, _package_folder() / RUNTIME_REQUIREMENTS]
+        wanted = [argument for file in files if file.is_file() for argument in ("--requirement", str(file))]
+        pip = [sys.executable, "-m", "pip", "--python", str(environment.python), "--disable-pip-version-check"]
+        _run_step(f"{package.name}: pip install", [*pip, "install", "--no-input", *wanted], {}, progress)
+        script = package.folder / PREPARE_SCRIPT
+        if script.is_file():
+            variables = {PREPARE_VARIABLE: str(environment.prepared), "PYTHONPATH": str(_package_folder().parent)}
+            _run_step(f"{package.name}: {PREPARE_SCRIPT}", [str(environment.python), str(script)], variables, progress)
+        (environment.folder / _READY).touch()
+
+    @contextmanager
+    def _locked(self, name: str) -> Iterator[None]:
+        """One builder at a time; the kernel frees the lock of a killed one."""
+        try:
+            self._root.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(self._root / f".{name}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise Unavailable(f"{self._root} cannot be used: {error.strerror}", "check space and rights") from None
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(descriptor)
+
+
+def pip_problem() -> str | None:
+    """Why no environment could be made on this machine; None if it can."""
+    if importlib.util.find_spec("pip") is None:
+        return f"{sys.executable} has no pip; install it with: {sys.executable} -m ensurepip"
+    return None
+
+
+def _package_folder() -> Path:
+    return Path(slamhive.__file__).parent
+
+
+def _environment_hash(package: AlgorithmPackage) -> str:
+    requirements = package.folder / REQUIREMENTS_FILE
+    if not requirements.is_file():
+        raise ImageMissing(
+            f"{package.name} has no {REQUIREMENTS_FILE}: it runs in its container only", "use --executor docker"
+        )
+    digest = hashlib.sha256(f"{sys.version} {sys.prefix}".encode())
+    digest.update(requirements.read_bytes())
+    runtime_requirements = _package_folder() / RUNTIME_REQUIREMENTS
+    if runtime_requirements.is_file():
+        digest.update(runtime_requirements.read_bytes())
+    if (package.folder / PREPARE_SCRIPT).is_file():
+        names = [path.name for path in sorted(package.folder.iterdir()) if path.name not in _NOT_PREPARED_FROM]
+        digest.update(_short_hash(package.folder, names).encode())
+    return digest.hexdigest()[:_HASH_DIGITS]
+
+
+def _short_hash(root: Path, parts: Iterable[str]) -> str:
+    return hash_files(root, parts).removeprefix("sha256:")[:_HASH_DIGITS]
+
+
+def _stage_runtime(target: Path) -> None:
+    """Copy the modules that algorithms may import, aside, then rename."""
+    source = _package_folder()
+    temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=".runtime-"))
+    try:
+        copy_parts(source, RUNTIME_PARTS, temporary / "slamhive")
+        temporary.chmod(0o755)
+        temporary.rename(target)
+    except OSError as error:
+        shutil.rmtree(temporary, ignore_errors=True)
+        if not target.is_dir():
+            raise Unavailable(f"{target} cannot be written: {error.strerror}", "check space and rights") from None
+
+
+def _check_libraries(package: AlgorithmPackage) -> None:
+    """Raise ImageMissing naming the system libraries that the loader does not find, and the command that helps."""
+    if not package.system_libraries:
+        return
+    command = [sys.executable, "-c", _FIND_LIBRARIES, *package.system_libraries]
+    missing = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
+    if missing:
+        packages = " ".join(package.system_packages)
+        remedy = f"apt-get install {packages}, or use Docker" if packages else "install them, or use Docker"
+        raise ImageMissing(f"{package.name} needs {', '.join(missing)}, which this machine lacks", remedy)
+
+
+def _run_step(title: str, command: list[str], variables: dict[str, str], progress: ProgressCallback) -> None:
+    """Run one build step, its output line by line to ``progress``; raises ImageMissing with its last lines."""
+    inherited = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
+    last: deque[str] = deque(maxlen=4)
+    with subprocess.Popen(
+        command,
+        env={**inherited, "PYTHONUNBUFFERED": "1", **variables},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+    ) as process:
+        assert process.stdout is not None
+        for raw in process.stdout:
+            line = raw.strip()
+            if line:
+                last.append(line)
+                progress(f"{title}: {line}")
+    if process.returncode != 0:
+        raise ImageMissing(f"{title} failed with exit code {process.returncode}: {' | '.join(last)}")

@@ -1,0 +1,296 @@
+"""Runs algorithms as processes of this machine, where no container engine answers.
+
+Each run has a supervisor of its own (:mod:`slamhive.executors.shim`) that outlives the worker. What isolation a
+container gives is missing here: the algorithm sees the file system and the network with the rights of this user.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Collection
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+import slamhive
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.executors.base import (
+    Exited,
+    Gone,
+    ImageMissing,
+    ProgressCallback,
+    RunHandle,
+    Running,
+    RunSpec,
+    RunStatus,
+    StartFailed,
+    UsageSource,
+)
+from slamhive.executors.capped_log import assemble
+from slamhive.executors.environment import Environment, Environments, pip_problem
+from slamhive.executors.process_paths import CONTAINER_ROOT, link_dataset, on_host, translate
+from slamhive.executors.process_tree import ProcessTreeSource
+from slamhive.executors.registry import ExecutorContext
+from slamhive.executors.shim import EXIT_FILE, IDENTITY_FILE, LOCK_FILE, OUTPUT_FOLDER, ShimSpec, process_birth
+from slamhive.files import write_aside
+from slamhive.runs.folder import RunFolder
+
+KEY_VARIABLE = "SLAMHIVE_RUN_KEY"
+PREPARED_VARIABLE = "SLAMHIVE_PREPARED"
+
+_INHERITED = ("PATH", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "OMP_NUM_THREADS", "TZ")
+_START_WAIT_S = 15.0
+_KILL_WAIT_S = 5.0
+_STEP_S = 0.02
+
+
+class ProcessExecutor:
+    """The executor ``process``."""
+
+    name = "process"
+
+    def __init__(self, context: ExecutorContext) -> None:
+        self._context = context
+        self._environments = Environments(context.data.resolve())
+
+    def unavailable_because(self) -> str | None:
+        """Why processes cannot be used here; None if they can."""
+        if sys.platform != "linux":
+            return f"the process executor needs Linux, this is {sys.platform}; use Docker"
+        return pip_problem()
+
+    def identity(self, package: AlgorithmPackage) -> str | None:
+        """The environment's hashes if it is there, None if it has to be made. Raises ImageMissing if none can be."""
+        identity = self._environments.identity(package)
+        return identity if self._environments.find(package.name, identity).ready else None
+
+    def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
+        """Make the package's environment unless it is there. Raises ImageMissing."""
+        return self._environments.build(package, progress)
+
+    def start(self, spec: RunSpec) -> RunHandle:
+        """Start the run's supervisor, or find the one that was started under the key."""
+        work = _work_folder(spec)
+        identity = _read_json(work / IDENTITY_FILE)
+        if identity is None:
+            environment = self._environments.find(spec.package, spec.identity)
+            if not environment.ready:
+                raise ImageMissing(f"the environment {spec.identity} of {spec.package} is gone", "build it again")
+            self._shim_spec(spec, environment, work).save(work)
+            identity = _launch(work)
+        return _handle(spec, work, identity)
+
+    def poll(self, handle: RunHandle) -> RunStatus:
+        """``exit.json`` tells how it ended; a supervisor that is gone without one tells nothing."""
+        exited = _read_exit(handle)
+        if exited is not None:
+            return exited
+        if _shim(handle) is not None:
+            return Running()
+        return _read_exit(handle) or Gone("the supervisor process was killed, or the machine restarted")
+
+    def stop(self, handle: RunHandle, grace_s: float) -> None:
+        """SIGTERM to all processes of the run, SIGKILL after ``grace_s``."""
+        for number, patience_s in ((signal.SIGTERM, grace_s), (signal.SIGUSR1, _KILL_WAIT_S)):
+            shim = _shim(handle)
+            if shim is None:
+                break
+            _send(shim, number)
+            if _wait_until(lambda: _shim(handle) is None, patience_s):
+                break
+        _kill_leftovers(handle)
+
+    def save_log(self, handle: RunHandle, path: Path) -> None:
+        """Write what the run has printed so far; nothing once the run was removed."""
+        work = Path(handle.data["work"])
+        if work.is_dir():
+            write_aside(path, assemble(work / OUTPUT_FOLDER))
+
+    def remove(self, handle: RunHandle) -> None:
+        """Kill what is left of the run and delete its work folder."""
+        shim = _shim(handle)
+        if shim is not None:
+            self.stop(handle, 0.0)
+        _kill_leftovers(handle)
+        shutil.rmtree(handle.data["work"], ignore_errors=True)
+
+    def discard(self, spec: RunSpec) -> None:
+        """As :meth:`remove`, for whoever supervises the run; one that is just starting is waited for."""
+        work = _work_folder(spec)
+        try:
+            descriptor = os.open(work / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except FileNotFoundError:
+            return
+        try:
+            # While the lock is ours no supervisor begins; if one has it, it will say who it is.
+            _wait_until(lambda: _try_lock(descriptor) or (work / IDENTITY_FILE).exists(), _START_WAIT_S)
+            identity = _read_json(work / IDENTITY_FILE)
+            if identity is not None:
+                self.remove(_handle(spec, work, identity))
+            shutil.rmtree(work, ignore_errors=True)
+        finally:
+            os.close(descriptor)
+
+    def sweep(self, live_keys: Collection[str]) -> list[str]:  # noqa: ARG002 - the seam's signature
+        """Nothing: a supervised process ends with its run and leaves nothing outside the run folder."""
+        return []
+
+    def close(self) -> None:
+        """Nothing: there is no connection."""
+
+    def usage_source(self, handle: RunHandle) -> UsageSource | None:
+        """The tree of processes below the supervisor."""
+        shim = _shim(handle)
+        return None if shim is None else ProcessTreeSource(shim)
+
+    def _shim_spec(self, spec: RunSpec, environment: Environment, work: Path) -> ShimSpec:
+        """Everything that the container paths of ``spec`` mean on this machine."""
+        home, dataset = work / "home", work / "dataset"
+        for folder in (home, dataset):
+            folder.mkdir(parents=True, exist_ok=True)
+        link_dataset(spec, dataset)
+        inherited = {key: os.environ[key] for key in _INHERITED if key in os.environ}
+        variables = {
+            **inherited,
+            "HOME": str(home),
+            "TMPDIR": str(home),
+            "PYTHONPATH": str(environment.runtime),
+            "PYTHONUNBUFFERED": "1",
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "SLAMHIVE_CONFIG": str(on_host(spec, f"{CONTAINER_ROOT}/config.yaml")),
+            "SLAMHIVE_DATASET": str(dataset),
+            "SLAMHIVE_RESULT": str(on_host(spec, f"{CONTAINER_ROOT}/result")),
+            PREPARED_VARIABLE: str(environment.prepared),
+            **{key: translate(spec, value) for key, value in spec.environment.items()},
+            KEY_VARIABLE: spec.key,
+        }
+        program = str(environment.python) if spec.command[0] == "python3" else spec.command[0]
+        return ShimSpec(
+            command=[program, *(translate(spec, argument) for argument in spec.command[1:])],
+            environment=variables,
+            folder=str(home),
+            cores=_cores(spec),
+            memory_bytes=spec.limits.memory_bytes,
+            tasks=spec.limits.pids,
+            log_max_bytes=self._context.log_max_bytes,
+        )
+
+
+def _work_folder(spec: RunSpec) -> Path:
+    return RunFolder(spec.log_path.resolve().parent).work
+
+
+def _handle(spec: RunSpec, work: Path, identity: dict[str, Any]) -> RunHandle:
+    data = {"work": str(work), "key": spec.key}
+    return RunHandle(ProcessExecutor.name, data | {name: str(value) for name, value in identity.items()})
+
+
+def _try_lock(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _launch(work: Path) -> dict[str, Any]:
+    """Start a supervisor for ``work`` and wait until one (this, or an earlier one) has said who it is."""
+    errors = work / "shim-errors.txt"
+    package_root = str(Path(slamhive.__file__).parent.parent)
+    environment = {key: os.environ[key] for key in _INHERITED if key in os.environ}
+    with errors.open("ab") as stream:
+        subprocess.run(
+            [sys.executable, "-m", "slamhive.executors.shim", str(work)],
+            env={**environment, "PYTHONPATH": package_root},
+            stdin=subprocess.DEVNULL,
+            stdout=stream,
+            stderr=stream,
+            cwd="/",
+            check=False,
+        )
+    if not _wait_until((work / IDENTITY_FILE).exists, _START_WAIT_S):
+        lines = errors.read_text(errors="replace").strip().splitlines()
+        raise StartFailed(f"the supervisor process did not start: {lines[-1] if lines else 'it says nothing'}")
+    identity = _read_json(work / IDENTITY_FILE)
+    assert identity is not None
+    return identity
+
+
+def _cores(spec: RunSpec) -> list[int] | None:
+    """The cores to be bound to: the slot's, or as many of those we may use as the limit rounds up to."""
+    if spec.limits.cpuset is not None:
+        return list(spec.limits.cpuset)
+    if spec.limits.cpu_cores is not None:
+        return sorted(os.sched_getaffinity(0))[: math.ceil(spec.limits.cpu_cores)]
+    return None
+
+
+def _read_json(path: Path) -> dict[str, Any] | None:
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    return content
+
+
+def _read_exit(handle: RunHandle) -> Exited | None:
+    content = _read_json(Path(handle.data["work"]) / EXIT_FILE)
+    if content is None:
+        return None
+    return Exited(
+        exit_code=content["exit_code"],
+        out_of_memory=content["out_of_memory"],
+        started_at=datetime.fromisoformat(content["started_at"]),
+        ended_at=datetime.fromisoformat(content["ended_at"]),
+    )
+
+
+def _shim(handle: RunHandle) -> psutil.Process | None:
+    """The supervisor if it lives: same pid, same birth."""
+    pid = int(handle.data["pid"])
+    if process_birth(pid) != handle.data["birth"]:
+        return None
+    try:
+        return psutil.Process(pid)
+    except psutil.NoSuchProcess:
+        return None
+
+
+def _kill_leftovers(handle: RunHandle) -> None:
+    """Kill processes that carry the run's key in their environment: what is left if the supervisor was killed."""
+    shim = _shim(handle)
+    if shim is not None:
+        _send(shim, signal.SIGKILL)
+    for process in psutil.process_iter():
+        try:
+            if process.environ().get(KEY_VARIABLE) == handle.data["key"]:
+                _send(process, signal.SIGKILL)
+        except psutil.Error:
+            continue
+
+
+def _send(process: psutil.Process, number: signal.Signals) -> None:
+    try:
+        process.send_signal(number)
+    except psutil.NoSuchProcess:
+        return
+
+
+def _wait_until(condition: Callable[[], bool], patience_s: float) -> bool:
+    """Whether ``condition`` came true within ``patience_s``."""
+    deadline_s = time.monotonic() + patience_s
+    while not condition():
+        if time.monotonic() >= deadline_s:
+            return False
+        time.sleep(_STEP_S)
+    return True

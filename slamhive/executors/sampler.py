@@ -1,0 +1,105 @@
+"""Samples CPU and memory of a run into ``profiling.csv`` from a thread of the worker.
+
+One line every interval: ``time,cpu_usage,memory_usage``: seconds since the run's start, cores in use since the line
+before (summed over all cores), bytes. CPU comes from a counter of CPU time, so nothing between two samples is missed.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+from slamhive.executors.base import EngineUnavailable, UsageSource
+
+logger = logging.getLogger(__name__)
+
+HEADER = "time,cpu_usage,memory_usage\n"
+
+
+class Sampler:
+    """Reads a usage source at a fixed rate until it has nothing more to say or :meth:`stop` is called.
+
+    A file that is there already (the worker was restarted) is continued; the time that nobody sampled is a gap in it.
+
+    Args:
+        source: Where the figures come from; closed at the end.
+        path: ``profiling.csv``.
+        interval_s: Time between samples.
+        offset_s: How long the run has been going on already.
+        clock: Monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        source: UsageSource,
+        path: Path,
+        interval_s: float = 0.1,
+        offset_s: float = 0.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._source = source
+        self._path = path
+        self._interval_s = interval_s
+        self._clock = clock
+        self._origin_s = clock() - offset_s
+        self._peak_bytes: int | None = None
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"sampler {path.parent.name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to sample."""
+        self._thread.start()
+
+    def stop(self) -> int | None:
+        """End, and return the kernel's high-water mark of memory (bytes) as last read, None if there is none."""
+        self._ends.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        return self._peak_bytes
+
+    def _run(self) -> None:
+        try:
+            with self._open() as stream:
+                self._sample(stream)
+        except OSError as error:
+            logger.warning("%s: sampling ends: %s", self._path, error.strerror)
+        except EngineUnavailable as error:
+            logger.warning("%s: sampling ends: %s", self._path, str(error))
+        finally:
+            self._source.close()
+
+    def _open(self) -> IO[str]:
+        """``profiling.csv`` for appending; a line that a killed worker left half-written is ended first."""
+        if not self._path.exists() or self._path.stat().st_size == 0:
+            stream = self._path.open("w", encoding="ascii", buffering=1)
+            stream.write(HEADER)
+            return stream
+        with self._path.open("rb+") as existing:
+            content = existing.read()
+            existing.truncate(content.rfind(b"\n") + 1)
+        return self._path.open("a", encoding="ascii", buffering=1)
+
+    def _sample(self, stream: IO[str]) -> None:
+        before: tuple[float, float] | None = None
+        due_s = self._clock()
+        while not self._ends.is_set():
+            usage = self._source.read()
+            now_s = self._clock()
+            if usage is None:
+                return
+            cpu_s, memory_bytes = usage
+            if before is not None and now_s > before[0]:
+                cores = max(0.0, cpu_s - before[1]) / (now_s - before[0])
+                stream.write(f"{now_s - self._origin_s:.4f},{cores:.4f},{memory_bytes}\n")
+            before = (now_s, cpu_s)
+            peak_bytes = self._source.peak_memory_bytes()
+            if peak_bytes is not None:
+                self._peak_bytes = max(peak_bytes, self._peak_bytes or 0)
+            due_s += self._interval_s
+            if due_s - now_s < self._interval_s / 2:
+                due_s = now_s + self._interval_s  # Samples close together would tell of the counter's steps.
+            self._ends.wait(due_s - now_s)

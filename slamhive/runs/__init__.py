@@ -1,0 +1,1 @@
+"""The life of a mapping run: its folder, its outcome, and the loop that moves it from state to state."""

@@ -1,0 +1,125 @@
+"""The run folder: the only place that knows its file names.
+
+``<data>/runs/<id>/`` belongs to the controller; ``result/`` below it is what the container may write to. They are
+apart so that an algorithm can neither forge its provenance nor break a sealed record.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from slamhive.errors import InvalidInput, NotFound, Unavailable
+from slamhive.files import write_aside
+
+
+@dataclass(frozen=True, slots=True)
+class RunFolder:
+    """Paths of one run. Creating the value touches nothing; :meth:`create` makes the folders."""
+
+    root: Path
+
+    @property
+    def record(self) -> Path:
+        """``run.json``: request, provenance and outcome; enough to rebuild the database row."""
+        return self.root / "run.json"
+
+    @property
+    def config(self) -> Path:
+        """``config.yaml``: the exact bytes mounted into the container."""
+        return self.root / "config.yaml"
+
+    @property
+    def log(self) -> Path:
+        """``log.txt``: what the run printed."""
+        return self.root / "log.txt"
+
+    @property
+    def profiling(self) -> Path:
+        """``profiling.csv``: ``time,cpu_usage,memory_usage`` in s since start, cores, bytes."""
+        return self.root / "profiling.csv"
+
+    @property
+    def profiling_cpu_plot(self) -> Path:
+        """``profiling_cpu.png``."""
+        return self.root / "profiling_cpu.png"
+
+    @property
+    def profiling_ram_plot(self) -> Path:
+        """``profiling_ram.png``."""
+        return self.root / "profiling_ram.png"
+
+    @property
+    def preparation(self) -> Path:
+        """``preparation.txt``: the last line of what is built or made for the run, while it is prepared."""
+        return self.root / "preparation.txt"
+
+    @property
+    def work(self) -> Path:
+        """Scratch space of the executor; may be removed once the run has ended."""
+        return self.root / "work"
+
+    @property
+    def result(self) -> Path:
+        """What the container sees as ``/slamhive/result``."""
+        return self.root / "result"
+
+    @property
+    def trajectory(self) -> Path:
+        """``result/traj.txt``: the estimate, TUM format."""
+        return self.result / "traj.txt"
+
+    @property
+    def finished(self) -> Path:
+        """``result/finished``: the algorithm says that nothing more will be written."""
+        return self.result / "finished"
+
+    @property
+    def frames(self) -> Path:
+        """``result/frames.csv``: ``timestamp,received,done,dropped`` per input message."""
+        return self.result / "frames.csv"
+
+    @property
+    def playback(self) -> Path:
+        """``result/playback.json``: what the player sent, dropped, its lag and its own CPU time."""
+        return self.result / "playback.json"
+
+    @property
+    def progress(self) -> Path:
+        """``result/progress.json``: how far the player is, while it plays."""
+        return self.result / "progress.json"
+
+    @property
+    def about(self) -> Path:
+        """``result/about.json``: what the algorithm says of itself (vocabulary used, package version)."""
+        return self.result / "about.json"
+
+    def evaluation(self, fingerprint: str) -> Path:
+        """The folder of the evaluation under the protocol with this fingerprint."""
+        return self.root / "evaluations" / fingerprint
+
+    def create(self) -> None:
+        """Make the folders; fine if they exist. Raises Unavailable if the disk refuses."""
+        try:
+            for folder in (self.root, self.result, self.work):
+                folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise Unavailable(f"{self.root} cannot be made: {error.strerror}", "check space and rights") from None
+
+    def write_record(self, record: dict[str, Any]) -> None:
+        """Replace ``run.json`` in one step."""
+        write_aside(self.record, json.dumps(record, indent=1, allow_nan=False) + "\n")
+
+    def read_record(self) -> dict[str, Any]:
+        """The content of ``run.json``; raises NotFound or InvalidInput."""
+        try:
+            content = json.loads(self.record.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise NotFound(f"{self.record} does not exist") from None
+        except (OSError, ValueError) as error:
+            raise InvalidInput(f"{self.record} cannot be read: {error}") from None
+        if not isinstance(content, dict):
+            raise InvalidInput(f"{self.record} is not a run record")
+        return content

@@ -1,0 +1,39 @@
+"""The line of a run's output that says why it failed. The output is the algorithm's and not trusted."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+ERROR_PREFIX = "error: "
+TAIL_BYTES = 20_000
+MAX_CHARACTERS = 300
+
+
+def last_error_line(log: str) -> str | None:
+    """What follows the last ``error: `` at the head of a line, on one line of printable text; None without one.
+
+    At most :data:`MAX_CHARACTERS` characters are kept.
+    """
+    for line in reversed(log.splitlines()):
+        if line.lower().startswith(ERROR_PREFIX):
+            printable = "".join(character if character.isprintable() else " " for character in line)
+            text = " ".join(printable[len(ERROR_PREFIX) :].split())
+            if text:
+                return text if len(text) <= MAX_CHARACTERS else f"{text[: MAX_CHARACTERS - 1]}…"
+    return None
+
+
+def read_tail(path: Path, max_bytes: int = TAIL_BYTES) -> str:
+    """The end of the regular file at ``path``; empty if there is none, as for a link, pipe or folder."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return ""
+    with os.fdopen(descriptor, "rb") as stream:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            return ""
+        stream.seek(max(0, status.st_size - max_bytes))
+        return stream.read(max_bytes).decode("utf-8", errors="replace")

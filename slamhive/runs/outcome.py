@@ -1,0 +1,177 @@
+"""From evidence to outcome: did the run succeed, and if not, why. Pure, except for reading the trajectory.
+
+Rules, first match wins:
+
+1. The kernel, or the memory limit, killed it: ``out_of_memory``.
+2. It ran into the wall-clock limit: ``timeout``.
+3. The handle is gone and nobody knows the exit code: ``lost``, unless the algorithm had said ``finished`` and left a
+   valid trajectory (the result is complete, only the way it ended is unknown).
+4. It was ended by the controller after its grace because it lingered behind ``finished``: the exit code then tells of
+   our signal, not of the algorithm, and is ignored.
+5. Exit code other than 0: ``nonzero_exit``, whatever files are there.
+6. Exit code 0 (or rule 4): ``traj.txt`` decides. ``finished`` alone proves nothing: upstream images create it even when
+   the trajectory is missing.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.errors import InvalidInput
+from slamhive.runs.untrusted import read_regular_file
+from slamhive.trajectory.tum import parse_tum
+
+MAX_TRAJECTORY_BYTES = 200_000_000
+"""A longer ``traj.txt`` is refused: at 100 bytes a pose this is two million poses, more than 18 hours at 30 Hz."""
+
+_SIGNAL_OFFSET = 128
+_LOG_TELLS = "its log says how far it came"
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryCheck:
+    """What ``traj.txt`` holds: ``poses`` of a valid trajectory, or ``problem`` with its reason and explanation."""
+
+    poses: int | None
+    problem: FailureReason | None = None
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What is known of a run that has ended.
+
+    Attributes:
+        exit_code: As the engine reports it, 128 + signal for a signal; None if unknown.
+        out_of_memory: The memory limit killed the run or one of its processes.
+        timed_out: The controller ended it at its time limit of ``timeout_s``.
+        lingered: It had written ``finished`` and was ended by the controller after a grace.
+        finished: ``finished`` is there.
+        gone_because: Why nothing answers to the handle any more; None if its end was seen.
+        trajectory: What ``traj.txt`` holds.
+        error_line: What the algorithm's output gives as the error; None if it names none.
+    """
+
+    exit_code: int | None
+    trajectory: TrajectoryCheck
+    out_of_memory: bool = False
+    timed_out: bool = False
+    lingered: bool = False
+    finished: bool = False
+    gone_because: str | None = None
+    timeout_s: float | None = None
+    memory_limit_bytes: int | None = None
+    error_line: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a run ended: state, the reason if it failed, and one line for the user."""
+
+    state: RunState
+    reason: FailureReason | None
+    detail: str
+    poses: int | None = None
+
+    @property
+    def succeeded(self) -> bool:
+        """The run left a valid trajectory and ended as it should."""
+        return self.state is RunState.SUCCEEDED
+
+
+def decide(evidence: Evidence) -> Outcome:
+    """Judge ``evidence`` by the rules at the head of this module."""
+    trajectory = evidence.trajectory
+    if evidence.out_of_memory:
+        return _failed(FailureReason.OUT_OF_MEMORY, _memory_text(evidence.memory_limit_bytes), trajectory)
+    if evidence.timed_out:
+        limit = "" if evidence.timeout_s is None else f" of {evidence.timeout_s:.0f} s"
+        return _failed(FailureReason.TIMEOUT, f"still running at the time limit{limit}", trajectory)
+    if evidence.gone_because is not None and not (evidence.finished and trajectory.problem is None):
+        return _failed(FailureReason.LOST, evidence.gone_because, trajectory)
+    exit_counts = evidence.gone_because is None and not evidence.lingered
+    if exit_counts and evidence.exit_code != 0:
+        return _failed(FailureReason.NONZERO_EXIT, _exit_text(evidence.exit_code, evidence.error_line), trajectory)
+    if trajectory.problem is not None:
+        return _failed(trajectory.problem, trajectory.detail, trajectory)
+    ending = "" if exit_counts else ", ended after it had finished"
+    return Outcome(RunState.SUCCEEDED, None, f"{trajectory.poses} poses{ending}", trajectory.poses)
+
+
+def inspect_trajectory(path: Path, max_bytes: int = MAX_TRAJECTORY_BYTES) -> TrajectoryCheck:
+    """Read ``traj.txt`` without trusting it: a link, a pipe, a folder or a huge file is a reason, never a hang."""
+    problem = _file_problem(path, max_bytes)
+    if problem is not None:
+        return problem
+    data = read_regular_file(path, max_bytes + 1)
+    if data is None:
+        return TrajectoryCheck(None, FailureReason.NO_TRAJECTORY, f"{path.name} cannot be read")
+    if len(data) > max_bytes:
+        return _too_long(path, len(data), max_bytes)
+    if not _has_poses(data):
+        return TrajectoryCheck(None, FailureReason.EMPTY_TRAJECTORY, f"{path.name} holds no pose; {_LOG_TELLS}")
+    try:
+        trajectory = parse_tum(data, path.name)
+    except InvalidInput as error:
+        return TrajectoryCheck(None, FailureReason.MALFORMED_TRAJECTORY, str(error))
+    return TrajectoryCheck(len(trajectory.stamps_s))
+
+
+def _file_problem(path: Path, max_bytes: int) -> TrajectoryCheck | None:
+    try:
+        status = path.lstat()
+    except FileNotFoundError:
+        return TrajectoryCheck(None, FailureReason.NO_TRAJECTORY, f"the algorithm left no {path.name}; {_LOG_TELLS}")
+    except OSError as error:
+        return TrajectoryCheck(None, FailureReason.NO_TRAJECTORY, f"{path.name} cannot be read: {error.strerror}")
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a link" if stat.S_ISLNK(status.st_mode) else "not a regular file"
+        detail = f"{path.name} is {kind}, which is not read; the algorithm has to write a plain file"
+        return TrajectoryCheck(None, FailureReason.MALFORMED_TRAJECTORY, detail)
+    if status.st_size > max_bytes:
+        return _too_long(path, status.st_size, max_bytes)
+    return None
+
+
+def _too_long(path: Path, size_bytes: int, max_bytes: int) -> TrajectoryCheck:
+    detail = f"{path.name} has {size_bytes} bytes, more than the {max_bytes} that are read"
+    return TrajectoryCheck(None, FailureReason.MALFORMED_TRAJECTORY, detail)
+
+
+def _has_poses(data: bytes) -> bool:
+    return any(line.strip() and not line.lstrip().startswith(b"#") for line in data.splitlines())
+
+
+def is_finished(path: Path) -> bool:
+    """Whether the marker ``finished`` is there, as a file and not as a link to one."""
+    try:
+        return stat.S_ISREG(os.lstat(path).st_mode)
+    except OSError:
+        return False
+
+
+def _failed(reason: FailureReason, detail: str, trajectory: TrajectoryCheck) -> Outcome:
+    return Outcome(RunState.FAILED, reason, detail, trajectory.poses)
+
+
+def _memory_text(limit_bytes: int | None) -> str:
+    limit = "its memory limit" if limit_bytes is None else f"its memory limit of {limit_bytes / 1e6:.0f} MB"
+    return f"killed at {limit}; raise it with --memory, or give the algorithm less to keep"
+
+
+def _exit_text(exit_code: int | None, error_line: str | None) -> str:
+    if exit_code is None:
+        return "ended, exit code unknown"
+    if exit_code > _SIGNAL_OFFSET:
+        try:
+            return f"ended by signal {signal.Signals(exit_code - _SIGNAL_OFFSET).name} (exit code {exit_code})"
+        except ValueError:
+            pass
+    if error_line is not None:
+        return f"ended with exit code {exit_code}: {error_line}"
+    return f"ended with exit code {exit_code}; the log says more"

@@ -1,0 +1,168 @@
+"""What was measured while a run ran: figures out of its folder, and two plots of CPU and memory over time."""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from slamhive.files import write_aside
+from slamhive.runs.folder import RunFolder
+from slamhive.runs.outcome import Evidence
+from slamhive.runs.untrusted import FloatArray, measured_number, read_numeric_columns, read_untrusted_json
+
+_MAX_CSV_BYTES = 200_000_000
+_MAX_JSON_BYTES = 1_000_000
+_PLOT_INCHES = (8.0, 3.2)
+_CPU_COLOUR = "#0072B2"
+_RAM_COLOUR = "#D55E00"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Profile:
+    """``profiling.csv`` as arrays of shape (n,): end of each interval (s since start), cores in use, bytes."""
+
+    times_s: FloatArray
+    cpu_cores: FloatArray
+    memory_bytes: FloatArray
+
+    def __len__(self) -> int:
+        return int(self.times_s.shape[0])
+
+    @property
+    def weights_s(self) -> FloatArray:
+        """How long each sample stands for: the time since the one before, at most five times the usual interval.
+
+        The first sample, and one behind a gap (the worker was restarted), know no sample before them; they stand for
+        the usual interval, the median of all.
+        """
+        if len(self) < 2:
+            return np.ones(len(self))
+        steps_s = np.diff(self.times_s)
+        usual_s = float(np.median(steps_s))
+        weights_s = np.concatenate(([usual_s], steps_s))
+        return np.where((weights_s > 5 * usual_s) | (weights_s < 0), usual_s, weights_s)
+
+
+def read_profile(path: Path) -> Profile:
+    """Read ``profiling.csv``; a missing file has no samples, a line that is not three numbers is skipped."""
+    rows = read_numeric_columns(path, ("time", "cpu_usage", "memory_usage"), _MAX_CSV_BYTES)
+    return Profile(rows[:, 0], rows[:, 1], rows[:, 2])
+
+
+def measure_run(
+    folder: RunFolder,
+    started_at: datetime,
+    ended_at: datetime,
+    peak_memory_bytes: int | None,
+    evidence: Evidence,
+) -> dict[str, float]:
+    """The figures of a run that need no evaluation, keyed as in :mod:`slamhive.domain.metrics`.
+
+    What could not be measured is absent.
+
+    Args:
+        folder: The run's folder.
+        started_at: When the algorithm started.
+        ended_at: When it ended.
+        peak_memory_bytes: The kernel's own high-water mark, None where it keeps none.
+        evidence: What is known of the end.
+    """
+    duration_s = (ended_at - started_at).total_seconds()
+    metrics = {"duration": duration_s}
+    if evidence.trajectory.poses is not None:
+        metrics["poses"] = float(evidence.trajectory.poses)
+    metrics.update(_usage_metrics(read_profile(folder.profiling), peak_memory_bytes))
+    metrics.update(_frame_metrics(folder.frames))
+    metrics.update(_playback_metrics(folder.playback, duration_s))
+    return {key: value for key, value in metrics.items() if math.isfinite(value)}
+
+
+def weighted_percentile(values: FloatArray, weights: FloatArray, percent: float) -> float:
+    """The smallest value that ``percent`` of the weight does not exceed (inverse of the weighted distribution)."""
+    order = np.argsort(values)
+    cumulative = np.cumsum(weights[order])
+    index = int(np.searchsorted(cumulative, percent / 100.0 * cumulative[-1]))
+    return float(values[order][min(index, len(values) - 1)])
+
+
+def write_plots(folder: RunFolder) -> None:
+    """Write ``profiling_cpu.png`` and ``profiling_ram.png``; nothing without samples. Raises Unavailable."""
+    profile = read_profile(folder.profiling)
+    if len(profile) == 0:
+        return
+    cpu = _plot(profile.times_s, profile.cpu_cores, "CPU in cores", _CPU_COLOUR)
+    write_aside(folder.profiling_cpu_plot, cpu)
+    ram = _plot(profile.times_s, profile.memory_bytes / 1e6, "Memory in MB", _RAM_COLOUR)
+    write_aside(folder.profiling_ram_plot, ram)
+
+
+def _usage_metrics(profile: Profile, peak_memory_bytes: int | None) -> dict[str, float]:
+    metrics: dict[str, float] = {}
+    if len(profile) > 0:
+        weights_s = profile.weights_s
+        metrics["cpu.mean"] = float(np.average(profile.cpu_cores, weights=weights_s))
+        metrics["cpu.p95"] = weighted_percentile(profile.cpu_cores, weights_s, 95)
+        metrics["cpu.max"] = float(profile.cpu_cores.max())
+        metrics["ram.mean"] = float(np.average(profile.memory_bytes, weights=weights_s))
+        metrics["ram.max"] = float(profile.memory_bytes.max())
+    if peak_memory_bytes is not None:
+        metrics["ram.max"] = float(peak_memory_bytes)
+    return metrics
+
+
+def _frame_metrics(path: Path) -> dict[str, float]:
+    """Dropped share and latencies from ``frames.csv``: ``timestamp,received,done,dropped``."""
+    rows = read_numeric_columns(path, ("timestamp", "received", "done", "dropped"), _MAX_CSV_BYTES)
+    if len(rows) == 0:
+        return {}
+    dropped = rows[:, 3] != 0
+    metrics = {"frames.dropped_fraction": float(np.mean(dropped))}
+    latencies_s = (rows[:, 2] - rows[:, 1])[~dropped]
+    latencies_s = latencies_s[np.isfinite(latencies_s) & (latencies_s >= 0)]
+    if len(latencies_s) > 0:
+        metrics["latency.median"] = float(np.median(latencies_s))
+        metrics["latency.p95"] = float(np.percentile(latencies_s, 95))
+        metrics["latency.max"] = float(latencies_s.max())
+    return metrics
+
+
+def _playback_metrics(path: Path, run_duration_s: float) -> dict[str, float]:
+    """The player's own share and its lag from ``playback.json``.
+
+    The share has the bounds of ``cpu.mean``: all CPU time of the player's process, its start included, over the whole
+    run. So it is a part of ``cpu.mean``, and the difference is the algorithm's.
+    """
+    content = read_untrusted_json(path, _MAX_JSON_BYTES) or {}
+    metrics: dict[str, float] = {}
+    cpu_s = measured_number(content.get("cpu_s"))
+    if cpu_s is not None and run_duration_s > 0:
+        metrics["cpu.player_mean"] = cpu_s / run_duration_s
+    lag_s = measured_number(content.get("lag_max_s"))
+    if lag_s is not None:
+        metrics["playback.lag_max"] = lag_s
+    return metrics
+
+
+def _plot(times_s: FloatArray, values: FloatArray, label: str, colour: str) -> bytes:
+    """A PNG of ``values`` over time; matplotlib's object interface, which keeps no global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second, for plots only
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=_PLOT_INCHES, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot(times_s, values, color=colour, linewidth=0.9)
+    axes.fill_between(times_s, values, color=colour, alpha=0.15, linewidth=0)
+    axes.set_xlabel("Time since start in s")
+    axes.set_ylabel(label)
+    axes.set_xlim(0, max(float(times_s[-1]), 0.1))
+    axes.set_ylim(0, max(float(np.nanmax(values)) * 1.1, 1e-3))
+    axes.grid(visible=True, alpha=0.3)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=110)
+    return stream.getvalue()

@@ -1,0 +1,126 @@
+"""Reading what an algorithm left behind, without trusting it: no links, no pipes, nothing huge, no odd numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import stat
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+DEEPEST_JSON = 32
+LARGEST_INTEGER = 2**64
+LARGEST_NUMBER = 1e100
+"""Nothing that is measured is larger; differences and squares of what is smaller are still finite."""
+
+
+def read_regular_file(path: Path, limit_bytes: int) -> bytes | None:
+    """The first ``limit_bytes`` of the regular file at ``path``; None if there is none, as for a link, pipe or folder.
+
+    The parent folder is followed, the file itself is not: an algorithm may have put a link to anything in its place.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return None
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        return None
+    with os.fdopen(descriptor, "rb") as stream:
+        return stream.read(limit_bytes)
+
+
+def read_untrusted_json(path: Path, limit_bytes: int) -> dict[str, Any] | None:
+    """The JSON object in the file at ``path``, None if there is no usable one.
+
+    What is returned can be written again as strict JSON: all numbers are finite, integers fit 64 bits, text is valid
+    Unicode, and nothing is nested deeper than :data:`DEEPEST_JSON`.
+    """
+    data = read_regular_file(path, limit_bytes + 1)
+    if data is None or len(data) > limit_bytes:
+        return None
+    try:
+        content = json.loads(data, parse_constant=_refuse, parse_float=_finite, parse_int=_integer)
+        _check_values(content)
+    except (ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def measured_number(value: object) -> float | None:
+    """``value`` if it is a number that something measured could have: finite and not negative; else None."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value) if 0 <= value <= LARGEST_NUMBER else None
+
+
+def read_numeric_columns(path: Path, columns: Sequence[str], limit_bytes: int) -> FloatArray:
+    """The named columns of the CSV file at ``path``, whose first line names them; shape (n, len(columns)).
+
+    An empty field, NaN, and a number beyond :data:`LARGEST_NUMBER` are NaN. Lines that are no numbers are skipped;
+    without the file, or without one of the columns, there are no rows.
+    """
+    lines = (read_regular_file(path, limit_bytes) or b"").decode("utf-8", errors="replace").splitlines()
+    header = [name.strip() for name in lines[0].split(",")] if lines else []
+    if not set(columns) <= set(header):
+        return np.empty((0, len(columns)))
+    places = [header.index(name) for name in columns]
+    return np.array(list(_rows(lines[1:], places)), dtype=np.float64).reshape(-1, len(columns))
+
+
+def _rows(lines: list[str], places: list[int]) -> Iterator[list[float]]:
+    for line in lines:
+        fields = line.split(",")
+        try:
+            yield [_field(fields[place]) for place in places]
+        except (ValueError, IndexError):
+            continue
+
+
+def _field(text: str) -> float:
+    value = float(text) if text.strip() else math.nan
+    return value if abs(value) <= LARGEST_NUMBER else math.nan
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is not JSON")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is too large")
+    return value
+
+
+def _integer(text: str) -> int:
+    value = int(text)
+    if abs(value) > LARGEST_INTEGER:
+        raise ValueError(f"{text} is too large")
+    return value
+
+
+def _check_values(content: object) -> None:
+    """Raise ValueError for text that is not valid Unicode (half a surrogate pair) and for nesting too deep."""
+    level: list[object] = [content]
+    for _ in range(DEEPEST_JSON):
+        below: list[object] = []
+        for value in level:
+            if isinstance(value, str):
+                value.encode()
+            elif isinstance(value, list):
+                below.extend(value)
+            elif isinstance(value, dict):
+                below.extend(value)
+                below.extend(value.values())
+        if not below:
+            return
+        level = below
+    raise ValueError("nested too deep")

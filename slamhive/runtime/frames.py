@@ -1,0 +1,131 @@
+"""Frames: what one step of an algorithm gets to see, put together from the messages of a recording."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamhive.files import write_aside
+from slamhive.runtime.messages import PointCloud
+
+Array = NDArray[Any]
+
+_MOST_WAITING = 100
+"""Messages of one stream that wait for their partners; a partner that never comes must not fill the memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One message of each stream, taken at the same time, and the IMU samples since the frame before.
+
+    Attributes:
+        number: Counts all frames of the recording from 0, dropped ones too.
+        stamp_s: The stamp in the header of the first stream's message.
+        received_s: When it came in, seconds of the monotonic clock since playback began.
+        fraction: How far in the recording it lies, 0..1.
+        data: For each role an image array (``messages.to_image``) or a :class:`~slamhive.runtime.messages.PointCloud`.
+        imu: (n, 7) float64 ``t, gyro xyz, acc xyz`` (s, rad/s, m/s²): all samples recorded before this frame and not
+            delivered yet, those of dropped frames included.
+    """
+
+    number: int
+    stamp_s: float
+    received_s: float
+    fraction: float
+    data: dict[str, Array | PointCloud]
+    imu: Array
+
+    def image(self, role: str) -> Array:
+        """The image in ``role``."""
+        entry = self.data[role]
+        if isinstance(entry, PointCloud):
+            raise TypeError(f"{role} holds points, not an image")
+        return entry
+
+    def points(self, role: str) -> PointCloud:
+        """The point cloud in ``role``."""
+        entry = self.data[role]
+        if not isinstance(entry, PointCloud):
+            raise TypeError(f"{role} holds an image, not points")
+        return entry
+
+
+@dataclass(frozen=True, eq=False)
+class Received:
+    """A message as it came in: its header stamp, when it was recorded, its content."""
+
+    stamp_ns: int
+    recorded_ns: int
+    message: Any
+
+
+class Synchroniser:
+    """Groups messages of several streams by their stamps.
+
+    Args:
+        roles: The streams; a single one makes each message a group.
+        tolerance_ns: Largest difference between the stamps of a group.
+    """
+
+    def __init__(self, roles: list[str], tolerance_ns: int) -> None:
+        self._waiting: dict[str, deque[Received]] = {role: deque() for role in roles}
+        self._tolerance_ns = tolerance_ns
+        self.unmatched = 0
+        """Messages that found no partner."""
+
+    def add(self, role: str, received: Received) -> dict[str, Received] | None:
+        """Take a message in; returns the group that it completes."""
+        own = self._waiting[role]
+        own.append(received)
+        if len(own) > _MOST_WAITING:
+            own.popleft()
+            self.unmatched += 1
+        while all(self._waiting.values()):
+            heads = {name: queue[0] for name, queue in self._waiting.items()}
+            oldest = min(heads, key=lambda name: heads[name].stamp_ns)
+            newest_ns = max(head.stamp_ns for head in heads.values())
+            if newest_ns - heads[oldest].stamp_ns <= self._tolerance_ns:
+                for queue in self._waiting.values():
+                    queue.popleft()
+                return heads
+            self._waiting[oldest].popleft()
+            self.unmatched += 1
+        return None
+
+    def end(self) -> None:
+        """The recording is over: what still waits stays without partner."""
+        self.unmatched += sum(len(queue) for queue in self._waiting.values())
+        for queue in self._waiting.values():
+            queue.clear()
+
+
+@dataclass(frozen=True, slots=True)
+class FrameTimes:
+    """One line of ``frames.csv``; ``done_s`` is None for a frame that was dropped."""
+
+    number: int
+    stamp_s: float
+    received_s: float
+    done_s: float | None
+
+
+def write_frames_csv(path: Path, frames: list[FrameTimes]) -> None:
+    """Write ``timestamp,received,done,dropped`` for every frame in the order of the recording.
+
+    ``timestamp`` is the recording's time in s, ``received`` and ``done`` are seconds since playback began.
+    """
+    lines = ["timestamp,received,done,dropped\n"]
+    for entry in sorted(frames, key=lambda frame: frame.number):
+        done = "" if entry.done_s is None else f"{entry.done_s:.6f}"
+        lines.append(f"{entry.stamp_s:.9f},{entry.received_s:.6f},{done},{int(entry.done_s is None)}\n")
+    write_aside(path, "".join(lines))
+
+
+def imu_array(rows: list[tuple[float, ...]]) -> Array:
+    """``rows`` as (n, 7), also for none."""
+    return np.array(rows, dtype=np.float64).reshape(-1, 7)

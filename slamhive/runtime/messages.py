@@ -1,0 +1,157 @@
+"""From deserialised ROS messages to numpy: images, point clouds, IMU samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamhive.errors import InvalidInput
+
+Array = NDArray[Any]
+
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+IMU = "sensor_msgs/msg/Imu"
+POINTS = "sensor_msgs/msg/PointCloud2"
+SUPPORTED = (IMAGE, COMPRESSED_IMAGE, IMU, POINTS)
+
+_IMAGE_LAYOUTS: dict[str, tuple[str, int]] = {
+    "mono8": ("u1", 1),
+    "8UC1": ("u1", 1),
+    "mono16": ("u2", 1),
+    "16UC1": ("u2", 1),
+    "32FC1": ("f4", 1),
+    "rgb8": ("u1", 3),
+    "bgr8": ("u1", 3),
+    "8UC3": ("u1", 3),
+    "rgba8": ("u1", 4),
+    "bgra8": ("u1", 4),
+}
+"""Scalar type and channels of each encoding of ``sensor_msgs/image_encodings.hpp`` that is read."""
+
+_POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""``PointField.datatype`` to numpy."""
+
+TIME_UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+"""Weights of red, green and blue in luma (ITU-R BT.601), as OpenCV uses them."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """One LiDAR scan.
+
+    Attributes:
+        points_m: (n, 3) float64, in the sensor's frame, each at its own instant; no NaN, no infinity.
+        fields: The other fields of the message by name, (n,) each, in the recording's own types.
+    """
+
+    points_m: Array
+    fields: dict[str, Array]
+
+    def offsets_s(self, field: str, unit: str) -> Array:
+        """Each point's time as (n,) float64 seconds, relative to whatever the sensor counts from.
+
+        Raises InvalidInput if the scan has no such field or the unit is none of s, ms, us, ns.
+        """
+        if unit not in TIME_UNITS_S:
+            raise InvalidInput(f"unit {unit!r} of the points' time is unknown", f"use one of {', '.join(TIME_UNITS_S)}")
+        if field not in self.fields:
+            raise InvalidInput(f"the scans have no field {field!r}", f"they have {', '.join(self.fields) or 'none'}")
+        return self.fields[field].astype(np.float64) * TIME_UNITS_S[unit]
+
+
+def stamp_ns(message: Any) -> int:
+    """The header's stamp in nanoseconds."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def imu_row(message: Any) -> tuple[float, ...]:
+    """One IMU sample as ``t, gyro xyz, acc xyz``: s, rad/s, m/s²."""
+    rate, force = message.angular_velocity, message.linear_acceleration
+    return (stamp_ns(message) * 1e-9, rate.x, rate.y, rate.z, force.x, force.y, force.z)
+
+
+def convert(message: Any, kind: str) -> Array | PointCloud:
+    """An image as an array, a point cloud as :class:`PointCloud`; raises InvalidInput for what cannot be read."""
+    if kind == IMAGE:
+        return to_image(message)
+    if kind == COMPRESSED_IMAGE:
+        return _decode(message)
+    return to_points(message)
+
+
+def to_image(message: Any) -> Array:
+    """The pixels, (h, w) or (h, w, 3) in the order red, green, blue, in the encoding's own type and byte order."""
+    try:
+        scalar, channels = _IMAGE_LAYOUTS[message.encoding]
+    except KeyError:
+        raise InvalidInput(
+            f"image encoding {message.encoding!r} is not read", f"convert to one of {', '.join(_IMAGE_LAYOUTS)}"
+        ) from None
+    dtype = np.dtype((">" if message.is_bigendian else "<") + scalar)
+    row_bytes = message.width * channels * dtype.itemsize
+    data = np.asarray(message.data, dtype=np.uint8)
+    if message.step < row_bytes or data.size < message.step * message.height:
+        raise InvalidInput(
+            f"an image of {message.width}x{message.height} {message.encoding} holds {data.size} bytes, "
+            f"{row_bytes * message.height} expected"
+        )
+    rows = data[: message.step * message.height].reshape(message.height, message.step)[:, :row_bytes]
+    pixels: Array = np.ascontiguousarray(rows).view(dtype).astype(dtype.newbyteorder("="), copy=False)
+    if channels == 1:
+        return pixels
+    colour = pixels.reshape(message.height, message.width, channels)[..., :3]
+    ordered: Array = np.ascontiguousarray(colour[..., ::-1] if message.encoding.startswith("bgr") else colour)
+    return ordered
+
+
+def to_grey(image: Array) -> Array:
+    """An image as (h, w) uint8: colour by luma, 16 bit by its upper byte."""
+    if image.ndim == 3:
+        return np.asarray(np.rint(image.astype(np.float32) @ _LUMA).astype(np.uint8))
+    grey: Array = (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else image
+    return grey
+
+
+def to_points(message: Any) -> PointCloud:
+    """The finite points of a ``PointCloud2``; raises InvalidInput if it lacks x, y or z."""
+    order = ">" if message.is_bigendian else "<"
+    entries = [field for field in message.fields if field.datatype in _POINT_TYPES and field.count == 1]
+    names = [field.name for field in entries]
+    if not {"x", "y", "z"} <= set(names):
+        raise InvalidInput(f"a point cloud has the fields {', '.join(names) or 'none'}; x, y, z are needed")
+    layout = np.dtype(
+        {
+            "names": names,
+            "formats": [order + _POINT_TYPES[field.datatype] for field in entries],
+            "offsets": [field.offset for field in entries],
+            "itemsize": message.point_step,
+        }
+    )
+    rows = np.asarray(message.data, dtype=np.uint8)[: message.row_step * message.height].reshape(message.height, -1)
+    packed = np.ascontiguousarray(rows[:, : message.width * message.point_step])
+    table = packed.reshape(-1).view(layout)
+    points_m = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    finite = np.isfinite(points_m).all(axis=1)
+    others = {name: np.ascontiguousarray(table[name][finite]) for name in names if name not in {"x", "y", "z"}}
+    return PointCloud(points_m[finite], others)
+
+
+def _decode(message: Any) -> Array:
+    try:
+        import cv2  # noqa: PLC0415 - only images with compressed recordings need it
+    except ImportError:
+        raise InvalidInput(
+            "the recording holds compressed images, which need OpenCV", "add opencv-python-headless to the package"
+        ) from None
+    pixels: Array | None = cv2.imdecode(np.asarray(message.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise InvalidInput(f"a compressed image of format {message.format!r} cannot be decoded")
+    if pixels.ndim == 3:
+        pixels = np.ascontiguousarray(pixels[..., 2::-1])
+    return pixels

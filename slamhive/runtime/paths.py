@@ -1,0 +1,52 @@
+"""Where a run finds its things: the container contract's places, or what the process executor says instead."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from slamhive.errors import InvalidInput
+
+CONFIG_VARIABLE = "SLAMHIVE_CONFIG"
+DATASET_VARIABLE = "SLAMHIVE_DATASET"
+RESULT_VARIABLE = "SLAMHIVE_RESULT"
+ORB_VOCABULARY_VARIABLE = "SLAMHIVE_ORB_VOCABULARY"
+"""Names the ORB vocabulary file to use in place of the small one that comes with the package."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunPaths:
+    """The configuration file, the folder with the recording, the folder for the results."""
+
+    config: Path
+    dataset: Path
+    result: Path
+
+
+def run_paths(environment: Mapping[str, str] = os.environ) -> RunPaths:
+    """The places of this run: ``/slamhive/...`` unless ``environment`` names others."""
+    return RunPaths(
+        config=Path(environment.get(CONFIG_VARIABLE, "/slamhive/config.yaml")),
+        dataset=Path(environment.get(DATASET_VARIABLE, "/slamhive/dataset")),
+        result=Path(environment.get(RESULT_VARIABLE, "/slamhive/result")),
+    )
+
+
+def find_recording(folder: Path) -> Path:
+    """The only recording in ``folder``: a ``.bag``, an ``.mcap``, or a folder with ``metadata.yaml`` (ROS 2).
+
+    Raises InvalidInput if there is none or more than one.
+    """
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError as error:
+        raise InvalidInput(f"{folder} cannot be read: {error.strerror}") from None
+    found = [
+        entry for entry in entries if entry.suffix in {".bag", ".mcap", ".db3"} or (entry / "metadata.yaml").is_file()
+    ]
+    if len(found) != 1:
+        names = ", ".join(entry.name for entry in found) or "none"
+        raise InvalidInput(f"expected one recording in {folder}, found {names}", "a .bag, an .mcap or a ROS 2 folder")
+    return found[0]

@@ -1,0 +1,189 @@
+"""What can be run on what: algorithm packages in the project, datasets in the data root."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from slamhive.bags.importers import IMPORTERS
+from slamhive.bags.room import RoomOptions, render_room
+from slamhive.catalogue.algorithm_file import ALGORITHM_FILE, load_algorithms
+from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
+from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.names import check_name
+from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable, unknown
+from slamhive.settings import Mode, Settings
+
+Loaded = TypeVar("Loaded")
+Progress = Callable[[float, str], None]
+"""Called with the fraction done (0..1) and what is being done."""
+
+
+@dataclass(frozen=True, slots=True)
+class BrokenEntry:
+    """A folder that should hold an algorithm or dataset, and why it does not."""
+
+    folder: Path
+    problem: str
+
+
+class Catalogue:
+    """Algorithms and datasets of one installation, looked up in their folders each time they are asked for.
+
+    Folders are the truth: adding an algorithm is adding a folder, no restart and no database edit. A file is parsed
+    again when it has changed.
+    """
+
+    def __init__(self, settings: Settings, project_root: Path) -> None:
+        self._settings = settings
+        self.project_root = project_root
+        self._parsed: dict[Path, tuple[tuple[int, int, int], Any]] = {}
+
+    def algorithms(self) -> tuple[Algorithm, ...]:
+        """All runnable algorithms, sorted by name. A broken package hides only itself, see :meth:`broken`."""
+        found, _ = self._scan_algorithms()
+        return tuple(sorted(found, key=lambda algorithm: algorithm.name))
+
+    def algorithm(self, name: str) -> Algorithm:
+        """The algorithm called ``name``; raises NotFound, or InvalidInput if its package is broken."""
+        found, broken = self._scan_algorithms()
+        by_name = {algorithm.name: algorithm for algorithm in found}
+        if name in by_name:
+            return by_name[name]
+        modes = sorted(algorithm.name for algorithm in found if algorithm.package.name == name)
+        if modes:
+            raise NotFound(f"{name!r} is a package of {len(modes)} algorithms", f"choose one of {', '.join(modes)}")
+        for entry in broken:
+            if name == entry.folder.name or name.startswith(f"{entry.folder.name}-"):
+                raise InvalidInput(f"algorithm {name!r} cannot be used: {entry.problem}")
+        raise unknown("algorithm", name, list(by_name), "slamhive algorithm list shows all")
+
+    def packages(self) -> tuple[AlgorithmPackage, ...]:
+        """All algorithm packages, each once, sorted by name."""
+        packages = {algorithm.package.name: algorithm.package for algorithm in self.algorithms()}
+        return tuple(packages[name] for name in sorted(packages))
+
+    def package(self, name: str) -> AlgorithmPackage:
+        """The package called ``name``, or the package of the algorithm called ``name``."""
+        for package in self.packages():
+            if package.name == name:
+                return package
+        return self.algorithm(name).package
+
+    def datasets(self) -> tuple[Dataset, ...]:
+        """All datasets, sorted by name. A broken folder hides only itself, see :meth:`broken`."""
+        found, _ = self._scan_datasets()
+        return tuple(sorted(found, key=lambda dataset: dataset.name))
+
+    def dataset(self, name: str) -> Dataset:
+        """The dataset called ``name``; raises NotFound, or InvalidInput if its folder is broken."""
+        found, broken = self._scan_datasets()
+        by_name = {dataset.name: dataset for dataset in found}
+        if name in by_name:
+            return by_name[name]
+        for entry in broken:
+            if entry.folder.name == name:
+                raise InvalidInput(f"dataset {name!r} cannot be used: {entry.problem}")
+        raise unknown("dataset", name, list(by_name), "slamhive dataset list shows all")
+
+    def broken(self) -> tuple[BrokenEntry, ...]:
+        """Folders of algorithms and datasets that cannot be read, with the reason."""
+        return (*self._scan_algorithms()[1], *self._scan_datasets()[1])
+
+    def import_dataset(self, importer_name: str, source: Path, name: str, progress: Progress) -> Dataset:
+        """Convert a recording of another format into the dataset ``name``; nothing is left behind on failure."""
+        importer = IMPORTERS.get(importer_name)
+        folder = self._new_dataset_folder(name)
+        if not source.exists():
+            raise InvalidInput(f"{source} does not exist", "give the folder that holds the recording")
+        return importer.convert(source, folder, name, progress)
+
+    def render_room(self, options: RoomOptions, progress: Progress, *, replace: bool = False) -> Dataset:
+        """Render the synthetic room into a dataset of its own."""
+        folder = self._new_dataset_folder(options.name, replace=replace)
+        return render_room(folder, options, progress)
+
+    def remove_dataset(self, name: str) -> None:
+        """Delete a dataset's folder; runs that used it keep their results."""
+        check_writable(self._settings)
+        shutil.rmtree(self.dataset(name).folder)
+
+    def _new_dataset_folder(self, name: str, *, replace: bool = False) -> Path:
+        check_writable(self._settings)
+        folder = self._settings.datasets_folder / check_name("dataset", name)
+        if folder.exists() and not replace:
+            raise Conflict(f"dataset {name!r} exists already", "choose another --name, or remove it first")
+        try:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            if folder.exists():
+                shutil.rmtree(folder)
+        except OSError as error:
+            raise Unavailable(f"{folder} cannot be made: {error.strerror}", "check space and rights") from None
+        return folder
+
+    def _load(self, path: Path, load: Callable[[Path], Loaded]) -> Loaded:
+        """What ``load`` makes of the folder of ``path``, parsed again only if the file has changed since."""
+        try:
+            status = path.stat()
+        except OSError:
+            return load(path.parent)
+        stamp = (status.st_mtime_ns, status.st_size, status.st_ino)
+        known = self._parsed.get(path)
+        if known is None or known[0] != stamp:
+            known = (stamp, load(path.parent))
+            self._parsed[path] = known
+        loaded: Loaded = known[1]
+        return loaded
+
+    def _scan_algorithms(self) -> tuple[list[Algorithm], list[BrokenEntry]]:
+        found: list[Algorithm] = []
+        broken: list[BrokenEntry] = []
+        for path in sorted((self.project_root / "algorithms").glob(f"*/{ALGORITHM_FILE}")):
+            try:
+                algorithms = self._load(path, load_algorithms)
+                _check_package(path, algorithms, found)
+                found.extend(algorithms)
+            except SlamHiveError as error:
+                broken.append(BrokenEntry(path.parent, str(error)))
+        return found, broken
+
+    def _scan_datasets(self) -> tuple[list[Dataset], list[BrokenEntry]]:
+        found: list[Dataset] = []
+        broken: list[BrokenEntry] = []
+        for path in sorted(self._settings.datasets_folder.glob(f"*/{DATASET_FILE}")):
+            if path.parent.name.startswith("."):
+                continue
+            try:
+                dataset = self._load(path, load_dataset)
+                if dataset.name != path.parent.name:
+                    raise InvalidInput(
+                        f"{path}: name {dataset.name!r} differs from its folder's", "rename the one or the other"
+                    )
+                found.append(dataset)
+            except SlamHiveError as error:
+                broken.append(BrokenEntry(path.parent, str(error)))
+        return found, broken
+
+
+def check_writable(settings: Settings) -> None:
+    """Raise Forbidden in view-only mode."""
+    if settings.mode is Mode.VIEW_ONLY:
+        raise Forbidden("this installation is view-only", "set MODE to workstation to change anything")
+
+
+def _check_package(path: Path, algorithms: tuple[Algorithm, ...], others: list[Algorithm]) -> None:
+    """Refuse a package that is not called as its folder is, and names of algorithms that another package has."""
+    package = algorithms[0].package.name
+    if package != path.parent.name:
+        raise InvalidInput(f"{path}: package {package!r} differs from its folder's name", "rename the one or the other")
+    taken = {other.name: other.package.name for other in others}
+    for algorithm in algorithms:
+        if algorithm.name in taken:
+            raise InvalidInput(
+                f"{path}: package {taken[algorithm.name]} has an algorithm {algorithm.name!r} already",
+                "give the mode another name",
+            )

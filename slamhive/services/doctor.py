@@ -1,0 +1,118 @@
+"""``slamhive doctor``: what works on this machine, what does not, and what to do about it."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from slamhive.errors import SlamHiveError
+from slamhive.services.hive import Hive
+
+
+class Verdict(StrEnum):
+    """How a check came out."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that was looked at, what was found, and the remedy if it is not well."""
+
+    name: str
+    verdict: Verdict
+    found: str
+    remedy: str | None = None
+
+
+def examine(hive: Hive) -> list[Check]:
+    """All checks, in the order in which they matter."""
+    checks: list[Check] = []
+    for examination in _EXAMINATIONS:
+        try:
+            checks.extend(examination(hive))
+        except SlamHiveError as error:
+            name = examination.__name__.removeprefix("_")
+            checks.append(Check(name, Verdict.FAILED, error.message, error.remedy))
+    return checks
+
+
+def _python(_: Hive) -> list[Check]:
+    return [Check("python", Verdict.OK, f"{platform.python_version()} at {sys.executable}")]
+
+
+def _data_root(hive: Hive) -> list[Check]:
+    data = hive.settings.data
+    free_mb = shutil.disk_usage(data).free // 1_000_000
+    enough = free_mb >= hive.settings.min_free_disk_mb
+    found = f"{data}, {free_mb / 1000:.1f} GB free"
+    remedy = None if enough else "make room, or lower MIN_FREE_DISK_MB"
+    return [Check("data root", Verdict.OK if enough else Verdict.FAILED, found, remedy)]
+
+
+def _database(hive: Hive) -> list[Check]:
+    counts = hive.counts()
+    text = ", ".join(f"{count} {state}" for state, count in counts.items() if count) or "no runs yet"
+    return [Check("database", Verdict.OK, f"{hive.store.label}: {text}")]
+
+
+def _executor(hive: Hive) -> list[Check]:
+    checks = []
+    for name in ("docker", "process"):
+        problem = hive.executor(name).unavailable_because()
+        verdict = Verdict.OK if problem is None else Verdict.WARNING
+        checks.append(Check(f"executor {name}", verdict, problem or "can be used"))
+    chosen, reason = hive.executor_choice()
+    return [*checks, Check("executor in force", Verdict.OK, f"{chosen} ({reason})")]
+
+
+def _algorithms(hive: Hive) -> list[Check]:
+    executor = hive.executor(hive.executor_name())
+    checks = []
+    for package in hive.catalogue.packages():
+        try:
+            identity = executor.identity(package)
+        except SlamHiveError as error:
+            checks.append(Check(f"algorithm {package.name}", Verdict.WARNING, error.message, error.remedy))
+            continue
+        if identity is None:
+            remedy = f"slamhive algorithm build {package.name} (or let the first run do it)"
+            checks.append(Check(f"algorithm {package.name}", Verdict.WARNING, "not built yet", remedy))
+        else:
+            checks.append(Check(f"algorithm {package.name}", Verdict.OK, f"built, {identity[:19]}"))
+    return checks
+
+
+def _broken_folders(hive: Hive) -> list[Check]:
+    return [Check(f"folder {entry.folder.name}", Verdict.FAILED, entry.problem) for entry in hive.catalogue.broken()]
+
+
+def _datasets(hive: Hive) -> list[Check]:
+    names = [dataset.name for dataset in hive.catalogue.datasets()]
+    if names:
+        return [Check("datasets", Verdict.OK, ", ".join(names))]
+    return [Check("datasets", Verdict.WARNING, "none yet", "slamhive dataset room renders one")]
+
+
+def _worker(hive: Hive) -> list[Check]:
+    if hive.worker_alive():
+        return [Check("worker", Verdict.OK, "runs on this machine")]
+    return [Check("worker", Verdict.WARNING, "does not run", "slamhive worker, or slamhive serve, starts one")]
+
+
+_EXAMINATIONS: tuple[Callable[[Hive], list[Check]], ...] = (
+    _python,
+    _data_root,
+    _database,
+    _executor,
+    _algorithms,
+    _broken_folders,
+    _datasets,
+    _worker,
+)

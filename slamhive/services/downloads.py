@@ -1,0 +1,98 @@
+"""Which files of a run folder can be downloaded: a list of known names, never a path that somebody sends."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from slamhive.errors import NotFound
+from slamhive.runs.folder import RunFolder
+
+EVALUATION_FILES = {
+    "result.json": "application/json",
+    "traj.tum": "text/plain; charset=utf-8",
+    "groundtruth.tum": "text/plain; charset=utf-8",
+    "errors.csv": "text/csv; charset=utf-8",
+    "ape.zip": "application/zip",
+    "rpe.zip": "application/zip",
+    **{
+        f"{name}.png": "image/png"
+        for name in (
+            "traj_trajectories",
+            "traj_xyz",
+            "traj_rpy",
+            "traj_speeds",
+            "ape_raw",
+            "ape_map",
+            "rpe_raw",
+            "rpe_map",
+        )
+    },
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Download:
+    """One file that exists. ``key`` is what the address holds, ``name`` what the browser saves it as."""
+
+    key: str
+    name: str
+    path: Path
+    media_type: str
+    size_bytes: int
+
+
+def list_downloads(folder: RunFolder, fingerprints: Iterable[str]) -> tuple[Download, ...]:
+    """The known files of the run that exist, links and anything but regular files left out."""
+    found = []
+    for key, path, media_type in _known(folder, fingerprints):
+        try:
+            status = os.lstat(path)
+        except OSError:
+            continue
+        if stat.S_ISREG(status.st_mode):
+            found.append(Download(key, path.name, path, media_type, status.st_size))
+    return tuple(found)
+
+
+def open_download(folder: RunFolder, fingerprints: Iterable[str], key: str) -> tuple[Download, BinaryIO]:
+    """The file known as ``key``, opened; raises NotFound. A link put in its place meanwhile is not followed."""
+    for download in list_downloads(folder, fingerprints):
+        if download.key == key:
+            try:
+                descriptor = os.open(download.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+            except OSError:
+                break
+            return download, os.fdopen(descriptor, "rb")
+    raise NotFound(f"there is no file {key!r} in this run", "its page lists the files that are there")
+
+
+def _known(folder: RunFolder, fingerprints: Iterable[str]) -> list[tuple[str, Path, str]]:
+    text = "text/plain; charset=utf-8"
+    table = "text/csv; charset=utf-8"
+    known = [
+        (path.name, path, media_type)
+        for path, media_type in (
+            (folder.record, "application/json"),
+            (folder.config, "application/yaml"),
+            (folder.log, text),
+            (folder.trajectory, text),
+            (folder.result / "keyframe.txt", text),
+            (folder.frames, table),
+            (folder.profiling, table),
+            (folder.profiling_cpu_plot, "image/png"),
+            (folder.profiling_ram_plot, "image/png"),
+            (folder.playback, "application/json"),
+            (folder.about, "application/json"),
+            (folder.result / "Map.pcd", "application/octet-stream"),
+            (folder.result / "grid.png", "image/png"),
+        )
+    ]
+    for fingerprint in fingerprints:
+        place = folder.evaluation(fingerprint)
+        known += [(f"{fingerprint}-{name}", place / name, kind) for name, kind in EVALUATION_FILES.items()]
+    return known

@@ -1,0 +1,239 @@
+"""Evaluating runs: queued in the database, done in batches, many runs to one start of the evaluation."""
+
+from __future__ import annotations
+
+import json
+import logging
+import tempfile
+import threading
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from slamhive.domain.protocol import Protocol
+from slamhive.domain.sensors import Matrix4
+from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask, failed_result
+from slamhive.evaluation.runner import EvaluationRunner
+from slamhive.files import write_aside
+from slamhive.runs.folder import RunFolder
+from slamhive.services.catalogue import Catalogue
+from slamhive.services.driver_context import utc_now
+from slamhive.services.request import protocol_for
+from slamhive.settings import Settings
+from slamhive.store.records import EvaluationRecord, LeaseLost, RunRecord
+from slamhive.store.store import Store
+
+logger = logging.getLogger(__name__)
+
+PROTOCOL_FILE = "protocol.json"
+BATCH_SIZE = 100
+NO_ENGINE = "slamhive"
+
+ResultCallback = Callable[[EvaluationRecord, EvaluationResult], None]
+ResultStore = Callable[[EvaluationResult], None]
+
+
+class Evaluations:
+    """Queue evaluations and work through them.
+
+    Args:
+        settings: Association tolerance and gap threshold of the default protocols; where the data lies.
+        store: Queue and results.
+        catalogue: Sensor setups, extrinsics and ground truths.
+        runner: Starts the evaluation engine, in a container or a process; made when first needed.
+    """
+
+    def __init__(
+        self, settings: Settings, store: Store, catalogue: Catalogue, runner: Callable[[], EvaluationRunner]
+    ) -> None:
+        self._settings = settings
+        self._store = store
+        self._catalogue = catalogue
+        self._make_runner = runner
+        self._runner: EvaluationRunner | None = None
+        self._runner_lock = threading.Lock()
+
+    def queue(
+        self,
+        run_ids: Iterable[int],
+        alignment: str | None = None,
+        artefacts: Artefacts = Artefacts.FILES,
+    ) -> list[int]:
+        """Queue an evaluation of each run; their ids.
+
+        ``alignment`` None means the one that the run was submitted with, or else the one its sensors deserve.
+        Raises NotFound for an unknown run or algorithm, Conflict for a run that did not succeed; nothing is queued
+        then.
+        """
+        runs = self._store.read(lambda t: t.runs.get_many(run_ids))
+        by_protocol: dict[Protocol, list[int]] = defaultdict(list)
+        for run in runs:
+            by_protocol[self.protocol_of(run, alignment)].append(run.id)
+        now = utc_now()
+        return self._store.write(
+            lambda t: [
+                evaluation_id
+                for protocol, members in by_protocol.items()
+                for evaluation_id in t.evaluations.queue(members, protocol, now, artefacts)
+            ]
+        )
+
+    def records(self, evaluation_ids: Iterable[int]) -> list[EvaluationRecord]:
+        """The evaluations with these ids, as they stand."""
+        return self._store.read(lambda t: [t.evaluations.get(evaluation_id) for evaluation_id in evaluation_ids])
+
+    def unevaluated(self) -> list[int]:
+        """Runs that succeeded and have no evaluation yet."""
+        return self._store.read(lambda t: t.evaluations.unevaluated_run_ids())
+
+    def work_once(
+        self,
+        owner: str,
+        stopping: threading.Event,
+        only: Collection[int] | None = None,
+        on_result: ResultCallback | None = None,
+        cores: tuple[int, ...] | None = None,
+    ) -> int:
+        """Claim a batch, evaluate it, store each result; how many were done.
+
+        ``only`` restricts the choice to evaluations of these runs; ``cores`` are the numbers of those to evaluate on,
+        None for all.
+        """
+        now = utc_now()
+        claimed = self._store.write(lambda t: t.evaluations.claim(owner, now, self._settings.lease_s, BATCH_SIZE, only))
+        if not claimed:
+            return 0
+        heartbeat_ends = threading.Event()
+        heartbeat = threading.Thread(
+            target=self._heartbeat, args=(owner, [entry.id for entry in claimed], heartbeat_ends), daemon=True
+        )
+        heartbeat.start()
+        try:
+            self._evaluate(claimed, owner, stopping, on_result, cores)
+        finally:
+            heartbeat_ends.set()
+            heartbeat.join()
+            # What has no result (the engine did not start, the worker is stopping) waits for the next worker.
+            self._store.write(lambda t: t.evaluations.release([entry.id for entry in claimed], owner))
+        return len(claimed)
+
+    def _evaluate(
+        self,
+        claimed: Sequence[EvaluationRecord],
+        owner: str,
+        stopping: threading.Event,
+        on_result: ResultCallback | None,
+        cores: tuple[int, ...] | None,
+    ) -> None:
+        by_id = {str(entry.id): entry for entry in claimed}
+
+        def store(result: EvaluationResult) -> None:
+            entry = by_id[result.id]
+            now = utc_now()
+            try:
+                self._store.write(lambda t: t.evaluations.finish(entry.id, owner, result, now))
+            except LeaseLost as error:
+                logger.warning("%s", error)
+            if result.reason is not None:
+                logger.warning("run %d cannot be evaluated: %s", entry.run_id, result.reason)
+            if on_result is not None:
+                on_result(entry, result)
+
+        tasks = self._tasks(claimed, store)
+        if tasks:
+            with tempfile.TemporaryDirectory(prefix=".evaluation-", dir=self._settings.data) as scratch:
+                self._run(tasks, Path(scratch), store, stopping, cores)
+
+    def _tasks(self, claimed: Sequence[EvaluationRecord], refuse: ResultStore) -> list[EvaluationTask]:
+        """What the engine has to do; an evaluation that cannot even begin is refused with its reason."""
+        runs = {run.id: run for run in self._store.read(lambda t: t.runs.get_many({e.run_id for e in claimed}))}
+        tasks: list[EvaluationTask] = []
+        for entry in claimed:
+            try:
+                tasks.append(self._task(entry, runs[entry.run_id]))
+            except Unavailable:
+                raise
+            except SlamHiveError as error:
+                refuse(_refused(entry, str(error)))
+        return tasks
+
+    def _run(
+        self,
+        tasks: Sequence[EvaluationTask],
+        scratch: Path,
+        store: ResultStore,
+        stopping: threading.Event,
+        cores: tuple[int, ...] | None,
+    ) -> None:
+        try:
+            self._engine().run(tasks, scratch, store, stopping, cores)
+        except (Unavailable, LeaseLost):
+            raise
+        except SlamHiveError as error:
+            # The engine cannot be made (its image does not build): another attempt would end alike.
+            self._fail_all(tasks, str(error), store)
+        except Exception as error:
+            logger.exception("a fault of ours while %d runs were evaluated", len(tasks))
+            self._fail_all(tasks, f"internal error: {type(error).__name__}: {error}", store)
+
+    def _fail_all(self, tasks: Sequence[EvaluationTask], reason: str, store: ResultStore) -> None:
+        for task in tasks:
+            store(failed_result(task, reason, NO_ENGINE))
+
+    def _engine(self) -> EvaluationRunner:
+        with self._runner_lock:
+            if self._runner is None:
+                self._runner = self._make_runner()
+            return self._runner
+
+    def _task(self, entry: EvaluationRecord, run: RunRecord) -> EvaluationTask:
+        dataset = self._catalogue.dataset(run.dataset)
+        reference = dataset.groundtruth_path
+        if reference is None:
+            raise InvalidInput(f"dataset {dataset.name} has no ground truth", "its trajectory is in the run folder")
+        folder = RunFolder(self._settings.runs_folder / str(run.id))
+        output = folder.evaluation(entry.protocol.fingerprint)
+        try:
+            output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise Unavailable(f"{output} cannot be made: {error.strerror}", "check space and rights") from None
+        write_aside(output / PROTOCOL_FILE, json.dumps(asdict(entry.protocol), indent=1))
+        return EvaluationTask(
+            id=str(entry.id),
+            estimate=folder.trajectory,
+            reference=reference,
+            output=output,
+            protocol=entry.protocol,
+            T_body_sensor=self._trajectory_frame(run),
+            artefacts=entry.artefacts,
+        )
+
+    def _trajectory_frame(self, run: RunRecord) -> Matrix4:
+        """The pose, in the body frame, of the sensor whose poses the trajectory holds."""
+        algorithm = self._catalogue.algorithm(run.algorithm)
+        return algorithm.assign(self._catalogue.dataset(run.dataset))[algorithm.trajectory_role].T_body_sensor
+
+    def protocol_of(self, run: RunRecord, alignment: str | None = None) -> Protocol:
+        """The protocol to evaluate ``run`` under: as asked for, as submitted, or as its sensors deserve."""
+        if alignment is None and run.protocol_override is not None:
+            return run.protocol_override
+        algorithm = self._catalogue.algorithm(run.algorithm)
+        return protocol_for(algorithm, self._catalogue.dataset(run.dataset), self._settings, alignment)
+
+    def _heartbeat(self, owner: str, evaluation_ids: list[int], ends: threading.Event) -> None:
+        while not ends.wait(self._settings.lease_s / 3):
+            now = utc_now()
+            try:
+                self._store.write(
+                    lambda t, now=now: t.evaluations.heartbeat(evaluation_ids, owner, now, self._settings.lease_s)  # type: ignore[misc]
+                )
+            except SlamHiveError as error:
+                logger.warning("heartbeat of evaluations: %s", error)
+
+
+def _refused(entry: EvaluationRecord, reason: str) -> EvaluationResult:
+    """The result of an evaluation that could not even begin."""
+    nowhere = Path()
+    return failed_result(EvaluationTask(str(entry.id), nowhere, nowhere, nowhere, entry.protocol), reason, NO_ENGINE)

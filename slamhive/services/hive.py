@@ -1,0 +1,325 @@
+"""One installation of SLAM Hive: the use cases that command line, web pages and web API share."""
+
+from __future__ import annotations
+
+import logging
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from slamhive.domain.run import RunEvent, RunState
+from slamhive.errors import Conflict, InvalidInput, SlamHiveError, Unavailable
+from slamhive.evaluation.job import Artefacts
+from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
+from slamhive.executors.base import Executor, ImageMissing
+from slamhive.executors.registry import AUTO, ExecutorContext, choose_executor, installation_id, open_executor
+from slamhive.project import project_root
+from slamhive.runs.folder import RunFolder
+from slamhive.services.catalogue import Catalogue, check_writable
+from slamhive.services.driver_context import utc_now
+from slamhive.services.evaluations import Evaluations
+from slamhive.services.lock import WorkerLock
+from slamhive.services.preparation import check_disk, check_recording
+from slamhive.services.progress import RunProgress, run_progress
+from slamhive.services.record import handle_from_json
+from slamhive.services.request import Submission, protocol_for
+from slamhive.services.series import RunSeries, run_series
+from slamhive.services.variants import Variants
+from slamhive.services.worker import Worker
+from slamhive.settings import Mode, Settings, load_settings
+from slamhive.store import (
+    EvaluationRecord,
+    Page,
+    RunFilter,
+    RunRecord,
+    RunRequest,
+    RunSort,
+    Store,
+    Transaction,
+    open_store,
+)
+
+logger = logging.getLogger(__name__)
+
+LOG_TAIL_BYTES = 200_000
+
+
+class Hive:
+    """The facade. Every method may raise a SlamHiveError and nothing else that a user could have caused.
+
+    Args:
+        settings: In force.
+        store: Open, with tables of this version.
+        catalogue: Algorithms and datasets.
+    """
+
+    def __init__(self, settings: Settings, store: Store, catalogue: Catalogue) -> None:
+        self.settings = settings
+        self.store = store
+        self.catalogue = catalogue
+        self._executors: dict[str, Executor] = {}
+        self.variants = Variants(settings, store)
+        self.evaluations_service = Evaluations(settings, store, catalogue, self._evaluation_runner)
+
+    # -- asking for runs -------------------------------------------------------------------------------------------
+
+    def submit(self, submission: Submission) -> tuple[RunRecord, ...]:
+        """Check everything that can be checked before a run starts, then queue ``repeat`` runs.
+
+        Repeats get the seeds ``seed``, ``seed + 1``, ... and share one configuration.
+        """
+        self.check_writable()
+        submission.check()
+        algorithm = self.catalogue.algorithm(submission.algorithm)
+        dataset = self.catalogue.dataset(submission.dataset)
+        configuration = submission.configuration(algorithm)
+        configuration = replace(configuration, variant=self.variants.resolve(dataset, configuration.variant))
+        self.variants.check(dataset, configuration.variant)
+        algorithm.assign(dataset)
+        check_recording(dataset, algorithm)
+        check_disk(self.settings)
+        executor = self.executor_name(submission.executor)
+        if executor == "process":
+            try:
+                self.executor(executor).identity(algorithm.package)
+            except ImageMissing as error:  # a package that runs in a container only
+                raise InvalidInput(error.message, error.remedy) from None
+        protocol = None
+        if submission.alignment is not None:
+            protocol = protocol_for(algorithm, dataset, self.settings, submission.alignment)
+        now = utc_now()
+        uids = [uuid.uuid4().hex for _ in range(submission.repeat)]
+
+        def work(transaction: Transaction) -> list[int]:
+            algorithm_id = transaction.catalogue.put_algorithm(algorithm)
+            dataset_id = transaction.catalogue.put_dataset(dataset, now)
+            configuration_id, _ = transaction.configurations.get_or_create(
+                configuration, algorithm_id, dataset_id, now, algorithm.parameters
+            )
+            requests = [
+                RunRequest(
+                    uid=uid,
+                    configuration_id=configuration_id,
+                    executor=executor,
+                    seed=submission.seed + index,
+                    priority=submission.priority,
+                    evaluate=submission.evaluate,
+                    cpu_cores=submission.cpu_cores,
+                    memory_mb=submission.memory_mb,
+                    timeout_s=submission.timeout_s,
+                    protocol=protocol,
+                )
+                for index, uid in enumerate(uids)
+            ]
+            return transaction.runs.add_runs(requests, now)
+
+        run_ids = self.store.write(work)
+        return self.store.read(lambda t: t.runs.get_many(run_ids))
+
+    def retry(self, run_id: int) -> RunRecord:
+        """Queue a new run with the configuration of one that has ended."""
+        self.check_writable()
+        old = self.run(run_id)
+        if not old.state.ended:
+            raise Conflict(f"run {run_id} is {old.state}", "only a run that has ended can be tried again")
+        request = RunRequest(
+            uid=uuid.uuid4().hex,
+            configuration_id=old.configuration_id,
+            executor=old.executor,
+            seed=old.seed,
+            priority=old.priority,
+            evaluate=old.evaluate,
+            cpu_cores=old.cpu_cores,
+            memory_mb=old.memory_mb,
+            timeout_s=old.timeout_s,
+            retry_of=old.id,
+            protocol=old.protocol_override,
+        )
+        now = utc_now()
+        (new_id,) = self.store.write(lambda t: t.runs.add_runs([request], now))
+        return self.run(new_id)
+
+    def cancel(self, run_id: int) -> RunRecord:
+        """Cancel a queued run at once; ask the worker to end an active one."""
+        self.check_writable()
+        now = utc_now()
+        self.store.write(lambda t: t.runs.request_cancel(run_id, now))
+        return self.run(run_id)
+
+    # -- looking at runs -------------------------------------------------------------------------------------------
+
+    def runs(
+        self, wanted: RunFilter | None = None, sort: RunSort | None = None, after: str | None = None, limit: int = 50
+    ) -> Page:
+        """One page of runs with their figures."""
+        return self.store.read(lambda t: t.runs.page(wanted, sort, after, limit, with_metrics=True))
+
+    def run(self, run_id: int) -> RunRecord:
+        """One run with its figures."""
+        return self.store.read(lambda t: t.runs.get(run_id, with_metrics=True))
+
+    def events(self, run_id: int) -> tuple[RunEvent, ...]:
+        """The moves of a run, oldest first."""
+        return tuple(self.store.read(lambda t: t.runs.events(run_id)))
+
+    def evaluations(self, run_id: int) -> tuple[EvaluationRecord, ...]:
+        """The evaluations of a run, oldest first."""
+        return tuple(self.store.read(lambda t: t.evaluations.for_run(run_id)))
+
+    def counts(self) -> dict[RunState, int]:
+        """How many runs are in each state."""
+        return self.store.read(lambda t: t.runs.counts_by_state())
+
+    def folder(self, run_id: int) -> RunFolder:
+        """The run's folder; it exists once a worker has prepared the run."""
+        return RunFolder(self.settings.runs_folder / str(run_id))
+
+    def record(self, run_id: int) -> dict[str, Any]:
+        """The content of ``run.json``: provenance and outcome; empty for a run that no worker has begun."""
+        folder = self.folder(run_id)
+        return folder.read_record() if folder.record.exists() else {}
+
+    def log(self, run_id: int, max_bytes: int = LOG_TAIL_BYTES) -> str:
+        """The last ``max_bytes`` of what the run has printed so far."""
+        run = self.run(run_id)
+        folder = self.folder(run_id)
+        if run.state is RunState.RUNNING and run.handle is not None:
+            self._fetch_log(run, folder)
+        try:
+            with folder.log.open("rb") as stream:
+                stream.seek(0, 2)
+                stream.seek(max(0, stream.tell() - max_bytes))
+                return stream.read().decode(errors="replace")
+        except FileNotFoundError:
+            return ""
+        except OSError as error:
+            raise Unavailable(f"{folder.log} cannot be read: {error.strerror}") from None
+
+    def progress(self, run_id: int) -> RunProgress | None:
+        """How far an active run is; None for one that waits or has ended."""
+        run = self.run(run_id)
+        record = self.record(run_id) if run.state.active else {}
+        return run_progress(run, self.folder(run_id), utc_now(), record.get("dataset", {}).get("duration_s"))
+
+    def series(self, run_id: int) -> RunSeries:
+        """Trajectory, errors, resources and latencies of a run over time."""
+        return run_series(self.run(run_id), self.folder(run_id))
+
+    # -- evaluation ------------------------------------------------------------------------------------------------
+
+    def queue_evaluations(
+        self,
+        run_ids: Sequence[int] | None = None,
+        alignment: str | None = None,
+        artefacts: Artefacts = Artefacts.FILES,
+    ) -> int:
+        """Queue evaluations of these runs, or of all that have none; how many."""
+        self.check_writable()
+        wanted = self.evaluations_service.unevaluated() if run_ids is None else run_ids
+        return len(self.evaluations_service.queue(wanted, alignment, artefacts))
+
+    def unevaluated(self) -> int:
+        """How many runs succeeded and have no evaluation yet."""
+        return len(self.evaluations_service.unevaluated())
+
+    # -- machinery -------------------------------------------------------------------------------------------------
+
+    def worker(self, only: Sequence[int] | None = None) -> Worker:
+        """A worker of this installation; its ``run`` works."""
+        self.check_writable()
+        return Worker(self.settings, self.store, self.catalogue, self.executor, self.evaluations_service, only)
+
+    def worker_alive(self) -> bool:
+        """Whether a worker of this data root runs on this machine."""
+        return WorkerLock(self.settings.data).held_elsewhere()
+
+    def executor(self, name: str) -> Executor:
+        """The executor called ``name``, made once."""
+        if name not in self._executors:
+            self._executors[name] = open_executor(name, self._executor_context())
+        return self._executors[name]
+
+    def executor_name(self, asked: str | None = None) -> str:
+        """The executor that a run will use: the one asked for if it can be used, or the one of the settings.
+
+        Where the settings name one and a worker runs, it is the worker's to use: a web server in a container of its
+        own sees no engine. Raises Unavailable with the remedy if it cannot be used on this machine.
+        """
+        wanted = asked or self.settings.executor
+        if wanted == self.settings.executor != AUTO and self.worker_alive():
+            return wanted
+        executor, _ = choose_executor(wanted, self.executor)
+        return executor.name
+
+    def executor_choice(self) -> tuple[str, str]:
+        """The executor in force and, in words, why it is."""
+        executor, reason = choose_executor(self.settings.executor, self.executor)
+        return executor.name, reason
+
+    def close(self) -> None:
+        """Close the database and the connections to engines."""
+        for executor in self._executors.values():
+            executor.close()
+        self._executors.clear()
+        self.store.close()
+
+    def _executor_context(self) -> ExecutorContext:
+        settings = self.settings
+        return ExecutorContext(
+            data=settings.data,
+            project_root=self.catalogue.project_root,
+            installation=installation_id(settings.data),
+            log_max_bytes=settings.log_max_bytes,
+        )
+
+    def _evaluation_runner(self) -> EvaluationRunner:
+        """Evaluation runs where the runs themselves run: in a container if Docker is in use, else in a process."""
+        name, _ = self.executor_choice()
+        if name == "docker":
+            from slamhive.executors.docker_batch import DockerStarter  # noqa: PLC0415 - the SDK takes 0.2 s to import
+
+            return EvaluationRunner(DockerStarter(self._executor_context()))
+        return EvaluationRunner(ProcessStarter(self.catalogue.project_root))
+
+    def _fetch_log(self, run: RunRecord, folder: RunFolder) -> None:
+        try:
+            self.executor(run.executor).save_log(handle_from_json(run.handle or {}), folder.log)
+        except SlamHiveError as error:
+            logger.info("log of run %d: %s", run.id, error)
+
+    def check_writable(self) -> None:
+        """Raise Forbidden in view-only mode."""
+        check_writable(self.settings)
+
+
+def open_hive(options: Mapping[str, Any] | None = None) -> Hive:
+    """Read the settings, open the database, and check that mode and data root can be used.
+
+    Raises InvalidInput for a mode that does not exist yet, Unavailable if the data root cannot be written or the
+    database does not answer, Conflict if run folders exist that an empty database knows nothing of.
+    """
+    root = project_root()
+    settings = load_settings(root, options=options)
+    if settings.mode in (Mode.CLUSTER, Mode.CLOUD):
+        raise Unavailable(f"MODE={settings.mode} is not available yet", "use workstation or view-only")
+    try:
+        settings.runs_folder.mkdir(parents=True, exist_ok=True)
+        settings.datasets_folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise Unavailable(f"data root {settings.data} cannot be used: {error.strerror}", "set SLAMHIVE_DATA") from None
+    store = open_store(settings.effective_database_url, settings.database_retry_s)
+    return Hive(settings, store, Catalogue(settings, root))
+
+
+def check_indexed(hive: Hive) -> None:
+    """Raise Conflict if there are run folders but no rows: the database was lost, ids would be used twice."""
+    if sum(hive.counts().values()) == 0 and any(_run_folders(hive.settings.runs_folder)):
+        raise Conflict(
+            f"{hive.settings.runs_folder} holds runs that the database does not know", "slamhive reindex files them"
+        )
+
+
+def _run_folders(folder: Path) -> list[Path]:
+    return [entry for entry in folder.iterdir() if entry.name.isdigit()]

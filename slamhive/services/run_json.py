@@ -1,0 +1,70 @@
+"""A run as JSON: the one shape that the command line, the web API and exports share."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any
+
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.parameters import Value
+from slamhive.domain.variant import variant_to_json
+from slamhive.store.records import EvaluationRecord, RunRecord
+
+
+def run_to_json(run: RunRecord) -> dict[str, Any]:
+    """The run with its figures. Times are ISO 8601 in UTC; what is not known is null; absent metrics are left out."""
+    return {
+        "id": run.id,
+        "uid": run.uid,
+        "algorithm": run.algorithm,
+        "dataset": run.dataset,
+        "configuration": run.configuration_id,
+        "parameters": {key: plain(value) for key, value in run.parameters.items()},
+        "playback": {"mode": run.playback.mode.value, "rate": run.playback.rate},
+        "variant": variant_to_json(run.variant),
+        "executor": run.executor,
+        "seed": run.seed,
+        "state": run.state.value,
+        "reason": None if run.reason is None else run.reason.value,
+        "detail": run.detail,
+        "created_at": timestamp(run.created_at),
+        "started_at": timestamp(run.started_at),
+        "ended_at": timestamp(run.ended_at),
+        "exit_code": run.exit_code,
+        "poses": run.poses,
+        "limits": {"cpu_cores": run.cpu_cores, "memory_mb": run.memory_mb, "timeout_s": run.timeout_s},
+        "retry_of": run.retry_of,
+        "protocol": None
+        if run.protocol is None
+        else {"fingerprint": run.protocol.fingerprint, "label": run.protocol.label},
+        "metrics": metrics_to_json(run.metrics or {}),
+    }
+
+
+def metrics_to_json(values: dict[str, float]) -> dict[str, dict[str, Any]]:
+    """``{key: {value, unit}}`` in the order of the catalogue."""
+    return {key: {"value": values[key], "unit": metric.unit} for key, metric in CATALOGUE.items() if key in values}
+
+
+def evaluation_to_json(evaluation: EvaluationRecord) -> dict[str, Any]:
+    """One evaluation: under which protocol, how it went, and why it failed."""
+    return {
+        "id": evaluation.id,
+        "run": evaluation.run_id,
+        "protocol": {"fingerprint": evaluation.protocol.fingerprint, "label": evaluation.protocol.label},
+        "state": evaluation.state.value,
+        "reason": evaluation.reason,
+        "engine": evaluation.engine,
+        "created_at": timestamp(evaluation.created_at),
+        "ended_at": timestamp(evaluation.ended_at),
+    }
+
+
+def timestamp(at: datetime | None) -> str | None:
+    """ISO 8601 with the UTC offset, None for None."""
+    return None if at is None else at.isoformat(timespec="milliseconds")
+
+
+def plain(value: Value) -> Any:
+    """A parameter value as JSON has it."""
+    return list(value) if isinstance(value, tuple) else value

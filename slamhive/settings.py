@@ -1,0 +1,234 @@
+"""Settings: defaults < ``configuration.py`` < environment (``SLAMHIVE_<NAME>``) < options.
+
+Each setting is one field of :class:`Settings` with default, unit and help in one place; ``docs/settings.md`` is
+checked against it by a test.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from slamhive.errors import InvalidInput, unknown
+
+ENVIRONMENT_PREFIX = "SLAMHIVE_"
+CONFIGURATION_FILE = "configuration.py"
+LARGEST = {"bytes": 1e15}
+"""Most that a number of a unit may be; any other 1e9, which is 30 years in s: dates can be reckoned with it."""
+
+
+class Mode(StrEnum):
+    """What this installation is for."""
+
+    WORKSTATION = "workstation"
+    VIEW_ONLY = "view-only"
+    CLUSTER = "cluster"
+    CLOUD = "cloud"
+
+
+def setting(
+    default: Any, help_text: str, *, unit: str = "", minimum: float | None = None, maximum: float | None = None
+) -> Any:
+    """A field of :class:`Settings` with its documentation; the bounds are those of numbers."""
+    maximum = LARGEST.get(unit, 1e9) if maximum is None else maximum
+    return field(default=default, metadata={"help": help_text, "unit": unit, "minimum": minimum, "maximum": maximum})
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """All settings of one installation, checked and typed."""
+
+    mode: Mode = setting(Mode.WORKSTATION, "workstation, view-only, cluster or cloud")
+    data: Path = setting(Path("data"), "Data root: datasets, runs, database; relative paths start at the project")
+    database_url: str = setting("", "SQLAlchemy URL; empty means SQLite at <data>/slamhive.db")
+    host: str = setting("127.0.0.1", "Address the web server binds to")
+    port: int = setting(5000, "Port the web server binds to", minimum=0, maximum=65535)
+    secret_key: str = setting("", "Signs sessions and forms; empty means a random key kept in <data>/secret_key")
+    executor: str = setting("auto", "auto (Docker if an engine answers, else process), docker or process")
+    worker_slots: int = setting(1, "Runs at a time; more than 1 gives each slot cores of its own", minimum=1)
+    run_cpu_cores: float = setting(0.0, "CPU limit of a run; 0 means all cores of the slot", unit="cores", minimum=0)
+    run_memory_mb: int = setting(0, "Memory limit of a run; 0 means what the algorithm asks for", unit="MB", minimum=0)
+    run_pids: int = setting(512, "Most processes and threads of a run", minimum=16)
+    run_timeout_factor: float = setting(3.0, "Time limit: this times the dataset's duration, plus slack", minimum=0)
+    run_timeout_slack_s: float = setting(60.0, "Time limit: added to factor times duration", unit="s", minimum=0)
+    stop_grace_s: float = setting(5.0, "Time between asking a run to end and killing it", unit="s", minimum=0)
+    poll_interval_s: float = setting(0.2, "How often the worker looks at its runs", unit="s", minimum=0.01)
+    sample_interval_s: float = setting(0.1, "Time between CPU and memory samples", unit="s", minimum=0.01)
+    lease_s: float = setting(30.0, "A worker silent for longer has lost its runs to the next", unit="s", minimum=1)
+    database_retry_s: float = setting(60.0, "How long a locked or absent database is tried again", unit="s", minimum=0)
+    log_max_bytes: int = setting(10_000_000, "Most bytes kept of a run's log", unit="bytes", minimum=1000)
+    min_free_disk_mb: int = setting(500, "No run starts with less free space in the data root", unit="MB", minimum=0)
+    association_tolerance_s: float = setting(0.01, "Largest gap between matched stamps", unit="s", minimum=0)
+    gap_threshold_s: float = setting(1.0, "A pause of the estimate longer than this is a gap", unit="s", minimum=0)
+    variant_cache_bytes: int = setting(
+        50_000_000_000, "Room for pre-processed variants of datasets; unused ones go", unit="bytes", minimum=0
+    )
+    orb_vocabulary: str = setting("", "ORB vocabulary file for ORB-SLAM3; empty means the small one of the image")
+
+    @property
+    def effective_database_url(self) -> str:
+        """The URL in force: the one given, or SQLite in the data root."""
+        return self.database_url or f"sqlite:///{self.data / 'slamhive.db'}"
+
+    @property
+    def datasets_folder(self) -> Path:
+        """Where imported datasets lie."""
+        return self.data / "datasets"
+
+    @property
+    def variants_folder(self) -> Path:
+        """Where pre-processed variants of datasets lie."""
+        return self.data / "variants"
+
+    @property
+    def runs_folder(self) -> Path:
+        """Where run folders lie."""
+        return self.data / "runs"
+
+
+@dataclass(frozen=True, slots=True)
+class SettingInfo:
+    """One setting as the docs show it."""
+
+    name: str
+    environment: str
+    default: str
+    unit: str
+    help: str
+
+
+@dataclass(frozen=True, slots=True)
+class SettingInForce:
+    """One setting as ``slamhive settings`` shows it; ``source`` is the default, a file, a variable or an option."""
+
+    info: SettingInfo
+    value: str
+    source: str
+
+
+def describe() -> list[SettingInfo]:
+    """Every setting with its documentation, in definition order."""
+    return [
+        SettingInfo(
+            name=entry.name.upper(),
+            environment=_variable(entry.name),
+            default=str(entry.default) if entry.default is not MISSING else "",
+            unit=entry.metadata["unit"],
+            help=entry.metadata["help"],
+        )
+        for entry in fields(Settings)
+    ]
+
+
+def load_settings(
+    project_root: Path,
+    environment: Mapping[str, str] | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Settings:
+    """Read all sources in their order; raises InvalidInput or NotFound naming the setting, its value and its source.
+
+    Args:
+        project_root: Folder that may hold ``configuration.py``; relative data roots start there.
+        environment: Defaults to ``os.environ``.
+        options: From the command line; None values mean "not given".
+    """
+    given = _given(project_root, environment, options)
+    values = {name: value for name, (value, _) in given.items()}
+    settings = Settings(**values)
+    data = settings.data.expanduser()
+    values["data"] = data if data.is_absolute() else (project_root / data)
+    return Settings(**values)
+
+
+def settings_in_force(
+    project_root: Path,
+    environment: Mapping[str, str] | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> list[SettingInForce]:
+    """Every setting with its value and where that comes from, in definition order; see :func:`load_settings`.
+
+    Keys and passwords are not shown.
+    """
+    given = _given(project_root, environment, options)
+    settings = load_settings(project_root, environment, options)
+    return [
+        SettingInForce(
+            info, _shown(entry.name, getattr(settings, entry.name)), given.get(entry.name, ("", "default"))[1]
+        )
+        for entry, info in zip(fields(Settings), describe(), strict=True)
+    ]
+
+
+def _shown(name: str, value: object) -> str:
+    if name == "secret_key" and value:
+        return "(not shown)"
+    return re.sub(r"://.*@", "://***@", str(value))
+
+
+def _given(
+    project_root: Path, environment: Mapping[str, str] | None, options: Mapping[str, Any] | None
+) -> dict[str, tuple[Any, str]]:
+    """The settings that are not left at their defaults: value and source."""
+    environment = os.environ if environment is None else environment
+    known = {entry.name: entry for entry in fields(Settings)}
+    raws: dict[str, tuple[Any, str]] = {}
+    for name, raw in _configuration_values(project_root / CONFIGURATION_FILE, list(known)).items():
+        raws[name] = raw, CONFIGURATION_FILE
+    for name in known:
+        if environment.get(_variable(name)):
+            raws[name] = environment[_variable(name)], f"environment variable {_variable(name)}"
+    for name, raw in (options or {}).items():
+        if raw is not None:
+            raws[name] = raw, f"option --{name.replace('_', '-')}"
+    return {name: (_typed(known[name], raw, source), source) for name, (raw, source) in raws.items()}
+
+
+def _variable(name: str) -> str:
+    return ENVIRONMENT_PREFIX + name.upper()
+
+
+def _configuration_values(path: Path, known: list[str]) -> dict[str, Any]:
+    """The upper-case names that ``configuration.py`` defines. It is the user's own code, run by path."""
+    if not path.is_file():
+        return {}
+    try:
+        content = runpy.run_path(str(path))
+    except Exception as error:  # noqa: BLE001 - the file is the user's; whatever it raises is explained
+        raise InvalidInput(f"{path} cannot be run: {type(error).__name__}: {error}") from None
+    values = {key.lower(): value for key, value in content.items() if key.isupper()}
+    for name in values:
+        if name not in known:
+            raise unknown(f"setting in {path}", name.upper(), [entry.upper() for entry in known])
+    return values
+
+
+def _typed(entry: Field[Any], raw: Any, source: str) -> Any:
+    target = get_type_hints(Settings)[entry.name]
+    what = f"{entry.name.upper()}={raw!r} from {source}"
+    try:
+        value = _converted(target, raw)
+    except (ValueError, TypeError, OverflowError):
+        expected = f"one of {', '.join(target)}" if issubclass(target, StrEnum) else target.__name__
+        raise InvalidInput(f"{what}: expected {expected}") from None
+    minimum, maximum = entry.metadata["minimum"], entry.metadata["maximum"]
+    if minimum is not None and not value >= minimum:
+        raise InvalidInput(f"{what}: must be at least {minimum:g}")
+    if isinstance(value, int | float) and value > maximum:
+        raise InvalidInput(f"{what}: must be at most {maximum:g}")
+    return value
+
+
+def _converted(target: type, raw: Any) -> Any:
+    """``raw`` as ``target``, read if it is text; raises ValueError, TypeError or OverflowError if it is neither."""
+    if isinstance(raw, bool) or (target is str and not isinstance(raw, str)):
+        raise TypeError
+    value = target(raw)
+    if target is int and isinstance(raw, float) and value != raw:
+        raise ValueError
+    return value

@@ -1,0 +1,45 @@
+"""The database: an index of the run folders, and the queue. ``open_store`` is the way in; see ``docs/store.md``."""
+
+from __future__ import annotations
+
+from slamhive.store.records import (
+    AlgorithmRecord,
+    AlgorithmVersion,
+    DatasetRecord,
+    EvaluationRecord,
+    EvaluationState,
+    Host,
+    LeaseLost,
+    Page,
+    ProtocolLabel,
+    RunFields,
+    RunFilter,
+    RunRecord,
+    RunRequest,
+    RunSnapshot,
+    RunSort,
+    UsageSummary,
+)
+from slamhive.store.store import Store, Transaction, open_store
+
+__all__ = [
+    "AlgorithmRecord",
+    "AlgorithmVersion",
+    "DatasetRecord",
+    "EvaluationRecord",
+    "EvaluationState",
+    "Host",
+    "LeaseLost",
+    "Page",
+    "ProtocolLabel",
+    "RunFields",
+    "RunFilter",
+    "RunRecord",
+    "RunRequest",
+    "RunSnapshot",
+    "RunSort",
+    "Store",
+    "Transaction",
+    "UsageSummary",
+    "open_store",
+]

@@ -1,0 +1,115 @@
+"""What runs refer to: algorithms and their versions, datasets, hosts, protocols."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Row, select, update
+from sqlalchemy.orm import Session
+
+from slamhive.domain import protocol as domain
+from slamhive.domain.algorithm import Algorithm as AlgorithmDefinition
+from slamhive.domain.dataset import Dataset as DatasetDefinition
+from slamhive.errors import unknown
+from slamhive.store.models import Algorithm, AlgorithmVersion, Dataset, Host, Protocol
+from slamhive.store.records import AlgorithmRecord, DatasetRecord
+from slamhive.store.records import AlgorithmVersion as VersionRecord
+from slamhive.store.records import Host as HostRecord
+from slamhive.store.rows import get_or_insert
+
+
+class CatalogueRepository:
+    """Get or create, and keep up to date, what the catalogue folders say."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def put_algorithm(self, algorithm: AlgorithmDefinition) -> int:
+        """The id of ``algorithm``, stored if it is new."""
+        return self.put_algorithm_named(algorithm.name, algorithm.package.name, algorithm.mode)
+
+    def put_algorithm_named(self, name: str, package: str, mode: str) -> int:
+        """The same for an algorithm whose folder may be gone (reindex)."""
+        values = {"package": package, "mode": mode}
+        algorithm_id, created = get_or_insert(self._session, Algorithm, {"name": name}, values)
+        if not created:
+            self._session.execute(
+                update(Algorithm.__table__).where(Algorithm.__table__.c.id == algorithm_id).values(values)
+            )
+        return algorithm_id
+
+    def put_version(self, algorithm_id: int, version: VersionRecord, now: datetime) -> int:
+        """The id of this version of the algorithm, stored if it is new."""
+        keys = {"algorithm_id": algorithm_id, "identity": version.identity, "package_hash": version.package_hash}
+        values = {"version": version.version, "created_at": now}
+        return get_or_insert(self._session, AlgorithmVersion, keys, values)[0]
+
+    def put_dataset(self, dataset: DatasetDefinition, now: datetime) -> int:
+        """The id of ``dataset``; a dataset that was made anew under its name replaces what was known of it."""
+        values = {
+            "checksum": dataset.checksum,
+            "duration_s": dataset.duration_s,
+            "folder": str(dataset.folder),
+            "title": dataset.title,
+            "sensors": [
+                {"name": sensor.name, "kind": sensor.kind.value, "topic": sensor.topic, "rate_hz": sensor.rate_hz}
+                for sensor in dataset.sensors
+            ],
+        }
+        keys = {"name": dataset.name}
+        dataset_id, created = get_or_insert(self._session, Dataset, keys, {**values, "registered_at": now})
+        if not created:
+            self._session.execute(update(Dataset.__table__).where(Dataset.__table__.c.id == dataset_id).values(values))
+        return dataset_id
+
+    def put_host(self, host: HostRecord) -> int:
+        """The id of ``host``, stored if it is new."""
+        return get_or_insert(self._session, Host, {"fingerprint": host.fingerprint}, asdict(host))[0]
+
+    def put_protocol(self, protocol: domain.Protocol) -> int:
+        """The id of ``protocol``, stored if it is new."""
+        values = {"label": protocol.label, "definition": asdict(protocol)}
+        return get_or_insert(self._session, Protocol, {"fingerprint": protocol.fingerprint}, values)[0]
+
+    def algorithms(self) -> list[AlgorithmRecord]:
+        """All algorithms that anything was stored for, by name."""
+        rows = self._session.execute(select(Algorithm.__table__).order_by(Algorithm.name))
+        return [AlgorithmRecord(row.id, row.name, row.package, row.mode) for row in rows]
+
+    def algorithm(self, name: str) -> AlgorithmRecord:
+        """The algorithm called ``name``; raises NotFound."""
+        known = {record.name: record for record in self.algorithms()}
+        if name not in known:
+            raise unknown("algorithm in the database", name, list(known))
+        return known[name]
+
+    def datasets(self) -> list[DatasetRecord]:
+        """All datasets that anything was stored for, by name."""
+        return [_dataset(row) for row in self._session.execute(select(Dataset.__table__).order_by(Dataset.name))]
+
+    def dataset(self, name: str) -> DatasetRecord:
+        """The dataset called ``name``; raises NotFound."""
+        known = {record.name: record for record in self.datasets()}
+        if name not in known:
+            raise unknown("dataset in the database", name, list(known))
+        return known[name]
+
+
+def protocol_from_definition(definition: dict[str, Any]) -> domain.Protocol:
+    """The protocol that was stored as JSON."""
+    return domain.Protocol(**{**definition, "alignment": domain.Alignment(definition["alignment"])})
+
+
+def _dataset(row: Row[Any]) -> DatasetRecord:
+    return DatasetRecord(
+        id=row.id,
+        name=row.name,
+        checksum=row.checksum,
+        duration_s=row.duration_s,
+        folder=row.folder,
+        title=row.title,
+        sensors=tuple(row.sensors),
+        registered_at=row.registered_at,
+    )

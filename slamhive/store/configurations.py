@@ -1,0 +1,143 @@
+"""Configurations: stored once each, found again by content."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import insert, select
+from sqlalchemy.orm import Session
+
+from slamhive.domain import configuration as domain
+from slamhive.domain.parameters import Parameter as Definition
+from slamhive.domain.parameters import ParameterType, Value
+from slamhive.domain.variant import variant_from_json, variant_to_json
+from slamhive.errors import NotFound
+from slamhive.store.models import (
+    TEXT_VALUE_LENGTH,
+    Algorithm,
+    Configuration,
+    ConfigurationValue,
+    Dataset,
+    Parameter,
+)
+from slamhive.store.rows import chunks, get_or_insert
+
+
+class ConfigurationRepository:
+    """Typed parameter values in, the same values and types out."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def get_or_create(
+        self,
+        configuration: domain.Configuration,
+        algorithm_id: int,
+        dataset_id: int,
+        now: datetime,
+        definitions: Sequence[Definition] = (),
+    ) -> tuple[int, bool]:
+        """The id of ``configuration``, and whether it is new. Equal content is one row, also when two try at once.
+
+        Args:
+            configuration: What is run.
+            algorithm_id: Row of ``configuration.algorithm``.
+            dataset_id: Row of ``configuration.dataset``.
+            now: When it was created, if it is new.
+            definitions: The algorithm's parameters; a key without one is filed under its value's own type.
+        """
+        values = {
+            "algorithm_id": algorithm_id,
+            "dataset_id": dataset_id,
+            "playback_mode": configuration.playback.mode,
+            "playback_rate": configuration.playback.rate,
+            "variant": variant_to_json(configuration.variant) or None,
+            "created_at": now,
+        }
+        keys = {"content_hash": configuration.content_hash}
+        configuration_id, created = get_or_insert(self._session, Configuration, keys, values)
+        if created and configuration.parameters:
+            known = self._parameter_ids(algorithm_id, configuration.parameters, definitions)
+            rows = [
+                {"configuration_id": configuration_id, "parameter_id": known[key], **_columns(value)}
+                for key, value in configuration.parameters.items()
+            ]
+            self._session.execute(insert(ConfigurationValue.__table__), rows)
+        return configuration_id, created
+
+    def get(self, configuration_id: int) -> domain.Configuration:
+        """The configuration with this id; raises NotFound."""
+        row = self._session.execute(
+            select(
+                Algorithm.name.label("algorithm"),
+                Dataset.name.label("dataset"),
+                Configuration.playback_mode,
+                Configuration.playback_rate,
+                Configuration.variant,
+            )
+            .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
+            .join(Dataset, Dataset.id == Configuration.dataset_id)
+            .where(Configuration.id == configuration_id)
+        ).one_or_none()
+        if row is None:
+            raise NotFound(f"unknown configuration {configuration_id}")
+        playback = domain.Playback(row.playback_mode, row.playback_rate)
+        parameters = self.parameters_of(configuration_id)
+        variant = variant_from_json(row.variant or ())
+        return domain.Configuration(row.algorithm, row.dataset, parameters, playback, variant)
+
+    def parameters_of(self, configuration_id: int) -> dict[str, Value]:
+        """Every parameter of one configuration with its value, typed as it was stored."""
+        return self.parameters_of_all([configuration_id])[configuration_id]
+
+    def parameters_of_all(self, configuration_ids: Iterable[int]) -> dict[int, dict[str, Value]]:
+        """The same for many configurations, with one query for each few hundred."""
+        wanted = sorted(set(configuration_ids))
+        found: dict[int, dict[str, Value]] = {configuration_id: {} for configuration_id in wanted}
+        for part in chunks(wanted):
+            rows = self._session.execute(
+                select(ConfigurationValue.configuration_id, Parameter.key, ConfigurationValue.value)
+                .join(Parameter, Parameter.id == ConfigurationValue.parameter_id)
+                .where(ConfigurationValue.configuration_id.in_(part))
+                .order_by(ConfigurationValue.configuration_id, ConfigurationValue.parameter_id)
+            )
+            for configuration_id, key, value in rows:
+                found[configuration_id][key] = tuple(value) if isinstance(value, list) else value
+        return found
+
+    def _parameter_ids(
+        self, algorithm_id: int, values: Mapping[str, Value], definitions: Sequence[Definition]
+    ) -> dict[str, int]:
+        """The rows of ``parameters`` for the keys of ``values``; all modes of a package share theirs."""
+        scope = self._session.execute(select(Algorithm.package).where(Algorithm.id == algorithm_id)).scalar_one()
+        rows = self._session.execute(select(Parameter.key, Parameter.id).where(Parameter.scope == scope))
+        known = {row.key: row.id for row in rows}
+        defined = {definition.key: definition for definition in definitions}
+        for key, value in values.items():
+            if key not in known:
+                keys = {"scope": scope, "key": key}
+                known[key], _ = get_or_insert(self._session, Parameter, keys, _description(defined.get(key), value))
+        return {key: known[key] for key in values}
+
+
+def _description(definition: Definition | None, value: Value) -> dict[str, Any]:
+    if definition is not None:
+        return {"type": definition.type.value, "unit": definition.unit, "general": definition.general}
+    types = {bool: ParameterType.BOOL, int: ParameterType.INT, float: ParameterType.FLOAT, str: ParameterType.STRING}
+    return {"type": types.get(type(value), ParameterType.MATRIX).value, "unit": "", "general": None}
+
+
+def _columns(value: Value) -> dict[str, Any]:
+    """The exact value as JSON, which keeps 1, 1.0, true and "1" apart; numbers and text also where searches look."""
+    number: float | None = None
+    text: str | None = None
+    if isinstance(value, str):
+        text = value[:TEXT_VALUE_LENGTH]
+    elif not isinstance(value, tuple):
+        try:
+            number = float(value)
+        except OverflowError:
+            text = str(value)[:TEXT_VALUE_LENGTH]
+    return {"value": value, "number_value": number, "text_value": text}

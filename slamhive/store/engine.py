@@ -1,0 +1,110 @@
+"""An engine from a URL: SQLite (a file) for a workstation, MySQL 8 or MariaDB for a team."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
+from sqlalchemy.exc import ArgumentError
+
+from slamhive.errors import InvalidInput
+
+BUSY_TIMEOUT_S = 5
+CONNECT_TIMEOUT_S = 5
+SOCKET_TIMEOUT_S = 60
+LOCK_WAIT_S = 5
+WRITES = "slamhive_writes"
+"""Execution option of connections that are going to write."""
+
+_EXAMPLES = "use sqlite:////path/slamhive.db or mysql+pymysql://user:password@host/database"
+_MYSQL_SESSION = (
+    "SET SESSION sql_mode='STRICT_ALL_TABLES,NO_ZERO_DATE,NO_ENGINE_SUBSTITUTION', "
+    f"SESSION innodb_lock_wait_timeout={LOCK_WAIT_S}, time_zone='+00:00'"
+)
+
+
+def make_engine(database_url: str) -> Engine:
+    """An engine for ``database_url``; nothing is connected yet.
+
+    Raises InvalidInput for a URL that cannot be used, which includes an SQLite file in a folder that does not exist. No
+    message contains the URL itself: it may hold a password.
+    """
+    url = _checked(database_url)
+    if url.get_backend_name() == "sqlite":
+        return _sqlite(url)
+    return create_engine(
+        url.update_query_dict({"charset": "utf8mb4"}),
+        pool_pre_ping=True,
+        pool_recycle=3600,
+        isolation_level="READ COMMITTED",
+        connect_args={
+            "connect_timeout": CONNECT_TIMEOUT_S,
+            "read_timeout": SOCKET_TIMEOUT_S,
+            "write_timeout": SOCKET_TIMEOUT_S,
+            "init_command": _MYSQL_SESSION,
+        },
+        hide_parameters=True,
+    )
+
+
+def database_label(engine: Engine) -> str:
+    """The database in words, without user or password: ``mysql lab:3306/slamhive``, ``sqlite /data/slamhive.db``."""
+    url = engine.url
+    if url.get_backend_name() == "sqlite":
+        return f"sqlite {url.database}"
+    port = "" if url.port is None else f":{url.port}"
+    return f"mysql {url.host or 'localhost'}{port}/{url.database}"
+
+
+def sqlite_file(url: URL) -> Path:
+    """The file of an SQLite database."""
+    return Path(url.database or "").absolute()
+
+
+def _checked(database_url: str) -> URL:
+    try:
+        url = make_url(database_url)
+    except (ArgumentError, ValueError):
+        raise InvalidInput("DATABASE_URL is not a database URL", _EXAMPLES) from None
+    if url.drivername in {"sqlite", "sqlite+pysqlite"}:
+        if url.database in {None, "", ":memory:"} or url.query.get("mode") == "memory":
+            raise InvalidInput(
+                "DATABASE_URL names an in-memory SQLite database", "web server and worker share a file: " + _EXAMPLES
+            )
+        return url
+    if url.drivername in {"mysql", "mariadb", "mysql+pymysql", "mariadb+pymysql"}:
+        if not url.database:
+            raise InvalidInput("DATABASE_URL names no database on the server", _EXAMPLES)
+        return url.set(drivername="mysql+pymysql")
+    raise InvalidInput(f"DATABASE_URL: {url.drivername!r} is not supported", _EXAMPLES)
+
+
+def _sqlite(url: URL) -> Engine:
+    path = sqlite_file(url)
+    if path.is_dir():
+        raise InvalidInput(f"DATABASE_URL names the folder {path}", f"name a file in it: sqlite:///{path}/slamhive.db")
+    if not path.parent.is_dir():
+        raise InvalidInput(f"the database's folder {path.parent} does not exist", "make it, or correct DATABASE_URL")
+    if "timeout" not in url.query:
+        url = url.update_query_dict({"timeout": str(BUSY_TIMEOUT_S)})
+    engine = create_engine(url, hide_parameters=True)
+    event.listen(engine, "connect", _configure_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _configure_sqlite(connection: Any, _record: Any) -> None:
+    """Readers beside a writer (WAL), foreign keys, and commits that survive a power cut (synchronous FULL).
+
+    A run commits a dozen times in minutes, so the fsync of each costs nothing that a user could notice.
+    """
+    connection.isolation_level = None
+    for statement in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+        connection.execute(f"PRAGMA {statement}")
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    """A writer takes the lock at once: upgrading a read transaction later fails as soon as two try."""
+    writes = connection.get_execution_options().get(WRITES, False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

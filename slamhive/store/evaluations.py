@@ -1,0 +1,203 @@
+"""Evaluations: a little queue of their own. Whatever becomes of one, its run and the others stay as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import ColumnElement, Row, Select, exists, func, insert, or_, select, update
+from sqlalchemy.orm import Session
+
+from slamhive.domain import protocol as domain
+from slamhive.domain.run import RunState
+from slamhive.errors import Conflict, NotFound
+from slamhive.evaluation.job import Artefacts, EvaluationResult
+from slamhive.store.catalogue import CatalogueRepository, protocol_from_definition
+from slamhive.store.metrics import MetricRepository
+from slamhive.store.models import Evaluation, Protocol, Run
+from slamhive.store.records import EvaluationRecord, EvaluationState, LeaseLost
+from slamhive.store.rows import changed, chunks, cut, get_or_insert, lease
+
+REASON_LENGTH = 10_000
+_TABLE = Evaluation.__table__
+_OPEN = (EvaluationState.QUEUED, EvaluationState.RUNNING)
+
+
+class EvaluationRepository:
+    """History is kept: evaluating again adds a row. At most one of a run and protocol waits or works at a time."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def queue(
+        self, run_ids: Iterable[int], protocol: domain.Protocol, now: datetime, artefacts: Artefacts = Artefacts.FILES
+    ) -> list[int]:
+        """Queue an evaluation for each run; their ids in order. One that waits or works already is not doubled.
+
+        Raises NotFound for an unknown run and Conflict for one that did not succeed.
+        """
+        wanted = list(run_ids)
+        self._check_succeeded(wanted)
+        protocol_id = CatalogueRepository(self._session).put_protocol(protocol)
+        values = {"state": EvaluationState.QUEUED, "artefacts": artefacts, "created_at": now, "attempt": 0}
+        keys = {"protocol_id": protocol_id, "open": 1}
+        return [get_or_insert(self._session, Evaluation, {"run_id": run_id, **keys}, values)[0] for run_id in wanted]
+
+    def claim(
+        self, owner: str, now: datetime, lease_s: float, limit: int = 100, runs: Collection[int] | None = None
+    ) -> list[EvaluationRecord]:
+        """Take up to ``limit`` evaluations, oldest first: queued ones, and those whose worker went silent.
+
+        ``runs`` restricts the choice to evaluations of these runs.
+        """
+        free = or_(
+            _TABLE.c.state == EvaluationState.QUEUED,
+            (_TABLE.c.state == EvaluationState.RUNNING)
+            & (_TABLE.c.lease_owner.is_(None) | (_TABLE.c.lease_expires_at < now)),
+        )
+        if runs is not None:
+            free &= _TABLE.c.run_id.in_(sorted(runs))
+        candidates = self._session.execute(select(_TABLE.c.id).where(free).order_by(_TABLE.c.id).limit(limit)).scalars()
+        values = {
+            "state": EvaluationState.RUNNING,
+            "started_at": now,
+            "attempt": _TABLE.c.attempt + 1,
+            **lease(owner, now, lease_s),
+        }
+        taken = [
+            evaluation_id
+            for evaluation_id in candidates.all()
+            if changed(self._session, update(_TABLE).where(_TABLE.c.id == evaluation_id, free).values(values)) == 1
+        ]
+        return self._records(_TABLE.c.id.in_(taken))
+
+    def heartbeat(self, evaluation_ids: Iterable[int], owner: str, now: datetime, lease_s: float) -> set[int]:
+        """Extend the leases; the evaluations that ``owner`` still holds."""
+        held = [_TABLE.c.id.in_(list(evaluation_ids)), _TABLE.c.lease_owner == owner]
+        self._session.execute(update(_TABLE).where(*held).values(lease(owner, now, lease_s)))
+        return set(self._session.execute(select(_TABLE.c.id).where(*held)).scalars())
+
+    def release(self, evaluation_ids: Iterable[int], owner: str) -> None:
+        """Put evaluations back into the queue."""
+        held = [_TABLE.c.id.in_(list(evaluation_ids)), _TABLE.c.lease_owner == owner]
+        values = {"state": EvaluationState.QUEUED, "lease_owner": None, "lease_expires_at": None}
+        self._session.execute(update(_TABLE).where(*held).values(values))
+
+    def owners(self) -> set[str]:
+        """Everyone who holds an evaluation."""
+        held = select(_TABLE.c.lease_owner).where(_TABLE.c.lease_owner.is_not(None)).distinct()
+        return {str(owner) for owner in self._session.execute(held).scalars()}
+
+    def release_all(self, owner: str) -> None:
+        """Put back what ``owner``, known to be dead, still holds."""
+        values = {"state": EvaluationState.QUEUED, "lease_owner": None, "lease_expires_at": None}
+        held = [_TABLE.c.lease_owner == owner, _TABLE.c.state == EvaluationState.RUNNING]
+        self._session.execute(update(_TABLE).where(*held).values(values))
+
+    def finish(self, evaluation_id: int, owner: str, result: EvaluationResult, now: datetime) -> None:
+        """File what came out. Success stores the figures and makes the protocol the run's current one.
+
+        The same call again is fine. Raises LeaseLost if another worker holds the evaluation by now.
+        """
+        row = self._session.execute(select(_TABLE).where(_TABLE.c.id == evaluation_id)).one_or_none()
+        if row is None:
+            raise NotFound(f"unknown evaluation {evaluation_id}")
+        if row.ended_at == now and row.open is None:
+            return
+        held = [_TABLE.c.id == evaluation_id, _TABLE.c.state == EvaluationState.RUNNING, _TABLE.c.lease_owner == owner]
+        if changed(self._session, update(_TABLE).where(*held).values(_ending(result, now))) != 1:
+            raise LeaseLost(f"evaluation {evaluation_id} is {row.state}, held by {row.lease_owner or 'nobody'}")
+        if result.succeeded:
+            self._store_figures(row.run_id, row.protocol_id, result)
+
+    def record(
+        self, run_id: int, protocol: domain.Protocol, result: EvaluationResult, at: datetime, artefacts: Artefacts
+    ) -> None:
+        """File an evaluation that was found in a run folder (reindex); once, however often it is called."""
+        protocol_id = CatalogueRepository(self._session).put_protocol(protocol)
+        ending = _ending(result, at)
+        same = select(_TABLE.c.id).where(
+            _TABLE.c.run_id == run_id, _TABLE.c.protocol_id == protocol_id, _TABLE.c.state == ending["state"]
+        )
+        if self._session.execute(same.limit(1)).first() is None:
+            row = {"run_id": run_id, "protocol_id": protocol_id, "artefacts": artefacts, "created_at": at, "attempt": 1}
+            self._session.execute(insert(_TABLE).values(**row, **ending))
+        if result.succeeded:
+            self._store_figures(run_id, protocol_id, result)
+
+    def unevaluated_run_ids(self) -> list[int]:
+        """Succeeded runs without a successful, waiting or working evaluation, oldest first."""
+        settled = exists().where(_TABLE.c.run_id == Run.id, _TABLE.c.state.in_((*_OPEN, EvaluationState.SUCCEEDED)))
+        query = select(Run.id).where(Run.state == RunState.SUCCEEDED, ~settled).order_by(Run.id)
+        return list(self._session.execute(query).scalars())
+
+    def counts_by_state(self) -> dict[EvaluationState, int]:
+        """How many evaluations are in each state; every state is there."""
+        states = self._session.execute(select(_TABLE.c.state, func.count()).group_by(_TABLE.c.state)).all()
+        found = {row[0]: row[1] for row in states}
+        return {state: found.get(state, 0) for state in EvaluationState}
+
+    def get(self, evaluation_id: int) -> EvaluationRecord:
+        """The evaluation with this id; raises NotFound."""
+        records = self._records(_TABLE.c.id == evaluation_id)
+        if not records:
+            raise NotFound(f"unknown evaluation {evaluation_id}")
+        return records[0]
+
+    def for_run(self, run_id: int) -> list[EvaluationRecord]:
+        """All evaluations of one run, oldest first."""
+        return self._records(_TABLE.c.run_id == run_id)
+
+    def _store_figures(self, run_id: int, protocol_id: int, result: EvaluationResult) -> None:
+        MetricRepository(self._session).replace(run_id, result.fingerprint, result.metrics)
+        current = update(Run.__table__).where(Run.__table__.c.id == run_id).values(current_protocol_id=protocol_id)
+        self._session.execute(current)
+
+    def _check_succeeded(self, run_ids: list[int]) -> None:
+        states: dict[int, RunState] = {}
+        for part in chunks(run_ids):
+            rows = self._session.execute(select(Run.id, Run.state).where(Run.id.in_(part)))
+            states.update((row.id, row.state) for row in rows)
+        for run_id in run_ids:
+            if run_id not in states:
+                raise NotFound(f"unknown run {run_id}", "slamhive runs lists them")
+            if states[run_id] is not RunState.SUCCEEDED:
+                raise Conflict(f"run {run_id} is {states[run_id]}", "only a run that succeeded can be evaluated")
+
+    def _records(self, condition: ColumnElement[bool]) -> list[EvaluationRecord]:
+        rows = self._session.execute(_query().where(condition).order_by(_TABLE.c.id)).all()
+        return [_record(row) for row in rows]
+
+
+def _query() -> Select[Any]:
+    return select(_TABLE, Protocol.definition).join(Protocol, Protocol.id == _TABLE.c.protocol_id)
+
+
+def _record(row: Row[Any]) -> EvaluationRecord:
+    return EvaluationRecord(
+        id=row.id,
+        run_id=row.run_id,
+        protocol=protocol_from_definition(row.definition),
+        state=row.state,
+        reason=row.reason,
+        artefacts=row.artefacts,
+        engine=row.engine,
+        created_at=row.created_at,
+        started_at=row.started_at,
+        ended_at=row.ended_at,
+        attempt=row.attempt,
+        lease_owner=row.lease_owner,
+    )
+
+
+def _ending(result: EvaluationResult, now: datetime) -> dict[str, Any]:
+    return {
+        "state": EvaluationState.SUCCEEDED if result.succeeded else EvaluationState.FAILED,
+        "open": None,
+        "reason": cut(result.reason, REASON_LENGTH),
+        "engine": cut(result.engine, 190),
+        "ended_at": now,
+        "lease_owner": None,
+        "lease_expires_at": None,
+    }

@@ -1,0 +1,122 @@
+"""Figures of runs, each filed under the protocol it was taken with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from sqlalchemy import delete, insert, or_, select
+from sqlalchemy.orm import Session
+
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.store.models import MEASURED_PROTOCOL_ID, Metric, MetricValue, Protocol, Run
+from slamhive.store.records import UsageSummary
+from slamhive.store.rows import chunks, get_or_insert
+
+
+class MetricRepository:
+    """A new metric needs no migration: its key gets a row of its own when it is first stored."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def put(self, run_id: int, fingerprint: str | None, values: Mapping[str, float]) -> None:
+        """Store figures of a run, replacing those of the same keys.
+
+        Args:
+            run_id: The run.
+            fingerprint: Of the protocol the figures were taken with; None for measured ones (CPU, memory, poses).
+            values: {metric key: value}; a figure that is missing is left out, NaN and infinity raise InvalidInput.
+        """
+        self._write(run_id, self._protocol_id(fingerprint), values, replace_all=False)
+
+    def replace(self, run_id: int, fingerprint: str | None, values: Mapping[str, float]) -> None:
+        """The same, and figures of this run and protocol that ``values`` does not name are removed."""
+        self._write(run_id, self._protocol_id(fingerprint), values, replace_all=True)
+
+    def for_runs(self, run_ids: Iterable[int]) -> dict[int, dict[str, float]]:
+        """{run: {metric key: value}}: measured figures, and those of each run's current protocol.
+
+        One query for each few hundred runs.
+        """
+        wanted = sorted(set(run_ids))
+        found: dict[int, dict[str, float]] = {run_id: {} for run_id in wanted}
+        for part in chunks(wanted):
+            rows = self._session.execute(
+                select(MetricValue.run_id, Metric.key, MetricValue.value)
+                .join(Metric, Metric.id == MetricValue.metric_id)
+                .join(Run, Run.id == MetricValue.run_id)
+                .where(
+                    MetricValue.run_id.in_(part),
+                    or_(
+                        MetricValue.protocol_id == MEASURED_PROTOCOL_ID,
+                        MetricValue.protocol_id == Run.current_protocol_id,
+                    ),
+                )
+                .order_by(MetricValue.run_id, MetricValue.metric_id)
+            )
+            for run_id, key, value in rows:
+                found[run_id][key] = value
+        return found
+
+    def by_protocol(self, run_id: int) -> dict[str | None, dict[str, float]]:
+        """All figures of one run: {protocol fingerprint, None for measured: {metric key: value}}."""
+        rows = self._session.execute(
+            select(Protocol.id, Protocol.fingerprint, Metric.key, MetricValue.value)
+            .join(Protocol, Protocol.id == MetricValue.protocol_id)
+            .join(Metric, Metric.id == MetricValue.metric_id)
+            .where(MetricValue.run_id == run_id)
+            .order_by(Protocol.id, MetricValue.metric_id)
+        )
+        found: dict[str | None, dict[str, float]] = {}
+        for protocol_id, fingerprint, key, value in rows:
+            found.setdefault(None if protocol_id == MEASURED_PROTOCOL_ID else fingerprint, {})[key] = value
+        return found
+
+    def usage_summary(self, run_id: int) -> UsageSummary:
+        """CPU and memory of one run."""
+        measured = self.by_protocol(run_id).get(None, {})
+        return UsageSummary(
+            cpu_mean_cores=measured.get("cpu.mean"),
+            cpu_p95_cores=measured.get("cpu.p95"),
+            cpu_max_cores=measured.get("cpu.max"),
+            cpu_player_mean_cores=measured.get("cpu.player_mean"),
+            ram_mean_bytes=measured.get("ram.mean"),
+            ram_max_bytes=measured.get("ram.max"),
+        )
+
+    def _protocol_id(self, fingerprint: str | None) -> int:
+        if fingerprint is None:
+            return MEASURED_PROTOCOL_ID
+        lookup = select(Protocol.id).where(Protocol.fingerprint == fingerprint)
+        found = self._session.execute(lookup).scalar_one_or_none()
+        if found is None:
+            raise NotFound(f"unknown protocol {fingerprint!r}", "store it with catalogue.put_protocol first")
+        return found
+
+    def _metric_ids(self, keys: Iterable[str]) -> dict[str, int]:
+        wanted = list(keys)
+        rows = self._session.execute(select(Metric.key, Metric.id).where(Metric.key.in_(wanted)))
+        known = {row.key: row.id for row in rows}
+        for key in wanted:
+            if key not in known:
+                known[key], _ = get_or_insert(self._session, Metric, {"key": key}, {})
+        return known
+
+    def _write(self, run_id: int, protocol_id: int, values: Mapping[str, float], *, replace_all: bool) -> None:
+        for key, value in values.items():
+            if not math.isfinite(value):
+                raise InvalidInput(f"metric {key} of run {run_id} is {value}", "leave out a figure that is missing")
+        metric_ids = self._metric_ids(values)
+        outdated = delete(MetricValue.__table__).where(
+            MetricValue.run_id == run_id, MetricValue.protocol_id == protocol_id
+        )
+        if not replace_all:
+            outdated = outdated.where(MetricValue.metric_id.in_(list(metric_ids.values())))
+        self._session.execute(outdated)
+        rows = [
+            {"run_id": run_id, "metric_id": metric_ids[key], "protocol_id": protocol_id, "value": float(value)}
+            for key, value in values.items()
+        ]
+        if rows:
+            self._session.execute(insert(MetricValue.__table__), rows)

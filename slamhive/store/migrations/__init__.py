@@ -1,0 +1,1 @@
+"""Alembic's scripts. :mod:`slamhive.store.migrate` runs them; nothing else imports them."""

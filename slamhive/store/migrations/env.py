@@ -1,0 +1,15 @@
+"""What Alembic runs around the migrations: on the connection that :mod:`slamhive.store.migrate` gives it."""
+
+from __future__ import annotations
+
+from alembic import context
+
+from slamhive.store.models import Base
+
+context.configure(
+    connection=context.config.attributes["connection"],
+    target_metadata=Base.metadata,
+    render_as_batch=True,
+)
+with context.begin_transaction():
+    context.run_migrations()

@@ -1,0 +1,246 @@
+"""The tables. Nothing outside the store sees these classes; :mod:`slamhive.store.records` is what comes out."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, ClassVar
+
+from sqlalchemy import BigInteger, ForeignKey, Index, MetaData, SmallInteger, String, Table, UniqueConstraint
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.evaluation.job import Artefacts
+from slamhive.store.records import EvaluationState
+from slamhive.store.types import JsonText, LongText, Number, UtcDateTime, enum_column
+
+MEASURED_PROTOCOL_ID = 1
+"""The row of ``protocols`` that figures without a protocol (CPU, memory, poses) are filed under."""
+
+TABLE_OPTIONS = {"mysql_engine": "InnoDB", "mysql_charset": "utf8mb4", "mysql_collate": "utf8mb4_bin"}
+"""Binary collation: ``nFeatures`` and ``nfeatures`` are two names on SQLite, so they are on MySQL."""
+
+NAME_LENGTH = 64
+TEXT_VALUE_LENGTH = 190
+WHY_LENGTH = 500
+
+
+class Base(DeclarativeBase):
+    """Common naming rules: every constraint has a name, so that a migration can drop it."""
+
+    metadata = MetaData(
+        naming_convention={
+            "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+            "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+            "fk": "fk_%(table_name)s_%(column_0_name)s",
+            "pk": "pk_%(table_name)s",
+        }
+    )
+    type_annotation_map: ClassVar[dict[Any, Any]] = {
+        datetime: UtcDateTime(),
+        float: Number,
+        **{kind: enum_column(kind) for kind in (RunState, FailureReason, PlaybackMode, Artefacts, EvaluationState)},
+    }
+    __table__: ClassVar[Table]
+    __table_args__: Any = TABLE_OPTIONS
+
+
+class Algorithm(Base):
+    """One mode of one package."""
+
+    __tablename__ = "algorithms"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(NAME_LENGTH), unique=True)
+    package: Mapped[str] = mapped_column(String(NAME_LENGTH))
+    mode: Mapped[str] = mapped_column(String(NAME_LENGTH))
+
+
+class AlgorithmVersion(Base):
+    """What exactly ran: the image digest (or environment hash) and the hash of the package folder."""
+
+    __tablename__ = "algorithm_versions"
+    __table_args__ = (UniqueConstraint("algorithm_id", "identity", "package_hash"), TABLE_OPTIONS)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    algorithm_id: Mapped[int] = mapped_column(ForeignKey("algorithms.id"))
+    identity: Mapped[str] = mapped_column(String(190))
+    package_hash: Mapped[str] = mapped_column(String(80))
+    version: Mapped[str] = mapped_column(String(190))
+    created_at: Mapped[datetime]
+
+
+class Dataset(Base):
+    """A registered dataset."""
+
+    __tablename__ = "datasets"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(NAME_LENGTH), unique=True)
+    checksum: Mapped[str] = mapped_column(String(80))
+    duration_s: Mapped[float]
+    folder: Mapped[str] = mapped_column(String(1024))
+    sensors: Mapped[Any] = mapped_column(JsonText)
+    title: Mapped[str] = mapped_column(String(255))
+    registered_at: Mapped[datetime]
+
+
+class Parameter(Base):
+    """A parameter of a package (``scope``), under its own key and the name shared across packages (``general``)."""
+
+    __tablename__ = "parameters"
+    __table_args__ = (UniqueConstraint("scope", "key"), TABLE_OPTIONS)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    scope: Mapped[str] = mapped_column(String(NAME_LENGTH))
+    key: Mapped[str] = mapped_column(String(190))
+    type: Mapped[str] = mapped_column(String(16))
+    unit: Mapped[str] = mapped_column(String(32))
+    general: Mapped[str | None] = mapped_column(String(NAME_LENGTH), index=True)
+
+
+class Configuration(Base):
+    """What is run; equal content is one row. ``variant`` is NULL where the dataset is used as it is."""
+
+    __tablename__ = "configurations"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    content_hash: Mapped[str] = mapped_column(String(64), unique=True)
+    algorithm_id: Mapped[int] = mapped_column(ForeignKey("algorithms.id"), index=True)
+    dataset_id: Mapped[int] = mapped_column(ForeignKey("datasets.id"), index=True)
+    playback_mode: Mapped[PlaybackMode]
+    playback_rate: Mapped[float]
+    variant: Mapped[Any | None] = mapped_column(JsonText)
+    created_at: Mapped[datetime]
+
+
+class ConfigurationValue(Base):
+    """One parameter's value: exactly (``value``), and in the two columns that searches go through."""
+
+    __tablename__ = "configuration_values"
+    __table_args__ = (
+        Index("ix_configuration_values_number", "parameter_id", "number_value", "configuration_id"),
+        Index("ix_configuration_values_text", "parameter_id", "text_value", "configuration_id"),
+        {**TABLE_OPTIONS, "sqlite_with_rowid": False},
+    )
+    configuration_id: Mapped[int] = mapped_column(ForeignKey("configurations.id"), primary_key=True)
+    parameter_id: Mapped[int] = mapped_column(ForeignKey("parameters.id"), primary_key=True)
+    value: Mapped[Any] = mapped_column(JsonText)
+    number_value: Mapped[float | None]
+    text_value: Mapped[str | None] = mapped_column(String(TEXT_VALUE_LENGTH))
+
+
+class Host(Base):
+    """A machine that runs were measured on."""
+
+    __tablename__ = "hosts"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    fingerprint: Mapped[str] = mapped_column(String(64), unique=True)
+    cpu_model: Mapped[str] = mapped_column(String(190))
+    cpu_count: Mapped[int]
+    memory_bytes: Mapped[int] = mapped_column(BigInteger)
+    kernel: Mapped[str] = mapped_column(String(190))
+    os: Mapped[str] = mapped_column(String(190))
+
+
+class Protocol(Base):
+    """An evaluation protocol, and the one row that measured figures are filed under."""
+
+    __tablename__ = "protocols"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    fingerprint: Mapped[str] = mapped_column(String(32), unique=True)
+    label: Mapped[str] = mapped_column(String(255))
+    definition: Mapped[Any] = mapped_column(JsonText)
+
+
+class Run(Base):
+    """A run: request, place in the queue, and outcome. Ids are never used twice, folders are named after them."""
+
+    __tablename__ = "runs"
+    __table_args__ = (
+        Index("ix_runs_queue", "state", "priority", "id"),
+        {**TABLE_OPTIONS, "sqlite_autoincrement": True},
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    uid: Mapped[str] = mapped_column(String(32), unique=True)
+    configuration_id: Mapped[int] = mapped_column(ForeignKey("configurations.id"), index=True)
+    algorithm_version_id: Mapped[int | None] = mapped_column(ForeignKey("algorithm_versions.id"))
+    host_id: Mapped[int | None] = mapped_column(ForeignKey("hosts.id"))
+    dataset_checksum: Mapped[str | None] = mapped_column(String(80))
+    executor: Mapped[str] = mapped_column(String(32))
+    state: Mapped[RunState]
+    reason: Mapped[FailureReason | None]
+    detail: Mapped[str | None] = mapped_column(LongText)
+    seed: Mapped[int] = mapped_column(BigInteger)
+    priority: Mapped[int]
+    evaluate: Mapped[bool]
+    created_at: Mapped[datetime] = mapped_column(index=True)
+    started_at: Mapped[datetime | None]
+    ended_at: Mapped[datetime | None]
+    exit_code: Mapped[int | None]
+    poses: Mapped[int | None]
+    cpu_cores: Mapped[float | None]
+    memory_mb: Mapped[int | None]
+    timeout_s: Mapped[float | None]
+    attempt: Mapped[int]
+    lease_owner: Mapped[str | None] = mapped_column(String(190))
+    lease_expires_at: Mapped[datetime | None]
+    handle: Mapped[Any | None] = mapped_column(JsonText)
+    cancel_requested: Mapped[bool]
+    retry_of: Mapped[int | None] = mapped_column(ForeignKey("runs.id"))
+    protocol_override: Mapped[Any | None] = mapped_column(JsonText)
+    current_protocol_id: Mapped[int | None] = mapped_column(ForeignKey("protocols.id"))
+
+
+class RunEvent(Base):
+    """One move of a run."""
+
+    __tablename__ = "run_events"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), index=True)
+    at: Mapped[datetime]
+    from_state: Mapped[RunState | None]
+    to_state: Mapped[RunState]
+    why: Mapped[str] = mapped_column(String(WHY_LENGTH))
+
+
+class Evaluation(Base):
+    """One evaluation of one run. ``open`` is 1 while it waits or works and NULL after: at most one is open."""
+
+    __tablename__ = "evaluations"
+    __table_args__ = (
+        UniqueConstraint("run_id", "protocol_id", "open"),
+        Index("ix_evaluations_queue", "state", "id"),
+        TABLE_OPTIONS,
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"))
+    protocol_id: Mapped[int] = mapped_column(ForeignKey("protocols.id"))
+    open: Mapped[int | None] = mapped_column(SmallInteger)
+    state: Mapped[EvaluationState]
+    reason: Mapped[str | None] = mapped_column(LongText)
+    artefacts: Mapped[Artefacts]
+    engine: Mapped[str | None] = mapped_column(String(190))
+    created_at: Mapped[datetime]
+    started_at: Mapped[datetime | None]
+    ended_at: Mapped[datetime | None]
+    attempt: Mapped[int]
+    lease_owner: Mapped[str | None] = mapped_column(String(190))
+    lease_expires_at: Mapped[datetime | None]
+
+
+class Metric(Base):
+    """A metric key and its number; rows appear when a metric is first stored."""
+
+    __tablename__ = "metrics"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    key: Mapped[str] = mapped_column(String(NAME_LENGTH), unique=True)
+
+
+class MetricValue(Base):
+    """One figure of one run under one protocol. The second key serves "runs with metric between a and b"."""
+
+    __tablename__ = "metric_values"
+    __table_args__ = (
+        Index("ix_metric_values_search", "metric_id", "protocol_id", "value", "run_id"),
+        {**TABLE_OPTIONS, "sqlite_with_rowid": False},
+    )
+    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), primary_key=True)
+    metric_id: Mapped[int] = mapped_column(ForeignKey("metrics.id"), primary_key=True)
+    protocol_id: Mapped[int] = mapped_column(ForeignKey("protocols.id"), primary_key=True)
+    value: Mapped[float]

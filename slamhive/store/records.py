@@ -1,0 +1,253 @@
+"""What goes into the store and what comes out: frozen values, never rows."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from enum import StrEnum
+from typing import Any, TypedDict
+
+from slamhive.domain.configuration import Playback
+from slamhive.domain.parameters import Value
+from slamhive.domain.protocol import Protocol
+from slamhive.domain.run import FailureReason, RunEvent, RunState
+from slamhive.domain.variant import Variant
+from slamhive.errors import Conflict
+from slamhive.evaluation.job import Artefacts
+
+
+class LeaseLost(Conflict):
+    """Another worker holds what this one thought it held; let go of it and carry on with the next."""
+
+
+class EvaluationState(StrEnum):
+    """Where an evaluation is in its life. It never changes the state of its run."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Host:
+    """The machine a run was measured on; figures of different machines are told apart by ``fingerprint``."""
+
+    cpu_model: str
+    cpu_count: int
+    memory_bytes: int
+    kernel: str
+    os: str
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 over the content, in hex."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class AlgorithmVersion:
+    """What exactly ran. ``identity`` is the image digest, or the environment's hash for the process executor."""
+
+    identity: str
+    package_hash: str
+    version: str
+
+
+@dataclass(frozen=True, slots=True)
+class AlgorithmRecord:
+    """An algorithm that runs are stored for; it may have left the ``algorithms/`` folder since."""
+
+    id: int
+    name: str
+    package: str
+    mode: str
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetRecord:
+    """A dataset that runs are stored for."""
+
+    id: int
+    name: str
+    checksum: str
+    duration_s: float
+    folder: str
+    title: str
+    sensors: tuple[dict[str, Any], ...]
+    registered_at: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """A run to queue. ``uid`` (32 hex digits, made by the caller) identifies it across installations.
+
+    ``cpu_cores``, ``memory_mb``, ``timeout_s``: limits asked for, None for the installation's. ``priority``: higher
+    goes first. ``evaluate``: evaluate as soon as it has succeeded, under ``protocol`` or the sensor's default.
+    """
+
+    uid: str
+    configuration_id: int
+    executor: str
+    seed: int = 0
+    priority: int = 0
+    evaluate: bool = False
+    cpu_cores: float | None = None
+    memory_mb: int | None = None
+    timeout_s: float | None = None
+    retry_of: int | None = None
+    protocol: Protocol | None = None
+
+
+class RunFields(TypedDict, total=False):
+    """What may be written together with a move, or by ``update``. A name left out is left as it is."""
+
+    reason: FailureReason | None
+    detail: str | None
+    started_at: datetime | None
+    ended_at: datetime | None
+    exit_code: int | None
+    poses: int | None
+    handle: dict[str, Any] | None
+    algorithm_version_id: int | None
+    host_id: int | None
+    dataset_checksum: str | None
+    cpu_cores: float | None
+    memory_mb: int | None
+    timeout_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ProtocolLabel:
+    """Which protocol a run's current figures were taken under."""
+
+    fingerprint: str
+    label: str
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """A run with everything that lists and pages show of it.
+
+    ``attempt`` counts the times a worker took the run. ``protocol_override`` is what the user asked for,
+    ``protocol`` what the latest successful evaluation used. ``metrics`` holds the measured figures and those of
+    ``protocol``, {metric key: value}; None if they were not asked for. ``host`` and ``version`` are known once the
+    run has started.
+    """
+
+    id: int
+    uid: str
+    algorithm: str
+    package: str
+    dataset: str
+    configuration_id: int
+    parameters: dict[str, Value]
+    playback: Playback
+    variant: Variant
+    executor: str
+    state: RunState
+    reason: FailureReason | None
+    detail: str | None
+    seed: int
+    priority: int
+    evaluate: bool
+    created_at: datetime
+    started_at: datetime | None
+    ended_at: datetime | None
+    exit_code: int | None
+    poses: int | None
+    cpu_cores: float | None
+    memory_mb: int | None
+    timeout_s: float | None
+    attempt: int
+    lease_owner: str | None
+    lease_expires_at: datetime | None
+    handle: dict[str, Any] | None
+    cancel_requested: bool
+    retry_of: int | None
+    dataset_checksum: str | None
+    protocol_override: Protocol | None
+    protocol: ProtocolLabel | None
+    version: AlgorithmVersion | None
+    host: Host | None
+    metrics: dict[str, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RunSnapshot:
+    """A run as its sealed folder tells it, to rebuild the row under the same ``id``."""
+
+    id: int
+    request: RunRequest
+    state: RunState
+    created_at: datetime
+    fields: RunFields = field(default_factory=RunFields)
+    attempt: int = 1
+    events: tuple[RunEvent, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RunFilter:
+    """Which runs to list; an empty tuple or None does not restrict."""
+
+    states: tuple[RunState, ...] = ()
+    reasons: tuple[FailureReason, ...] = ()
+    algorithms: tuple[str, ...] = ()
+    datasets: tuple[str, ...] = ()
+    executors: tuple[str, ...] = ()
+    configuration_id: int | None = None
+    created_after: datetime | None = None
+    created_before: datetime | None = None
+    evaluated: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RunSort:
+    """The order of a list: a column of :data:`slamhive.store.run_listing.SORT_COLUMNS` or a metric key.
+
+    Runs without a value come last in both directions; equal values are ordered by id.
+    """
+
+    key: str = "id"
+    descending: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """One page of a list. ``total`` counts all that match; ``next_key`` asks for the page after, None at the end."""
+
+    records: tuple[RunRecord, ...]
+    total: int
+    next_key: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationRecord:
+    """One evaluation of one run. ``engine`` names what computed the figures; ``reason`` is why it failed."""
+
+    id: int
+    run_id: int
+    protocol: Protocol
+    state: EvaluationState
+    reason: str | None
+    artefacts: Artefacts
+    engine: str | None
+    created_at: datetime
+    started_at: datetime | None
+    ended_at: datetime | None
+    attempt: int
+    lease_owner: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class UsageSummary:
+    """CPU (cores) and memory (bytes) of a run; None where it was not measured."""
+
+    cpu_mean_cores: float | None
+    cpu_p95_cores: float | None
+    cpu_max_cores: float | None
+    cpu_player_mean_cores: float | None
+    ram_mean_bytes: float | None
+    ram_max_bytes: float | None

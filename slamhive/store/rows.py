@@ -1,0 +1,60 @@
+"""Small helpers that all repositories share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime, timedelta
+from typing import Any, TypeVar, cast
+
+from sqlalchemy import CursorResult, Executable, insert, select
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
+
+from slamhive.store.models import Base
+
+T = TypeVar("T")
+CHUNK = 500
+
+
+def chunks(values: Sequence[T], size: int = CHUNK) -> Iterator[Sequence[T]]:
+    """``values`` in pieces that a statement can name one by one."""
+    for start in range(0, len(values), size):
+        yield values[start : start + size]
+
+
+def changed(session: Session, statement: Executable) -> int:
+    """Execute an UPDATE or DELETE; how many rows it matched."""
+    return cast("CursorResult[Any]", session.execute(statement)).rowcount
+
+
+def get_or_insert(
+    session: Session, table: type[Base], keys: Mapping[str, Any], values: Mapping[str, Any]
+) -> tuple[int, bool]:
+    """The id of the row with ``keys``, inserted with ``values`` if there is none; and whether it was inserted.
+
+    Safe against another transaction that inserts the same at the same time: the unique key decides, the loser of
+    the race reads what the winner wrote. No savepoint is needed, a violated key undoes the statement only; and one
+    would hide a full disk or a deadlock, after which the databases have undone the transaction with its savepoints.
+    """
+    columns = table.__table__.columns
+    lookup = select(columns["id"]).where(*(columns[key] == value for key, value in keys.items()))
+    found = session.execute(lookup).scalar_one_or_none()
+    if found is not None:
+        return int(found), False
+    try:
+        result = cast("CursorResult[Any]", session.execute(insert(table.__table__).values({**keys, **values})))
+    except IntegrityError:
+        return int(session.execute(lookup).scalar_one()), False
+    return int((result.inserted_primary_key or [None])[0]), True
+
+
+def lease(owner: str, now: datetime, lease_s: float) -> dict[str, Any]:
+    """The columns of a lease that ends ``lease_s`` seconds after ``now``."""
+    return {"lease_owner": owner, "lease_expires_at": now + timedelta(seconds=lease_s)}
+
+
+def cut(text: str | None, length: int) -> str | None:
+    """``text``, shortened to ``length`` characters if it is longer, with a mark that says so."""
+    if text is None or len(text) <= length:
+        return text
+    return text[: length - 1] + "…"

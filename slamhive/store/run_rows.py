@@ -1,0 +1,108 @@
+"""From rows to :class:`RunRecord`: one joined query for the runs, one for parameters, one for figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import Row, Select, select
+from sqlalchemy.orm import Session
+
+from slamhive.domain.configuration import Playback
+from slamhive.domain.parameters import Value
+from slamhive.domain.variant import variant_from_json
+from slamhive.store.catalogue import protocol_from_definition
+from slamhive.store.configurations import ConfigurationRepository
+from slamhive.store.metrics import MetricRepository
+from slamhive.store.models import Algorithm, AlgorithmVersion, Configuration, Dataset, Host, Protocol, Run
+from slamhive.store.records import AlgorithmVersion as VersionRecord
+from slamhive.store.records import Host as HostRecord
+from slamhive.store.records import ProtocolLabel, RunRecord
+
+_PLAIN_COLUMNS = (
+    "id",
+    "uid",
+    "configuration_id",
+    "executor",
+    "state",
+    "reason",
+    "detail",
+    "seed",
+    "priority",
+    "evaluate",
+    "created_at",
+    "started_at",
+    "ended_at",
+    "exit_code",
+    "poses",
+    "cpu_cores",
+    "memory_mb",
+    "timeout_s",
+    "attempt",
+    "lease_owner",
+    "lease_expires_at",
+    "handle",
+    "cancel_requested",
+    "retry_of",
+    "dataset_checksum",
+)
+
+
+def run_query() -> Select[Any]:
+    """All columns that a record needs, joined; conditions and order are added by the caller."""
+    return (
+        select(
+            Run.__table__,
+            Algorithm.name.label("algorithm"),
+            Algorithm.package.label("package"),
+            Dataset.name.label("dataset"),
+            Configuration.playback_mode,
+            Configuration.playback_rate,
+            Configuration.variant,
+            Protocol.fingerprint.label("protocol_fingerprint"),
+            Protocol.label.label("protocol_label"),
+            AlgorithmVersion.identity,
+            AlgorithmVersion.package_hash,
+            AlgorithmVersion.version,
+            Host.cpu_model,
+            Host.cpu_count,
+            Host.memory_bytes,
+            Host.kernel,
+            Host.os,
+        )
+        .join(Configuration, Configuration.id == Run.configuration_id)
+        .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
+        .join(Dataset, Dataset.id == Configuration.dataset_id)
+        .outerjoin(Protocol, Protocol.id == Run.current_protocol_id)
+        .outerjoin(AlgorithmVersion, AlgorithmVersion.id == Run.algorithm_version_id)
+        .outerjoin(Host, Host.id == Run.host_id)
+    )
+
+
+def to_records(session: Session, rows: Sequence[Row[Any]], *, with_metrics: bool = False) -> tuple[RunRecord, ...]:
+    """The rows of :func:`run_query` as records, in the same order."""
+    parameters = ConfigurationRepository(session).parameters_of_all(row.configuration_id for row in rows)
+    metrics = MetricRepository(session).for_runs(row.id for row in rows) if with_metrics else None
+    return tuple(
+        _record(row, parameters[row.configuration_id], None if metrics is None else metrics[row.id]) for row in rows
+    )
+
+
+def _record(row: Row[Any], parameters: dict[str, Value], metrics: dict[str, float] | None) -> RunRecord:
+    override, fingerprint = row.protocol_override, row.protocol_fingerprint
+    return RunRecord(
+        **{name: getattr(row, name) for name in _PLAIN_COLUMNS},
+        algorithm=row.algorithm,
+        package=row.package,
+        dataset=row.dataset,
+        parameters=parameters,
+        playback=Playback(row.playback_mode, row.playback_rate),
+        variant=variant_from_json(row.variant or ()),
+        protocol_override=None if override is None else protocol_from_definition(override),
+        protocol=None if fingerprint is None else ProtocolLabel(fingerprint, row.protocol_label),
+        version=None if row.identity is None else VersionRecord(row.identity, row.package_hash, row.version),
+        host=None
+        if row.cpu_model is None
+        else HostRecord(row.cpu_model, row.cpu_count, row.memory_bytes, row.kernel, row.os),
+        metrics=metrics,
+    )

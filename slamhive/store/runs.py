@@ -1,0 +1,252 @@
+"""Runs: added, looked at, listed, moved from state to state, cancelled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from datetime import datetime
+from typing import Any, Unpack
+
+from sqlalchemy import delete, func, insert, select, update
+from sqlalchemy.orm import Session
+
+from slamhive.domain.run import RunEvent, RunState, check_move
+from slamhive.errors import Conflict, InvalidInput, NotFound
+from slamhive.store.models import WHY_LENGTH, Run
+from slamhive.store.models import RunEvent as EventRow
+from slamhive.store.records import (
+    LeaseLost,
+    Page,
+    RunFields,
+    RunFilter,
+    RunRecord,
+    RunRequest,
+    RunSnapshot,
+    RunSort,
+)
+from slamhive.store.rows import changed, chunks, cut
+from slamhive.store.run_listing import list_page
+from slamhive.store.run_rows import run_query, to_records
+
+DETAIL_LENGTH = 10_000
+_RUNS = Run.__table__
+_EVENTS = EventRow.__table__
+
+
+class RunRepository:
+    """Every move is checked against the table of legal moves, and written with its event in one transaction."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def add_runs(self, requests: Sequence[RunRequest], now: datetime) -> list[int]:
+        """Queue runs; their ids, in the order of ``requests``. A ``uid`` that is stored already is not added again."""
+        known = self._ids_by_uid([request.uid for request in requests])
+        new = [request for request in requests if request.uid not in known]
+        if new:
+            self._session.execute(insert(_RUNS), [_new_row(request, now) for request in new])
+            known.update(self._ids_by_uid([request.uid for request in new]))
+            events = [
+                {"run_id": known[request.uid], "at": now, "from_state": None, "to_state": RunState.QUEUED, "why": why}
+                for request in new
+                for why in [f"retry of run {request.retry_of}" if request.retry_of else "submitted"]
+            ]
+            self._session.execute(insert(_EVENTS), events)
+        return [known[request.uid] for request in requests]
+
+    def get(self, run_id: int, *, with_metrics: bool = False) -> RunRecord:
+        """The run with this id; raises NotFound."""
+        return self.get_many([run_id], with_metrics=with_metrics)[0]
+
+    def get_many(self, run_ids: Iterable[int], *, with_metrics: bool = False) -> tuple[RunRecord, ...]:
+        """The runs with these ids, in this order; raises NotFound naming the first that is not there."""
+        wanted = list(run_ids)
+        found: dict[int, RunRecord] = {}
+        for part in chunks(sorted(set(wanted))):
+            rows = self._session.execute(run_query().where(Run.id.in_(part))).all()
+            found.update((record.id, record) for record in to_records(self._session, rows, with_metrics=with_metrics))
+        for run_id in wanted:
+            if run_id not in found:
+                raise NotFound(f"unknown run {run_id}", "slamhive runs lists them")
+        return tuple(found[run_id] for run_id in wanted)
+
+    def page(
+        self,
+        wanted: RunFilter | None = None,
+        sort: RunSort | None = None,
+        after: str | None = None,
+        limit: int = 50,
+        *,
+        with_metrics: bool = False,
+    ) -> Page:
+        """One page of runs, with parameters and, if asked for, figures: five queries however long the page.
+
+        Args:
+            wanted: Which runs; None is all.
+            sort: Order; None is the newest first.
+            after: ``next_key`` of the page before; None is the first page. Raises InvalidInput if it is not one.
+            limit: Most runs of the page, 1 to 1000.
+            with_metrics: Fill ``RunRecord.metrics``.
+        """
+        wanted = wanted or RunFilter()
+        return list_page(self._session, wanted, sort or RunSort(), after, limit, with_metrics=with_metrics)
+
+    def counts_by_state(self) -> dict[RunState, int]:
+        """How many runs are in each state; every state is there."""
+        rows = self._session.execute(select(_RUNS.c.state, func.count()).group_by(_RUNS.c.state))
+        found = {row[0]: row[1] for row in rows}
+        return {state: found.get(state, 0) for state in RunState}
+
+    def events(self, run_id: int) -> list[RunEvent]:
+        """The moves of one run, oldest first."""
+        rows = self._session.execute(select(_EVENTS).where(_EVENTS.c.run_id == run_id).order_by(_EVENTS.c.id))
+        return [RunEvent(row.at, row.from_state, row.to_state, row.why) for row in rows]
+
+    def move(
+        self,
+        run_id: int,
+        target: RunState,
+        *,
+        why: str,
+        now: datetime,
+        owner: str | None = None,
+        **fields: Unpack[RunFields],
+    ) -> RunState:
+        """Move a run, write ``fields`` and the event with it; the state it came from.
+
+        A move to ``running`` sets ``started_at`` and an end sets ``ended_at`` to ``now`` unless they are given or
+        set; an end, and going back to ``queued``, gives up the lease. The same move with the same ``now`` again is
+        fine and does nothing: the answer to the first may have been lost.
+
+        Args:
+            run_id: The run.
+            target: Where to; raises Conflict if the table of legal moves does not allow it.
+            why: For the event, one line.
+            now: When.
+            owner: The worker that must hold the lease (raises LeaseLost), None to move it whoever holds it.
+            fields: Columns to write, see :class:`RunFields`. ``failed`` needs a ``reason``.
+        """
+        row = self._current(run_id)
+        if row.state is target and self._is_repeated(run_id, target, now):
+            return RunState(row.state)
+        if owner is not None and row.lease_owner != owner:
+            raise LeaseLost(f"run {run_id} is held by {row.lease_owner or 'nobody'}, not by {owner}")
+        check_move(run_id, row.state, target)
+        if target is RunState.FAILED and fields.get("reason") is None:
+            raise InvalidInput(f"run {run_id} cannot fail without a reason")
+        values = {**_defaults(row, target, now), **_checked(fields), "state": target}
+        condition = [_RUNS.c.id == run_id, _RUNS.c.state == row.state]
+        if owner is not None:
+            condition.append(_RUNS.c.lease_owner == owner)
+        if changed(self._session, update(_RUNS).where(*condition).values(values)) != 1:
+            raise LeaseLost(f"run {run_id} was changed by another process while it moved to {target}")
+        self._write_event(run_id, RunEvent(now, row.state, target, why))
+        return RunState(row.state)
+
+    def update(self, run_id: int, owner: str | None = None, **fields: Unpack[RunFields]) -> None:
+        """Write ``fields`` without a move (a handle as soon as it is known); raises LeaseLost as ``move`` does."""
+        condition = [_RUNS.c.id == run_id]
+        if owner is not None:
+            condition.append(_RUNS.c.lease_owner == owner)
+        if changed(self._session, update(_RUNS).where(*condition).values(_checked(fields))) != 1:
+            row = self._current(run_id)
+            raise LeaseLost(f"run {run_id} is held by {row.lease_owner or 'nobody'}, not by {owner}")
+
+    def request_cancel(self, run_id: int, now: datetime, why: str = "cancelled by the user") -> RunState:
+        """Cancel a queued run at once, ask the worker of an active one to; the state the run is in now.
+
+        Raises Conflict if the run has ended.
+        """
+        while True:
+            state = RunState(self._current(run_id).state)
+            if state is RunState.CANCELLED and self._is_repeated(run_id, state, now):
+                return state
+            if state.ended:
+                raise Conflict(f"run {run_id} has ended already, it is {state}")
+            if state.active:
+                flag = update(_RUNS).where(_RUNS.c.id == run_id, _RUNS.c.state == state).values(cancel_requested=True)
+                if changed(self._session, flag) == 1:
+                    return state
+                continue
+            try:
+                self.move(run_id, RunState.CANCELLED, why=why, now=now)
+            except LeaseLost:
+                continue
+            return RunState.CANCELLED
+
+    def upsert_from_record(self, snapshot: RunSnapshot) -> None:
+        """Make the row, and the events, what a sealed folder says.
+
+        Raises Conflict if the id belongs to another run.
+        """
+        same = select(_RUNS.c.id, _RUNS.c.uid).where(
+            (_RUNS.c.id == snapshot.id) | (_RUNS.c.uid == snapshot.request.uid)
+        )
+        found = self._session.execute(same).all()
+        if any(row.id != snapshot.id or row.uid != snapshot.request.uid for row in found):
+            raise Conflict(
+                f"run {snapshot.id} (uid {snapshot.request.uid}) clashes with run {found[0].id} (uid {found[0].uid})",
+                "two folders cannot hold the same run",
+            )
+        values = {
+            **_new_row(snapshot.request, snapshot.created_at),
+            **_checked(snapshot.fields),
+            "state": snapshot.state,
+            "attempt": snapshot.attempt,
+        }
+        if found:
+            self._session.execute(update(_RUNS).where(_RUNS.c.id == snapshot.id).values(values))
+        else:
+            self._session.execute(insert(_RUNS).values(id=snapshot.id, **values))
+        self._session.execute(delete(_EVENTS).where(_EVENTS.c.run_id == snapshot.id))
+        for event in snapshot.events:
+            self._write_event(snapshot.id, event)
+
+    def _ids_by_uid(self, uids: Sequence[str]) -> dict[str, int]:
+        found: dict[str, int] = {}
+        for part in chunks(uids):
+            for row in self._session.execute(select(_RUNS.c.uid, _RUNS.c.id).where(_RUNS.c.uid.in_(part))):
+                found[row.uid] = row.id
+        return found
+
+    def _current(self, run_id: int) -> Any:
+        columns = (_RUNS.c.state, _RUNS.c.lease_owner, _RUNS.c.started_at, _RUNS.c.ended_at)
+        row = self._session.execute(select(*columns).where(_RUNS.c.id == run_id)).one_or_none()
+        if row is None:
+            raise NotFound(f"unknown run {run_id}", "slamhive runs lists them")
+        return row
+
+    def _is_repeated(self, run_id: int, target: RunState, now: datetime) -> bool:
+        latest = select(_EVENTS).where(_EVENTS.c.run_id == run_id).order_by(_EVENTS.c.id.desc()).limit(1)
+        event = self._session.execute(latest).one_or_none()
+        return event is not None and event.to_state is target and event.at == now
+
+    def _write_event(self, run_id: int, event: RunEvent) -> None:
+        values = {**asdict(event), "run_id": run_id, "why": cut(" ".join(event.why.split()), WHY_LENGTH)}
+        self._session.execute(insert(_EVENTS).values(values))
+
+
+def _new_row(request: RunRequest, now: datetime) -> dict[str, Any]:
+    values = asdict(request)
+    values["protocol_override"] = values.pop("protocol")
+    return {**values, "state": RunState.QUEUED, "created_at": now, "attempt": 0, "cancel_requested": False}
+
+
+def _checked(fields: RunFields) -> dict[str, Any]:
+    """The fields as columns; a long detail keeps its beginning."""
+    values: dict[str, Any] = dict(fields)
+    if "detail" in values:
+        values["detail"] = cut(values["detail"], DETAIL_LENGTH)
+    return values
+
+
+def _defaults(row: Any, target: RunState, now: datetime) -> dict[str, Any]:
+    """What a move writes of its own accord."""
+    if target is RunState.RUNNING and row.started_at is None:
+        return {"started_at": now}
+    if target is RunState.QUEUED:
+        return {"lease_owner": None, "lease_expires_at": None, "handle": None}
+    if target.ended:
+        ended = {"ended_at": now} if row.ended_at is None else {}
+        return {**ended, "lease_owner": None, "lease_expires_at": None}
+    return {}

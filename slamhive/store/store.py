@@ -1,0 +1,153 @@
+"""The door to the database: every access is a function run inside one transaction."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+from sqlalchemy import Engine
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.orm import Session
+
+from slamhive.store import migrate
+from slamhive.store.catalogue import CatalogueRepository
+from slamhive.store.configurations import ConfigurationRepository
+from slamhive.store.engine import WRITES, database_label, make_engine
+from slamhive.store.evaluations import EvaluationRepository
+from slamhive.store.failures import explained, gave_up, is_transient, short
+from slamhive.store.metrics import MetricRepository
+from slamhive.store.queue import QueueRepository
+from slamhive.store.runs import RunRepository
+
+T = TypeVar("T")
+logger = logging.getLogger(__name__)
+
+FIRST_PAUSE_S = 0.05
+LONGEST_PAUSE_S = 2.0
+
+
+@dataclass(frozen=True)
+class Transaction:
+    """The repositories, all on the same transaction."""
+
+    session: Session
+
+    @cached_property
+    def catalogue(self) -> CatalogueRepository:
+        """Algorithms, versions, datasets, hosts, protocols."""
+        return CatalogueRepository(self.session)
+
+    @cached_property
+    def configurations(self) -> ConfigurationRepository:
+        """Configurations and their values."""
+        return ConfigurationRepository(self.session)
+
+    @cached_property
+    def runs(self) -> RunRepository:
+        """Runs: add, look at, list, move, cancel."""
+        return RunRepository(self.session)
+
+    @cached_property
+    def queue(self) -> QueueRepository:
+        """Who works on which run: claims, leases, heartbeats."""
+        return QueueRepository(self.session)
+
+    @cached_property
+    def evaluations(self) -> EvaluationRepository:
+        """Evaluations and their own little queue."""
+        return EvaluationRepository(self.session)
+
+    @cached_property
+    def metrics(self) -> MetricRepository:
+        """Figures of runs."""
+        return MetricRepository(self.session)
+
+
+class Store:
+    """Runs functions in transactions, and again while the database is locked or away.
+
+    A function may therefore be called more than once: it must do nothing but database work, and take identifiers
+    and times from outside. The repositories are made so that a repetition after a lost answer does no harm.
+
+    Args:
+        engine: From :func:`slamhive.store.engine.make_engine`.
+        retry_s: How long to go on trying before Unavailable is raised.
+        clock: Monotonic seconds.
+        sleep: Waits for a number of seconds.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        retry_s: float = 60.0,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.engine = engine
+        self._writing = engine.execution_options(**{WRITES: True})
+        self._retry_s = retry_s
+        self._clock = clock
+        self._sleep = sleep
+
+    @property
+    def label(self) -> str:
+        """The database in words, without secrets."""
+        return database_label(self.engine)
+
+    def read(self, work: Callable[[Transaction], T]) -> T:
+        """What ``work`` returns, from one consistent view of the database. Waits for no writer on SQLite."""
+        return self.retried(lambda: self._attempt(self.engine, work))
+
+    def write(self, work: Callable[[Transaction], T]) -> T:
+        """What ``work`` returns, once all it wrote is on disk; nothing of it is if it raises."""
+        return self.retried(lambda: self._attempt(self._writing, work))
+
+    def close(self) -> None:
+        """Close all connections; the store can be used again after (a child process starts with this)."""
+        self.engine.dispose()
+
+    def _attempt(self, engine: Engine, work: Callable[[Transaction], T]) -> T:
+        with Session(engine, expire_on_commit=False) as session, session.begin():
+            return work(Transaction(session))
+
+    def retried(self, attempt: Callable[[], T]) -> T:
+        """What ``attempt`` returns; it is called again while the database is locked or away."""
+        began = self._clock()
+        pause_s = FIRST_PAUSE_S
+        while True:
+            try:
+                result = attempt()
+            except DBAPIError as error:
+                self._raise_unless_worth_waiting(error, self._clock() - began)
+                if pause_s == FIRST_PAUSE_S:
+                    logger.warning("database %s: %s; trying again", self.label, short(error))
+                self._sleep(pause_s)
+                pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+            else:
+                return result
+
+    def _raise_unless_worth_waiting(self, error: DBAPIError, waited_s: float) -> None:
+        if not is_transient(self.engine, error):
+            raise (explained(self.engine, error) or error) from None
+        if waited_s >= self._retry_s:
+            raise gave_up(self.engine, error, waited_s) from None
+
+
+def open_store(database_url: str, retry_s: float = 60.0, *, upgrade: bool = True) -> Store:
+    """A store on ``database_url`` whose tables are of this software's version.
+
+    Args:
+        database_url: ``sqlite:///file`` or ``mysql+pymysql://user:password@host/database``.
+        retry_s: How long a locked or absent database is tried again (``DATABASE_RETRY_S``).
+        upgrade: Create or upgrade the tables; otherwise raise Unavailable if that is needed.
+    """
+    store = Store(make_engine(database_url), retry_s)
+    if upgrade:
+        store.retried(lambda: migrate.upgrade(store.engine))
+    else:
+        store.retried(lambda: migrate.check_current(store.engine))
+    return store

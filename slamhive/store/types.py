@@ -1,0 +1,68 @@
+"""Column types that mean the same on SQLite and on MySQL / MariaDB."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from enum import StrEnum
+from typing import Any, TypeVar
+
+from sqlalchemy import DateTime, Dialect, Enum, Text
+from sqlalchemy.dialects.mysql import DATETIME, DOUBLE, MEDIUMTEXT
+from sqlalchemy.types import Double, TypeDecorator, TypeEngine
+
+E = TypeVar("E", bound=StrEnum)
+
+LongText = Text().with_variant(MEDIUMTEXT(), "mysql")
+"""Text of up to 16 MB."""
+
+Number: TypeEngine[float] = Double().with_variant(DOUBLE(asdecimal=False), "mysql")
+"""A 64-bit float."""
+
+
+class UtcDateTime(TypeDecorator[datetime]):
+    """An aware datetime, stored as UTC with microseconds; a naive one is a bug and refused."""
+
+    impl = DateTime().with_variant(DATETIME(fsp=6), "mysql")
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
+        """To naive UTC, the form both databases keep."""
+        if value is None:
+            return None
+        if value.tzinfo is None:
+            raise ValueError(f"{value!r} has no time zone; the store takes aware datetimes only")
+        return value.astimezone(UTC).replace(tzinfo=None)
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
+        """Back to an aware datetime."""
+        return None if value is None else value.replace(tzinfo=UTC)
+
+
+class JsonText(TypeDecorator[Any]):
+    """A JSON value kept as text.
+
+    The native type is not used: MySQL's re-orders keys and MariaDB has none, and nothing searches inside these.
+    """
+
+    impl = LongText
+    cache_ok = True
+
+    def process_bind_param(self, value: Any, dialect: Dialect) -> str | None:  # noqa: ARG002
+        """To text; None stays NULL, NaN is refused."""
+        return None if value is None else json.dumps(value, allow_nan=False, separators=(",", ":"))
+
+    def process_result_value(self, value: str | None, dialect: Dialect) -> Any:  # noqa: ARG002
+        """Back to the value."""
+        return None if value is None else json.loads(value)
+
+
+def enum_column(kind: type[E]) -> Enum:
+    """A column that holds the values of ``kind`` as plain text, so that a new member needs no migration."""
+    return Enum(
+        kind,
+        native_enum=False,
+        create_constraint=False,
+        length=32,
+        values_callable=lambda members: [member.value for member in members],
+    )

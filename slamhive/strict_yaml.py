@@ -1,0 +1,152 @@
+"""YAML from outside, without its traps: no tags, no anchors, no duplicate keys, nothing deep or huge.
+
+Used by the controller and, inside the algorithm images, by the runtime; depends on PyYAML alone.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from slamhive.errors import InvalidInput
+
+MAX_BYTES = 2_000_000
+MAX_DEPTH = 20
+
+Lines = dict[tuple[str | int, ...], int]
+"""The line, from 1, of each key (text) and list item (position from 0), by the path that leads to it."""
+
+_NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """SafeLoader that refuses aliases, explicit tags, duplicate keys and deep nesting."""
+
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+            raise _refusal("anchors and aliases are not allowed", event.start_mark)
+        if getattr(event, "tag", None):
+            raise _refusal(f"the tag {event.tag} is not allowed", event.start_mark)
+        if self.depth >= MAX_DEPTH:
+            raise _refusal(f"nested deeper than {MAX_DEPTH} levels", event.start_mark)
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise _refusal("a key must be plain text", key_node.start_mark)
+            if key_node.value in seen:
+                raise _refusal(f"the key {key_node.value!r} appears twice", key_node.start_mark)
+            seen.add(key_node.value)
+        return super().construct_mapping(node, deep=deep)
+
+
+def _without_base_60(resolvers: dict[str, list[tuple[str, re.Pattern[str]]]]) -> dict[str, list[Any]]:
+    """YAML 1.1 reads 1:30:20 as a number to base 60; here it is text (a range of values, a time of day)."""
+    plain: dict[str, list[Any]] = {}
+    for first, entries in resolvers.items():
+        plain[first] = [
+            (tag, re.compile(rf"(?![^:]*:\d)(?:{pattern.pattern})", pattern.flags) if tag in _NUMBER_TAGS else pattern)
+            for tag, pattern in entries
+        ]
+    return plain
+
+
+_StrictLoader.yaml_implicit_resolvers = _without_base_60(yaml.SafeLoader.yaml_implicit_resolvers)
+
+
+class _Dumper(yaml.SafeDumper):
+    """SafeDumper without aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002 - PyYAML's signature
+        return True
+
+
+def _represent_list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.Node:
+    """Lists of plain values on one line (matrices), all else in blocks."""
+    flat = not any(isinstance(item, dict | list) for item in items)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=flat)
+
+
+_Dumper.add_representer(list, _represent_list)
+
+
+def _refusal(problem: str, mark: yaml.Mark) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
+
+
+def parse(text: str, source: str) -> dict[str, Any]:
+    """Parse ``text`` into a mapping.
+
+    Args:
+        text: The YAML.
+        source: What to call it in messages, usually the path.
+
+    Raises:
+        InvalidInput: naming the source, the line and what is wrong with it.
+    """
+    content, _ = _parse_node(text, source)
+    return content
+
+
+def parse_with_lines(text: str, source: str) -> tuple[dict[str, Any], Lines]:
+    """Parse as :func:`parse` does, and tell where everything stands."""
+    content, node = _parse_node(text, source)
+    lines: Lines = {}
+    _collect_lines(node, (), lines)
+    return content, lines
+
+
+def _parse_node(text: str, source: str) -> tuple[dict[str, Any], yaml.Node]:
+    if len(text) > MAX_BYTES:
+        raise InvalidInput(f"{source} is larger than {MAX_BYTES} characters", "is it the right file?")
+    try:
+        loader = _StrictLoader(text)
+        node = loader.get_single_node()
+        content = None if node is None else loader.construct_document(node)
+    except yaml.MarkedYAMLError as error:
+        line = f" line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise InvalidInput(f"{source}{line}: {error.problem or 'not valid YAML'}") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise InvalidInput(f"{source}: not valid YAML ({error})") from None
+    if node is None or not isinstance(content, dict):
+        found = "nothing" if content is None else type(content).__name__
+        raise InvalidInput(f"{source}: expected keys with values at the top level, found {found}")
+    return content, node
+
+
+def _collect_lines(node: yaml.Node, path: tuple[str | int, ...], lines: Lines) -> None:
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            lines[(*path, key.value)] = key.start_mark.line + 1
+            _collect_lines(value, (*path, key.value), lines)
+    elif isinstance(node, yaml.SequenceNode):
+        for index, item in enumerate(node.value):
+            lines[(*path, index)] = item.start_mark.line + 1
+            _collect_lines(item, (*path, index), lines)
+
+
+def load(path: Path) -> dict[str, Any]:
+    """Parse the file at ``path``; raises InvalidInput as :func:`parse`, or if it cannot be read."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InvalidInput(f"{path} does not exist") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInput(f"{path} cannot be read as text: {error}") from None
+    return parse(text, str(path))
+
+
+def dump(content: dict[str, Any]) -> str:
+    """``content`` as YAML in the given key order; short lists stay on one line."""
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=False, width=110)

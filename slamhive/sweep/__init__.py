@@ -1,0 +1,1 @@
+"""Experiments: one file that states many configurations, checked and expanded without touching a store or a bag."""

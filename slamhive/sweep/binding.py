@@ -1,0 +1,289 @@
+"""An experiment bound to one algorithm and one dataset: which axes apply, with which typed values, to what."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.parameters import Parameter, Scalar, Value
+from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.domain.variant import StepRules, Variant, VariantStep
+from slamhive.errors import InvalidInput, SlamHiveError, unknown
+from slamhive.sweep.experiment import Axis, Experiment, Place, StepDeclaration
+from slamhive.sweep.values import check_distinct, plain, typed
+from slamhive.sweep.variants import resolve_step
+from slamhive.sweep.view import CatalogueView
+
+IMAGE = "image"
+_KINDS: dict[str, tuple[SensorKind, ...]] = {
+    **{kind.value: (kind,) for kind in SensorKind},
+    IMAGE: (SensorKind.CAMERA, SensorKind.DEPTH),
+}
+
+PLAYBACK_MODE = "playback_mode"
+PLAYBACK_RATE = "playback_rate"
+
+Row = dict[str, Value]
+"""The value of each axis that applies, by axis name."""
+
+
+def at(place: Place, error: SlamHiveError) -> SlamHiveError:
+    """The same error, naming the place."""
+    return type(error)(f"{place}: {error.message}", error.remedy)
+
+
+@dataclass(frozen=True, slots=True)
+class BoundStep:
+    """A step on sensors of a dataset; ``options``: {option: name of its axis}."""
+
+    declaration: StepDeclaration
+    sensors: tuple[Sensor, ...]
+    options: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Axes that move together (often one alone), by name. Values are typed when they are asked for."""
+
+    axes: Mapping[str, BoundAxis]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.axes.values())).raw)
+
+    def rows(self) -> tuple[tuple[Value, ...], ...]:
+        """One value for each axis, as often as there are values; raises InvalidInput for one that does not fit."""
+        return tuple(zip(*(axis.values() for axis in self.axes.values()), strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class BoundAxis:
+    """The values of an axis as written, and the parameter that types them, None for anything else."""
+
+    raw: tuple[Value, ...]
+    place: Place
+    parameter: Parameter | None = None
+
+    def values(self) -> tuple[Value, ...]:
+        """The typed values; raises InvalidInput that names the place."""
+        if self.parameter is None:
+            return tuple(plain(value) for value in self.raw)
+        try:
+            values = tuple(typed(self.parameter, value) for value in self.raw)
+            check_distinct(values)
+        except InvalidInput as error:
+            raise at(self.place, error) from None
+        return values
+
+
+@dataclass(slots=True)
+class Pair:
+    """One algorithm on one dataset, with the axes that have a meaning for it.
+
+    ``parameters``: {axis name: parameter key}. ``fixed`` are the values of names that do not vary, ``aliases`` the
+    further names of axes: {name: axis name}; conditions may use them all. ``variants`` remembers what was resolved.
+    """
+
+    algorithm: Algorithm
+    dataset: Dataset
+    groups: tuple[Group, ...]
+    parameters: Mapping[str, str]
+    steps: tuple[BoundStep, ...]
+    fixed: Mapping[str, Value]
+    aliases: Mapping[str, str]
+    rules: StepRules
+    variants: dict[tuple[Value, ...], Variant]
+
+    @property
+    def size(self) -> int:
+        """How many rows there are before conditions."""
+        size = 1
+        for group in self.groups:
+            size *= len(group)
+        return size
+
+    def rows(self) -> Iterator[Row]:
+        """All combinations; what stands first in the file varies slowest."""
+        names = [name for group in self.groups for name in group.axes]
+        for parts in itertools.product(*(group.rows() for group in self.groups)):
+            yield dict(zip(names, itertools.chain.from_iterable(parts), strict=True))
+
+    def context(self, row: Row) -> dict[str, Value]:
+        """The value of each name that a condition may use."""
+        return {**self.fixed, **row, **{alias: row[name] for alias, name in self.aliases.items()}}
+
+    def configuration(self, row: Row) -> Configuration:
+        """What the combination runs."""
+        parameters = {parameter.key: parameter.default for parameter in self.algorithm.parameters}
+        for name, key in self.parameters.items():
+            parameters[key] = row[name]
+        return Configuration(
+            algorithm=self.algorithm.name,
+            dataset=self.dataset.name,
+            parameters=parameters,
+            playback=Playback(PlaybackMode(str(row[PLAYBACK_MODE])), float(row[PLAYBACK_RATE])),  # type: ignore[arg-type]
+            variant=self.variant(row),
+        )
+
+    def variant(self, row: Row) -> Variant:
+        """The steps that change something; raises InvalidInput for a value the sensor cannot have."""
+        settings = tuple(row[name] for step in self.steps for name in step.options.values())
+        if settings not in self.variants:
+            self.variants[settings] = self._resolve(row)
+        return self.variants[settings]
+
+    def _resolve(self, row: Row) -> Variant:
+        sensors = {sensor.name: sensor for sensor in self.dataset.sensors}
+        variant: list[VariantStep] = []
+        for step in self.steps:
+            options: dict[str, Scalar] = {}
+            for option, name in step.options.items():
+                value = row[name]
+                assert not isinstance(value, tuple)
+                options[option] = value
+            names = [sensor.name for sensor in step.sensors]
+            try:
+                variant += resolve_step(self.rules, step.declaration.kind, options, names, sensors)
+            except SlamHiveError as error:
+                raise type(error)(
+                    f"{step.declaration.blame}: step {step.declaration.name} on dataset {self.dataset.name}: "
+                    f"{error.message}",
+                    error.remedy,
+                ) from None
+        return tuple(variant)
+
+
+Resolved = dict[tuple[object, ...], dict[tuple[Value, ...], Variant]]
+"""Variants by option values, for each dataset and choice of sensors: algorithms share them."""
+
+
+def bind(experiment: Experiment, view: CatalogueView, algorithm: Algorithm, dataset: Dataset, shared: Resolved) -> Pair:
+    """The axes of ``experiment`` that apply to ``algorithm`` on ``dataset``; raises errors that name the place."""
+    try:
+        assigned = algorithm.assign(dataset)
+    except InvalidInput as error:
+        raise at(experiment.datasets.place, error) from None
+    steps = tuple(
+        BoundStep(step, sensors, {axis.option: axis.name for axis in step.options})
+        for step in experiment.steps
+        if (sensors := _sensors(experiment, view, step, (algorithm, dataset, assigned)))
+    )
+    parameters = _parameter_axes(experiment, algorithm)
+    axes: dict[str, BoundAxis] = {}
+    for step in steps:
+        axes.update({axis.name: BoundAxis(axis.values, axis.place) for axis in step.declaration.options})
+    for axis, parameter in parameters:
+        axes[axis.name] = BoundAxis(axis.values, axis.place, parameter)
+    modes = tuple(mode.value for mode in experiment.playback.modes)
+    axes[PLAYBACK_MODE] = BoundAxis(modes, experiment.place)
+    axes[PLAYBACK_RATE] = BoundAxis(experiment.playback.rates, experiment.place)
+    return Pair(
+        algorithm=algorithm,
+        dataset=dataset,
+        groups=tuple(_groups(experiment, axes)),
+        parameters={axis.name: parameter.key for axis, parameter in parameters},
+        steps=steps,
+        fixed=_fixed(algorithm, dataset),
+        aliases=_aliases(steps, parameters),
+        rules=view.steps,
+        variants=shared.setdefault(_treatment(dataset, steps), {}),
+    )
+
+
+def _treatment(dataset: Dataset, steps: Sequence[BoundStep]) -> tuple[object, ...]:
+    treated = ((step.declaration.name, tuple(sensor.name for sensor in step.sensors)) for step in steps)
+    return (dataset.name, *treated)
+
+
+def _fixed(algorithm: Algorithm, dataset: Dataset) -> dict[str, Value]:
+    fixed: dict[str, Value] = {"algorithm": algorithm.name, "dataset": dataset.name}
+    for parameter in algorithm.parameters:
+        fixed[parameter.key] = parameter.default
+        if parameter.general is not None:
+            fixed[parameter.general] = parameter.default
+    return fixed
+
+
+def _aliases(steps: Sequence[BoundStep], parameters: Sequence[tuple[Axis, Parameter]]) -> dict[str, str]:
+    aliases: dict[str, str] = {}
+    for axis, parameter in parameters:
+        aliases[parameter.key] = axis.name
+        if parameter.general is not None:
+            aliases[parameter.general] = axis.name
+    for step in steps:
+        aliases.update({f"{step.declaration.name}.{option}": name for option, name in step.options.items()})
+    return {alias: name for alias, name in aliases.items() if alias != name}
+
+
+def _sensors(
+    experiment: Experiment,
+    view: CatalogueView,
+    step: StepDeclaration,
+    pair: tuple[Algorithm, Dataset, Mapping[str, Sensor]],
+) -> tuple[Sensor, ...]:
+    """The sensors that a step treats on this dataset, each once and in the dataset's order."""
+    algorithm, dataset, assigned = pair
+    heard = {entry.kind for entry in algorithm.inputs}
+    chosen: set[str] = set()
+    for word in step.sensors:
+        named = [sensor.name for sensor in dataset.sensors if word in (sensor.name, sensor.topic)]
+        if word in _KINDS:
+            kinds = heard.intersection(_KINDS[word])
+            chosen.update(sensor.name for sensor in dataset.sensors if sensor.kind in kinds)
+        elif word in assigned:
+            chosen.add(assigned[word].name)
+        elif named:
+            chosen.update(named)
+        elif word not in _roles(experiment, view):
+            known = [*_KINDS, *_roles(experiment, view), *(sensor.name for sensor in dataset.sensors)]
+            known += [sensor.topic for sensor in dataset.sensors]
+            raise at(step.place, unknown(f"sensor or topic of dataset {dataset.name}", word, known))
+    return tuple(sensor for sensor in dataset.sensors if sensor.name in chosen)
+
+
+def _roles(experiment: Experiment, view: CatalogueView) -> set[str]:
+    names = [str(name) for name in experiment.algorithms.values]
+    return {entry.role for name in names for entry in view.algorithms[name].inputs}
+
+
+def _parameter_axes(experiment: Experiment, algorithm: Algorithm) -> list[tuple[Axis, Parameter]]:
+    bound: list[tuple[Axis, Parameter]] = []
+    taken: dict[str, Axis] = {}
+    for axis in experiment.parameters:
+        if axis.algorithm not in (None, algorithm.name):
+            continue
+        parameter = find_parameter(algorithm.parameters, axis.key)
+        if parameter is None:
+            continue
+        if parameter.key in taken:
+            raise InvalidInput(
+                f"{axis.place}: {taken[parameter.key].name} and {axis.name} both set {parameter.key} of "
+                f"{algorithm.name}",
+                "keep one of them",
+            )
+        taken[parameter.key] = axis
+        bound.append((axis, parameter))
+    return bound
+
+
+def find_parameter(parameters: Sequence[Parameter], name: str) -> Parameter | None:
+    """The parameter whose general name or key is ``name``; the key wins."""
+    for parameter in parameters:
+        if parameter.key == name:
+            return parameter
+    return next((parameter for parameter in parameters if parameter.general == name), None)
+
+
+def _groups(experiment: Experiment, axes: Mapping[str, BoundAxis]) -> Iterator[Group]:
+    """Axes in order; a linked set stands where its first axis stands."""
+    done: set[str] = set()
+    for name in axes:
+        if name in done:
+            continue
+        link = next((link for link in experiment.links if name in link.axes), None)
+        names = (name,) if link is None else tuple(entry for entry in link.axes if entry in axes)
+        done.update(names)
+        yield Group({entry: axes[entry] for entry in names})

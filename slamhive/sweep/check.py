@@ -1,0 +1,157 @@
+"""Checks of an experiment as a whole: every name means something, once, and what moves together fits together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from slamhive.domain.parameters import Value
+from slamhive.errors import InvalidInput, SlamHiveError, unknown
+from slamhive.sweep.binding import PLAYBACK_MODE, PLAYBACK_RATE, Pair, Resolved, at, bind, find_parameter
+from slamhive.sweep.condition import compared_names
+from slamhive.sweep.experiment import Axis, Experiment
+from slamhive.sweep.view import CatalogueView
+
+RESERVED = ("algorithm", "dataset", "seed", "repeat", PLAYBACK_MODE, PLAYBACK_RATE)
+
+
+class Filter:
+    """The conditions of an experiment.
+
+    Args:
+        experiment: Its ``where``.
+        known: Every name that means something for some algorithm of the experiment; other words are text.
+    """
+
+    def __init__(self, experiment: Experiment, known: frozenset[str]) -> None:
+        self._where = experiment.where
+        self._known = known
+        for where in experiment.where:
+            for name in sorted(compared_names(where.condition) - known):
+                raise at(where.place, unknown("name in the condition", name, sorted(known)))
+
+    def excludes(self, context: Mapping[str, Value]) -> bool:
+        """Whether a condition is decided against ``context``."""
+        for where in self._where:
+            try:
+                if where.condition.decide(context, self._known) is False:
+                    return True
+            except InvalidInput as error:
+                raise at(where.place, error) from None
+        return False
+
+    def __bool__(self) -> bool:
+        return bool(self._where)
+
+
+def bind_all(experiment: Experiment, view: CatalogueView) -> tuple[list[Pair], Filter]:
+    """Every algorithm on every dataset that the conditions do not exclude as such, and the conditions.
+
+    Raises NotFound and InvalidInput that name the place.
+    """
+    _check_catalogue(experiment, view)
+    axes = _axes_by_name(experiment)
+    _check_parameters(experiment, view)
+    _check_links(experiment, axes)
+    conditions = Filter(experiment, _condition_names(experiment, view, axes))
+    shared: Resolved = {}
+    pairs = [
+        bind(experiment, view, view.algorithms[str(algorithm)], view.datasets[str(dataset)], shared)
+        for algorithm in experiment.algorithms.values
+        for dataset in experiment.datasets.values
+        if not conditions.excludes({"algorithm": algorithm, "dataset": dataset})
+    ]
+    _check_steps(experiment, view, pairs)
+    return pairs, conditions
+
+
+def _check_catalogue(experiment: Experiment, view: CatalogueView) -> None:
+    for axis, kind, known in (
+        (experiment.algorithms, "algorithm", list(view.algorithms)),
+        (experiment.datasets, "dataset", list(view.datasets)),
+    ):
+        for name in axis.values:
+            if name not in known:
+                raise at(axis.place, unknown(kind, str(name), known))
+
+
+def _axes_by_name(experiment: Experiment) -> dict[str, Axis]:
+    """Every axis under its name; raises InvalidInput for a name that means two things."""
+    axes: dict[str, Axis] = {}
+    options = [axis for step in experiment.steps for axis in step.options]
+    for axis in (*options, *experiment.parameters):
+        if axis.name in RESERVED:
+            raise InvalidInput(f"{axis.place}: the name {axis.name!r} is taken", "choose another")
+        if axis.name in axes:
+            raise InvalidInput(
+                f"{axis.place}: the name {axis.name!r} is already that of {axes[axis.name].place}", "choose another"
+            )
+        axes[axis.name] = axis
+    return axes
+
+
+def _check_parameters(experiment: Experiment, view: CatalogueView) -> None:
+    names = [str(name) for name in experiment.algorithms.values]
+    for axis in experiment.parameters:
+        if axis.algorithm is not None and axis.algorithm not in names:
+            raise at(axis.place, unknown("algorithm of this experiment", axis.algorithm, names))
+        owners = names if axis.algorithm is None else [axis.algorithm]
+        definitions = [parameter for name in owners for parameter in view.algorithms[name].parameters]
+        if find_parameter(definitions, axis.key) is None:
+            known = {parameter.key for parameter in definitions}
+            known |= {parameter.general for parameter in definitions if parameter.general is not None}
+            raise at(axis.place, unknown(f"parameter of {', '.join(owners)}", axis.key, sorted(known)))
+
+
+def _check_links(experiment: Experiment, axes: Mapping[str, Axis]) -> None:
+    linked: set[str] = set()
+    for link in experiment.links:
+        word = "tied" if link.equal else "linked"
+        for name in link.axes:
+            if name not in axes:
+                raise at(link.place, unknown("axis", name, sorted(axes)))
+            if name in linked:
+                raise InvalidInput(f"{link.place}: {name} is linked or tied more than once")
+            linked.add(name)
+        lengths = {name: len(axes[name].values) for name in link.axes}
+        if len(set(lengths.values())) > 1:
+            text = ", ".join(f"{name} has {length}" for name, length in lengths.items())
+            raise InvalidInput(f"{link.place}: {word} axes need equally many values; {text}")
+        if link.equal and len({axes[name].values for name in link.axes}) > 1:
+            raise InvalidInput(
+                f"{link.place}: tied axes need the same values; those of {' and '.join(link.axes)} differ",
+                "use linked for values that differ and move together",
+            )
+
+
+def _condition_names(experiment: Experiment, view: CatalogueView, axes: Mapping[str, Axis]) -> frozenset[str]:
+    names = {"algorithm", "dataset", PLAYBACK_MODE, PLAYBACK_RATE, *axes}
+    names |= {f"{step.name}.{axis.option}" for step in experiment.steps for axis in step.options}
+    for algorithm in experiment.algorithms.values:
+        for parameter in view.algorithms[str(algorithm)].parameters:
+            names.add(parameter.key)
+            if parameter.general is not None:
+                names.add(parameter.general)
+    return frozenset(names)
+
+
+def _check_steps(experiment: Experiment, view: CatalogueView, pairs: list[Pair]) -> None:
+    """Every step is known, and treats a sensor of some algorithm."""
+    touched = {step.declaration.name for pair in pairs for step in pair.steps}
+    for step in experiment.steps:
+        try:
+            known = list(view.steps.options(step.kind))
+        except SlamHiveError as error:
+            raise at(step.place, error) from None
+        for axis in step.options:
+            if axis.option not in known:
+                raise at(axis.place, unknown(f"option of step {step.kind}", axis.option, known))
+            if any(isinstance(value, tuple) for value in axis.values):
+                raise InvalidInput(
+                    f"{axis.place}: {axis.name} holds a list within a list", "options of steps are plain values"
+                )
+        if pairs and step.name not in touched:
+            raise InvalidInput(
+                f"{step.place}: step {step.name} treats no sensor: none of the algorithms listens to "
+                f"{', '.join(step.sensors)} on these datasets",
+                "leave it out, or name other sensors",
+            )

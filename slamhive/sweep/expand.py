@@ -1,0 +1,151 @@
+"""From an experiment to its runs: counted, checked, and expanded in a fixed order under fixed names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from slamhive.domain.configuration import Configuration
+from slamhive.domain.parameters import Value
+from slamhive.errors import InvalidInput
+from slamhive.sweep.binding import Pair, Row
+from slamhive.sweep.check import Filter, bind_all
+from slamhive.sweep.experiment import Experiment
+from slamhive.sweep.view import CatalogueView
+
+MAX_COMBINATIONS = 1_000_000
+"""Before conditions; an experiment of more is refused unless the caller sets another limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """How large an experiment is.
+
+    ``combinations`` before conditions, ``configurations`` after (identical ones, which become one when expanded,
+    still counted each), ``runs`` with seeds and repeats. ``variants`` of datasets are needed for them. ``axes``: {what
+    varies: how many values it takes}.
+    """
+
+    combinations: int
+    configurations: int
+    runs: int
+    variants: int
+    axes: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRun:
+    """One run to come.
+
+    ``number`` counts runs and ``repeat`` repeats from 1, ``name`` belongs to the configuration (``paper-euroc-0007``).
+    ``values`` holds the value of each axis that applies, by axis name, after ``algorithm`` and ``dataset``.
+    """
+
+    number: int
+    name: str
+    configuration: Configuration
+    content_hash: str
+    values: Mapping[str, Value]
+    seed: int
+    repeat: int
+
+
+def count(experiment: Experiment, view: CatalogueView, limit: int = MAX_COMBINATIONS) -> Size:
+    """Check the whole experiment and count what it asks for; nothing is kept in memory.
+
+    Raises:
+        NotFound: a name that nothing answers to, with the nearest that there is.
+        InvalidInput: a value, tie or condition that makes no sense, or more than ``limit`` combinations. The message
+            names file and line.
+    """
+    return _checked(experiment, view, limit)[0]
+
+
+class Expansion(Iterator[PlannedRun]):
+    """The runs of a checked experiment, one after the other.
+
+    Attributes:
+        size: As counted beforehand.
+        merged: How many configurations were identical to an earlier one so far, and therefore left out.
+    """
+
+    def __init__(self, experiment: Experiment, view: CatalogueView, limit: int = MAX_COMBINATIONS) -> None:
+        self.size, pairs, conditions = _checked(experiment, view, limit)
+        self.merged = 0
+        self._runs = self._plan(experiment, pairs, conditions)
+
+    def __next__(self) -> PlannedRun:
+        return next(self._runs)
+
+    def _plan(self, experiment: Experiment, pairs: list[Pair], conditions: Filter) -> Iterator[PlannedRun]:
+        digits = max(4, len(str(self.size.configurations)))
+        seen: set[bytes] = set()
+        number = 0
+        for pair in pairs:
+            heading: dict[str, Value] = {"algorithm": pair.algorithm.name, "dataset": pair.dataset.name}
+            for row in _rows(pair, conditions):
+                configuration = pair.configuration(row)
+                content_hash = configuration.content_hash
+                digest = bytes.fromhex(content_hash)
+                if digest in seen:
+                    self.merged += 1
+                    continue
+                seen.add(digest)
+                name = f"{experiment.name}-{len(seen):0{digits}d}"
+                values = {**heading, **row}
+                for seed in experiment.seeds:
+                    for repeat in range(1, experiment.repeats + 1):
+                        number += 1
+                        yield PlannedRun(number, name, configuration, content_hash, values, seed, repeat)
+
+
+def expand(experiment: Experiment, view: CatalogueView, limit: int = MAX_COMBINATIONS) -> Expansion:
+    """Check everything as :func:`count` does, then yield the runs; identical configurations come once."""
+    return Expansion(experiment, view, limit)
+
+
+def _checked(experiment: Experiment, view: CatalogueView, limit: int) -> tuple[Size, list[Pair], Filter]:
+    pairs, conditions = bind_all(experiment, view)
+    combinations = _check_size(experiment, pairs, limit)
+    configurations = sum(1 for pair in pairs for _ in _rows(pair, conditions))
+    if configurations == 0:
+        text = " and ".join(f"({where.text})" for where in experiment.where)
+        raise InvalidInput(f"{experiment.where[0].place}: the condition {text} removes every combination", "loosen it")
+    runs = configurations * len(experiment.seeds) * experiment.repeats
+    if runs > limit:
+        raise InvalidInput(
+            f"{experiment.place}: {configurations:,} configurations with {len(experiment.seeds)} seeds and "
+            f"{experiment.repeats} repeats are {runs:,} runs, more than the limit of {limit:,}",
+            "vary less at once",
+        )
+    variants = {(pair.dataset.name, variant) for pair in pairs for variant in pair.variants.values() if variant}
+    return Size(combinations, configurations, runs, len(variants), _axis_sizes(experiment, pairs)), pairs, conditions
+
+
+def _rows(pair: Pair, conditions: Filter) -> Iterator[Row]:
+    """The rows that meet the conditions; their variants are checked on the way."""
+    for row in pair.rows():
+        if conditions and conditions.excludes(pair.context(row)):
+            continue
+        pair.variant(row)
+        yield row
+
+
+def _check_size(experiment: Experiment, pairs: list[Pair], limit: int) -> int:
+    combinations = sum(pair.size for pair in pairs)
+    if combinations > limit:
+        sizes = ", ".join(f"{name} {size:,}" for name, size in _axis_sizes(experiment, pairs).items())
+        raise InvalidInput(
+            f"{experiment.place}: {combinations:,} combinations ({sizes}) are more than the limit of {limit:,}",
+            "vary less at once, or let axes move together (linked)",
+        )
+    return combinations
+
+
+def _axis_sizes(experiment: Experiment, pairs: list[Pair]) -> dict[str, int]:
+    sizes = {"algorithm": len(experiment.algorithms.values), "dataset": len(experiment.datasets.values)}
+    for pair in pairs:
+        for group in pair.groups:
+            if len(group) > 1:
+                sizes[" + ".join(group.axes)] = len(group)
+    return {name: size for name, size in sizes.items() if size > 1}

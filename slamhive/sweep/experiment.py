@@ -1,0 +1,155 @@
+"""An experiment as typed values: what is combined with what, before any of it is bound to an algorithm or a dataset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.parameters import Value
+from slamhive.domain.protocol import Alignment
+from slamhive.sweep.condition import Condition
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where something was written; ``line`` counts from 1 and is None where there is no text."""
+
+    source: str
+    line: int | None = None
+
+    def __str__(self) -> str:
+        return self.source if self.line is None else f"{self.source} line {self.line}"
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One thing that takes several values (or a single one)."""
+
+    name: str
+    values: tuple[Value, ...]
+    place: Place
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterAxis(Axis):
+    """Values of an algorithm parameter, named by its key or its general name.
+
+    With ``algorithm`` None it holds for every algorithm of the experiment that knows the name.
+    """
+
+    key: str
+    algorithm: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StepOption(Axis):
+    """Values of one option of a step.
+
+    The axis bears the name of the step if it is the only option that varies, ``<step>.<option>`` otherwise.
+    """
+
+    option: str
+
+
+@dataclass(frozen=True, slots=True)
+class StepDeclaration:
+    """A pre-processing step under a name of the user's, each option an axis.
+
+    ``sensors`` name sensor kinds (``camera``, ``image`` for cameras and depth cameras ...), roles of the algorithm
+    (``left``), sensors or topics of the dataset.
+    """
+
+    name: str
+    kind: str
+    sensors: tuple[str, ...]
+    options: tuple[StepOption, ...]
+    place: Place
+
+    @property
+    def blame(self) -> Place:
+        """Where to look when its options do not fit a sensor."""
+        return self.options[0].place if len(self.options) == 1 else self.place
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """Axes that move together, value by value. ``equal`` asks for the same values on all of them (a tie)."""
+
+    axes: tuple[str, ...]
+    equal: bool
+    place: Place
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """A condition that a combination must meet, as it was written."""
+
+    condition: Condition
+    text: str
+    place: Place
+
+
+@dataclass(frozen=True, slots=True)
+class StopWhen:
+    """When a run ends early; None never ends one.
+
+    ``lost_tracking_s``: no pose for this long. ``memory_mb``, ``time_s``: budgets of a run.
+    ``failures_of_configuration``: further runs of a configuration are skipped after so many failures.
+    """
+
+    lost_tracking_s: float | None = None
+    memory_mb: int | None = None
+    time_s: float | None = None
+    failures_of_configuration: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What each run may use; None means the defaults of settings and package."""
+
+    cpu_cores: float | None = None
+    memory_mb: int | None = None
+    timeout_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Whether runs are evaluated, and how; ``alignment`` None means the one that the sensors deserve."""
+
+    enabled: bool = True
+    alignment: Alignment | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlaybackAxes:
+    """How the recordings are fed; both may vary."""
+
+    modes: tuple[PlaybackMode, ...] = (PlaybackMode.REALTIME,)
+    rates: tuple[float, ...] = (1.0,)
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """Everything that an experiment file states.
+
+    The combinations are algorithms x datasets x steps x parameters x playback, each of them run with every seed,
+    ``repeats`` times. ``algorithms`` and ``datasets`` are axes of names.
+    """
+
+    name: str
+    algorithms: Axis
+    datasets: Axis
+    place: Place
+    description: str = ""
+    parameters: tuple[ParameterAxis, ...] = ()
+    steps: tuple[StepDeclaration, ...] = ()
+    links: tuple[Link, ...] = ()
+    where: tuple[Where, ...] = ()
+    seeds: tuple[int, ...] = (0,)
+    repeats: int = 1
+    playback: PlaybackAxes = field(default_factory=PlaybackAxes)
+    stop_when: StopWhen = field(default_factory=StopWhen)
+    limits: Limits = field(default_factory=Limits)
+    evaluation: Evaluation = field(default_factory=Evaluation)
+    executor: str | None = None
+    priority: int = 0

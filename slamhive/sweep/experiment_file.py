@@ -1,0 +1,149 @@
+"""``experiment.yaml`` to :class:`~slamhive.sweep.experiment.Experiment`; every mistake is told with file and line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from slamhive import strict_yaml
+from slamhive.catalogue.validation import first_problem_at
+from slamhive.errors import InvalidInput
+from slamhive.sweep.condition import parse_condition
+from slamhive.sweep.experiment import (
+    Axis,
+    Evaluation,
+    Experiment,
+    Limits,
+    Link,
+    ParameterAxis,
+    Place,
+    PlaybackAxes,
+    StepDeclaration,
+    StepOption,
+    StopWhen,
+    Where,
+)
+from slamhive.sweep.experiment_model import EvaluateModel, ExperimentModel, StepModel
+
+
+def load_experiment(path: Path) -> Experiment:
+    """Read the experiment at ``path``; raises InvalidInput naming file, line and what is wrong."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InvalidInput(f"{path} does not exist") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInput(f"{path} cannot be read as text: {error}") from None
+    return parse_experiment(text, str(path))
+
+
+def parse_experiment(text: str, source: str = "experiment.yaml") -> Experiment:
+    """The experiment that ``text`` states.
+
+    Args:
+        text: The YAML.
+        source: What to call it in messages, usually the path.
+
+    Raises:
+        InvalidInput: naming source, line and what is wrong. Names are not looked up here; see
+            :func:`slamhive.sweep.expand.count`.
+    """
+    content, lines = strict_yaml.parse_with_lines(text, source)
+    places = _Places(source, lines)
+    try:
+        model = ExperimentModel.model_validate(content)
+    except ValidationError as error:
+        path, problem = first_problem_at(error, ExperimentModel)
+        raise InvalidInput(f"{places.of(*path)}: {problem}") from None
+    return _experiment(model, places)
+
+
+def experiment_schema() -> str:
+    """The JSON Schema of ``experiment.yaml``, as ``docs/schemas/experiment.schema.json`` holds it."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **ExperimentModel.model_json_schema()}
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
+
+
+class _Places:
+    """Where each part of a file stands."""
+
+    def __init__(self, source: str, lines: strict_yaml.Lines) -> None:
+        self._source = source
+        self._lines = lines
+
+    def of(self, *path: str | int) -> Place:
+        """The place of ``path``, or of the nearest thing around it."""
+        for length in range(len(path), 0, -1):
+            line = self._lines.get(path[:length])
+            if line is not None:
+                return Place(self._source, line)
+        return Place(self._source)
+
+
+def _experiment(model: ExperimentModel, places: _Places) -> Experiment:
+    evaluate = model.evaluate
+    return Experiment(
+        name=model.name,
+        description=model.description,
+        place=places.of("name"),
+        algorithms=Axis("algorithm", model.algorithms, places.of("algorithms")),
+        datasets=Axis("dataset", model.datasets, places.of("datasets")),
+        steps=tuple(_step(name, step, places) for name, step in model.steps.items()),
+        parameters=tuple(_parameters(model.parameters, places)),
+        links=(*_links("linked", model.linked, places), *_links("tied", model.tied, places)),
+        where=tuple(
+            Where(parse_condition(text), text, places.of("where", index)) for index, text in enumerate(model.where)
+        ),
+        seeds=model.seeds,
+        repeats=model.repeats,
+        playback=PlaybackAxes(model.playback.mode, model.playback.rate),
+        stop_when=StopWhen(**model.stop_when.model_dump()),
+        limits=Limits(**model.limits.model_dump()),
+        evaluation=Evaluation(alignment=evaluate.alignment)
+        if isinstance(evaluate, EvaluateModel)
+        else Evaluation(enabled=evaluate),
+        executor=model.executor,
+        priority=model.priority,
+    )
+
+
+def _step(name: str, model: StepModel, places: _Places) -> StepDeclaration:
+    options: Mapping[str, Any] = model.__pydantic_extra__ or {}
+    varied = [option for option, values in options.items() if len(values) > 1]
+    alone = varied if len(varied) == 1 else list(options) if len(options) == 1 else []
+    return StepDeclaration(
+        name=name,
+        kind=model.step,
+        sensors=model.sensors,
+        options=tuple(
+            StepOption(
+                name=name if option in alone else f"{name}.{option}",
+                values=values,
+                place=places.of("steps", name, option),
+                option=option,
+            )
+            for option, values in options.items()
+        ),
+        place=places.of("steps", name),
+    )
+
+
+def _parameters(parameters: Mapping[str, Any], places: _Places) -> Iterator[ParameterAxis]:
+    for key, values in parameters.items():
+        if not isinstance(values, dict):
+            yield ParameterAxis(key, values, places.of("parameters", key), key)
+            continue
+        for own, own_values in values.items():
+            yield ParameterAxis(f"{key}.{own}", own_values, places.of("parameters", key, own), own, algorithm=key)
+
+
+def _links(section: str, entries: Sequence[Sequence[str]], places: _Places) -> Iterator[Link]:
+    for index, names in enumerate(entries):
+        place = places.of(section, index)
+        if len(names) < 2:
+            raise InvalidInput(f"{place}: {section} needs two axes or more, found {list(names)}")
+        yield Link(tuple(names), section == "tied", place)

@@ -1,0 +1,209 @@
+"""The shape of ``experiment.yaml``; also what its published JSON Schema is made from."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, PlainValidator, Tag, WithJsonSchema
+
+from slamhive.catalogue.validation import PLAIN, SECTION, explained
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.names import NAME_PATTERN, check_name
+from slamhive.domain.parameters import Value
+from slamhive.domain.protocol import Alignment
+from slamhive.errors import InvalidInput
+from slamhive.sweep.condition import parse_condition
+from slamhive.sweep.values import check_distinct, parse_values
+
+MAX_REPEATS = 1000
+MAX_SEED = 2**31 - 1
+_NAME = re.compile(NAME_PATTERN)
+
+_SCALAR_SCHEMA: dict[str, Any] = {"type": ["number", "string", "boolean"]}
+_MATRIX_SCHEMA: dict[str, Any] = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+_VALUES_SCHEMA: dict[str, Any] = {
+    "description": "One value, a | b | c, first:last:step, lin(first, last, n), log(first, last, n), or a list.",
+    "anyOf": [
+        _SCALAR_SCHEMA,
+        {"type": "array", "items": {"anyOf": [_SCALAR_SCHEMA, _MATRIX_SCHEMA]}, "minItems": 1},
+    ],
+}
+_WORDS_SCHEMA: dict[str, Any] = {
+    "description": "One name, 'a | b | c', or a list of names.",
+    "anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}, "minItems": 1}],
+}
+
+
+def _values(raw: object) -> tuple[Value, ...]:
+    try:
+        values = parse_values(raw)
+        check_distinct(values)
+    except InvalidInput as error:
+        raise explained(error) from None
+    return values
+
+
+def _words(raw: object) -> tuple[str, ...]:
+    words = [word.strip() for word in raw.split("|")] if isinstance(raw, str) else raw
+    if not isinstance(words, list) or not words or not all(isinstance(word, str) and word for word in words):
+        raise explained(
+            InvalidInput(f"expected names, found {raw!r}; write 'a | b' or a list, names of digits in quotes")
+        )
+    if len(set(words)) < len(words):
+        raise explained(InvalidInput(f"a name is given twice in {raw!r}"))
+    return tuple(words)
+
+
+def _seeds(values: tuple[Value, ...]) -> tuple[int, ...]:
+    seeds = tuple(value for value in values if type(value) is int and 0 <= value <= MAX_SEED)
+    if len(seeds) < len(values):
+        raise explained(InvalidInput(f"seeds are integers from 0 to {MAX_SEED}, found {list(values)}"))
+    return seeds
+
+
+def _rates(values: tuple[Value, ...]) -> tuple[float, ...]:
+    rates = tuple(float(value) for value in values if isinstance(value, int | float) and 0.01 <= value <= 100)
+    if len(rates) < len(values):
+        raise explained(InvalidInput(f"playback rates are numbers from 0.01 to 100, found {list(values)}"))
+    return rates
+
+
+def _modes(words: tuple[str, ...]) -> tuple[PlaybackMode, ...]:
+    for word in words:
+        if word not in set(PlaybackMode):
+            raise explained(InvalidInput(f"{word!r} is none of {', '.join(PlaybackMode)}"))
+    return tuple(PlaybackMode(word) for word in words)
+
+
+def _conditions(raw: object) -> tuple[str, ...]:
+    texts = [raw] if isinstance(raw, str) else raw
+    if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
+        raise explained(InvalidInput(f"expected a condition or a list of conditions, found {raw!r}"))
+    return tuple(texts)
+
+
+def _condition_text(texts: tuple[str, ...]) -> tuple[str, ...]:
+    for text in texts:
+        try:
+            parse_condition(text)
+        except InvalidInput as error:
+            raise explained(error) from None
+    return texts
+
+
+def _experiment_name(name: str) -> str:
+    try:
+        return check_name("experiment", name)
+    except InvalidInput as error:
+        raise explained(error) from None
+
+
+def _axis_name(name: str) -> str:
+    if not _NAME.fullmatch(name):
+        raise explained(
+            InvalidInput(f"{name!r} is not a name; use letters, digits, '_', '.' and '-', the first a letter or digit")
+        )
+    return name
+
+
+Values = Annotated[Any, PlainValidator(_values), WithJsonSchema(_VALUES_SCHEMA)]
+Words = Annotated[Any, PlainValidator(_words), WithJsonSchema(_WORDS_SCHEMA)]
+Seeds = Annotated[Any, PlainValidator(_values), AfterValidator(_seeds), WithJsonSchema(_VALUES_SCHEMA)]
+Rates = Annotated[Any, PlainValidator(_values), AfterValidator(_rates), WithJsonSchema(_VALUES_SCHEMA)]
+Modes = Annotated[Any, PlainValidator(_words), AfterValidator(_modes), WithJsonSchema(_WORDS_SCHEMA)]
+Conditions = Annotated[Any, PlainValidator(_conditions), AfterValidator(_condition_text), WithJsonSchema(_WORDS_SCHEMA)]
+AxisName = Annotated[str, AfterValidator(_axis_name)]
+
+
+def _shape(raw: object) -> str:
+    return SECTION if isinstance(raw, dict | BaseModel) else PLAIN
+
+
+ValuesOrSection = Annotated[
+    Annotated[Values, Tag(PLAIN)] | Annotated[dict[AxisName, Values], Tag(SECTION)], Discriminator(_shape)
+]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class StepModel(_Model):
+    """A pre-processing step; every further key is an option of it, and may take several values."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Values] = Field(init=False)
+    step: str = Field(description="The kind of step: rate, resolution, noise_gaussian ...")
+    sensors: Words = Field(
+        description="Kinds (camera, depth, image for both, imu, lidar), roles (left), sensors (cam0) or topics."
+    )
+
+
+class PlaybackModel(_Model):
+    """How the recording is fed."""
+
+    mode: Modes = Field(default=(PlaybackMode.REALTIME,), description="realtime, sequential, or both.")
+    rate: Rates = Field(default=(1.0,), description="Times real time.")
+
+
+class StopWhenModel(_Model):
+    """When a run ends early, with the reason recorded."""
+
+    lost_tracking_s: float | None = Field(default=None, gt=0, description="No pose for so long, in s of the recording.")
+    memory_mb: int | None = Field(default=None, gt=0, description="The run takes more memory, in MB.")
+    time_s: float | None = Field(default=None, gt=0, description="The run takes longer, in s.")
+    failures_of_configuration: int | None = Field(
+        default=None, gt=0, description="The configuration has failed so often; its further runs are skipped."
+    )
+
+
+class LimitsModel(_Model):
+    """What each run may use."""
+
+    cpu_cores: float | None = Field(default=None, ge=0.1, le=1024)
+    memory_mb: int | None = Field(default=None, ge=16, le=10_000_000)
+    timeout_s: float | None = Field(default=None, ge=1, le=30 * 86_400)
+
+
+class EvaluateModel(_Model):
+    """How runs are evaluated."""
+
+    alignment: Alignment | None = Field(default=None, description="The one that the sensors deserve if absent.")
+
+
+SwitchOrEvaluate = Annotated[
+    Annotated[bool, Tag(PLAIN)] | Annotated[EvaluateModel, Tag(SECTION)], Discriminator(_shape)
+]
+
+
+class ExperimentModel(_Model):
+    """An experiment: what is combined with what. Every combination becomes one configuration."""
+
+    model_config = ConfigDict(title="SLAM Hive experiment")
+    format: Literal[1] = 1
+    name: Annotated[str, AfterValidator(_experiment_name)] = Field(
+        description="Also the beginning of every configuration's name.",
+        json_schema_extra={"pattern": rf"^{NAME_PATTERN}$"},
+    )
+    description: str = ""
+    algorithms: Words
+    datasets: Words
+    steps: dict[AxisName, StepModel] = Field(
+        default_factory=dict, description="Pre-processing in the order of application, each under a name of yours."
+    )
+    parameters: dict[AxisName, ValuesOrSection] = Field(
+        default_factory=dict,
+        description="By key or general name, for each algorithm that knows it; below an algorithm's name for it alone.",
+    )
+    linked: list[list[str]] = Field(default_factory=list, description="Lists of axes whose values move together.")
+    tied: list[list[str]] = Field(default_factory=list, description="Lists of axes that always have the same value.")
+    where: Conditions = Field(default=(), description="Conditions that every combination must meet.")
+    seeds: Seeds = Field(default=(0,), description="Each configuration is run with each seed.")
+    repeats: int = Field(default=1, ge=1, le=MAX_REPEATS, description="How often, with each seed.")
+    playback: PlaybackModel = Field(default_factory=PlaybackModel)
+    stop_when: StopWhenModel = Field(default_factory=StopWhenModel)
+    limits: LimitsModel = Field(default_factory=LimitsModel)
+    evaluate: SwitchOrEvaluate = Field(default=True, description="false leaves the evaluation to you.")
+    executor: str | None = None
+    priority: int = Field(default=0, ge=-1000, le=1000)

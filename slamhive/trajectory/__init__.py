@@ -1,0 +1,1 @@
+"""Trajectories as numpy arrays: reading, writing, transforming, aligning, and what of them is missing."""

@@ -1,0 +1,64 @@
+"""KITTI odometry poses: the upper 3x4 of T_world_camera, 12 numbers row by row, one pose a line; stamps apart.
+
+Format: Geiger et al., "Are we ready for autonomous driving?", CVPR 2012.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from slamhive.errors import InvalidInput
+from slamhive.files import write_aside
+from slamhive.trajectory.model import FloatArray, Trajectory, find_problem
+from slamhive.trajectory.table import parse_table, read_bounded
+from slamhive.trajectory.transforms import quats_from_rotations, rotations_from_quats
+
+LAYOUT = "12 numbers: r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz"
+_ORTHOGONAL_TOLERANCE = 1e-2
+
+
+def read_kitti(poses_path: Path, times_path: Path) -> Trajectory:
+    """Read poses and their stamps (one number a line, s).
+
+    Raises:
+        NotFound: One of the files does not exist.
+        InvalidInput: One of them is malformed, or they differ in length; the message names file, line and value.
+    """
+    poses = parse_table(read_bounded(poses_path), str(poses_path), 12, LAYOUT)
+    times = parse_table(read_bounded(times_path), str(times_path), 1, "timestamp")
+    count, stamps_s = len(poses.values), times.values[:, 0]
+    if len(stamps_s) != count:
+        raise InvalidInput(
+            f"{poses_path} has {count} poses, {times_path} has {len(stamps_s)} stamps", "both need one line per frame"
+        )
+    matrices = poses.values.reshape(count, 3, 4)
+    finite = np.isfinite(poses.values).all(axis=1)
+    if not finite.all():
+        raise poses.error(int((~finite).argmax()), "a number is not finite", "leave out frames that are not known")
+    rotations = matrices[:, :, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        errors = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        wrong = ~(errors < _ORTHOGONAL_TOLERANCE) | (np.linalg.det(rotations) < 0)
+    if wrong.any():
+        raise poses.error(
+            int(wrong.argmax()), "the 3x3 part is not a rotation", "write orthonormal matrices of determinant 1"
+        )
+    quats_xyzw = quats_from_rotations(rotations)
+    problem = find_problem(stamps_s, matrices[:, :, 3], quats_xyzw)
+    if problem is not None:
+        raise times.error(problem.index, problem.found, problem.remedy)
+    return Trajectory(stamps_s, matrices[:, :, 3], quats_xyzw)
+
+
+def format_kitti(positions_m: FloatArray, quats_xyzw: FloatArray) -> str:
+    """The text of a KITTI pose file; shapes (n, 3) and (n, 4)."""
+    matrices = np.concatenate((rotations_from_quats(quats_xyzw), positions_m[:, :, None]), axis=2)
+    row = " ".join(["%.12e"] * 12) + "\n"
+    return (row * len(matrices)) % tuple(matrices.ravel().tolist())
+
+
+def write_kitti(path: Path, trajectory: Trajectory) -> None:
+    """Write the poses of ``trajectory``, without its stamps, in one step. Raises Unavailable."""
+    write_aside(path, format_kitti(trajectory.positions_m, trajectory.quats_xyzw))

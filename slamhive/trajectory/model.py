@@ -1,0 +1,145 @@
+"""The trajectory: stamped poses that are known to be valid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from slamhive.errors import InvalidInput
+
+FloatArray = npt.NDArray[np.float64]
+
+QUATERNION_TOLERANCE = 1e-2
+"""How far a quaternion's norm may be from 1: text files round their digits, anything further is a mistake."""
+
+MAX_POSITION_M = 1e12
+"""Beyond this a position is a diverged estimate, and squares of it lose all precision."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoseProblem:
+    """What is wrong with the pose at ``index``: what was found, and what to do about it."""
+
+    index: int
+    found: str
+    remedy: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Poses of a moving frame in a fixed one, in the order of time.
+
+    Creating one validates it: at least one pose, stamps strictly increasing, every number finite, quaternions unit
+    within :data:`QUATERNION_TOLERANCE`. They are normalised, and the arrays are made read-only.
+
+    Attributes:
+        stamps_s: Time of each pose in s, shape (n,).
+        positions_m: Positions in the fixed frame in m, shape (n, 3).
+        quats_xyzw: Orientations as unit quaternions, w last, shape (n, 4).
+
+    Raises:
+        InvalidInput: Naming the first bad pose, counted from 0, and the value.
+    """
+
+    stamps_s: FloatArray
+    positions_m: FloatArray
+    quats_xyzw: FloatArray
+
+    def __post_init__(self) -> None:
+        stamps_s = np.array(self.stamps_s, dtype=np.float64)
+        positions_m = np.array(self.positions_m, dtype=np.float64)
+        quats_xyzw = np.array(self.quats_xyzw, dtype=np.float64)
+        count = stamps_s.shape[0] if stamps_s.ndim == 1 else -1
+        if positions_m.shape != (count, 3) or quats_xyzw.shape != (count, 4):
+            shapes = f"{stamps_s.shape}, {positions_m.shape}, {quats_xyzw.shape}"
+            raise InvalidInput(f"a trajectory takes arrays of shape (n,), (n, 3) and (n, 4), got {shapes}")
+        if count == 0:
+            raise InvalidInput("a trajectory needs at least one pose")
+        problem = find_problem(stamps_s, positions_m, quats_xyzw)
+        if problem is not None:
+            raise InvalidInput(f"pose {problem.index}: {problem.found}", problem.remedy)
+        quats_xyzw /= np.linalg.norm(quats_xyzw, axis=1, keepdims=True)
+        for name, array in (("stamps_s", stamps_s), ("positions_m", positions_m), ("quats_xyzw", quats_xyzw)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return int(self.stamps_s.shape[0])
+
+    @property
+    def span_s(self) -> float:
+        """Time from the first to the last pose in s."""
+        return float(self.stamps_s[-1] - self.stamps_s[0])
+
+    @property
+    def path_length_m(self) -> float:
+        """Sum of the distances between neighbouring poses in m."""
+        return float(np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1).sum())
+
+
+def find_problem(stamps_s: FloatArray, positions_m: FloatArray, quats_xyzw: FloatArray) -> PoseProblem | None:
+    """The first pose that cannot be part of a trajectory, None if all can. Shapes (n,), (n, 3), (n, 4)."""
+    rows = np.column_stack((stamps_s, positions_m, quats_xyzw))
+    candidates = [
+        _not_finite(rows),
+        _out_of_order(stamps_s),
+        _too_far(positions_m),
+        _not_unit(quats_xyzw),
+    ]
+    return min((found for found in candidates if found is not None), key=lambda found: found.index, default=None)
+
+
+def _first(bad: npt.ArrayLike) -> int | None:
+    indices = np.flatnonzero(bad)
+    return int(indices[0]) if indices.size else None
+
+
+def _not_finite(rows: FloatArray) -> PoseProblem | None:
+    index = _first(~np.isfinite(rows).all(axis=1))
+    if index is None:
+        return None
+    names = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+    column = int((~np.isfinite(rows[index])).argmax())
+    return PoseProblem(index, f"{names[column]} is {rows[index, column]}", "leave out poses that are not known")
+
+
+def _out_of_order(stamps_s: FloatArray) -> PoseProblem | None:
+    before = _first(np.diff(stamps_s) <= 0)
+    if before is None:
+        return None
+    earlier, later = stamps_s[before], stamps_s[before + 1]
+    if earlier == later:
+        return PoseProblem(before + 1, f"timestamp {later:.9f} occurs twice", "keep one pose per timestamp")
+    return PoseProblem(
+        before + 1,
+        f"timestamp {later:.9f} comes after {earlier:.9f}",
+        "sort the poses by timestamp",
+    )
+
+
+def _too_far(positions_m: FloatArray) -> PoseProblem | None:
+    with np.errstate(invalid="ignore"):
+        index = _first((np.abs(positions_m) > MAX_POSITION_M).any(axis=1))
+    if index is None:
+        return None
+    value = float(np.abs(positions_m[index]).max())
+    return PoseProblem(
+        index, f"position {value:g} m is beyond {MAX_POSITION_M:g} m", "the estimate diverged; leave such poses out"
+    )
+
+
+def _not_unit(quats_xyzw: FloatArray) -> PoseProblem | None:
+    with np.errstate(over="ignore", invalid="ignore"):
+        norms = np.linalg.norm(quats_xyzw, axis=1)
+    index = _first(np.abs(norms - 1.0) > QUATERNION_TOLERANCE)
+    if index is None:
+        return None
+    if norms[index] == 0:
+        return PoseProblem(index, "quaternion is all zero", "write 0 0 0 1 for no rotation")
+    return PoseProblem(
+        index,
+        f"quaternion has norm {norms[index]:.6g}, not 1",
+        "write unit quaternions in the order qx qy qz qw",
+    )

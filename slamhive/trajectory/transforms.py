@@ -1,0 +1,83 @@
+"""Rigid transforms, quaternions (w last) and rotation matrices, vectorised over poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slamhive.errors import InvalidInput
+from slamhive.trajectory.model import FloatArray, Trajectory
+
+_RIGID_TOLERANCE = 1e-4
+
+
+def rotations_from_quats(quats_xyzw: FloatArray) -> FloatArray:
+    """Rotation matrices, shape (n, 3, 3), of unit quaternions, shape (n, 4)."""
+    x, y, z, w = quats_xyzw.T
+    rotations = np.empty((len(quats_xyzw), 3, 3))
+    rotations[:, 0, 0] = 1 - 2 * (y * y + z * z)
+    rotations[:, 0, 1] = 2 * (x * y - z * w)
+    rotations[:, 0, 2] = 2 * (x * z + y * w)
+    rotations[:, 1, 0] = 2 * (x * y + z * w)
+    rotations[:, 1, 1] = 1 - 2 * (x * x + z * z)
+    rotations[:, 1, 2] = 2 * (y * z - x * w)
+    rotations[:, 2, 0] = 2 * (x * z - y * w)
+    rotations[:, 2, 1] = 2 * (y * z + x * w)
+    rotations[:, 2, 2] = 1 - 2 * (x * x + y * y)
+    return rotations
+
+
+def quats_from_rotations(rotations: FloatArray) -> FloatArray:
+    """Unit quaternions, shape (n, 4), of rotation matrices, shape (n, 3, 3).
+
+    The largest of four expressions for each component is used, which keeps every branch well-conditioned
+    (Shepperd, "Quaternion from rotation matrix", 1978).
+    """
+    m = rotations
+    trace = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
+    squares = np.stack([m[:, 0, 0], m[:, 1, 1], m[:, 2, 2], trace], axis=1)
+    largest = squares.argmax(axis=1)
+    quats = np.empty((len(m), 4))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        of_branch = largest == i
+        r = m[of_branch]
+        quats[of_branch, i] = 1 - trace[of_branch] + 2 * r[:, i, i]
+        quats[of_branch, j] = r[:, j, i] + r[:, i, j]
+        quats[of_branch, k] = r[:, k, i] + r[:, i, k]
+        quats[of_branch, 3] = r[:, k, j] - r[:, j, k]
+    of_branch = largest == 3
+    r = m[of_branch]
+    quats[of_branch, 0] = r[:, 2, 1] - r[:, 1, 2]
+    quats[of_branch, 1] = r[:, 0, 2] - r[:, 2, 0]
+    quats[of_branch, 2] = r[:, 1, 0] - r[:, 0, 1]
+    quats[of_branch, 3] = 1 + trace[of_branch]
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    return quats
+
+
+def rigid_transform(numbers: Sequence[float], name: str) -> FloatArray:
+    """The 4x4 transform in 16 row-major ``numbers``; raises InvalidInput, calling it ``name``, if it is not rigid."""
+    matrix = np.asarray(numbers, dtype=np.float64)
+    if matrix.size != 16 or not np.isfinite(matrix).all():
+        raise InvalidInput(f"{name} must be 16 finite numbers, got {matrix.size}", "write a 4x4 matrix row by row")
+    matrix = matrix.reshape(4, 4)
+    rotation = matrix[:3, :3]
+    orthogonal = np.abs(rotation @ rotation.T - np.eye(3)).max() < _RIGID_TOLERANCE
+    if not orthogonal or np.linalg.det(rotation) < 0 or not np.allclose(matrix[3], (0, 0, 0, 1)):
+        raise InvalidInput(f"{name} is not a rotation with a translation", "check the extrinsics of the dataset")
+    return matrix
+
+
+def move_sensor(trajectory: Trajectory, T_body_sensor: FloatArray) -> Trajectory:
+    """The trajectory of a sensor from that of the body it is mounted on: T_world_sensor = T_world_body T_body_sensor.
+
+    Args:
+        trajectory: Poses of the body.
+        T_body_sensor: Shape (4, 4), pose of the sensor in the body frame.
+    """
+    rotations = rotations_from_quats(trajectory.quats_xyzw)
+    positions_m = trajectory.positions_m + rotations @ T_body_sensor[:3, 3]
+    quats_xyzw = quats_from_rotations(rotations @ T_body_sensor[:3, :3])
+    return Trajectory(trajectory.stamps_s, positions_m, quats_xyzw)

@@ -1,0 +1,65 @@
+"""The TUM trajectory format: ``timestamp tx ty tz qx qy qz qw``, seconds and metres, one pose a line.
+
+Published with the TUM RGB-D benchmark (Sturm et al., IROS 2012).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from slamhive.files import write_aside
+from slamhive.trajectory.model import FloatArray, Trajectory, find_problem
+from slamhive.trajectory.table import parse_table, read_bounded
+
+LAYOUT = "timestamp tx ty tz qx qy qz qw"
+_ROW = " ".join(["%.9f"] * 8) + "\n"
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read the trajectory at ``path``.
+
+    Raises:
+        NotFound: There is no such file.
+        InvalidInput: It is not a valid trajectory; the message names file, line and value.
+    """
+    return parse_tum(read_bounded(path), str(path))
+
+
+def parse_tum(data: bytes, name: str) -> Trajectory:
+    """The trajectory in the bytes of a TUM file that messages call ``name``; raises InvalidInput."""
+    table = parse_table(data, name, 8, LAYOUT)
+    stamps_s, positions_m, quats_xyzw = table.values[:, 0], table.values[:, 1:4], table.values[:, 4:8]
+    problem = find_problem(stamps_s, positions_m, quats_xyzw)
+    if problem is not None:
+        raise table.error(problem.index, problem.found, problem.remedy)
+    return Trajectory(stamps_s, positions_m, quats_xyzw)
+
+
+def format_tum(
+    stamps_s: FloatArray, positions_m: FloatArray, quats_xyzw: FloatArray, header: str | None = LAYOUT
+) -> str:
+    """The text of a TUM file with 9 decimals; ``header`` becomes comment lines, None for none."""
+    rows = np.column_stack((stamps_s, positions_m, quats_xyzw))
+    comment = "" if header is None else "".join(f"# {line}\n" for line in header.splitlines())
+    return comment + (_ROW * len(rows)) % tuple(rows.ravel().tolist())
+
+
+def write_tum(
+    path: Path,
+    stamps_s: FloatArray,
+    positions_m: FloatArray,
+    quats_xyzw: FloatArray,
+    header: str | None = LAYOUT,
+) -> None:
+    """Write a TUM file in one step: a reader sees the old file or the new one. Raises Unavailable.
+
+    Args:
+        path: Where to; an existing file is replaced.
+        stamps_s: Seconds, shape (n,).
+        positions_m: Shape (n, 3).
+        quats_xyzw: Unit quaternions, w last, shape (n, 4).
+        header: Text for the comment lines at the top, None for none.
+    """
+    write_aside(path, format_tum(stamps_s, positions_m, quats_xyzw, header))

@@ -1,0 +1,96 @@
+"""The Flask application: put together here, written elsewhere."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from typing import Any
+
+from flask import Flask
+from flask_bootstrap import Bootstrap5
+from flask_wtf.csrf import CSRFProtect
+
+from slamhive import __version__
+from slamhive.domain.run import RunState
+from slamhive.services.hive import Hive
+from slamhive.settings import Mode
+from slamhive.web import assets, context, formatting
+from slamhive.web.columns import Kind
+from slamhive.web.errors import handle_errors
+from slamhive.web.live import LiveHub
+from slamhive.web.presenters import catalogue as catalogue_presenter
+from slamhive.web.security import protect, secret_key
+from slamhive.web.views import algorithms, api, dashboard, datasets, runs, start
+
+MOST_UPLOAD_BYTES = 1_000_000
+MOST_STREAMS = 8
+
+
+def create_app(hive: Hive, host: str | None = None) -> Flask:
+    """The web application on these services.
+
+    Args:
+        hive: The services; the only thing that pages talk to.
+        host: Address the server binds to, which decides the Host headers it answers; the settings' if None.
+    """
+    root = hive.catalogue.project_root
+    app = Flask("slamhive.web", template_folder=str(root / "templates"), static_folder=str(root / "static"))
+    app.config.update(
+        SECRET_KEY=secret_key(hive.settings),
+        SESSION_COOKIE_NAME="slamhive",
+        SESSION_COOKIE_HTTPONLY=True,
+        SESSION_COOKIE_SAMESITE="Lax",
+        PERMANENT_SESSION_LIFETIME=timedelta(days=30),
+        MAX_CONTENT_LENGTH=MOST_UPLOAD_BYTES,
+        MAX_FORM_PARTS=2000,
+        BOOTSTRAP_SERVE_LOCAL=True,
+        WTF_CSRF_TIME_LIMIT=None,
+        WTF_CSRF_CHECK_DEFAULT=True,
+    )
+    app.extensions[context.EXTENSION] = hive
+    app.extensions[context.LIVE_EXTENSION] = LiveHub(hive, MOST_STREAMS)
+    app.jinja_options["trim_blocks"] = True
+    app.jinja_options["lstrip_blocks"] = True
+    protect(app, hive.settings, host or hive.settings.host)
+    Bootstrap5(app)
+    CSRFProtect(app).exempt(api.blueprint)
+    handle_errors(app)
+    for blueprint in (
+        dashboard.blueprint,
+        algorithms.blueprint,
+        datasets.blueprint,
+        start.blueprint,
+        runs.blueprint,
+        api.blueprint,
+        assets.blueprint,
+    ):
+        app.register_blueprint(blueprint)
+    _add_template_words(app, hive)
+    return app
+
+
+def _add_template_words(app: Flask, hive: Hive) -> None:
+    """The filters and names that every template may use."""
+    app.jinja_env.filters.update(
+        duration=formatting.duration,
+        exact_time=formatting.exact_time,
+        iso_time=formatting.iso_time,
+        plural=formatting.plural,
+        significant=formatting.significant,
+        size=formatting.size,
+        thousands=formatting.thousands,
+        value_text=formatting.value_text,
+    )
+    app.jinja_env.globals.update(
+        Kind=Kind,
+        RunState=RunState,
+        asset=assets.asset_url,
+        catalogue=catalogue_presenter,
+        relative_time=formatting.relative_time,
+        version=__version__,
+        view_only=hive.settings.mode is Mode.VIEW_ONLY,
+        zip=zip,
+    )
+
+    @app.context_processor
+    def request_words() -> dict[str, Any]:
+        return {"now": context.now()}

@@ -1,0 +1,46 @@
+"""Styles and scripts, all from this machine, at addresses that change with their content."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+import plotly
+from flask import Blueprint, Response, current_app, send_file, url_for
+from plotly.offline import get_plotlyjs_version
+
+from slamhive.errors import NotFound
+
+blueprint = Blueprint("assets", __name__)
+
+PLOTLY_FILE = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
+YEAR_S = 365 * 86_400
+
+
+def asset_url(name: str) -> str:
+    """The address of a file in ``static/``, with its content's hash so that browsers may keep it for long."""
+    folder = current_app.static_folder or ""
+    path = Path(folder) / name
+    return url_for("static", filename=name, v=_content_hash(path, path.stat().st_mtime_ns))
+
+
+@blueprint.app_context_processor
+def _plotly_address() -> dict[str, str]:
+    return {"plotly_url": url_for("assets.plotly_js", version=get_plotlyjs_version())}
+
+
+@blueprint.get("/assets/plotly-<version>.min.js")
+def plotly_js(version: str) -> Response:
+    """Plotly.js out of the installed package."""
+    if version != get_plotlyjs_version():
+        raise NotFound(f"plotly.js {version} is not installed", "reload the page")
+    response = send_file(PLOTLY_FILE, mimetype="text/javascript", max_age=YEAR_S)
+    response.cache_control.immutable = True
+    return response
+
+
+@cache
+def _content_hash(path: Path, _modified_ns: int) -> str:
+    """The time of change makes an edited file a new one."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:12]

@@ -1,0 +1,124 @@
+"""The columns of the runs table: every column of a run, and every metric of the catalogue."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from slamhive.domain.metrics import CATALOGUE, Metric
+from slamhive.errors import unknown
+from slamhive.store.records import RunRecord
+from slamhive.web.formatting import DASH, Cell, display_unit, exact_time, metric_cell, value_text
+
+
+class Kind(StrEnum):
+    """How the template draws a cell; everything but TEXT and NUMBER has a drawing of its own."""
+
+    TEXT = "text"
+    NUMBER = "number"
+    RUN = "run"
+    ALGORITHM = "algorithm"
+    DATASET = "dataset"
+    STATE = "state"
+    TIME = "time"
+    PARAMETERS = "parameters"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: its heading, unit, how to sort by it (None: it has no order) and the cell for a run."""
+
+    key: str
+    title: str
+    kind: Kind
+    cell: Callable[[RunRecord], Cell]
+    unit: str = ""
+    sort: str | None = None
+    help: str = ""
+
+    @property
+    def numeric(self) -> bool:
+        """Right-aligned with tabular digits."""
+        return self.kind in (Kind.NUMBER, Kind.RUN)
+
+
+DEFAULT_COLUMNS = (
+    "id",
+    "algorithm",
+    "dataset",
+    "parameters",
+    "state",
+    "created_at",
+    "ate.rmse",
+    "rpe.rmse",
+    "tracked_fraction",
+    "cpu.mean",
+    "ram.max",
+)
+
+
+def all_columns() -> dict[str, Column]:
+    """Every column by key, in the order in which they are offered and shown."""
+    own = (
+        Column("id", "Run", Kind.RUN, lambda run: Cell(str(run.id)), sort="id"),
+        Column("algorithm", "Algorithm", Kind.ALGORITHM, lambda run: Cell(run.algorithm), sort="algorithm"),
+        Column("dataset", "Dataset", Kind.DATASET, lambda run: Cell(run.dataset), sort="dataset"),
+        Column("parameters", "Parameters", Kind.PARAMETERS, _parameters, help="those that differ from the default"),
+        Column("configuration", "Configuration", Kind.NUMBER, lambda run: Cell(str(run.configuration_id))),
+        Column("executor", "Executor", Kind.TEXT, lambda run: Cell(run.executor), sort="executor"),
+        Column("playback", "Playback", Kind.TEXT, _playback),
+        Column("seed", "Seed", Kind.NUMBER, lambda run: Cell(str(run.seed))),
+        Column("state", "State", Kind.STATE, lambda run: Cell(run.state.value), sort="state"),
+        Column("reason", "Reason", Kind.TEXT, _reason, sort="reason", help="why a run failed"),
+        _time_column("created_at", "Created"),
+        _time_column("started_at", "Started"),
+        _time_column("ended_at", "Ended"),
+        Column("protocol", "Protocol", Kind.TEXT, _protocol, help="association and alignment of the errors shown"),
+    )
+    return {column.key: column for column in (*own, *map(_metric_column, CATALOGUE.values()))}
+
+
+def column(key: str) -> Column:
+    """The column called ``key``; raises NotFound that lists the near ones."""
+    columns = all_columns()
+    if key not in columns:
+        raise unknown("column", key, list(columns))
+    return columns[key]
+
+
+def _time_column(key: str, title: str) -> Column:
+    return Column(key, title, Kind.TIME, lambda run: Cell(exact_time(getattr(run, key))), sort=key)
+
+
+def _metric_column(metric: Metric) -> Column:
+    return Column(
+        key=metric.key,
+        title=metric.label,
+        kind=Kind.NUMBER,
+        cell=lambda run: metric_cell(metric, (run.metrics or {}).get(metric.key)),
+        unit=display_unit(metric).unit,
+        sort=metric.key,
+        help=metric.definition,
+    )
+
+
+def _parameters(run: RunRecord) -> Cell:
+    text = ", ".join(f"{key}={value_text(value)}" for key, value in run.parameters.items())
+    return Cell(text or DASH, text)
+
+
+def _playback(run: RunRecord) -> Cell:
+    return Cell(f"{run.playback.mode.value} × {run.playback.rate:g}")
+
+
+def _reason(run: RunRecord) -> Cell:
+    if run.reason is None:
+        return Cell(DASH, missing=True)
+    return Cell(run.reason.value.replace("_", " "), run.detail or "")
+
+
+def _protocol(run: RunRecord) -> Cell:
+    if run.protocol is None:
+        return Cell(DASH, "not evaluated", missing=True)
+    return Cell(run.protocol.label, f"fingerprint {run.protocol.fingerprint}")

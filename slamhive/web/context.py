@@ -1,0 +1,30 @@
+"""What views and templates reach for: the services and the live hub of this application."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, cast
+
+from flask import current_app
+
+if TYPE_CHECKING:
+    from slamhive.services.hive import Hive
+    from slamhive.web.live import LiveHub
+
+EXTENSION = "slamhive"
+LIVE_EXTENSION = "slamhive-live"
+
+
+def hive() -> Hive:
+    """The services of this application."""
+    return cast("Hive", current_app.extensions[EXTENSION])
+
+
+def live_hub() -> LiveHub:
+    """The live hub of this application."""
+    return cast("LiveHub", current_app.extensions[LIVE_EXTENSION])
+
+
+def now() -> datetime:
+    """The current time in UTC."""
+    return datetime.now(UTC)

@@ -1,0 +1,77 @@
+"""Every mistake as one clear page, or one JSON object for programs."""
+
+from __future__ import annotations
+
+import logging
+
+from flask import Flask, Response, jsonify, make_response, render_template, request
+from werkzeug.exceptions import HTTPException
+
+from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
+
+logger = logging.getLogger(__name__)
+
+STATUS: dict[type[SlamHiveError], int] = {
+    InvalidInput: 400,
+    Forbidden: 403,
+    NotFound: 404,
+    Conflict: 409,
+    Unavailable: 503,
+}
+TITLES = {
+    400: "That cannot be used",
+    403: "Not allowed here",
+    404: "Not found",
+    405: "Not possible that way",
+    409: "Not now",
+    413: "Too large",
+    500: "Something went wrong here",
+    503: "Not available at the moment",
+}
+
+
+def handle_errors(app: Flask) -> None:
+    """Register the handlers for explained errors, HTTP errors and bugs."""
+    app.register_error_handler(SlamHiveError, _explained)
+    app.register_error_handler(HTTPException, _http)
+    app.register_error_handler(Exception, _bug)
+
+
+def status_of(error: SlamHiveError) -> int:
+    """The HTTP status of an explained error; 500 for a kind that no user causes."""
+    return next((STATUS[kind] for kind in type(error).__mro__ if kind in STATUS), 500)
+
+
+def wants_json() -> bool:
+    """The API speaks JSON always, other addresses where the client asks for nothing else."""
+    if request.path.startswith("/api/"):
+        return True
+    best = request.accept_mimetypes.best_match(["text/html", "application/json"], default="text/html")
+    return best == "application/json"
+
+
+def _explained(error: SlamHiveError) -> Response:
+    return _answer(status_of(error), error.message, error.remedy)
+
+
+def _http(error: HTTPException) -> Response:
+    answer = _answer(error.code or 500, error.description or error.name, None)
+    for name, value in error.get_headers():
+        if name not in {"Content-Type", "Content-Length"}:
+            answer.headers[name] = value
+    return answer
+
+
+def _bug(error: Exception) -> Response:
+    logger.error("%s %s failed", request.method, request.path, exc_info=error)
+    return _answer(500, "an unexpected error; it has been written to the server's log", "try again, or report it")
+
+
+def _answer(status: int, message: str, remedy: str | None) -> Response:
+    if wants_json():
+        body = jsonify(error={"status": status, "message": message, "remedy": remedy})
+        return make_response(body, status)
+    title = TITLES.get(status, "That did not work")
+    return make_response(
+        render_template("errors/error.html", status=status, title=title, message=message, remedy=remedy), status
+    )

@@ -1,0 +1,244 @@
+"""The interactive figures, as Plotly JSON. Colours that depend on light or dark are filled in by ``figures.js``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from slamhive.services.series import Array, RunSeries, Samples, Track
+from slamhive.web.formatting import plural
+
+PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+AXES = "xyz"
+THEMED = "theme:groundtruth"
+"""Marks a trace whose colour ``figures.js`` sets: dark grey on white, light grey on black."""
+
+Figure = dict[str, Any]
+
+
+def best_plane(track: Track) -> str:
+    """The plane that shows most of the path: its two longest extents."""
+    extents = np.ptp(track.positions_m, axis=0)
+    dropped = int(np.argmin(extents))
+    return {2: "xy", 1: "xz", 0: "yz"}[dropped]
+
+
+def run_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
+    """Every figure that the run has data for: ``path_xy``, ``path_xz``, ``path_yz``, ``path_3d``, ``error`` ..."""
+    figures: dict[str, Figure] = {}
+    estimate = None if series.estimate is None else (name, series.estimate, colour)
+    if estimate is not None or series.groundtruth is not None:
+        figures |= path_figures(series.groundtruth, estimate)
+    recording = "time since the first matched pose [s]"
+    if series.error is not None:
+        figures["error"] = _over_time(series.error, name, colour, recording, "position error [m]")
+    started = "time since the start of the run [s]"
+    if series.cpu is not None:
+        figures["cpu"] = _over_time(series.cpu, name, colour, started, "CPU in use [cores]")
+    if series.memory is not None:
+        in_mb = Samples(series.memory.times_s, series.memory.values * 1e-6, series.memory.count)
+        figures["memory"] = _over_time(in_mb, name, colour, started, "memory in use [MB]")
+    if series.latency is not None:
+        in_ms = Samples(series.latency.times_s, series.latency.values * 1e3, series.latency.count)
+        figures["latency"] = _over_time(in_ms, name, colour, "recording time [s]", "latency per frame [ms]", dots=True)
+    return figures
+
+
+def path_figures(groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> dict[str, Figure]:
+    """The path in its three planes and in 3D, ground truth dashed, equal aspect, start and end marked.
+
+    Args:
+        groundtruth: The reference, None if there is none.
+        estimate: Name, path and colour of the estimate, None to show the ground truth alone.
+    """
+    figures = {f"path_{plane}": _plane_figure(plane, groundtruth, estimate) for plane in PLANES}
+    figures["path_3d"] = _space_figure(groundtruth, estimate)
+    return figures
+
+
+def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
+    """Under each figure: what was done to the data, and how many points there are."""
+    texts: dict[str, str] = {}
+    if series.estimate is not None:
+        how = f"aligned with {protocol}" if series.aligned else "in its own frame, not aligned to any ground truth"
+        texts["path"] = (
+            f"{plural(series.estimate.poses, 'matched pose' if series.aligned else 'pose')} of the estimate, {how}."
+        )
+    if series.groundtruth is not None:
+        texts["path"] = texts.get("path", "") + f" Ground truth dashed, {plural(series.groundtruth.poses, 'pose')}."
+    if series.error is not None:
+        texts["error"] = (
+            f"Distance from estimate to ground truth at n = {plural(series.error.count, 'matched pose')}; {protocol}."
+        )
+    if series.cpu is not None:
+        texts["cpu"] = f"n = {plural(series.cpu.count, 'sample')}, cores summed, player included."
+        texts["memory"] = f"n = {plural(series.cpu.count, 'sample')}, player included."
+    if series.latency is not None:
+        texts["latency"] = (
+            f"From arrival to result, n = {plural(series.latency.count, 'frame')}; dropped frames have none."
+        )
+    return texts
+
+
+def figure_table(series: RunSeries, figure: str) -> tuple[list[str], list[Sequence[float | str]]] | None:
+    """The data that a figure draws, as a header and rows; None if there is none."""
+    if figure == "path":
+        tracks = [(name, track) for name, track in _named_tracks(series) if track is not None]
+        rows: list[Sequence[float | str]] = [
+            (name, float(at), *map(float, position))
+            for name, track in tracks
+            for at, position in zip(track.times_s, track.positions_m, strict=True)
+        ]
+        return (["trajectory", "timestamp_s", "x_m", "y_m", "z_m"], rows) if rows else None
+    samples, unit = {
+        "error": (series.error, "error_m"),
+        "cpu": (series.cpu, "cpu_cores"),
+        "memory": (series.memory, "memory_bytes"),
+        "latency": (series.latency, "latency_s"),
+    }.get(figure, (None, ""))
+    if samples is None:
+        return None
+    pairs: list[Sequence[float | str]] = list(zip(samples.times_s.tolist(), samples.values.tolist(), strict=True))
+    return ["time_s", unit], pairs
+
+
+def _named_tracks(series: RunSeries) -> tuple[tuple[str, Track | None], ...]:
+    return ("groundtruth", series.groundtruth), ("estimate", series.estimate)
+
+
+def _plane_figure(plane: str, groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> Figure:
+    first, second = PLANES[plane]
+    traces: list[Any] = []
+    if estimate is not None:
+        name, track, colour = estimate
+        points = _short(track.positions_m)
+        line = {"color": colour, "width": 2.5}
+        traces.append(_plane_line(plane, points, name=name, line=line))
+    if groundtruth is not None:
+        points = _short(groundtruth.positions_m)
+        traces.append(_plane_line(plane, points, name="ground truth", line={"dash": "dash", "width": 1.2}, meta=THEMED))
+    traces += _plane_ends(plane, groundtruth, estimate)
+    layout = go.Layout(
+        xaxis={"title": {"text": f"{AXES[first]} [m]"}, "constrain": "domain"},
+        yaxis={"title": {"text": f"{AXES[second]} [m]"}, "constrain": "domain", "scaleanchor": "x"},
+        legend=_LEGEND,
+    )
+    return _plain(go.Figure(traces, layout))
+
+
+def _plane_line(plane: str, points: np.ndarray[Any, Any], **look: Any) -> Any:
+    first, second = PLANES[plane]
+    return go.Scatter(x=points[:, first], y=points[:, second], mode="lines", hovertemplate=_plane_hover(plane), **look)
+
+
+def _plane_ends(plane: str, groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> list[Any]:
+    """Start (circle) and end (square) of the estimate, of the ground truth if there is no estimate."""
+    first, second = PLANES[plane]
+    track, colour = _marked(groundtruth, estimate)
+    ends = (("start", "circle-open", 13, track.positions_m[0]), ("end", "square", 7, track.positions_m[-1]))
+    return [
+        go.Scatter(
+            x=[float(point[first])],
+            y=[float(point[second])],
+            name=label,
+            mode="markers",
+            marker={"symbol": symbol, "size": points, "line": {"width": 2}} | ({"color": colour} if colour else {}),
+            meta=None if colour else THEMED,
+            hovertemplate=f"{label}<br>{_plane_hover(plane)}",
+        )
+        for label, symbol, points, point in ends
+    ]
+
+
+def _space_figure(groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> Figure:
+    traces: list[Any] = []
+    hover = "x %{x:.4g} m<br>y %{y:.4g} m<br>z %{z:.4g} m"
+    if estimate is not None:
+        name, track, colour = estimate
+        x, y, z = _short(track.positions_m).T
+        line = {"color": colour, "width": 5}
+        traces.append(go.Scatter3d(x=x, y=y, z=z, name=name, mode="lines", line=line, hovertemplate=hover))
+    if groundtruth is not None:
+        x, y, z = _short(groundtruth.positions_m).T
+        line = {"dash": "dash", "width": 3}
+        traces.append(
+            go.Scatter3d(x=x, y=y, z=z, name="ground truth", mode="lines", line=line, meta=THEMED, hovertemplate=hover)
+        )
+    track, end_colour = _marked(groundtruth, estimate)
+    for label, symbol, point in (("start", "circle", track.positions_m[0]), ("end", "square", track.positions_m[-1])):
+        x, y, z = ([float(value)] for value in point)
+        marker = {"symbol": symbol, "size": 5} | ({"color": end_colour} if end_colour else {})
+        meta = None if end_colour else THEMED
+        traces.append(go.Scatter3d(x=x, y=y, z=z, name=label, mode="markers", marker=marker, meta=meta))
+    tracks = [entry for entry in (groundtruth, None if estimate is None else estimate[1]) if entry is not None]
+    return _plain(go.Figure(traces, go.Layout(scene=_equal_scene(tracks), legend=_LEGEND)))
+
+
+def _equal_scene(tracks: Sequence[Track]) -> dict[str, Any]:
+    """Axes of one scale whose box always fits into the view: Plotly's own equal aspect cuts long, flat paths off."""
+    positions_m = np.concatenate([track.positions_m for track in tracks])
+    low, high = positions_m.min(axis=0), positions_m.max(axis=0)
+    longest_m = max(float((high - low).max()), 1e-3)
+    half_m = np.maximum((high - low) * 0.525, 0.05 * longest_m)
+    middle = (low + high) / 2
+    scene: dict[str, Any] = {
+        f"{axis}axis": {
+            "title": {"text": f"{axis} [m]"},
+            "range": [float(middle[place] - half_m[place]), float(middle[place] + half_m[place])],
+            "nticks": 3 if half_m[place] < 0.2 * longest_m else 8,
+        }
+        for place, axis in enumerate(AXES)
+    }
+    ratio = {axis: float(1.5 * half_m[place] / half_m.max()) for place, axis in enumerate(AXES)}
+    eye = {"x": 1.1, "y": -1.3, "z": 0.9}
+    return scene | {"aspectmode": "manual", "aspectratio": ratio, "camera": {"eye": eye}}
+
+
+def _marked(groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> tuple[Track, str | None]:
+    if estimate is not None:
+        return estimate[1], estimate[2]
+    if groundtruth is None:
+        raise ValueError("a path figure needs a path")
+    return groundtruth, None
+
+
+def _over_time(samples: Samples, name: str, colour: str, x_title: str, y_title: str, *, dots: bool = False) -> Figure:
+    look: dict[str, Any] = {"mode": "lines", "line": {"color": colour, "width": 1.5}}
+    if dots:
+        look = {"mode": "markers", "marker": {"color": colour, "size": 4}}
+    trace = go.Scatter(
+        x=_short(samples.times_s),
+        y=_short(samples.values),
+        name=name,
+        hovertemplate="%{y:.4g} at %{x:.2f} s<extra></extra>",
+        **look,
+    )
+    layout = go.Layout(
+        xaxis={"title": {"text": x_title}}, yaxis={"title": {"text": y_title}, "rangemode": "tozero"}, showlegend=False
+    )
+    return _plain(go.Figure([trace], layout))
+
+
+_LEGEND = {"orientation": "h", "yanchor": "bottom", "y": 1.0, "xanchor": "left", "x": 0.0}
+
+
+def _plane_hover(plane: str) -> str:
+    first, second = PLANES[plane]
+    return f"{AXES[first]} %{{x:.4g}} m<br>{AXES[second]} %{{y:.4g}} m"
+
+
+def _short(values: Array) -> np.ndarray[Any, Any]:
+    """Single precision is more than a screen shows, and half the bytes on the way."""
+    return values.astype(np.float32)
+
+
+def _plain(figure: go.Figure) -> Figure:
+    """Data and layout without Plotly's default template, which would bring colours of its own."""
+    figure.update_layout(template="none")
+    content: Figure = json.loads(figure.to_json(validate=False))
+    content["layout"].pop("template", None)
+    return content

@@ -1,0 +1,135 @@
+"""Numbers, times and sizes in words: short on the page, exact on hover."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from slamhive.domain.metrics import Metric
+
+DASH = "–"
+PERCENT_METRICS = frozenset({"tracked_fraction", "frames.dropped_fraction"})
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """What a table shows: ``text`` on the page, ``exact`` on hover."""
+
+    text: str
+    exact: str = ""
+    missing: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class DisplayUnit:
+    """The unit that a page shows a figure in, and the factor from the stored unit."""
+
+    unit: str
+    factor: float = 1.0
+
+
+def display_unit(metric: Metric) -> DisplayUnit:
+    """Bytes are shown in MB, shares in percent; everything else as it is stored."""
+    if metric.key in PERCENT_METRICS:
+        return DisplayUnit("%", 100.0)
+    if metric.unit == "bytes":
+        return DisplayUnit("MB", 1e-6)
+    return DisplayUnit(metric.unit)
+
+
+def metric_cell(metric: Metric, value: float | None) -> Cell:
+    """A figure with four significant digits; the stored value and its unit on hover."""
+    if value is None:
+        return Cell(DASH, f"no {metric.label} known", missing=True)
+    shown = display_unit(metric)
+    return Cell(significant(value * shown.factor), f"{value!r} {metric.unit}".strip())
+
+
+def significant(value: float, digits: int = 4) -> str:
+    """``value`` with ``digits`` significant digits, never in powers of ten between 1e-4 and 1e7.
+
+    Whole numbers keep all their digits.
+    """
+    if not math.isfinite(value):
+        return str(value)
+    if value == int(value) and abs(value) < 1e7:
+        return thousands(int(value))
+    if not 1e-4 <= abs(value) < 1e7:
+        return f"{value:.{digits - 1}e}"
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    return f"{value:,.{decimals}f}"
+
+
+def thousands(value: int) -> str:
+    """``1,234``."""
+    return f"{value:,}"
+
+
+def plural(count: int, noun: str, many: str | None = None) -> str:
+    """``1 run``, ``1,234 runs``."""
+    return f"{thousands(count)} {noun if count == 1 else many or noun + 's'}"
+
+
+def duration(seconds: float | None) -> str:
+    """``0.42 s``, ``12.3 s``, ``3 min 05 s``, ``2 h 04 min``, ``3 d 02 h``."""
+    if seconds is None:
+        return DASH
+    if seconds < 10:
+        return f"{seconds:.2f} s"
+    if seconds < 99.95:
+        return f"{seconds:.1f} s"
+    whole = round(seconds)
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    if whole < 86_400:
+        return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+    return f"{whole // 86_400} d {whole % 86_400 // 3600:02d} h"
+
+
+def size(count_bytes: float | None) -> str:
+    """``512 bytes``, ``1.21 GB``; decimal units."""
+    if count_bytes is None:
+        return DASH
+    amount = float(count_bytes)
+    if amount < 1000:
+        return plural(int(amount), "byte")
+    for unit in ("kB", "MB", "GB"):
+        amount /= 1000
+        if amount < 999.5:
+            return f"{amount:.3g} {unit}"
+    return f"{amount / 1000:.3g} TB"
+
+
+def exact_time(at: datetime | None) -> str:
+    """``2026-01-31 12:00:00 UTC``."""
+    return "" if at is None else at.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def iso_time(at: datetime) -> str:
+    """For the ``datetime`` attribute."""
+    return at.astimezone(UTC).isoformat(timespec="seconds")
+
+
+def relative_time(at: datetime | None, now: datetime) -> str:
+    """``just now``, ``5 min ago``, ``3 h ago``, ``2 d ago``, later the date itself."""
+    if at is None:
+        return DASH
+    seconds = (now - at).total_seconds()
+    if seconds < 10:
+        return "just now"
+    for below_s, unit_s, unit in ((60, 1, "s"), (3600, 60, "min"), (86_400, 3600, "h"), (30 * 86_400, 86_400, "d")):
+        if seconds < below_s:
+            return f"{int(seconds // unit_s)} {unit} ago"
+    return at.astimezone(UTC).strftime("%Y-%m-%d")
+
+
+def value_text(value: object) -> str:
+    """A parameter value as it would be typed."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple | list):
+        return ", ".join(value_text(part) for part in value)
+    if isinstance(value, float):
+        return f"{value:g}" if float(f"{value:g}") == value else repr(value)
+    return str(value)

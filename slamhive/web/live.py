@@ -1,0 +1,146 @@
+"""Live updates: one poller thread a server looks at the services, every open page listens to it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from slamhive.errors import SlamHiveError, Unavailable
+from slamhive.services.hive import Hive
+from slamhive.web.presenters.live import snapshot
+
+logger = logging.getLogger(__name__)
+
+POLL_INTERVAL_S = 1.0
+KEEPALIVE_S = 10.0
+
+
+class LiveHub:
+    """Takes a snapshot of what is going on once per interval while somebody listens, and hands it to all streams.
+
+    Args:
+        hive: The services.
+        most_streams: Streams at a time; each holds a thread of the web server, so some must stay free for pages.
+        interval_s: Time between two snapshots.
+    """
+
+    def __init__(self, hive: Hive, most_streams: int = 8, interval_s: float = POLL_INTERVAL_S) -> None:
+        self._hive = hive
+        self._most_streams = most_streams
+        self._interval_s = interval_s
+        self._changed = threading.Condition()
+        self._streams = 0
+        self._tick = 0
+        self._message = ""
+        self._poller: threading.Thread | None = None
+        self._closed = False
+
+    def latest(self) -> dict[str, Any]:
+        """A snapshot of now, for pages that poll."""
+        return with_version(snapshot(self._hive))
+
+    def open(self) -> LiveStream:
+        """A new stream, to be closed by its reader; raises Unavailable if there are too many or the server ends."""
+        with self._changed:
+            if self._closed or self._streams >= self._most_streams:
+                raise Unavailable("too many live pages are open on this server", "this page polls instead")
+            self._streams += 1
+            if self._poller is None:
+                self._poller = threading.Thread(target=self._poll, name="slamhive-live", daemon=True)
+                self._poller.start()
+        return LiveStream(self)
+
+    def close(self) -> None:
+        """End every stream and the poller; new streams are refused."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    @property
+    def open_streams(self) -> int:
+        """How many streams are open now."""
+        return self._streams
+
+    def wait(self, seen: int) -> tuple[int, str] | None:
+        """The number and text of the latest snapshot once it is not ``seen``, or after a while; None at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._ended or self._tick != seen, timeout=KEEPALIVE_S)
+            return None if self._ended else (self._tick, self._message)
+
+    def leave(self) -> None:
+        """One stream less."""
+        with self._changed:
+            self._streams -= 1
+
+    @property
+    def _ended(self) -> bool:
+        """Whether streams end: the server does, or their poller broke. A page then asks anew, which starts another."""
+        return self._closed or self._poller is None
+
+    def _poll(self) -> None:
+        try:
+            self._poll_while_needed()
+        finally:
+            with self._changed:
+                if self._poller is threading.current_thread():
+                    self._poller = None
+                    self._changed.notify_all()
+
+    def _poll_while_needed(self) -> None:
+        while True:
+            began = time.monotonic()
+            message = self._look()
+            with self._changed:
+                if self._closed or self._streams == 0:
+                    self._poller = None
+                    return
+                if message is not None:
+                    self._tick += 1
+                    self._message = message
+                    self._changed.notify_all()
+                left_s = max(0.05, self._interval_s - (time.monotonic() - began))
+                self._changed.wait_for(lambda: self._closed, timeout=left_s)
+
+    def _look(self) -> str | None:
+        """The snapshot as one line of JSON; None while the database does not answer."""
+        try:
+            return json.dumps(self.latest(), separators=(",", ":"))
+        except SlamHiveError as error:
+            logger.warning("no live update: %s", error)
+            return None
+
+
+class LiveStream:
+    """One reader of a hub. :meth:`close` may be called at any time, also before anything was read."""
+
+    def __init__(self, hub: LiveHub) -> None:
+        self._hub = hub
+        self._open = True
+
+    def events(self) -> Iterator[str]:
+        """Server-sent events until the reader goes away or the hub closes; comments in between keep the line open."""
+        yield "retry: 3000\n\n"
+        seen = 0
+        while self._open and (news := self._hub.wait(seen)) is not None:
+            tick, message = news
+            yield ": still here\n\n" if tick == seen else f"event: state\ndata: {message}\n\n"
+            seen = tick
+
+    def close(self) -> None:
+        """Give the place back, once."""
+        if self._open:
+            self._open = False
+            self._hub.leave()
+
+
+def with_version(state: dict[str, Any]) -> dict[str, Any]:
+    """The snapshot with a ``version`` that changes when a page has to be drawn anew, not with mere progress."""
+    lasting = {key: value for key, value in state.items() if key != "active"}
+    lasting["active"] = [[run["id"], run["state"]] for run in state["active"]]
+    text = json.dumps(lasting, sort_keys=True)
+    return {**state, "version": hashlib.sha256(text.encode()).hexdigest()[:16]}

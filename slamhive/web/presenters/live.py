@@ -1,0 +1,46 @@
+"""What is going on now, as JSON for open pages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from slamhive.domain.run import RunState
+from slamhive.services.hive import Hive
+from slamhive.services.progress import RunProgress
+from slamhive.store.records import RunFilter, RunRecord, RunSort
+from slamhive.web.formatting import DASH, duration, size
+
+ACTIVE_STATES = tuple(state for state in RunState if state.active)
+MOST_ACTIVE = 50
+
+
+def active_runs(hive: Hive) -> tuple[RunRecord, ...]:
+    """The runs in a worker's hands, oldest first."""
+    return hive.runs(RunFilter(states=ACTIVE_STATES), RunSort("id", descending=False), None, MOST_ACTIVE).records
+
+
+def snapshot(hive: Hive) -> dict[str, Any]:
+    """Counts by state, whether a worker lives, and how far the active runs are."""
+    return {
+        "counts": {state.value: count for state, count in sorted(hive.counts().items())},
+        "unevaluated": hive.unevaluated(),
+        "worker": hive.worker_alive(),
+        "active": [
+            {"id": run.id, "state": run.state.value} | progress_json(hive.progress(run.id)) for run in active_runs(hive)
+        ],
+    }
+
+
+def progress_json(progress: RunProgress | None) -> dict[str, Any]:
+    """A run's progress as texts that a page puts in place as they are; ``percent`` is None while unknown."""
+    if progress is None:
+        return {"percent": None, "text": "", "elapsed": DASH, "left": DASH, "cpu": DASH, "memory": DASH}
+    cores = progress.cpu_cores
+    return {
+        "percent": None if progress.fraction is None else round(100 * progress.fraction, 1),
+        "text": progress.text,
+        "elapsed": duration(progress.elapsed_s),
+        "left": duration(progress.left_s),
+        "cpu": DASH if cores is None else f"{cores:.2f} cores",
+        "memory": size(progress.memory_bytes),
+    }

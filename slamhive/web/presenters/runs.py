@@ -1,0 +1,154 @@
+"""Runs as tables and pages show them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.metrics import CATALOGUE, Metric
+from slamhive.domain.parameters import Parameter, Value
+from slamhive.domain.run import RunState
+from slamhive.store.records import RunRecord
+from slamhive.web.columns import Column, Kind
+from slamhive.web.formatting import DASH, Cell, display_unit, duration, metric_cell, plural, significant, value_text
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One run in a table: the record, and its cells in the order of the columns."""
+
+    run: RunRecord
+    cells: tuple[tuple[Column, Cell], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRow:
+    """One parameter of a run beside its definition."""
+
+    key: str
+    value: str
+    default: str
+    unit: str
+    help: str
+    changed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class MetricRow:
+    """One figure of a run."""
+
+    metric: Metric
+    cell: Cell
+    unit: str
+
+
+def rows(runs: Iterable[RunRecord], columns: Iterable[Column], algorithms: Iterable[Algorithm]) -> list[Row]:
+    """Table rows. ``algorithms`` tell which parameter values differ from their defaults."""
+    defaults = {algorithm.name: algorithm.parameters for algorithm in algorithms}
+    chosen = tuple(columns)
+    return [
+        Row(
+            run,
+            tuple(
+                (column, _changed_cell(run, defaults) if column.kind is Kind.PARAMETERS else column.cell(run))
+                for column in chosen
+            ),
+        )
+        for run in runs
+    ]
+
+
+def parameter_rows(run: RunRecord, algorithm: Algorithm | None) -> list[ParameterRow]:
+    """Every parameter of the run, those that differ from the default marked."""
+    known = {} if algorithm is None else {parameter.key: parameter for parameter in algorithm.parameters}
+    return [_parameter_row(key, value, known.get(key)) for key, value in run.parameters.items()]
+
+
+def metric_rows(run: RunRecord, *, needs_protocol: bool) -> list[MetricRow]:
+    """The figures that the run has: those of its evaluation, or those measured while it ran."""
+    values = run.metrics or {}
+    return [
+        MetricRow(metric, metric_cell(metric, values[key]), display_unit(metric).unit)
+        for key, metric in CATALOGUE.items()
+        if key in values and metric.needs_protocol is needs_protocol
+    ]
+
+
+def outcome(run: RunRecord) -> str:
+    """How the run stands, in one sentence."""
+    if run.state is RunState.SUCCEEDED:
+        return _success(run)
+    if run.state is RunState.FAILED:
+        reason = "unknown reason" if run.reason is None else run.reason.value.replace("_", " ")
+        return f"Failed: {reason}. {run.detail or ''}".strip()
+    if run.state is RunState.CANCELLED:
+        return f"Cancelled. {run.detail or ''}".strip()
+    if run.state is RunState.QUEUED:
+        return "Waiting for a worker."
+    return f"In a worker's hands: {run.state.value}."
+
+
+def wall_time_s(run: RunRecord, now: datetime) -> float | None:
+    """From the start to the end, or to now while the run goes on."""
+    if run.started_at is None:
+        return None
+    return ((run.ended_at or now) - run.started_at).total_seconds()
+
+
+def flatten(record: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Nested provenance as dotted names and texts, in its own order; empty parts are shown as a dash."""
+    found: list[tuple[str, str]] = []
+    for key, value in record.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping) and value:
+            found += flatten(value, f"{name}.")
+        elif isinstance(value, list) and value and all(isinstance(entry, Mapping) for entry in value):
+            for place, entry in enumerate(value):
+                found += flatten(entry, f"{name}.{place}.")
+        else:
+            found.append((name, _provenance_text(value)))
+    return found
+
+
+def _success(run: RunRecord) -> str:
+    parts = ["Succeeded"]
+    if run.started_at is not None and run.ended_at is not None:
+        parts.append(f" in {duration((run.ended_at - run.started_at).total_seconds())}")
+    if run.poses is not None:
+        parts.append(f" with {plural(run.poses, 'pose')}")
+    ate_m = (run.metrics or {}).get("ate.rmse")
+    if ate_m is not None and run.protocol is not None:
+        parts.append(f"; ATE RMSE {significant(ate_m, 3)} m ({run.protocol.label})")
+    return "".join(parts) + "."
+
+
+def _changed_cell(run: RunRecord, definitions: Mapping[str, tuple[Parameter, ...]]) -> Cell:
+    """The parameters that differ from their defaults; all of them on hover."""
+    everything = ", ".join(f"{key}={value_text(value)}" for key, value in run.parameters.items())
+    known = definitions.get(run.algorithm)
+    if known is None:
+        return Cell(everything or DASH, everything)
+    default: dict[str, Value] = {parameter.key: parameter.default for parameter in known}
+    changed = {key: value for key, value in run.parameters.items() if default.get(key) != value}
+    text = ", ".join(f"{key}={value_text(value)}" for key, value in changed.items())
+    return Cell(text or "defaults", everything, missing=not changed)
+
+
+def _parameter_row(key: str, value: Value, definition: Parameter | None) -> ParameterRow:
+    if definition is None:
+        return ParameterRow(key, value_text(value), DASH, "", "no longer a parameter of this algorithm", changed=False)
+    default = definition.default
+    return ParameterRow(
+        key, value_text(value), value_text(default), definition.unit, definition.help, changed=value != default
+    )
+
+
+def _provenance_text(value: object) -> str:
+    if value is None or value in ("", [], {}):
+        return DASH
+    if isinstance(value, list):
+        return ", ".join(map(str, value))
+    return value_text(value)

@@ -1,0 +1,174 @@
+"""The form that starts runs: text in, a checked :class:`Submission` or one message a field out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.parameters import ParameterType
+from slamhive.domain.protocol import Alignment
+from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.services.catalogue import Catalogue
+from slamhive.services.request import BOUNDS, Submission
+from slamhive.settings import Settings
+from slamhive.web.formatting import duration, plural, value_text
+
+PARAMETER_PREFIX = "parameter."
+DEFAULTS = {
+    "repeat": "1",
+    "seed": "0",
+    "executor": "",
+    "playback_mode": PlaybackMode.REALTIME.value,
+    "playback_rate": "1.0",
+    "evaluate": "yes",
+    "alignment": "",
+    "cpu_cores": "",
+    "memory_mb": "",
+    "timeout_s": "",
+}
+T = TypeVar("T")
+
+
+@dataclass(slots=True)
+class RunForm:
+    """What was typed, and what is wrong with it.
+
+    ``values`` holds the text of each field by name, ``errors`` one message for each field that cannot be used.
+    ``submission`` is there if all of them can.
+    """
+
+    values: dict[str, str]
+    algorithm: Algorithm | None = None
+    dataset: Dataset | None = None
+    errors: dict[str, str] = field(default_factory=dict)
+    submission: Submission | None = None
+
+    def value(self, name: str) -> str:
+        """The text to show in a field."""
+        return self.values.get(name, DEFAULTS.get(name, ""))
+
+    def fail(self, error: SlamHiveError) -> None:
+        """Show an error that only the services could find, above the fields."""
+        self.errors[""] = str(error)
+
+
+def read_form(catalogue: Catalogue, values: Mapping[str, str]) -> RunForm:
+    """Check every field; a field that is not there has its default.
+
+    Args:
+        catalogue: Algorithms and datasets to choose from.
+        values: Field names and typed text; ``evaluate`` is off by being ``no``.
+    """
+    form = RunForm(dict(values))
+    form.algorithm = _checked(form, "algorithm", lambda: _named(catalogue.algorithm, form.value("algorithm")))
+    form.dataset = _checked(form, "dataset", lambda: _named(catalogue.dataset, form.value("dataset")))
+    algorithm, dataset = form.algorithm, form.dataset
+    parameters = {} if algorithm is None else _read_parameters(form, algorithm)
+    run_fields = _read_run_fields(form)
+    if algorithm is None or dataset is None:
+        return form
+    _checked(form, "dataset", lambda: algorithm.assign(dataset))
+    if not form.errors and run_fields is not None:
+        submission = Submission(algorithm=algorithm.name, dataset=dataset.name, parameters=parameters, **run_fields)
+        _checked(form, "", submission.check)
+        form.submission = submission if not form.errors else None
+    return form
+
+
+def preview(submission: Submission, dataset: Dataset, settings: Settings, waiting: int) -> str:
+    """What pressing the button will do: how many runs, how long, behind how many others."""
+    what = f"{plural(submission.repeat, 'run')} of {submission.algorithm} on {dataset.name}"
+    behind = f" {plural(waiting, 'queued run goes', 'queued runs go')} first." if waiting else ""
+    if submission.playback_mode == PlaybackMode.SEQUENTIAL:
+        return f"{what}, as fast as the algorithm goes.{behind}"
+    once_s = dataset.duration_s / submission.playback_rate
+    limit_s = submission.timeout_s
+    if limit_s is None:
+        limit_s = settings.run_timeout_factor * dataset.duration_s / min(submission.playback_rate, 1.0)
+        limit_s += settings.run_timeout_slack_s
+    each, whole = "", ""
+    if submission.repeat > 1:
+        each, whole = "each ", f", {duration(once_s * submission.repeat / settings.worker_slots)} in all"
+    return f"{what}, {each}about {duration(once_s)} plus start-up{whole}; time limit {duration(limit_s)}.{behind}"
+
+
+def checked_alignment(text: str | None) -> str | None:
+    """The alignment as it was asked for; raises InvalidInput if there is none of that name."""
+    if text is not None and text not in set(Alignment):
+        raise InvalidInput(f"alignment {text[:40]!r} is not known", f"use one of {', '.join(Alignment)}")
+    return text
+
+
+def _read_parameters(form: RunForm, algorithm: Algorithm) -> dict[str, object]:
+    """The values of the algorithm's parameters, checked; an empty field means the default."""
+    parameters: dict[str, object] = {}
+    for parameter in algorithm.parameters:
+        name = PARAMETER_PREFIX + parameter.key
+        form.values.setdefault(name, value_text(parameter.default))
+        text = form.values[name]
+        if not text.strip() and parameter.type is not ParameterType.STRING:
+            continue
+        try:
+            parameters[parameter.key] = parameter.parse(text)
+        except InvalidInput as error:
+            form.errors[name] = str(error)
+    return parameters
+
+
+def _read_run_fields(form: RunForm) -> dict[str, Any] | None:
+    """The fields that do not depend on the algorithm."""
+    readers: dict[str, Callable[[str], object]] = {
+        "repeat": lambda text: _number(text, int, "repeat"),
+        "seed": lambda text: _number(text, int, "seed"),
+        "playback_mode": lambda text: _one_of(text, list(PlaybackMode)),
+        "playback_rate": lambda text: _number(text, float, "playback_rate"),
+        "executor": lambda text: text.strip() or None,
+        "evaluate": lambda text: text == "yes",
+        "alignment": lambda text: checked_alignment(text.strip() or None),
+        "cpu_cores": lambda text: _number(text, float, "cpu_cores") if text.strip() else None,
+        "memory_mb": lambda text: _number(text, int, "memory_mb") if text.strip() else None,
+        "timeout_s": lambda text: _number(text, float, "timeout_s") if text.strip() else None,
+    }
+    found: dict[str, Any] = {}
+    for name, reader in readers.items():
+        try:
+            found[name] = reader(form.value(name))
+        except InvalidInput as error:
+            form.errors[name] = str(error)
+    return None if form.errors else found
+
+
+def _named(find: Callable[[str], T], name: str) -> T:
+    if not name:
+        raise InvalidInput("nothing is chosen")
+    return find(name)
+
+
+def _checked(form: RunForm, name: str, read: Callable[[], T]) -> T | None:
+    try:
+        return read()
+    except SlamHiveError as error:
+        form.errors.setdefault(name, str(error))
+        return None
+
+
+def _number(text: str, kind: type[int | float], name: str) -> float:
+    """The number typed into the field ``name``, within the bounds of a submission."""
+    bounds = BOUNDS[name]
+    try:
+        value = kind(text.strip())
+    except ValueError:
+        what = "a whole number" if kind is int else "a number"
+        raise InvalidInput(f"{text[:40]!r} is not {what}", bounds.remedy) from None
+    bounds.check(value)
+    return value
+
+
+def _one_of(text: str, choices: list[PlaybackMode]) -> str:
+    if text not in choices:
+        raise InvalidInput(f"{text[:40]!r} is not known", f"use one of {', '.join(choices)}")
+    return text

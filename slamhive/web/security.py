@@ -1,0 +1,122 @@
+"""Who may do what: one place for modes, origins, hosts, headers and keys."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from contextlib import suppress
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from flask import Flask, Response, request
+
+from slamhive.errors import Forbidden, InvalidInput, Unavailable
+from slamhive.settings import Mode, Settings
+
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+API_HEADER = "X-SLAM-Hive"
+LOOPBACK_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
+
+_SOURCES = {
+    "default-src": "'none'",
+    "script-src": "'self'",
+    "style-src": "'self'",
+    "img-src": "'self' data: blob:",
+    "font-src": "'self'",
+    "connect-src": "'self'",
+    "form-action": "'self'",
+    "base-uri": "'none'",
+    "frame-ancestors": "'none'",
+}
+CONTENT_SECURITY_POLICY = "; ".join(f"{directive} {sources}" for directive, sources in _SOURCES.items())
+SECURITY_HEADERS = {
+    "Content-Security-Policy": CONTENT_SECURITY_POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
+}
+
+
+def protect(app: Flask, settings: Settings, host: str) -> None:
+    """Install the checks that every request goes through, whatever its view does.
+
+    Args:
+        app: The application, before any blueprint is registered.
+        settings: The mode in force.
+        host: Address the server binds to.
+    """
+
+    @app.before_request
+    def refuse_foreign_hosts() -> None:
+        """A page that rebinds its own name to 127.0.0.1 is turned away; bound to the network, any name may be ours."""
+        if host in LOOPBACK_HOSTS and urlsplit(f"//{request.host}").hostname not in LOOPBACK_HOSTS:
+            raise InvalidInput(
+                f"this server does not answer to {request.headers.get('Host', '')!r}",
+                "open it as http://127.0.0.1, or bind it to an address of the network with --host",
+            )
+
+    @app.before_request
+    def refuse_changes_where_only_viewing() -> None:
+        if request.method not in SAFE_METHODS and settings.mode is Mode.VIEW_ONLY:
+            raise Forbidden(
+                "this installation only shows results: nothing can be started, cancelled or evaluated here",
+                "MODE = view-only is set; use an installation in workstation mode",
+            )
+
+    @app.before_request
+    def refuse_foreign_origins() -> None:
+        origin = request.headers.get("Origin")
+        if request.method not in SAFE_METHODS and origin and urlsplit(origin).netloc != request.host:
+            raise Forbidden(f"a page of {origin} may not change anything here", "use the pages of this server")
+
+    @app.after_request
+    def add_headers(response: Response) -> Response:
+        for name, value in SECURITY_HEADERS.items():
+            response.headers.setdefault(name, value)
+        if request.endpoint and not response.cache_control.max_age:
+            response.headers.setdefault("Cache-Control", "no-cache")
+        return response
+
+
+def require_api_header() -> None:
+    """Refuse an API change without our header: a page of another site cannot set it without being asked about first."""
+    if request.method not in SAFE_METHODS and API_HEADER not in request.headers:
+        raise Forbidden(f"changes through the API need the header {API_HEADER}: 1", "see docs/web.md")
+
+
+def secret_key(settings: Settings) -> str:
+    """The key from the settings, or one made once and kept in ``<data>/secret_key``, readable by the owner alone."""
+    if settings.secret_key:
+        return settings.secret_key
+    path = settings.data / "secret_key"
+    try:
+        return _read_key(path) or _make_key(path)
+    except OSError as error:
+        raise Unavailable(f"{path} cannot be used: {error.strerror}", "check rights, or set SECRET_KEY") from None
+
+
+def _read_key(path: Path) -> str | None:
+    try:
+        return path.read_text(encoding="ascii").strip() or None
+    except FileNotFoundError:
+        return None
+
+
+def _make_key(path: Path) -> str:
+    """Make the key; of several servers starting at once, all use the one that was there first."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+    descriptor = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    try:
+        with os.fdopen(descriptor, "w", encoding="ascii") as stream:
+            stream.write(secrets.token_hex(32) + "\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        with suppress(FileExistsError):
+            path.hardlink_to(aside)
+    finally:
+        aside.unlink(missing_ok=True)
+    return path.read_text(encoding="ascii").strip()

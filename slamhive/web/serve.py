@@ -1,0 +1,114 @@
+"""The web server: waitress, with streams that end when it does."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import logging
+import signal
+import socket
+import threading
+from collections.abc import Iterator
+from types import FrameType
+from typing import Any, cast
+
+import waitress
+from waitress import wasyncore
+
+from slamhive.errors import InvalidInput, Unavailable
+from slamhive.services.hive import Hive
+from slamhive.web.app import MOST_STREAMS, create_app
+from slamhive.web.context import LIVE_EXTENSION
+from slamhive.web.live import LiveHub
+
+THREADS = MOST_STREAMS + 8
+"""Each live stream holds a thread; eight are always left for pages."""
+MOST_CONNECTIONS = 200
+WAKE_S = 1.0
+
+logger = logging.getLogger(__name__)
+
+
+class WebServer:
+    """A bound server, not yet answering; :meth:`run` answers until :meth:`close` or a signal.
+
+    Raises Unavailable if the address is taken, InvalidInput if it is not one of this machine.
+
+    Args:
+        hive: The services.
+        host: Address to bind to.
+        port: Port to bind to; 0 takes a free one, see ``url``.
+    """
+
+    def __init__(self, hive: Hive, host: str, port: int) -> None:
+        listener = _bind(host, port)
+        app = create_app(hive, host)
+        self._hub = cast("LiveHub", app.extensions[LIVE_EXTENSION])
+        self._connections: dict[int, Any] = {}
+        self._server: Any = waitress.create_server(
+            app,
+            map=self._connections,
+            sockets=[listener],
+            threads=THREADS,
+            connection_limit=MOST_CONNECTIONS,
+            ident="slamhive",
+        )
+        self._ended = threading.Event()
+        self.url = f"http://{f'[{host}]' if ':' in host else host}:{listener.getsockname()[1]}"
+
+    def run(self) -> None:
+        """Answer requests; returns after SIGINT or SIGTERM (in the main thread), or after :meth:`close`."""
+        with self._ended_by_signals():
+            while not self._ended.is_set():
+                wasyncore.loop(timeout=WAKE_S, map=self._connections, use_poll=True, count=1)
+            self._hub.close()
+            self._server.task_dispatcher.shutdown()
+            wasyncore.close_all(self._connections)
+
+    def close(self) -> None:
+        """Make :meth:`run` return; may be called from any thread, and more than once."""
+        self._ended.set()
+        self._hub.close()
+        with contextlib.suppress(OSError):  # the server has ended already
+            self._server.pull_trigger()
+
+    @contextlib.contextmanager
+    def _ended_by_signals(self) -> Iterator[None]:
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def end(_number: int, _frame: FrameType | None) -> None:
+            self.close()
+
+        before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def serve(hive: Hive, host: str, port: int) -> None:
+    """Serve the pages until the process is asked to end."""
+    server = WebServer(hive, host, port)
+    logger.info("serving %s", server.url)
+    server.run()
+
+
+def _bind(host: str, port: int) -> socket.socket:
+    if not 0 <= port <= 65535:
+        raise InvalidInput(f"port {port} does not exist", "choose a --port from 1 to 65535")
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        return socket.create_server((host, port), family=family, backlog=128)
+    except OSError as error:
+        raise _explained(error, host, port) from None
+
+
+def _explained(error: OSError, host: str, port: int) -> InvalidInput | Unavailable:
+    if error.errno == errno.EADDRINUSE:
+        return Unavailable(f"port {port} on {host} is taken", "end what uses it, or choose another --port")
+    if error.errno == errno.EACCES:
+        return Unavailable(f"port {port} on {host} is not allowed for this user", "choose a --port above 1023")
+    return InvalidInput(f"cannot bind to {host}:{port}: {error.strerror or error}", "choose another --host or --port")

@@ -1,0 +1,39 @@
+"""Algorithms: the list, and one page each."""
+
+from __future__ import annotations
+
+from flask import Blueprint, render_template
+
+from slamhive.store.records import RunFilter, RunSort
+from slamhive.web.colours import algorithm_colours
+from slamhive.web.context import hive
+from slamhive.web.presenters.catalogue import dataset_choices
+
+blueprint = Blueprint("algorithms", __name__, url_prefix="/algorithms")
+
+
+@blueprint.get("")
+def index() -> str:
+    """All algorithms, and packages that cannot be read."""
+    catalogue = hive().catalogue
+    algorithms = catalogue.algorithms()
+    return render_template(
+        "algorithms/index.html",
+        algorithms=algorithms,
+        colours=algorithm_colours(algorithm.name for algorithm in algorithms),
+        broken=[entry for entry in catalogue.broken() if entry.folder.parent.name == "algorithms"],
+    )
+
+
+@blueprint.get("/<name>")
+def show(name: str) -> str:
+    """One algorithm: what it needs, what can be set, where it comes from."""
+    services = hive()
+    algorithm = services.catalogue.algorithm(name)
+    runs = services.runs(RunFilter(algorithms=(name,)), RunSort(), None, 1)
+    return render_template(
+        "algorithms/show.html",
+        algorithm=algorithm,
+        choices=dataset_choices(algorithm, services.catalogue.datasets()),
+        run_count=runs.total,
+    )

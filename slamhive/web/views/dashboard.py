@@ -1,0 +1,69 @@
+"""The first page, and what keeps open pages up to date."""
+
+from __future__ import annotations
+
+from flask import Blueprint, Response, jsonify, make_response, render_template
+
+from slamhive.domain.run import RunState
+from slamhive.store.records import RunFilter, RunSort
+from slamhive.web.columns import column
+from slamhive.web.context import hive, live_hub
+from slamhive.web.presenters.live import active_runs, progress_json
+from slamhive.web.presenters.runs import rows
+
+blueprint = Blueprint("dashboard", __name__)
+
+RESULT_COLUMNS = ("id", "algorithm", "dataset", "parameters", "state", "ended_at", "ate.rmse", "tracked_fraction")
+QUEUE_COLUMNS = ("id", "algorithm", "dataset", "parameters", "created_at")
+LIST_LENGTH = 10
+ENDED_STATES = tuple(state for state in RunState if state.ended)
+
+
+@blueprint.get("/")
+def index() -> str:
+    """What is queued, what runs, what came out last."""
+    services = hive()
+    algorithms = services.catalogue.algorithms()
+    ended = services.runs(RunFilter(states=ENDED_STATES), RunSort("ended_at"), None, LIST_LENGTH)
+    queued = services.runs(RunFilter(states=(RunState.QUEUED,)), RunSort("id", descending=False), None, LIST_LENGTH)
+    counts = services.counts()
+    return render_template(
+        "dashboard/index.html",
+        counts=counts,
+        total=sum(counts.values()),
+        unevaluated=services.unevaluated(),
+        worker_alive=services.worker_alive(),
+        active=[(run, progress_json(services.progress(run.id))) for run in active_runs(services)],
+        queued=queued,
+        queued_rows=rows(queued.records, map(column, QUEUE_COLUMNS), algorithms),
+        queue_columns=[column(key) for key in QUEUE_COLUMNS],
+        ended=ended,
+        ended_rows=rows(ended.records, map(column, RESULT_COLUMNS), algorithms),
+        result_columns=[column(key) for key in RESULT_COLUMNS],
+        has_algorithms=bool(algorithms),
+        has_datasets=bool(services.catalogue.datasets()),
+    )
+
+
+@blueprint.get("/events")
+def events() -> Response:
+    """Server-sent events: a ``state`` event whenever the poller has looked."""
+    stream = live_hub().open()
+    response = Response(stream.events(), mimetype="text/event-stream")
+    response.headers["Cache-Control"] = "no-store"
+    response.headers["X-Accel-Buffering"] = "no"
+    response.call_on_close(stream.close)
+    return response
+
+
+@blueprint.get("/live.json")
+def live() -> Response:
+    """The same once, for pages that found no free stream."""
+    return make_response(jsonify(live_hub().latest()))
+
+
+@blueprint.get("/healthz")
+def health() -> Response:
+    """200 while the server and its database answer."""
+    hive().counts()
+    return make_response(jsonify(status="ok"))

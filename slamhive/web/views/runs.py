@@ -1,0 +1,184 @@
+"""Runs: the list, one page each with its figures and files, and what can be done to them."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable
+
+from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, send_file
+from flask import url_for as address
+
+from slamhive.domain.protocol import ALIGNMENT_LABELS
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.executors.registry import EXECUTORS
+from slamhive.services.downloads import list_downloads, open_download
+from slamhive.store.records import EvaluationRecord, EvaluationState
+from slamhive.web.colours import colour_of
+from slamhive.web.columns import all_columns
+from slamhive.web.context import hive, now
+from slamhive.web.figures import best_plane, captions, figure_table, run_figures
+from slamhive.web.formatting import plural
+from slamhive.web.presenters import runs as presenter
+from slamhive.web.presenters.live import progress_json
+from slamhive.web.run_form import checked_alignment
+from slamhive.web.run_query import RunQuery, summary
+
+blueprint = Blueprint("runs", __name__, url_prefix="/runs")
+
+LOG_TAIL_BYTES = 32_000
+RUN_ID = "<int(max=9007199254740991):run_id>"
+"""Run numbers that JSON and every database can hold."""
+
+
+@blueprint.get("")
+def index() -> str:
+    """The runs that the address asks for."""
+    services = hive()
+    query = RunQuery.from_args(request.args)
+    page = services.runs(query.filter, query.sort, query.after, query.limit)
+    columns = all_columns()
+    shown = [columns[key] for key in query.columns]
+    algorithms = services.catalogue.algorithms()
+    total = sum(services.counts().values())
+    return render_template(
+        "runs/index.html",
+        query=query,
+        page=page,
+        rows=presenter.rows(page.records, shown, algorithms),
+        columns=shown,
+        all_columns=columns,
+        summary=summary(query, len(page.records), page.total, total),
+        total=total,
+        unevaluated=services.unevaluated(),
+        algorithm_names=sorted({entry.name for entry in algorithms} | set(query.filter.algorithms)),
+        dataset_names=sorted({entry.name for entry in services.catalogue.datasets()} | set(query.filter.datasets)),
+        executors=EXECUTORS.names(),
+        states=list(RunState),
+        reasons=list(FailureReason),
+    )
+
+
+@blueprint.get(f"/{RUN_ID}")
+def show(run_id: int) -> str:
+    """Everything about one run."""
+    services = hive()
+    run = services.run(run_id)
+    evaluations = services.evaluations(run_id)
+    algorithm = next((entry for entry in services.catalogue.algorithms() if entry.name == run.algorithm), None)
+    return render_template(
+        "runs/show.html",
+        run=run,
+        algorithm=algorithm,
+        outcome=presenter.outcome(run),
+        wall_time_s=presenter.wall_time_s(run, now()),
+        progress=progress_json(services.progress(run_id)) if run.state.active else None,
+        parameters=presenter.parameter_rows(run, algorithm),
+        accuracy=presenter.metric_rows(run, needs_protocol=True),
+        measured=presenter.metric_rows(run, needs_protocol=False),
+        provenance=presenter.flatten(services.record(run_id)),
+        events=services.events(run_id),
+        evaluations=evaluations,
+        evaluating=any(entry.state in (EvaluationState.QUEUED, EvaluationState.RUNNING) for entry in evaluations),
+        log=services.log(run_id, max_bytes=LOG_TAIL_BYTES),
+        downloads=list_downloads(services.folder(run_id), _fingerprints(evaluations)),
+        alignments={alignment.value: label for alignment, label in ALIGNMENT_LABELS.items()},
+    )
+
+
+@blueprint.get(f"/{RUN_ID}/figures.json")
+def figures(run_id: int) -> Response:
+    """All figures of a run, their captions, and why any is missing."""
+    services = hive()
+    run = services.run(run_id)
+    series = services.series(run_id)
+    colour = colour_of(run.algorithm, (entry.name for entry in services.catalogue.algorithms()))
+    track = series.groundtruth or series.estimate
+    return make_response(
+        jsonify(
+            figures=run_figures(series, run.algorithm, colour),
+            captions=captions(series, None if run.protocol is None else run.protocol.label),
+            reasons=series.reasons,
+            best_plane="xy" if track is None else best_plane(track),
+        )
+    )
+
+
+@blueprint.get(f"/{RUN_ID}/figures/<figure>.csv")
+def figure_data(run_id: int, figure: str) -> Response:
+    """The data that a figure draws."""
+    table = figure_table(hive().series(run_id), figure)
+    if table is None:
+        raise NotFound(f"run {run_id} has no data for a figure {figure!r}")
+    header, lines = table
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(lines)
+    response = Response(text.getvalue(), mimetype="text/csv")
+    response.headers["Content-Disposition"] = f'attachment; filename="run-{run_id}-{figure}.csv"'
+    return response
+
+
+@blueprint.get(f"/{RUN_ID}/files/<key>")
+def download(run_id: int, key: str) -> Response:
+    """One known file of the run folder."""
+    services = hive()
+    services.run(run_id)
+    found, stream = open_download(services.folder(run_id), _fingerprints(services.evaluations(run_id)), key)
+    return send_file(
+        stream, mimetype=found.media_type, as_attachment=True, download_name=f"run-{run_id}-{found.name}", max_age=0
+    )
+
+
+@blueprint.post(f"/{RUN_ID}/cancel")
+def cancel(run_id: int) -> Response:
+    """Ask for the run to be ended."""
+    run = hive().cancel(run_id)
+    flash(f"Run {run_id} is {'cancelled' if run.state is RunState.CANCELLED else 'being cancelled'}.", "info")
+    return _to_run(run_id)
+
+
+@blueprint.post(f"/{RUN_ID}/retry")
+def retry(run_id: int) -> Response:
+    """Queue the same again as a new run."""
+    again = hive().retry(run_id)
+    flash(f"Run {again.id} repeats run {run_id}.", "success")
+    return _to_run(again.id)
+
+
+@blueprint.post(f"/{RUN_ID}/evaluate")
+def evaluate(run_id: int) -> Response:
+    """Evaluate one run, under the sensor's alignment or the one that was chosen."""
+    queued = hive().queue_evaluations([run_id], checked_alignment(request.form.get("alignment") or None))
+    flash("The evaluation is queued." if queued else "This evaluation is queued or done already.", "info")
+    return _to_run(run_id)
+
+
+@blueprint.post("/evaluate")
+def evaluate_many() -> Response:
+    """Evaluate the runs that were ticked, or all that have not been evaluated."""
+    if request.form.get("all"):
+        queued = hive().queue_evaluations(None)
+    else:
+        queued = hive().queue_evaluations(_ticked(request.form.getlist("run")))
+    flash(f"{plural(queued, 'evaluation')} queued." if queued else "There was nothing to evaluate.", "info")
+    return make_response(redirect(address("runs.index"), 303))
+
+
+def _ticked(texts: list[str]) -> list[int]:
+    if not texts:
+        raise InvalidInput("no run is ticked", "tick the runs to evaluate, then press the button again")
+    for text in texts:
+        if not text.isascii() or not text.isdigit() or len(text) > 18:
+            raise InvalidInput(f"run {text[:40]!r} is not a run number")
+    return [int(text) for text in texts]
+
+
+def _to_run(run_id: int) -> Response:
+    return make_response(redirect(address("runs.show", run_id=run_id), 303))
+
+
+def _fingerprints(evaluations: Iterable[EvaluationRecord]) -> list[str]:
+    return list(dict.fromkeys(entry.protocol.fingerprint for entry in evaluations))

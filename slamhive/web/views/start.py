@@ -1,0 +1,73 @@
+"""The form that starts runs."""
+
+from __future__ import annotations
+
+from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, url_for
+
+from slamhive.domain.protocol import ALIGNMENT_LABELS
+from slamhive.domain.run import RunState
+from slamhive.errors import SlamHiveError
+from slamhive.executors.registry import EXECUTORS
+from slamhive.web.context import hive
+from slamhive.web.errors import status_of
+from slamhive.web.formatting import plural
+from slamhive.web.presenters.catalogue import dataset_choices
+from slamhive.web.run_form import RunForm, preview, read_form
+
+blueprint = Blueprint("start", __name__, url_prefix="/runs/new")
+
+
+@blueprint.get("")
+def form() -> str:
+    """The form, filled with what the address holds; only fields that it holds are checked."""
+    values = request.args.to_dict()
+    filled = read_form(hive().catalogue, values)
+    filled.errors = {name: text for name, text in filled.errors.items() if values.get(name)}
+    return _page(filled)
+
+
+@blueprint.get("/preview")
+def check() -> Response:
+    """What the form as it stands would do, and what is wrong with it, for the open page."""
+    filled = read_form(hive().catalogue, request.args.to_dict())
+    return make_response(jsonify(preview=_preview(filled), errors=filled.errors))
+
+
+@blueprint.post("")
+def submit() -> Response | tuple[str, int]:
+    """Queue the runs, or show the form again with what was typed and what is wrong."""
+    values = request.form.to_dict()
+    filled = read_form(hive().catalogue, values)
+    if filled.submission is None:
+        return _page(filled), 400
+    try:
+        runs = hive().submit(filled.submission)
+    except SlamHiveError as error:
+        filled.fail(error)
+        return _page(filled), status_of(error)
+    if len(runs) == 1:
+        flash(f"Run {runs[0].id} is queued.", "success")
+        return make_response(redirect(url_for("runs.show", run_id=runs[0].id), 303))
+    flash(f"{plural(len(runs), 'run')} are queued: {runs[0].id} to {runs[-1].id}.", "success")
+    return make_response(redirect(url_for("runs.index", configuration=runs[0].configuration_id), 303))
+
+
+def _preview(filled: RunForm) -> str | None:
+    if filled.submission is None or filled.dataset is None:
+        return None
+    counts = hive().counts()
+    waiting = counts.get(RunState.QUEUED, 0)
+    return preview(filled.submission, filled.dataset, hive().settings, waiting)
+
+
+def _page(filled: RunForm) -> str:
+    catalogue = hive().catalogue
+    return render_template(
+        "runs/new.html",
+        form=filled,
+        algorithms=catalogue.algorithms(),
+        choices=dataset_choices(filled.algorithm, catalogue.datasets()),
+        preview=_preview(filled),
+        executors=EXECUTORS.names(),
+        alignments={alignment.value: label for alignment, label in ALIGNMENT_LABELS.items()},
+    )

@@ -1,0 +1,127 @@
+// Draws the figures of a page from the JSON at data-figures, in the colours of light or dark.
+"use strict";
+(() => {
+  const WHILE_ACTIVE_MS = 5000;
+  const VIEWS = { xy: "path_xy", xz: "path_xz", yz: "path_yz", "3d": "path_3d" };
+  let content = null;
+  let view = null;
+
+  const dark = () => document.documentElement.dataset.bsTheme === "dark";
+  const inks = () => dark()
+    ? { text: "#d7dbe0", grid: "#3a4047", truth: "#c3c9d0", modebar: "#7b838c" }
+    : { text: "#2b3035", grid: "#e3e6ea", truth: "#3d4247", modebar: "#9aa1a8" };
+
+  function axis(spec, ink) {
+    return { ...spec, color: ink.text, gridcolor: ink.grid, zerolinecolor: ink.grid, linecolor: ink.grid };
+  }
+
+  function themed(figure) {
+    const ink = inks();
+    const data = figure.data.map((trace) => trace.meta !== "theme:groundtruth" ? trace : {
+      ...trace,
+      ...(trace.line ? { line: { ...trace.line, color: ink.truth } } : {}),
+      ...(trace.marker ? { marker: { ...trace.marker, color: ink.truth } } : {}),
+    });
+    const layout = {
+      ...figure.layout,
+      paper_bgcolor: "rgba(0,0,0,0)",
+      plot_bgcolor: "rgba(0,0,0,0)",
+      font: { color: ink.text, family: "system-ui, sans-serif", size: 12 },
+      margin: { l: 58, r: 12, t: 28, b: 44 },
+      hoverlabel: { namelength: -1 },
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: ink.modebar, activecolor: ink.text },
+      uirevision: "kept",
+      autosize: true,
+    };
+    for (const name of ["xaxis", "yaxis"]) if (!layout.scene) layout[name] = axis(layout[name] || {}, ink);
+    if (layout.scene) {
+      layout.margin = { l: 0, r: 0, t: 28, b: 0 };
+      layout.scene = { ...layout.scene };
+      for (const name of ["xaxis", "yaxis", "zaxis"]) layout.scene[name] = axis(layout.scene[name], ink);
+    }
+    return { data, layout };
+  }
+
+  function say(place, text) {
+    Plotly.purge(place);
+    const line = document.createElement("p");
+    line.className = "quiet";
+    line.textContent = text;
+    place.replaceChildren(line);
+  }
+
+  function draw(place) {
+    const key = place.dataset.figure;
+    const figure = content.figures[key === "path" ? VIEWS[view] : key];
+    if (!figure) {
+      say(place, content.reasons[key === "path" ? "estimate" : key] || "There is no data for this figure.");
+      place.classList.add("without");
+      return;
+    }
+    place.classList.remove("without");
+    if (!place.classList.contains("js-plotly-plot")) place.replaceChildren();
+    const { data, layout } = themed(figure);
+    const name = `${document.title.split(" – ")[0]} ${key}`.replace(/\W+/g, "-").toLowerCase();
+    Plotly.react(place, data, layout, {
+      responsive: true,
+      displaylogo: false,
+      modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+      toImageButtonOptions: { format: "svg", filename: name },
+      showTips: false,
+    });
+    place.setAttribute("role", "img");
+    place.setAttribute("aria-label", document.querySelector(`[data-caption="${key}"]`)?.textContent || key);
+  }
+
+  function drawAll() {
+    if (!content) return;
+    for (const place of document.querySelectorAll("[data-caption]")) {
+      place.textContent = content.captions[place.dataset.caption] || "";
+    }
+    document.querySelectorAll("[data-figure]").forEach(draw);
+    const pattern = document.querySelector("[data-data]")?.dataset.data;
+    for (const link of document.querySelectorAll("[data-csv]")) {
+      const key = link.dataset.csv;
+      link.hidden = !content.figures[key === "path" ? "path_xy" : key];
+      link.href = pattern.replace("FIGURE", key);
+    }
+    for (const button of document.querySelectorAll("[data-view]")) {
+      button.setAttribute("aria-pressed", button.dataset.view === view);
+      button.disabled = !content.figures.path_xy;
+    }
+  }
+
+  async function load() {
+    const source = document.querySelector("[data-figures]");
+    if (!source) return;
+    try {
+      const answer = await fetch(source.dataset.figures, { headers: { Accept: "application/json" } });
+      const body = await answer.json();
+      if (!answer.ok) throw new Error(body.error.message);
+      content = body;
+    } catch (error) {
+      document.querySelectorAll("[data-figure]").forEach((place) => say(place, `No figure: ${error.message}`));
+      return;
+    }
+    view ??= new URLSearchParams(location.hash.slice(1)).get("view") || content.best_plane;
+    if (!(view in VIEWS)) view = content.best_plane;
+    drawAll();
+  }
+
+  document.addEventListener("DOMContentLoaded", () => {
+    for (const button of document.querySelectorAll("[data-view]")) {
+      button.addEventListener("click", () => {
+        if (!content) return;
+        view = button.dataset.view;
+        history.replaceState(null, "", `#view=${view}`);
+        const place = document.querySelector('[data-figure="path"]');
+        Plotly.purge(place);
+        drawAll();
+      });
+    }
+    load();
+    setInterval(() => { if (document.querySelector("[data-active]")) load(); }, WHILE_ACTIVE_MS);
+  });
+  document.addEventListener("themechange", drawAll);
+  document.addEventListener("pageswap", load);
+})();

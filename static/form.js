@@ -1,0 +1,65 @@
+// The form that starts runs: parameters of the chosen algorithm, and what pressing the button will do.
+"use strict";
+(() => {
+  const form = document.getElementById("start");
+  if (!form) return;
+  // A field is called "dataset", so form.dataset is that field and not the data attributes.
+  const { preview: previewUrl, form: formUrl } = Object.fromEntries(
+    ["preview", "form"].map((name) => [name, form.getAttribute(`data-${name}`)]));
+  const touched = new Set();
+  let timer = null;
+  let last = 0;
+
+  function filled() {
+    const data = new URLSearchParams();
+    for (const [name, value] of new FormData(form)) {
+      if (name === "csrf_token") continue;
+      const field = form.elements[name];
+      if (value === (field?.dataset?.default ?? "")) continue;
+      data.append(name, value);
+    }
+    return data;
+  }
+
+  function show(name, text) {
+    const place = form.querySelector(`[data-error="${CSS.escape(name)}"]`);
+    const field = form.elements[name];
+    if (!place || !field) return;
+    place.textContent = text || "";
+    place.hidden = !text;
+    if (text) field.setAttribute("aria-invalid", "true");
+    else field.removeAttribute("aria-invalid");
+  }
+
+  async function preview() {
+    const number = ++last;
+    const answer = await fetch(`${previewUrl}?${filled()}`);
+    if (number !== last) return;
+    if (!answer.ok) throw new Error(String(answer.status));
+    const { preview: text, errors } = await answer.json();
+    for (const place of form.querySelectorAll("[data-error]")) {
+      const name = place.dataset.error;
+      if (touched.has(name) || !errors[name]) show(name, errors[name]);
+    }
+    const problems = Object.keys(errors).length;
+    document.getElementById("preview").textContent =
+      text || (form.elements.algorithm.value && form.elements.dataset.value
+        ? `${problems} field${problems === 1 ? "" : "s"} cannot be used.` : "Choose an algorithm and a dataset.");
+  }
+
+  form.addEventListener("input", (event) => {
+    touched.add(event.target.name);
+    if (event.target.matches("[data-reload]")) {
+      location.assign(`${formUrl}?${filled()}`);
+      return;
+    }
+    clearTimeout(timer);
+    timer = setTimeout(() => preview().catch(() => {
+      document.getElementById("preview").textContent = "The server does not answer.";
+    }), 250);
+  });
+  form.addEventListener("submit", () => {
+    form.querySelectorAll("button").forEach((button) => setTimeout(() => { button.disabled = true; }));
+  });
+  addEventListener("pageshow", () => form.querySelectorAll("button").forEach((button) => { button.disabled = false; }));
+})();

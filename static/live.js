@@ -1,0 +1,111 @@
+// Keeps the page up to date. Progress is put in place from each event; when the set of runs or their states change,
+// the page is fetched once and its parts marked data-swap replace the old ones, without a reload and without a jump.
+"use strict";
+(() => {
+  const POLL_MS = 5000;
+  const REFRESH_MS = 2000;
+  let version = null;
+  let fetching = false;
+  let polling = null;
+  let wanted = false;
+
+  const connection = (text) => {
+    const place = document.getElementById("connection");
+    if (place && place.textContent !== text) place.textContent = text;
+  };
+
+  function putProgress(run) {
+    for (const place of document.querySelectorAll(`[data-run="${run.id}"]`)) {
+      const value = run[place.dataset.field];
+      if (place.dataset.field === "percent") {
+        place.querySelector("rect").setAttribute("width", value ?? 0);
+        if (value === null) place.removeAttribute("aria-valuenow");
+        else place.setAttribute("aria-valuenow", value);
+      } else if (value !== undefined && place.textContent !== value) {
+        place.textContent = value;
+      }
+    }
+  }
+
+  function keepState(old, fresh) {
+    for (const details of old.querySelectorAll("details[open]")) {
+      const place = [...old.querySelectorAll("details")].indexOf(details);
+      const twin = fresh.querySelectorAll("details")[place];
+      if (twin) twin.open = true;
+    }
+    for (const box of old.querySelectorAll("input[type=checkbox]:checked")) {
+      const twin = box.id && fresh.querySelector(`#${CSS.escape(box.id)}`);
+      if (twin) twin.checked = true;
+    }
+    for (const choice of old.querySelectorAll("select[id]")) {
+      const twin = fresh.querySelector(`#${CSS.escape(choice.id)}`);
+      if (twin) twin.value = choice.value;
+    }
+  }
+
+  function swap(page) {
+    let swapped = false;
+    for (const old of document.querySelectorAll("[data-swap]")) {
+      const fresh = page.getElementById(old.id);
+      if (!fresh || fresh.innerHTML === old.innerHTML) continue;
+      if (old.contains(document.activeElement) && /^(SELECT|INPUT)$/.test(document.activeElement.tagName)) continue;
+      const focused = old.contains(document.activeElement) ? document.activeElement : null;
+      const scrolled = [...old.querySelectorAll(".table-wrap, .log")].map((box) => [box.scrollTop, box.scrollLeft]);
+      const twinOf = focused && [...old.querySelectorAll("a, button")].indexOf(focused);
+      keepState(old, fresh);
+      old.replaceWith(document.adoptNode(fresh));
+      swapped = true;
+      [...fresh.querySelectorAll(".table-wrap, .log")].forEach((box, place) => {
+        if (scrolled[place]) [box.scrollTop, box.scrollLeft] = scrolled[place];
+      });
+      if (focused) fresh.querySelectorAll("a, button")[twinOf]?.focus({ preventScroll: true });
+    }
+    if (swapped) document.dispatchEvent(new Event("pageswap"));
+  }
+
+  async function refresh() {
+    if (fetching) { wanted = true; return; }
+    if (!document.querySelector("[data-swap]")) return;
+    fetching = true;
+    try {
+      const answer = await fetch(location.href, { headers: { Accept: "text/html" }, credentials: "same-origin" });
+      if (answer.ok) swap(new DOMParser().parseFromString(await answer.text(), "text/html"));
+    } catch { connection("connection lost, trying again"); }
+    fetching = false;
+    if (wanted) { wanted = false; refresh(); }
+    else if (document.querySelector("[data-refresh]")) setTimeout(refresh, REFRESH_MS);
+  }
+
+  function receive(state) {
+    connection("live");
+    const first = version === null;
+    const changed = version !== state.version;
+    version = state.version;
+    if (changed && !first) refresh();
+    state.active.forEach(putProgress);
+  }
+
+  async function poll() {
+    try {
+      const answer = await fetch(document.body.dataset.live);
+      if (!answer.ok) throw new Error(String(answer.status));
+      receive(await answer.json());
+      connection("live, every 5 s");
+    } catch { connection("connection lost, trying again"); }
+  }
+
+  function startPolling() { if (polling === null) { poll(); polling = setInterval(poll, POLL_MS); } }
+
+  document.addEventListener("DOMContentLoaded", () => {
+    if (!document.querySelector("[data-swap]")) return;
+    if (document.querySelector("[data-refresh]")) setTimeout(refresh, REFRESH_MS);
+    if (!window.EventSource) { startPolling(); return; }
+    const source = new EventSource(document.body.dataset.events);
+    source.addEventListener("state", (event) => receive(JSON.parse(event.data)));
+    source.addEventListener("error", () => {
+      if (source.readyState === EventSource.CLOSED) startPolling();
+      else connection("connection lost, trying again");
+    });
+    addEventListener("pagehide", () => source.close());
+  });
+})();

@@ -1,0 +1,42 @@
+"""The shipped algorithms without Docker: environments of their own, rendered data, evaluated by the product."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from slamhive.bags.room import RoomOptions
+from slamhive.domain.run import RunState
+from slamhive.services.hive import Hive, open_hive
+from slamhive.services.request import Submission
+
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture(scope="module")
+def hive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
+    opened = open_hive({"data": tmp_path_factory.mktemp("data"), "executor": "process", "min_free_disk_mb": 1})
+    options = RoomOptions(name="room", duration_s=5.0)
+    opened.catalogue.render_room(options, lambda _fraction, _text: None)
+    yield opened
+    opened.close()
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "poses"), [("kiss-icp", 50), ("rko-lio", 50), ("orb-slam3-rgbd", 95), ("orb-slam3-stereo", 95)]
+)
+def test_each_system_follows_the_room_within_ten_centimetres(hive: Hive, algorithm: str, poses: int) -> None:
+    # Sequential: what is tested here is that the system is right, not how fast this machine is at the moment.
+    (queued,) = hive.submit(Submission(algorithm, "room", playback_mode="sequential"))
+    hive.worker(only=[queued.id]).run(until_idle=True)
+    run = hive.run(queued.id)
+    assert run.state is RunState.SUCCEEDED, f"{run.detail}: {hive.log(run.id)[-2000:]}"
+    assert run.poses is not None
+    assert run.poses >= poses
+    assert run.metrics is not None
+    assert run.metrics["ate.rmse"] < 0.10
+    about = hive.record(run.id)["about"]
+    assert about["version"] == run.version.version if run.version else False
+    if algorithm.startswith("orb"):
+        assert about["vocabulary"]["words"] > 5000

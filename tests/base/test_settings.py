@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.settings import Mode, describe, load_settings, settings_in_force
+
+
+def test_defaults_are_those_of_a_workstation(tmp_path):
+    settings = load_settings(tmp_path, {})
+    assert settings.mode is Mode.WORKSTATION
+    assert settings.host == "127.0.0.1"
+    assert settings.data == tmp_path / "data"
+    assert settings.effective_database_url == f"sqlite:///{tmp_path / 'data' / 'slamhive.db'}"
+
+
+def test_later_sources_win(tmp_path):
+    (tmp_path / "configuration.py").write_text('PORT = 1\nHOST = "a"\nEXECUTOR = "docker"\n')
+    settings = load_settings(tmp_path, {"SLAMHIVE_PORT": "2", "SLAMHIVE_HOST": "b"}, {"port": 3, "data": None})
+    assert (settings.executor, settings.host, settings.port) == ("docker", "b", 3)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("PROT = 1", "unknown setting in"),
+        ("PORT = 'x'", "PORT='x' from configuration.py: expected int"),
+        ("MODE = 'public'", "expected one of workstation, view-only, cluster, cloud"),
+        ("WORKER_SLOTS = 0", "must be at least 1"),
+        ("WORKER_SLOTS = None", "WORKER_SLOTS=None from configuration.py: expected int"),
+        ("WORKER_SLOTS = 1.5", "WORKER_SLOTS=1.5 from configuration.py: expected int"),
+        ("WORKER_SLOTS = True", "WORKER_SLOTS=True from configuration.py: expected int"),
+        ("WORKER_SLOTS = 10**30", "must be at most 1e+09"),
+        ("WORKER_SLOTS = float('inf')", "WORKER_SLOTS=inf from configuration.py: expected int"),
+        ("LEASE_S = 10**400", "expected float"),
+        ("PORT = 70000", "must be at most 65535"),
+        ("DATA = 5", "DATA=5 from configuration.py: expected Path"),
+        ("HOST = None", "HOST=None from configuration.py: expected str"),
+        ("MODE = []", "expected one of workstation"),
+        ("1 / 0", "ZeroDivisionError"),
+        ("PORT = ", "SyntaxError"),
+    ],
+)
+def test_mistakes_name_setting_value_and_source(tmp_path, text, message):
+    (tmp_path / "configuration.py").write_text(text)
+    with pytest.raises((InvalidInput, NotFound)) as caught:
+        load_settings(tmp_path, {})
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_nan_is_below_every_minimum(tmp_path):
+    with pytest.raises(InvalidInput, match="LEASE_S='nan'"):
+        load_settings(tmp_path, {"SLAMHIVE_LEASE_S": "nan"})
+
+
+@pytest.mark.parametrize("text", ["inf", "1e300", "-inf"])
+def test_times_must_be_such_as_dates_can_be_reckoned_with(tmp_path, text):
+    with pytest.raises(InvalidInput, match=f"LEASE_S='{text}' from environment variable SLAMHIVE_LEASE_S: must be"):
+        load_settings(tmp_path, {"SLAMHIVE_LEASE_S": text})
+
+
+def test_every_default_is_within_its_bounds(tmp_path):
+    load_settings(tmp_path, {entry.environment: entry.default for entry in describe()})
+
+
+def test_the_shipped_configuration_file_is_valid():
+    root = Path(__file__).resolve().parents[2]
+    assert load_settings(root, {}).mode is Mode.WORKSTATION
+
+
+def test_every_setting_is_documented():
+    documentation = (Path(__file__).resolve().parents[2] / "docs" / "settings.md").read_text(encoding="utf-8")
+    for entry in describe():
+        assert entry.help
+        assert entry.name in documentation
+        assert entry.environment in documentation
+
+
+def test_each_value_in_force_tells_where_it_comes_from_and_no_secret(tmp_path):
+    (tmp_path / "configuration.py").write_text("PORT = 1\nWORKER_SLOTS = 2\n")
+    environment = {
+        "SLAMHIVE_PORT": "2",
+        "SLAMHIVE_SECRET_KEY": "hunter2",
+        "SLAMHIVE_DATABASE_URL": "mysql://u:hunter2@lab/x",
+    }
+    found = {
+        entry.info.name: (entry.value, entry.source)
+        for entry in settings_in_force(tmp_path, environment, {"data": "here", "database_url": None})
+    }
+    assert found["PORT"] == ("2", "environment variable SLAMHIVE_PORT")
+    assert found["WORKER_SLOTS"] == ("2", "configuration.py")
+    assert found["DATA"] == (str(tmp_path / "here"), "option --data")
+    assert found["HOST"] == ("127.0.0.1", "default")
+    assert found["DATABASE_URL"][0] == "mysql://***@lab/x"
+    assert "hunter2" not in str(found)

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import pytest
+
+from slamhive import strict_yaml
+from slamhive.errors import InvalidInput
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: 1\na: 2", "x line 2: the key 'a' appears twice"),
+        ("a: &b 1\nc: *b", "anchors and aliases"),
+        ("a: !!python/object/apply:os.system [id]", "tag"),
+        ("a: !custom 1", "tag"),
+        ("- 1", "found list"),
+        ("", "found nothing"),
+        ("a: [1", "x line"),
+        ("? [1]\n: 2", "plain text"),
+        ("a: " + "[" * 30 + "]" * 30, "nested deeper"),
+        ("a: 2001-99-99", "not valid"),
+    ],
+)
+def test_traps_are_refused_in_one_line(text, message):
+    with pytest.raises(InvalidInput) as caught:
+        strict_yaml.parse(text, "x")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_bomb_of_aliases_costs_nothing():
+    bomb = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 40))
+    with pytest.raises(InvalidInput, match="anchors"):
+        strict_yaml.parse(bomb, "x")
+
+
+def test_a_huge_text_is_not_parsed():
+    with pytest.raises(InvalidInput, match="larger than"):
+        strict_yaml.parse("a: 1\n" * 500_000, "x")
+
+
+def test_binary_garbage_is_explained(tmp_path):
+    path = tmp_path / "x.yaml"
+    path.write_bytes(bytes(range(256)))
+    with pytest.raises(InvalidInput, match="cannot be read as text"):
+        strict_yaml.load(path)
+
+
+def test_what_is_written_is_read_back_unchanged():
+    content = {"a": "x: #y\n'", "b": [1.5, 2], "c": {"d": None, "e": True, "f": "1"}}
+    assert strict_yaml.parse(strict_yaml.dump(content), "x") == content
+
+
+@pytest.mark.parametrize("text", ["1:5:1", "1:5:0.5", "12:30", "500:2500:250"])
+def test_colons_make_text_not_numbers_to_base_60(text):
+    assert strict_yaml.parse(f"a: {text}", "x") == {"a": text}
+
+
+def test_lines_are_told_for_keys_and_items():
+    text = "a: 1\nb:\n  - x\n  - {c: 2,\n     d: 3}\n"
+    content, lines = strict_yaml.parse_with_lines(text, "x")
+    assert content == {"a": 1, "b": ["x", {"c": 2, "d": 3}]}
+    assert lines == {("a",): 1, ("b",): 2, ("b", 0): 3, ("b", 1): 4, ("b", 1, "c"): 4, ("b", 1, "d"): 5}

@@ -1,0 +1,224 @@
+"""The command line on a small project: what it prints, and its one line for each mistake."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from slamhive.cli import main
+from slamhive.cli.main import main as root
+from slamhive.cli.output import columns_to_leave_out
+from tests.services.tiny_project import environment, make_dataset, make_project
+
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture
+def slamhive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_template: Path):
+    make_project(tmp_path / "project")
+    make_dataset(tmp_path / "data")
+    shutil.copy(sqlite_template, tmp_path / "data" / "slamhive.db")
+    for key, value in environment(tmp_path / "project", tmp_path / "data").items():
+        monkeypatch.setenv(key, value)
+
+    def call(*arguments: str) -> Result:
+        return CliRunner().invoke(main, arguments)
+
+    return call
+
+
+HUGE = "99999999999999999999"
+
+
+def test_a_run_in_json_has_what_scripts_rely_on(slamhive):
+    (run,) = json.loads(slamhive("run", "tiny", "track", "--set", "seconds=1", "--json").stdout)
+    promised = "id algorithm dataset parameters executor state reason created_at started_at ended_at poses protocol"
+    assert set(promised.split()) | {"metrics"} <= set(run)
+    assert (run["state"], run["parameters"]["seconds"], run["metrics"]) == ("queued", 1.0, {})
+    assert json.loads(slamhive("runs", "--json").stdout) == [run]
+    assert json.loads(slamhive("runs", "--state", "failed", "--json").stdout) == []
+
+
+def test_a_queued_run_says_who_will_take_it(slamhive):
+    assert "no worker runs on this machine" in slamhive("run", "tiny", "track").stderr
+
+
+def test_lists_and_shows_speak_json(slamhive):
+    slamhive("run", "tiny", "track")
+    assert json.loads(slamhive("algorithm", "list", "--json").stdout)[0]["name"] == "tiny"
+    shown = json.loads(slamhive("algorithm", "show", "tiny", "--json").stdout)
+    assert shown["parameters"]["seconds"]["unit"] == "s"
+    assert shown["package"]["name"] == "tiny"
+    assert json.loads(slamhive("dataset", "list", "--json").stdout)[0]["duration_s"] == 10.0
+    assert json.loads(slamhive("dataset", "show", "track", "--json").stdout)["sensors"][0]["kind"] == "lidar"
+    assert Path(json.loads(slamhive("dataset", "show", "track", "--json").stdout)["folder"]).name == "track"
+    assert json.loads(slamhive("runs", "show", "1", "--json").stdout)["events"][0]["to"] == "queued"
+    assert {check["name"] for check in json.loads(slamhive("doctor", "--json").stdout)} >= {"database", "worker"}
+    assert json.loads(slamhive("settings", "--json").stdout)[0]["name"] == "MODE"
+
+
+def test_cancel_and_retry(slamhive):
+    slamhive("run", "tiny", "track")
+    assert slamhive("runs", "cancel", "1").stdout == "run 1: cancelled\n"
+    (again,) = json.loads(slamhive("runs", "retry", "1", "--json").stdout)
+    assert (again["id"], again["retry_of"]) == (2, 1)
+
+
+def test_tables_are_for_people(slamhive):
+    slamhive("run", "tiny", "track", "--repeat", "2")
+    listing = slamhive("runs")
+    assert "2 of 2 runs" in listing.stderr
+    assert listing.stdout.splitlines()[0].split()[:3] == ["id", "algorithm", "dataset"]
+    assert (
+        "int" in slamhive("algorithm", "show", "tiny").stdout or "float" in slamhive("algorithm", "show", "tiny").stdout
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("run", "tinny", "track"), "unknown algorithm 'tinny'; did you mean 'tiny'?"),
+        (("run", "tiny", "trak"), "unknown dataset 'trak'; did you mean 'track'?"),
+        (("run", "tiny", "../../etc"), "unknown dataset '../../etc'"),
+        (("run", "tiny", "track", "--set", "second=1"), "did you mean 'seconds'?"),
+        (("run", "tiny", "track", "--set", "seconds"), "--set 'seconds' is not KEY=VALUE"),
+        (("run", "tiny", "track", "--set", "seconds=a", "--set", "seconds=b"), "--set seconds is given twice"),
+        (("run", "tiny", "track", "--set", "seconds=99"), "expected float, 0 to 60 s"),
+        (("run", "tiny", "track", "--executor", "podman"), "unknown executor 'podman'"),
+        (("runs", "show", "7"), "unknown run 7"),
+        (("runs", "log", "7"), "unknown run 7"),
+        (("runs", "show", HUGE), f"unknown run {HUGE}"),
+        (("runs", "log", HUGE), f"unknown run {HUGE}"),
+        (("runs", "cancel", HUGE), f"unknown run {HUGE}"),
+        (("runs", "retry", HUGE), f"unknown run {HUGE}"),
+        (("evaluate", HUGE), f"unknown run {HUGE}"),
+        (("run", "tiny", "track", "--memory", HUGE), f"memory limit in MB {HUGE} is not allowed"),
+        (("run", "tiny", "track", "--repeat", HUGE), f"repeat {HUGE} is not allowed"),
+        (("run", "tiny", "track", "--seed", HUGE), f"seed {HUGE} is not allowed"),
+        (("run", "tiny", "track", "--priority", HUGE), f"priority {HUGE} is not allowed"),
+        (("run", "tiny", "track", "--rate", "nan"), "playback rate nan is not allowed"),
+        (("dataset", "room", "--seed", HUGE), HUGE),
+        (("dataset", "room", "--seconds", "inf"), "inf"),
+        (("runs", "cancel", "7"), "unknown run 7"),
+        (("runs", "--sort", "ate.rmsee"), "ate.rmse"),
+        (("evaluate",), "name the runs to evaluate, or give --all-unevaluated"),
+        (("evaluate", "7"), "unknown run 7"),
+        (("algorithm", "build"), "name the algorithms to build"),
+        (("algorithm", "show", "nope"), "unknown algorithm 'nope'"),
+        (("dataset", "show", "nope"), "unknown dataset 'nope'"),
+        (("dataset", "import", "kiti", ".", "--name", "x"), "unknown dataset importer 'kiti'"),
+        (("dataset", "import", "kitti-odometry", "/nowhere", "--name", "x"), "/nowhere does not exist"),
+        (("dataset", "import", "kitti-odometry", ".", "--name", "a/b"), "dataset name 'a/b' is not allowed"),
+        (("dataset", "import", "kitti-odometry", ".", "--name", "track"), "dataset 'track' exists already"),
+        (("dataset", "room", "--seconds", "-1"), "-1"),
+        (("--database-url", "oracle://x", "runs"), "oracle"),
+        (("--data", "/proc/nowhere", "runs"), "cannot be used"),
+    ],
+)
+def test_each_mistake_gets_one_line_and_exit_code_1(slamhive, arguments, message):
+    result = slamhive(*arguments)
+    assert result.exit_code == 1, result.output
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert message in line
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda data: b"", "is empty (0 bytes)"),
+        (lambda data: data[: len(data) // 2], "cannot be read as a recording"),
+        (lambda data: b"no bag at all", "cannot be read as a recording"),
+        (lambda data: data.replace(b"/points", b"/pointz"), "holds no messages on /points, which tiny needs as points"),
+    ],
+)
+def test_a_bad_recording_is_refused_before_anything_is_queued(slamhive, tmp_path, change, message):
+    bag = tmp_path / "data" / "datasets" / "track" / "track.bag"
+    bag.write_bytes(change(bag.read_bytes()))
+    result = slamhive("run", "tiny", "track")
+    assert result.exit_code == 1
+    (line,) = result.stderr.splitlines()
+    assert message in line
+    assert "codec" not in line
+    assert "('" not in line
+    assert json.loads(slamhive("runs", "--json").stdout) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("run", "tiny", "track", "--repeat", "abc"), "'abc' is not a valid integer; see slamhive run --help"),
+        (("runs", "show", "abc"), "see slamhive runs show --help"),
+        (("run", "tiny"), "Missing argument 'DATASET'"),
+        (("nope",), "No such command 'nope'"),
+        (("--nope",), "No such option"),
+    ],
+)
+def test_usage_errors_are_one_line_too(slamhive, arguments, message):
+    result = slamhive(*arguments)
+    assert result.exit_code == 1
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert message in line
+
+
+def test_a_package_without_requirements_hides_only_itself(slamhive, tmp_path):
+    (tmp_path / "project" / "algorithms" / "tiny" / "requirements.txt").unlink()
+    listing = slamhive("algorithm", "list")
+    assert listing.exit_code == 0
+    assert "not available" in listing.stdout
+    assert "requirements.txt" in json.dumps(json.loads(slamhive("doctor", "--json").stdout))
+    refused = slamhive("run", "tiny", "track")
+    assert refused.exit_code == 1
+    assert "use --executor docker" in refused.stderr
+
+
+def test_a_filter_that_matches_nothing_says_so(slamhive):
+    slamhive("run", "tiny", "track")
+    assert "no run matches" in slamhive("runs", "--algorithm", "nope").stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("dataset", "remove", "track", "--yes"),
+        ("dataset", "room", "--name", "new"),
+        ("algorithm", "build", "tiny"),
+        ("reindex",),
+        ("demo", "--no-serve"),
+    ],
+)
+def test_view_only_changes_nothing(slamhive, tmp_path, monkeypatch, arguments):
+    monkeypatch.setenv("SLAMHIVE_MODE", "view-only")
+    result = slamhive(*arguments)
+    assert result.exit_code == 1
+    assert "view-only" in result.stderr
+    assert [folder.name for folder in (tmp_path / "data" / "datasets").iterdir()] == ["track"]
+
+
+def test_html_in_a_name_is_only_text(slamhive):
+    assert "'<script>'" in slamhive("run", "tiny", "<script>").stderr
+
+
+def test_every_command_has_help():
+    def walk(command, path):
+        result = CliRunner().invoke(root, [*path, "--help"])
+        assert result.exit_code == 0
+        assert command.help, path
+        for name, child in getattr(command, "commands", {}).items():
+            walk(child, [*path, name])
+
+    walk(root, [])
+
+
+def test_a_narrow_terminal_goes_without_the_least_columns():
+    columns = ("id", "algorithm", "state", "time s")
+    rows = [(1, "orb-slam3-stereo", "succeeded", "16.0")]
+    assert columns_to_leave_out(columns, rows, ("time s",), 80) == []
+    assert columns_to_leave_out(columns, rows, ("time s",), 34) == ["time s"]
+    assert columns_to_leave_out(columns, rows, ("time s", "state"), 20) == ["time s", "state"]

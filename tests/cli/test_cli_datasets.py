@@ -1,0 +1,57 @@
+"""What the command line says of a dataset."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from slamhive.cli import main
+from tests.services.tiny_project import environment, make_dataset, make_project
+
+
+@pytest.fixture
+def slamhive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    make_project(tmp_path / "project")
+    make_dataset(tmp_path / "data")
+    for key, value in environment(tmp_path / "project", tmp_path / "data").items():
+        monkeypatch.setenv(key, value)
+
+    def call(*arguments: str) -> Result:
+        return CliRunner().invoke(main, arguments)
+
+    return call
+
+
+def test_show_prints_calibration_and_ground_truth(slamhive):
+    shown = slamhive("dataset", "show", "track").stdout
+    assert "ground truth: groundtruth.txt, z axis up" in shown
+    assert "T_body_sensor  1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1" in shown
+
+
+def test_json_holds_extrinsics_gravity_and_attributes(slamhive):
+    shown = json.loads(slamhive("dataset", "show", "track", "--json").stdout)
+    assert len(shown["sensors"][0]["T_body_sensor"]) == 16
+    assert shown["groundtruth"] == {
+        "file": "groundtruth.txt",
+        "exists": True,
+        "gravity_aligned": True,
+        "positions_only": False,
+    }
+    assert shown["attributes"] == []
+
+
+def test_a_ground_truth_that_is_not_there_is_said(slamhive, tmp_path):
+    (tmp_path / "data" / "datasets" / "track" / "groundtruth.txt").unlink()
+    assert slamhive("dataset", "list").stdout.rstrip().endswith("file missing")
+    assert "groundtruth.txt, the file is missing, z axis up" in slamhive("dataset", "show", "track").stdout
+    assert json.loads(slamhive("dataset", "list", "--json").stdout)[0]["groundtruth"]["exists"] is False
+
+
+def test_what_is_left_out_stays_on_one_line(slamhive, tmp_path):
+    path = tmp_path / "data" / "datasets" / "track" / "dataset.yaml"
+    path.write_text(path.read_text().replace("duration_s: ", "duration_s: .inf #"))
+    (line,) = [text for text in slamhive("dataset", "list").stderr.splitlines() if "left out" in text]
+    assert line.endswith("duration_s: inf is not a finite number; write the number itself")

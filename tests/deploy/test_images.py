@@ -1,0 +1,204 @@
+"""The images of the compose deployment, built and tried against a real database server."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+import urllib.error
+import urllib.request
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import docker
+import pytest
+import yaml
+
+from tests.deploy.base_image import base_image
+from tests.services.mariadb import DatabaseServer, _free_port
+
+ROOT = Path(__file__).resolve().parents[2]
+HOST_CERTIFICATES = Path("/usr/local/share/ca-certificates")
+START_S = 60.0
+ALGORITHMS = {str(ROOT / "algorithms"): {"bind": "/opt/slamhive/share/slamhive/algorithms", "mode": "ro"}}
+
+pytestmark = [pytest.mark.docker, pytest.mark.mysql, pytest.mark.timeout(600)]
+
+
+@pytest.fixture(scope="module")
+def engine() -> Iterator[docker.DockerClient]:
+    client = docker.from_env()
+    yield client
+    client.close()
+
+
+@pytest.fixture(scope="module")
+def images(engine, tmp_path_factory) -> dict[str, str]:
+    """Web and worker image, built as the compose file builds them, with the certificates of this machine."""
+    context = tmp_path_factory.mktemp("context") / "project"
+    shutil.copytree(ROOT, context, ignore=shutil.ignore_patterns(".git", ".venv", "data", "site", "tests", ".*_cache"))
+    for path in HOST_CERTIFICATES.glob("*.crt"):
+        shutil.copy(path, context / "docker" / "ca-certificates")
+    base = base_image(engine)
+    tags = {}
+    for name, service in yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"].items():
+        if "build" in service:
+            tags[name] = f"slam-hive-{name}:test"
+            engine.images.build(
+                path=str(context),
+                dockerfile=service["build"]["dockerfile"],
+                buildargs={"BASE_IMAGE": base},
+                network_mode="host",
+                tag=tags[name],
+                rm=True,
+            )
+    return tags
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data")
+    folder.chmod(0o755)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def environment(database_server: DatabaseServer, data) -> Iterator[dict[str, str]]:
+    name = f"slamhive_{uuid.uuid4().hex[:8]}"
+    url = database_server.create_database(name)
+    yield {
+        "SLAMHIVE_DATABASE_URL": url,
+        "SLAMHIVE_DATA": str(data),
+        "SLAMHIVE_SECRET_KEY": "test",
+        "SLAMHIVE_EXECUTOR": "docker",
+        "HOME": "/tmp",
+    }
+    database_server.drop_database(name)
+
+
+def run_container(engine, image: str, environment: dict[str, str], **options):
+    name = f"slamhive-{uuid.uuid4().hex}"
+    return engine.containers.run(
+        image, detach=True, network_mode="host", hostname="slamhive", environment=environment, name=name, **options
+    )
+
+
+@pytest.fixture(scope="module")
+def worker(engine, images, environment, data):
+    """The worker as the compose file starts it: the engine's socket, the data root under the host's path."""
+    volumes = {
+        "/var/run/docker.sock": {"bind": "/var/run/docker.sock", "mode": "rw"},
+        "/sys/fs/cgroup": {"bind": "/sys/fs/cgroup", "mode": "ro"},
+        str(data): {"bind": str(data), "mode": "rw"},
+        **ALGORITHMS,
+    }
+    container = run_container(engine, images["worker"], environment, volumes=volumes)
+    yield container
+    container.remove(force=True)
+
+
+def doctor(container) -> tuple[int, dict[str, dict[str, str]]]:
+    code, output = container.exec_run(["slamhive", "doctor", "--json"], demux=True)
+    return code, {check["name"]: check for check in json.loads(output[0] or b"[]")}
+
+
+def wait_for_tables(container) -> dict[str, dict[str, str]]:
+    deadline = time.monotonic() + START_S
+    while True:
+        code, checks = doctor(container)
+        if code == 0 and checks.get("worker", {}).get("verdict") == "ok":
+            return checks
+        if time.monotonic() > deadline:
+            pytest.fail(f"the worker does not come up: {checks}\n{container.logs(tail=20).decode()}")
+        time.sleep(0.5)
+
+
+def test_worker_reaches_database_and_engine(worker, environment):
+    checks = wait_for_tables(worker)
+    assert checks["database"]["found"].startswith("mysql 127.0.0.1")
+    assert checks["executor docker"]["verdict"] == "ok"
+    assert checks["data root"]["verdict"] == "ok"
+
+
+@pytest.fixture(scope="module")
+def web(engine, images, environment, data, worker):
+    """The web server as the compose file starts it, on a port of its own on 127.0.0.1."""
+    wait_for_tables(worker)
+    service = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]["web"]
+    port = _free_port()
+    command = engine.images.get(images["web"]).attrs["Config"]["Cmd"]
+    command = [{"0.0.0.0": "127.0.0.1", "5000": str(port)}.get(word, word) for word in command]
+    container = run_container(
+        engine,
+        images["web"],
+        environment,
+        command=command,
+        user=service["user"],
+        cap_drop=service["cap_drop"],
+        read_only=service["read_only"],
+        security_opt=["no-new-privileges:true"],
+        tmpfs=dict.fromkeys(service["tmpfs"], ""),
+        volumes={str(data): {"bind": str(data), "mode": "ro"}, **ALGORITHMS},
+    )
+    yield container, f"http://127.0.0.1:{port}"
+    container.remove(force=True)
+
+
+def get(url: str) -> bytes:
+    deadline = time.monotonic() + START_S
+    while True:
+        try:
+            with urllib.request.urlopen(url, timeout=5) as response:
+                return bytes(response.read())
+        except (urllib.error.URLError, ConnectionError):
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.3)
+
+
+def test_web_server_is_healthy_without_rights(web):
+    container, url = web
+    try:
+        assert json.loads(get(f"{url}/healthz"))["status"] == "ok"
+    except OSError:
+        pytest.fail(f"the web server does not answer:\n{container.logs(tail=20).decode()}")
+    code, output = container.exec_run(["id", "-u"])
+    assert (code, output.strip()) == (0, b"65534")
+
+
+def test_health_check_of_the_compose_file_passes(web):
+    container, url = web
+    get(f"{url}/healthz")
+    service = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]["web"]
+    command = [word.replace("http://127.0.0.1:5000", url) for word in service["healthcheck"]["test"][1:]]
+    code, output = container.exec_run(command)
+    assert code == 0, output
+
+
+def test_pages_show_the_algorithms(web):
+    _, url = web
+    assert b"<html" in get(f"{url}/")
+    assert b"orb-slam3-stereo" in get(f"{url}/algorithms")
+
+
+def test_web_server_can_neither_write_data_nor_reach_the_engine(web, data):
+    container, _ = web
+    code, _ = container.exec_run(["touch", str(data / "forged")])
+    assert code != 0
+    code, _ = container.exec_run(["ls", "/var/run/docker.sock"])
+    assert code != 0
+
+
+def test_images_hold_no_source_of_the_builder(engine, images):
+    for image in images.values():
+        output = engine.containers.run(image, ["sh", "-c", "ls -d /source || true"], remove=True, network_mode="none")
+        assert b"/source\n" not in output
+
+
+def test_compose_deployment_can_be_stopped_politely(worker):
+    started = time.monotonic()
+    worker.stop(timeout=25)
+    worker.reload()
+    assert time.monotonic() - started < 20.0
+    assert worker.attrs["State"]["ExitCode"] in (0, 130, 143)

@@ -1,0 +1,94 @@
+"""The documentation says what the code does, and the site needs nothing from the internet."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.settings import describe
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+
+
+@pytest.fixture(scope="module")
+def generator():
+    spec = importlib.util.spec_from_file_location("slamhive_generate_docs", ROOT / "tools" / "generate_docs.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def site():
+    return yaml.safe_load((ROOT / "mkdocs.yml").read_text())
+
+
+def pages(entries) -> list[str]:
+    found: list[str] = []
+    for entry in entries:
+        value = next(iter(entry.values()))
+        found += pages(value) if isinstance(value, list) else [value]
+    return found
+
+
+def test_generated_pages_are_up_to_date(generator):
+    assert generator.out_of_date() == []
+
+
+def test_check_names_the_stale_page_and_the_command(generator, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(generator, "DOCS", tmp_path)
+    assert generator.main(["--check"]) == 1
+    assert "docs/settings.md is out of date; run: .venv/bin/python tools/generate_docs.py" in capsys.readouterr().err
+    assert generator.main([]) == 0
+    assert generator.main(["--check"]) == 0
+
+
+@pytest.mark.parametrize("entry", describe(), ids=lambda entry: entry.name)
+def test_every_setting_is_documented(entry):
+    page = (DOCS / "settings.md").read_text()
+    assert f"| `{entry.name}` | `{entry.environment}` |" in page
+    assert entry.help
+    assert entry.help[0].isupper() or entry.help.split()[0].strip(",") in {"workstation", "auto"}
+
+
+def test_every_state_and_reason_is_explained():
+    page = (DOCS / "how-a-run-works.md").read_text()
+    assert [state for state in RunState if f"`{state}`" not in page] == []
+    assert [reason for reason in FailureReason if f"`{reason}`" not in page] == []
+
+
+def test_site_lists_every_page_once(site):
+    listed = pages(site["nav"])
+    assert sorted(listed) == sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
+
+
+def test_site_loads_nothing_from_elsewhere(site):
+    assert site["theme"]["font"] is False
+    assert not {"extra_css", "extra_javascript"} & set(site)
+
+
+def test_links_of_the_readme_lead_somewhere():
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)", (ROOT / "README.md").read_text())
+    assert [target for target in targets if not (ROOT / target).exists()] == []
+
+
+def test_settings_named_in_prose_exist():
+    known = {entry.name for entry in describe()} | {"DATABASE_IMAGE"}
+    pattern = re.compile(r"`((?:RUN|WORKER|LEASE|DATABASE|ASSOCIATION|GAP|POLL|SAMPLE|STOP)_[A-Z_]+)`")
+    named = {(path.name, name) for path in DOCS.glob("*.md") for name in pattern.findall(path.read_text())}
+    assert [entry for entry in sorted(named) if entry[1] not in known] == []
+
+
+def test_pre_commit_downloads_nothing():
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())
+    assert [repository["repo"] for repository in hooks["repos"]] == ["local"]

@@ -1,0 +1,145 @@
+"""Our figures against evo's command line, started as a user would, on real trajectories: equal to 1e-9."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.evaluation.artefacts import FILES
+from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask
+from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
+from slamhive.trajectory.kitti import read_kitti
+from slamhive.trajectory.tum import write_tum
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+DATA = ROOT.parent / "shared" / "data"
+RUNS = DATA / "euroc_vio_runs"
+EVO = DATA / "evo_trajectories"
+FLAGS = {Alignment.NONE: [], Alignment.SE3: ["-a"], Alignment.SIM3: ["-a", "-s"]}
+
+pytestmark = [
+    pytest.mark.shared_data,
+    pytest.mark.integration,
+    pytest.mark.skipif(not RUNS.is_dir(), reason="the recorded data is not in ../shared/data"),
+]
+
+
+def evaluate(
+    folder: Path, pairs: list[tuple[Path, Path]], alignment: Alignment, artefacts: Artefacts
+) -> list[EvaluationResult]:
+    tasks = []
+    for number, (reference, estimate) in enumerate(pairs):
+        output = folder / str(number)
+        output.mkdir(parents=True)
+        tasks.append(EvaluationTask(str(number), estimate, reference, output, Protocol(alignment), artefacts=artefacts))
+    scratch = folder / "scratch"
+    scratch.mkdir()
+    return EvaluationRunner(ProcessStarter(ROOT)).run(tasks, scratch, lambda _result: None)
+
+
+def command_line(folder: Path, command: str, *arguments: str) -> None:
+    folder.mkdir(exist_ok=True)
+    environment = {"PATH": os.environ["PATH"], "HOME": str(folder), "MPLBACKEND": "Agg"}
+    program = str(Path(sys.executable).parent / command)
+    subprocess.run([program, *arguments], env=environment, cwd=folder, check=True, capture_output=True, timeout=120)
+
+
+def statistics(archive: Path) -> dict[str, float]:
+    with zipfile.ZipFile(archive) as opened:
+        content: dict[str, float] = json.loads(opened.read("stats.json"))
+    return content
+
+
+@pytest.fixture(scope="module")
+def kitti(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("kitti")
+    for name in ("gt", "ORB"):
+        trajectory = read_kitti(EVO / f"KITTI_00_{name}.txt", EVO / "KITTI_00_gt_times.txt")
+        write_tum(folder / f"{name}.txt", trajectory.stamps_s, trajectory.positions_m, trajectory.quats_xyzw)
+    return folder / "gt.txt", folder / "ORB.txt"
+
+
+@pytest.mark.parametrize("alignment", list(FLAGS))
+def test_equal_to_the_command_line(tmp_path: Path, kitti: tuple[Path, Path], alignment: Alignment) -> None:
+    pairs = [
+        (RUNS / "MH_01" / "groundtruth.txt", RUNS / "vio_mono" / "MH_01" / "0.txt"),
+        (EVO / "freiburg1_xyz-groundtruth.txt", EVO / "freiburg1_xyz-rgbdslam.txt"),
+        kitti,
+    ]
+    results = evaluate(tmp_path, pairs, alignment, Artefacts.METRICS)
+    for (reference, estimate), result in zip(pairs, results, strict=True):
+        assert result.reason is None
+        for key, command, options in (
+            ("ate", "evo_ape", ["-r", "trans_part"]),
+            ("rpe", "evo_rpe", ["-r", "trans_part", "--all_pairs", "-d", "1", "-u", "m"]),
+        ):
+            archive = tmp_path / "home" / f"{key}{result.id}.zip"
+            arguments = ["tum", str(reference), str(estimate), *FLAGS[alignment], *options, "--save_results"]
+            command_line(tmp_path / "home", command, *arguments, str(archive))
+            for name, value in statistics(archive).items():
+                assert result.metrics[f"{key}.{name}"] == pytest.approx(value, rel=1e-9, abs=1e-9), (estimate, name)
+
+
+def test_published_golden_values(tmp_path: Path, kitti: tuple[Path, Path]) -> None:
+    xyz = (EVO / "freiburg1_xyz-groundtruth.txt", EVO / "freiburg1_xyz-rgbdslam.txt")
+    results = evaluate(tmp_path, [kitti, xyz], Alignment.SE3, Artefacts.METRICS)
+    assert results[0].metrics["ate.rmse"] == pytest.approx(1.303450, abs=5e-7)
+    assert results[1].metrics["ate.rmse"] == pytest.approx(0.013470, abs=5e-7)
+    assert results[1].matched_poses == 785
+
+
+@pytest.mark.parametrize(
+    ("alignment", "column"),
+    [
+        (Alignment.SE3, "ate_rmse_se3_m"),
+        (Alignment.SIM3, "ate_rmse_sim3_m"),
+        (Alignment.YAW_POSITION, "ate_rmse_posyaw_m"),
+    ],
+)
+def test_all_euroc_runs_agree_with_the_independent_figures(tmp_path: Path, alignment: Alignment, column: str) -> None:
+    with (RUNS / "ate_rmse.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 122
+    pairs = [
+        (RUNS / row["sequence"] / "groundtruth.txt", RUNS / row["algorithm"] / row["sequence"] / f"{row['trial']}.txt")
+        for row in rows
+    ]
+    results = evaluate(tmp_path, pairs, alignment, Artefacts.METRICS)
+    for row, result in zip(rows, results, strict=True):
+        assert result.reason is None
+        assert result.matched_poses == int(row["n_matched"])
+        assert result.metrics["ate.rmse"] == pytest.approx(float(row[column]), abs=5.1e-5)
+
+
+def test_artefacts_open_with_evo_and_figures_are_drawn(tmp_path: Path) -> None:
+    pair = (EVO / "freiburg1_xyz-groundtruth.txt", EVO / "freiburg1_xyz-rgbdslam.txt")
+    (result,) = evaluate(tmp_path, [pair], Alignment.SE3, Artefacts.PLOTS)
+    output = tmp_path / "0"
+    figures = {f"traj_{name}.png" for name in ("trajectories", "xyz", "rpy", "speeds")}
+    figures |= {f"{key}_{name}.png" for key in ("ape", "rpe") for name in ("raw", "map")}
+    assert {path.name for path in output.iterdir()} == {*FILES, *figures, "result.json"}
+    for name in figures:
+        assert (output / name).read_bytes().startswith(b"\x89PNG")
+    for key in ("ape", "rpe"):
+        table = tmp_path / "home" / f"{key}.csv"
+        command_line(tmp_path / "home", "evo_res", str(output / f"{key}.zip"), "--save_table", str(table))
+        assert "rmse" in table.read_text()
+    errors_m = np.loadtxt(output / "errors.csv", delimiter=",", skiprows=1)[:, 1]
+    assert np.sqrt(np.mean(errors_m**2)) == pytest.approx(result.metrics["ate.rmse"], abs=1e-8)
+    command_line(
+        tmp_path / "home",
+        "evo_ape",
+        "tum",
+        str(output / "groundtruth.tum"),
+        str(output / "traj.tum"),
+        "--save_results",
+        str(tmp_path / "home" / "again.zip"),
+    )
+    assert statistics(tmp_path / "home" / "again.zip")["rmse"] == pytest.approx(result.metrics["ate.rmse"], abs=1e-8)

@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import pytest
+
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.executors.base import Executor, Limits, Mount, RunHandle, RunSpec
+from slamhive.executors.registry import ExecutorContext, open_executor
+from slamhive.runs.folder import RunFolder
+from tests.services.docker_base import run_docker
+
+PROJECT_ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass
+class Bench:
+    """Starts scripts through one executor, and tidies up."""
+
+    name: str
+    context: ExecutorContext
+    root: Path
+    package: AlgorithmPackage
+    image: str
+    identity: str
+    executor: Executor
+    handles: list[RunHandle] = field(default_factory=list)
+
+    def spec(self, script: str, limits: Limits | None = None, key: str | None = None) -> RunSpec:
+        key = key or f"test-{uuid.uuid4().hex[:12]}"
+        folder = RunFolder(self.root / key)
+        folder.create()
+        folder.config.write_text("slam-hive-algorithm: test\n")
+        scripts = folder.root / "scripts"
+        scripts.mkdir(exist_ok=True)
+        (scripts / "mapping.py").write_text(script)
+        bag = self.root / "bag.bag"
+        bag.write_bytes(b"bag")
+        return RunSpec(
+            key=key,
+            run_id=1,
+            package=self.package.name,
+            package_folder=self.package.folder,
+            image=self.image,
+            identity=self.identity,
+            command=("python3", "/slamhive/mapping.py"),
+            mounts=(
+                Mount(scripts / "mapping.py", "/slamhive/mapping.py"),
+                Mount(folder.config, "/slamhive/config.yaml"),
+                Mount(bag, "/slamhive/dataset/bag.bag"),
+                Mount(folder.result, "/slamhive/result", read_only=False),
+            ),
+            environment={},
+            limits=limits or Limits(),
+            timeout_s=60.0,
+            log_path=folder.log,
+        )
+
+    def start(self, script: str, limits: Limits | None = None) -> tuple[RunSpec, RunHandle]:
+        spec = self.spec(script, limits)
+        handle = self.executor.start(spec)
+        self.handles.append(handle)
+        return spec, handle
+
+    def result(self, spec: RunSpec) -> Path:
+        return RunFolder(spec.log_path.parent).result
+
+    def again(self) -> Executor:
+        """A new executor, as a restarted worker has."""
+        return open_executor(self.name, self.context)
+
+
+@pytest.fixture(scope="session")
+def test_package(tmp_path_factory: pytest.TempPathFactory) -> AlgorithmPackage:
+    folder = tmp_path_factory.mktemp("packages") / "sleeper"
+    (folder / "slamhive").mkdir(parents=True)
+    (folder / "slamhive" / "mapping.py").write_text("print('from the package')\n")
+    (folder / "requirements.txt").write_text("")
+    (folder / "prepare.py").write_text(
+        "import os, pathlib\npathlib.Path(os.environ['SLAMHIVE_PREPARE_DIR'], 'made').write_text('yes')\n"
+    )
+    return AlgorithmPackage("sleeper", folder, "Sleeper", "1", "", "", "")
+
+
+@pytest.fixture(scope="session")
+def environment_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("data")
+
+
+@pytest.fixture(params=["process", pytest.param("docker", marks=pytest.mark.docker)])
+def bench(request, tmp_path: Path, test_package: AlgorithmPackage, environment_data: Path) -> Iterator[Bench]:
+    name = request.param
+    context = ExecutorContext(environment_data, PROJECT_ROOT, f"test-{uuid.uuid4().hex}", 100_000)
+    executor = open_executor(name, context)
+    image = request.getfixturevalue("base_image") if name == "docker" else test_package.image
+    if name == "docker":
+        identity = run_docker("image", "inspect", "--format", "{{.Id}}", image).stdout.strip()
+    else:
+        identity = executor.build(test_package, lambda line: None)
+    bench = Bench(name, context, tmp_path, replace(test_package), image, identity, executor)
+    yield bench
+    for handle in bench.handles:
+        executor.remove(handle)

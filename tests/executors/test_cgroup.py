@@ -1,0 +1,103 @@
+"""Parsers on file contents recorded from Docker containers, under both versions of control groups."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from slamhive.executors.cgroup import CgroupV1, CgroupV2, cgroup_of, parse_memberships
+
+ID = "4f1c" * 16
+V1_MEMBERSHIP = f"""12:pids:/docker/{ID}
+9:name=systemd:/docker/{ID}
+4:memory:/docker/{ID}
+2:cpu,cpuacct:/docker/{ID}
+0::/docker/{ID}
+"""
+V2_MEMBERSHIP = f"0::/system.slice/docker-{ID}.scope\n"
+
+
+def write(folder: Path, **files: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        (folder / name.replace("__", ".")).write_text(content)
+
+
+def make_v1(root: Path, group: str = f"docker/{ID}") -> None:
+    write(root / "cpuacct" / group, cpuacct__usage="2500000000\n")
+    write(
+        root / "memory" / group,
+        memory__usage_in_bytes="104857600\n",
+        memory__max_usage_in_bytes="157286400\n",
+        memory__stat="cache 40960000\nrss 60000000\ninactive_file 1\ntotal_inactive_file 4857600\n",
+    )
+
+
+def make_v2(root: Path, group: str = f"system.slice/docker-{ID}.scope", *, peak: bool = True) -> None:
+    folder = root / group
+    write(
+        folder,
+        cpu__stat="usage_usec 1234567\nuser_usec 1000000\nsystem_usec 234567\nnr_periods 0\n",
+        memory__current="52428800\n",
+        memory__stat="anon 40000000\nfile 12000000\ninactive_file 2428800\nactive_file 100\n",
+    )
+    if peak:
+        write(folder, memory__peak="60000000\n")
+
+
+def make_proc(tmp_path: Path, membership: str) -> Path:
+    write(tmp_path / "proc" / "77", cgroup=membership)
+    return tmp_path / "proc"
+
+
+def test_version_1(tmp_path):
+    make_v1(tmp_path)
+    group = cgroup_of(77, ID, tmp_path, make_proc(tmp_path, V1_MEMBERSHIP))
+    assert isinstance(group, CgroupV1)
+    assert group.read() == (2.5, 100_000_000)
+    assert group.peak_memory_bytes() == 157_286_400
+
+
+def test_version_2(tmp_path):
+    make_v2(tmp_path)
+    group = cgroup_of(77, ID, tmp_path, make_proc(tmp_path, V2_MEMBERSHIP))
+    assert isinstance(group, CgroupV2)
+    assert group.read() == (1.234567, 50_000_000)
+    assert group.peak_memory_bytes() == 60_000_000
+
+
+def test_version_2_before_5_19_keeps_no_peak(tmp_path):
+    make_v2(tmp_path, peak=False)
+    group = cgroup_of(77, ID, tmp_path, make_proc(tmp_path, V2_MEMBERSHIP))
+    assert group is not None
+    assert group.peak_memory_bytes() is None
+
+
+def test_a_pid_of_another_machine_is_not_taken(tmp_path):
+    make_v1(tmp_path)
+    proc = make_proc(tmp_path, V1_MEMBERSHIP)
+    assert cgroup_of(77, "beef" * 16, tmp_path, proc) is None
+
+
+@pytest.mark.parametrize(
+    "group", [f"docker/{ID}", f"system.slice/docker-{ID}.scope", f"a.slice/b.slice/docker-{ID}.scope"]
+)
+@pytest.mark.parametrize(("make", "kind"), [(make_v1, CgroupV1), (make_v2, CgroupV2)])
+def test_a_worker_in_a_container_finds_the_group_by_name(tmp_path, make, kind, group):
+    make(tmp_path, group)
+    write(tmp_path / "memory" / "docker" / ("beef" * 16))
+    own_process_with_that_pid = make_proc(tmp_path, "4:memory:/\n2:cpu,cpuacct:/\n0::/\n")
+    found = cgroup_of(77, ID, tmp_path, own_process_with_that_pid)
+    assert isinstance(found, kind)
+    assert found.read() is not None
+
+
+def test_gone_group_reads_none(tmp_path):
+    assert CgroupV1(tmp_path / "a", tmp_path / "b").read() is None
+    assert CgroupV2(tmp_path / "c").read() is None
+
+
+def test_memberships_of_joint_controllers():
+    assert parse_memberships(V1_MEMBERSHIP)["cpuacct"] == f"/docker/{ID}"
+    assert parse_memberships(V2_MEMBERSHIP) == {"": f"/system.slice/docker-{ID}.scope"}

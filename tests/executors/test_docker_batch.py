@@ -1,0 +1,63 @@
+"""A batch in a container: its lines, how it ended, and the cores it keeps to."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import docker
+import pytest
+
+from slamhive.evaluation.batch import Batch, BatchMount
+from slamhive.executors.docker_batch import DockerStarter
+from slamhive.executors.docker_engine import INSTALLATION_LABEL
+from slamhive.executors.registry import ExecutorContext
+
+pytestmark = pytest.mark.docker
+
+Run = Callable[..., tuple[str | None, list[str]]]
+
+
+@pytest.fixture
+def run(base_image, tmp_path: Path, monkeypatch) -> Run:
+    """Run a script as the batch; how it ended and what it said."""
+    context = ExecutorContext(tmp_path, tmp_path, f"test-{os.getpid()}-{tmp_path.name}")
+    starter = DockerStarter(context, base_image)
+    monkeypatch.setattr(starter, "_ensure_image", lambda client: None)
+
+    def run_script(script: str, timeout_s: float = 30.0, cores: tuple[int, ...] | None = None):
+        path = tmp_path / "script.py"
+        path.write_text(f"#!/usr/bin/python3\n{script}")
+        path.chmod(0o755)
+        mounts = (BatchMount(path, "/slamhive/job.py", read_only=True),)
+        said: list[str] = []
+        batch = Batch("/slamhive/job.py", mounts, tmp_path, timeout_s, cores)
+        ended = starter.run_batch(batch, said.append, threading.Event())
+        client = docker.from_env()
+        label = f"{INSTALLATION_LABEL}={context.installation}"
+        assert client.containers.list(all=True, filters={"label": label}) == []
+        client.close()
+        return ended, said
+
+    return run_script
+
+
+def test_lines_and_good_end(run: Run):
+    assert run("print('one')\nprint('two', end='')\n") == (None, ["one", "two"])
+
+
+def test_last_words_of_a_bad_end(run: Run):
+    ended, _ = run("raise SystemExit('no evo here')\n")
+    assert ended == "exit code 1: no evo here"
+
+
+def test_time_limit(run: Run):
+    assert run("import time\ntime.sleep(60)\n", timeout_s=0.5)[0] == "it was still running after 0 s"
+
+
+def test_it_keeps_to_its_cores(run: Run):
+    core = max(os.sched_getaffinity(0))
+    _, said = run("import os\nprint(sorted(os.sched_getaffinity(0)))\n", cores=(core,))
+    assert said == [f"[{core}]"]

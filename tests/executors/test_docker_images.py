@@ -1,0 +1,111 @@
+"""Images: the base without a registry, and packages whose image does not keep the contract."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import docker
+import docker.errors
+import pytest
+
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.executors import docker_build
+from slamhive.executors.base import ImageMissing
+from slamhive.executors.cgroup import cgroup_of
+from slamhive.executors.docker_build import choose_base, follow_build
+from slamhive.executors.docker_image import find_image, make_image
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = ROOT / "docker" / "base" / "make-base.sh"
+
+
+def test_build_tells_the_digest():
+    events: list[dict[str, Any]] = [
+        {"stream": "Step 1/1 : FROM base\n"},
+        {"aux": {"ID": "sha256:abc"}},
+        {"stream": "Successfully built\n"},
+    ]
+    assert follow_build(events, "demo", lambda line: None) == "sha256:abc"
+    assert follow_build(events[:1], "demo", lambda line: None) is None
+
+
+def test_base_script_needs_debootstrap_only(tmp_path):
+    (tmp_path / "bin").mkdir()
+    made = subprocess.run(
+        ["/bin/sh", SCRIPT, tmp_path / "base.tar"],
+        env={"PATH": str(tmp_path / "bin")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert made.returncode == 1
+    assert made.stderr.strip() == "debootstrap is missing; install it: apt-get install debootstrap"
+    assert "docker" not in SCRIPT.read_text().split("set -eu")[1]
+
+
+@pytest.fixture
+def engine() -> Iterator[docker.DockerClient]:
+    client = docker.from_env()
+    yield client
+    client.close()
+
+
+@pytest.fixture
+def name(engine) -> Iterator[str]:
+    """A name for an image, removed at the end."""
+    name = f"slam-hive-test:{uuid.uuid4().hex}"
+    yield name
+    with contextlib.suppress(docker.errors.ImageNotFound):
+        engine.images.remove(name, force=True)
+
+
+@pytest.mark.docker
+def test_base_is_imported_without_the_docker_command(engine, name, tmp_path, monkeypatch):
+    folder = tmp_path / "docker" / "base"
+    folder.mkdir(parents=True)
+    (tmp_path / "hello").write_text("hello")
+    (folder / "make-base.sh").write_text(f'set -eu\ntar -C {tmp_path} -cf "$1" hello\n')
+    monkeypatch.setattr(docker_build, "OWN_BASE", name)
+    monkeypatch.setattr(docker_build, "PUBLIC_BASE", "localhost:9/nowhere:none")
+    monkeypatch.setenv("PATH", "/bin")
+    assert choose_base(engine, tmp_path, lambda line: None) == name
+    assert engine.images.get(name).attrs["Config"]["Cmd"] == ["/bin/sh"]
+
+
+@pytest.mark.docker
+def test_image_without_the_mapping_script_is_refused_every_time(engine, name, base_image, tmp_path, monkeypatch):
+    monkeypatch.setenv("BASE_IMAGE", base_image)
+    folder = tmp_path / "package"
+    folder.mkdir()
+    dockerfile = folder / "Dockerfile"
+    dockerfile.write_text("ARG BASE_IMAGE\nFROM ${BASE_IMAGE}\n")
+    tag = name.partition(":")[2]
+    package = AlgorithmPackage(tag, folder, "Empty", "1", "", "", "")
+    monkeypatch.setattr(AlgorithmPackage, "image", name)
+    for _ in range(2):
+        with pytest.raises(ImageMissing, match=r"lacks /slamhive/mapping\.py"):
+            make_image(engine, package, ROOT, lambda line: None)
+        assert find_image(engine, package, ROOT) is None
+    (folder / "mapping.py").touch()
+    dockerfile.write_text("ARG BASE_IMAGE\nFROM ${BASE_IMAGE}\nCOPY package/mapping.py /slamhive/mapping.py\n")
+    digest = make_image(engine, package, ROOT, lambda line: None)
+    assert find_image(engine, package, ROOT) == digest
+
+
+@pytest.mark.docker
+def test_control_group_is_found_without_the_processes_of_the_host(engine, base_image, tmp_path):
+    container = engine.containers.run(base_image, ["sleep", "60"], detach=True, init=True, network_mode="none")
+    try:
+        group = cgroup_of(1, container.id, proc=tmp_path)
+        assert group is not None
+        usage = group.read()
+        assert usage is not None
+        assert usage[1] > 0
+        assert cgroup_of(1, "0" * 64, proc=tmp_path) is None
+    finally:
+        container.remove(force=True)

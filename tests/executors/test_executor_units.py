@@ -1,0 +1,250 @@
+from __future__ import annotations
+
+import math
+import threading
+from pathlib import Path
+
+import pytest
+import requests
+
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.errors import NotFound, Unavailable
+from slamhive.executors.base import EngineUnavailable, ImageMissing, Limits, Mount, RunSpec, StartFailed
+from slamhive.executors.capped_log import CappedLog, assemble
+from slamhive.executors.docker import container_options
+from slamhive.executors.docker_build import follow_build
+from slamhive.executors.docker_engine import container_name, engine_errors
+from slamhive.executors.docker_stats import parse_stats
+from slamhive.executors.environment import Environments
+from slamhive.executors.registry import ExecutorContext, choose_executor, installation_id, open_executor
+from slamhive.executors.sampler import HEADER, Sampler
+
+
+@pytest.fixture
+def context(tmp_path: Path) -> ExecutorContext:
+    return ExecutorContext(tmp_path, tmp_path, "installation-1", 100_000)
+
+
+def package(folder: Path, **changes) -> AlgorithmPackage:
+    return AlgorithmPackage("demo", folder, "Demo", "1", "", "", "", **changes)
+
+
+def spec(tmp_path: Path, limits: Limits) -> RunSpec:
+    mounts = (Mount(tmp_path, "/slamhive/result", read_only=False),)
+    return RunSpec(
+        "key", 7, "demo", tmp_path, "image:tag", "sha256:abc", ("python3", "/slamhive/mapping.py"),
+        mounts, {"A": "b"}, limits, 10.0, tmp_path / "log.txt",
+    )  # fmt: skip
+
+
+class FakeExecutor:
+    def __init__(self, name: str, problem: str | None) -> None:
+        self.name = name
+        self._problem = problem
+
+    def unavailable_because(self) -> str | None:
+        return self._problem
+
+
+def executors(docker: str | None, process: str | None):
+    made = {"docker": FakeExecutor("docker", docker), "process": FakeExecutor("process", process)}
+    return made.__getitem__
+
+
+def test_auto_prefers_docker_and_says_why_not():
+    assert choose_executor("auto", executors(None, None))[0].name == "docker"
+    executor, reason = choose_executor("auto", executors("no engine answers", None))
+    assert (executor.name, reason) == ("process", "process, because no engine answers")
+    with pytest.raises(Unavailable, match=r"no engine answers.*no pip"):
+        choose_executor("auto", executors("no engine answers", "no pip"))
+
+
+def test_named_executor():
+    find = executors("no engine answers", None)
+    assert choose_executor("process", find)[0].name == "process"
+    with pytest.raises(Unavailable, match="no engine answers"):
+        choose_executor("docker", find)
+
+
+def test_unknown_executor_lists_the_choices(context):
+    with pytest.raises(NotFound, match="docker"):
+        open_executor("dockr", context)
+
+
+def test_installation_id_stays(tmp_path):
+    assert installation_id(tmp_path / "data") == installation_id(tmp_path / "data")
+
+
+def test_container_names():
+    assert container_name("abc-1") == "slamhive-abc-1"
+    long = [container_name("x" * 80 + end) for end in "ab"]
+    assert len(set(long)) == 2
+    assert all(len(name) <= 63 for name in long)
+    assert container_name("a/b") != container_name("a-b")
+
+
+def test_container_options_are_hardened(tmp_path, context):
+    options = container_options(spec(tmp_path, Limits(1.5, 2_000_000_000, 64, (0, 2))), context)
+    assert options["cap_drop"] == ["ALL"]
+    assert options["security_opt"] == ["no-new-privileges"]
+    assert options["network_mode"] == "none"
+    assert options["init"] is True
+    assert options["image"] == "sha256:abc"
+    assert options["entrypoint"] == ["python3", "/slamhive/mapping.py"]
+    assert options["memswap_limit"] == options["mem_limit"] == 2_000_000_000
+    assert (options["nano_cpus"], options["cpuset_cpus"], options["pids_limit"]) == (1_500_000_000, "0,2", 64)
+    assert options["environment"]["ROS_MASTER_URI"] == "http://localhost:11311"
+    assert options["labels"] == {
+        "slamhive.key": "key",
+        "slamhive.run": "7",
+        "slamhive.installation": "installation-1",
+    }
+
+
+def test_no_limit_means_no_option(tmp_path, context):
+    assert {"mem_limit", "nano_cpus", "cpuset_cpus"}.isdisjoint(container_options(spec(tmp_path, Limits()), context))
+
+
+def test_failed_build_names_step_and_last_lines():
+    events = [
+        {"stream": "Step 1/2 : FROM base\n"},
+        {"stream": " ---> abc\n"},
+        {"stream": "Step 2/2 : RUN false\n"},
+        {"stream": "something\n  went wrong\n"},
+        {"error": "The command returned a non-zero code: 1"},
+    ]
+    lines: list[str] = []
+    with pytest.raises(ImageMissing, match=r"Step 2/2 : RUN false: something \| went wrong \| The command"):
+        follow_build(events, "demo", lines.append)
+    assert lines[0] == "demo: Step 1/2 : FROM base"
+
+
+def test_connection_errors_mean_engine_unavailable():
+    with pytest.raises(EngineUnavailable, match="starting"), engine_errors("starting", StartFailed):
+        raise requests.exceptions.ConnectionError("refused")
+
+
+def test_stats_of_both_versions():
+    cpu = {"cpu_usage": {"total_usage": 3_000_000_000}}
+    old = {"cpu_stats": cpu, "memory_stats": {"usage": 100, "stats": {"total_inactive_file": 40, "inactive_file": 1}}}
+    new = {"cpu_stats": cpu, "memory_stats": {"usage": 100, "stats": {"inactive_file": 30}}}
+    assert parse_stats(old) == (3.0, 60)
+    assert parse_stats(new) == (3.0, 70)
+    assert parse_stats({"cpu_stats": cpu, "memory_stats": {}}) is None
+
+
+def test_log_keeps_head_and_tail(tmp_path):
+    log = CappedLog(tmp_path / "log", 100)
+    for number in range(100):
+        log.write(f"line {number:03d}\n".encode())
+    log.close()
+    text = assemble(tmp_path / "log").decode()
+    assert text.startswith("line 000\n")
+    assert text.endswith("line 099\n")
+    kept = len(text.replace(text[text.index("\n[...") : text.index("...]\n") + 5], ""))
+    left_out = int(text.partition("[... ")[2].split()[0])
+    assert kept + left_out == 900
+    assert kept <= 100
+
+
+def test_short_log_is_whole(tmp_path):
+    log = CappedLog(tmp_path / "log", 100)
+    log.write(b"x" * 60)
+    log.close()
+    assert assemble(tmp_path / "log") == b"x" * 60
+    assert assemble(tmp_path / "absent") == b""
+
+
+def test_environment_needs_requirements(tmp_path):
+    with pytest.raises(ImageMissing, match=r"requirements\.txt.*--executor docker"):
+        Environments(tmp_path).identity(package(tmp_path))
+
+
+def test_environment_follows_requirements_and_prepare(tmp_path):
+    environments = Environments(tmp_path / "data")
+    (tmp_path / "requirements.txt").write_text("")
+    first = environments.identity(package(tmp_path))
+    (tmp_path / "README.md").write_text("words")
+    assert environments.identity(package(tmp_path)) == first
+    (tmp_path / "prepare.py").write_text("")
+    second = environments.identity(package(tmp_path))
+    (tmp_path / "requirements.txt").write_text("numpy\n")
+    assert len({first, second, environments.identity(package(tmp_path))}) == 3
+
+
+def test_missing_library_names_the_apt_packages(tmp_path):
+    (tmp_path / "requirements.txt").write_text("")
+    wanted = package(tmp_path, system_libraries=("libnotthere.so.9",), system_packages=("libnotthere9",))
+    with pytest.raises(ImageMissing, match=r"libnotthere\.so\.9.*apt-get install libnotthere9"):
+        Environments(tmp_path / "data").build(wanted, lambda line: None)
+
+
+class Readings:
+    """A usage source of given readings."""
+
+    def __init__(self, *readings: tuple[float, int]) -> None:
+        self._left = list(readings)
+        self.closed = False
+
+    def read(self) -> tuple[float, int] | None:
+        return self._left.pop(0) if self._left else None
+
+    def peak_memory_bytes(self) -> int | None:
+        return 500 - len(self._left)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_sampler_appends_behind_a_torn_line(tmp_path):
+    path = tmp_path / "profiling.csv"
+    path.write_text(HEADER + "0.1,1.0,5\n0.2,1.")
+    source = Readings((0.0, 10), (1.0, 20), (1.0, 30))
+    sampler = Sampler(source, path, interval_s=0.01, offset_s=100.0)
+    sampler.start()
+    sampler._thread.join(5)
+    assert sampler.stop() == 500
+    assert source.closed
+    lines = path.read_text().splitlines()
+    assert lines[:2] == [HEADER.strip(), "0.1,1.0,5"]
+    assert [line.split(",")[2] for line in lines[2:]] == ["20", "30"]
+    assert float(lines[2].split(",")[0]) == pytest.approx(100.0, abs=1.0)
+    assert float(lines[2].split(",")[1]) > 1
+
+
+class LateReadings:
+    """One busy core behind a counter with steps of 10 ms, whose second reading comes late; time is simulated."""
+
+    def __init__(self, readings: int, late_s: float) -> None:
+        self.now_s = 0.0
+        self._left = readings
+        self._late = {readings - 2: late_s}
+
+    def read(self) -> tuple[float, int] | None:
+        self._left -= 1
+        self.now_s += 0.001 + self._late.get(self._left, 0.0)
+        return None if self._left < 0 else (math.floor(self.now_s * 100 + 1e-9) / 100, 1)
+
+    def peak_memory_bytes(self) -> None:
+        return None
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.05, 0.095, 0.15, 0.19, 3.0])
+def test_a_late_sample_is_not_followed_by_one_at_once(tmp_path, monkeypatch, late_s):
+    source = LateReadings(20, late_s)
+    sampler = Sampler(source, tmp_path / "profiling.csv", interval_s=0.1, clock=lambda: source.now_s)
+
+    class Clockwork(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            source.now_s += timeout or 0.0
+            return False
+
+    monkeypatch.setattr(sampler, "_ends", Clockwork())
+    sampler.start()
+    sampler._thread.join(5)
+    cores = [float(line.split(",")[1]) for line in (tmp_path / "profiling.csv").read_text().splitlines()[1:]]
+    assert len(cores) == 19
+    assert max(cores) <= 1.25

@@ -1,0 +1,101 @@
+"""What keeps a run without a container from harming its machine, and cleaning up from failing."""
+
+from __future__ import annotations
+
+import json
+import resource
+import threading
+import time
+
+import psutil
+import pytest
+
+from slamhive.executors import process
+from slamhive.executors.base import Exited, Limits, RunHandle, Running
+from slamhive.executors.registry import installation_id
+
+process_only = pytest.mark.parametrize("bench", ["process"], indirect=True)
+
+
+def wait_for_end(bench, handle) -> Exited:
+    deadline_s = time.monotonic() + 20
+    while isinstance(status := bench.executor.poll(handle), Running):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+    assert isinstance(status, Exited)
+    return status
+
+
+@pytest.mark.integration
+@process_only
+def test_too_many_threads_are_ended_and_the_log_says_so(bench):
+    script = (
+        "import threading, time\n"
+        "for _ in range(30):\n    threading.Thread(target=time.sleep, args=(60,), daemon=True).start()\n"
+        "time.sleep(60)\n"
+    )
+    spec, handle = bench.start(script, Limits(pids=20))
+    assert wait_for_end(bench, handle).exit_code == 137
+    bench.executor.save_log(handle, spec.log_path)
+    assert "[killed at the limit of 20 processes and threads]" in spec.log_path.read_text()
+
+
+@pytest.mark.integration
+@process_only
+def test_processes_that_multiply_are_all_ended(bench):
+    # At most 64 of them, should nobody end them.
+    script = "import os, time\nfor _ in range(6):\n    os.fork()\n    time.sleep(0.2)\ntime.sleep(30)\n"
+    spec, handle = bench.start(script, Limits(pids=10))
+    assert wait_for_end(bench, handle).exit_code == 137
+    marker = str(bench.result(spec).parent)
+    left = [p for p in psutil.process_iter(["cmdline"]) if marker in " ".join(p.info["cmdline"] or [])]
+    assert [p for p in left if "shim" not in " ".join(p.info["cmdline"])] == []
+
+
+@pytest.mark.integration
+@process_only
+def test_resource_limits(bench):
+    script = (
+        "import json, os, pathlib, resource\n"
+        "kinds = (resource.RLIMIT_CORE, resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE)\n"
+        "limits = [resource.getrlimit(kind) for kind in kinds]\n"
+        "pathlib.Path(os.environ['SLAMHIVE_RESULT'], 'limits').write_text(json.dumps(limits))\n"
+    )
+    spec, handle = bench.start(script)
+    assert wait_for_end(bench, handle).exit_code == 0
+    core, files, size = json.loads((bench.result(spec) / "limits").read_text())
+    assert core == [0, 0]
+    assert 0 < files[0] == files[1] <= 65_536
+    assert 0 < size[0] == size[1] != resource.RLIM_INFINITY
+
+
+def test_a_supervisor_that_ends_just_then_is_no_error(monkeypatch):
+    class Ending:
+        def send_signal(self, number):
+            raise psutil.NoSuchProcess(1)
+
+    def gone(pid):
+        raise psutil.NoSuchProcess(pid)
+
+    monkeypatch.setattr(process, "_shim", lambda handle: Ending())
+    monkeypatch.setattr(psutil, "Process", gone)
+    monkeypatch.setattr(psutil, "process_iter", lambda: iter(()))
+    process._kill_leftovers(RunHandle("process", {"pid": "1", "key": "no such key"}))
+
+
+def test_all_who_ask_first_get_one_installation_id(tmp_path):
+    found: list[str] = []
+    threads = [threading.Thread(target=lambda: found.append(installation_id(tmp_path / "data"))) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 8
+    assert len(set(found)) == 1
+
+
+def test_installation_id_that_a_killed_process_left_empty_is_made_again(tmp_path):
+    (tmp_path / "installation").touch()
+    made = installation_id(tmp_path)
+    assert len(made) == 32
+    assert installation_id(tmp_path) == made

@@ -1,0 +1,138 @@
+"""What is left when something is killed at the worst moment."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from slamhive.executors.base import Exited, Gone, Limits, Running
+from slamhive.executors.docker import DockerExecutor
+from slamhive.executors.process import KEY_VARIABLE
+from slamhive.executors.process_tree import ProcessTreeSource
+from slamhive.runs.folder import RunFolder
+
+pytestmark = pytest.mark.integration
+
+PROJECT_ROOT = Path(__file__).resolve().parents[2]
+SLEEP = "import time\ntime.sleep(60)\n"
+process_only = pytest.mark.parametrize("bench", ["process"], indirect=True)
+docker_only = pytest.mark.parametrize("bench", [pytest.param("docker", marks=pytest.mark.docker)], indirect=True)
+
+
+def with_key(key: str) -> list[psutil.Process]:
+    found = []
+    for process in psutil.process_iter():
+        try:
+            if process.environ().get(KEY_VARIABLE) == key and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+        except psutil.Error:
+            continue
+    return found
+
+
+@process_only
+def test_killed_supervisor_is_gone_and_takes_the_algorithm_along(bench):
+    spec, handle = bench.start("import subprocess, sys, time\nsubprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'], start_new_session=True)\ntime.sleep(60)\n")  # fmt: skip  # noqa: E501
+    deadline = time.monotonic() + 10
+    while len(with_key(spec.key)) < 2:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    os.kill(int(handle.data["pid"]), signal.SIGKILL)
+    time.sleep(0.3)
+    assert isinstance(bench.executor.poll(handle), Gone)
+    assert bench.executor.usage_source(handle) is None
+    bench.executor.remove(handle)
+    time.sleep(0.2)
+    assert not with_key(spec.key)
+
+
+@process_only
+def test_start_that_was_killed_before_it_knew_the_supervisor(bench):
+    script = "import os, time\nopen(os.environ['SLAMHIVE_RESULT'] + '/starts', 'a').write('x')\ntime.sleep(60)\n"
+    spec = bench.spec(script)
+    work = RunFolder(spec.log_path.parent).work
+    environment = bench.executor._environments.find(spec.package, spec.identity)
+    bench.executor._shim_spec(spec, environment, work).save(work)
+    orphan = [sys.executable, "-m", "slamhive.executors.shim", str(work)]
+    with subprocess.Popen(orphan, cwd=PROJECT_ROOT), subprocess.Popen(orphan, cwd=PROJECT_ROOT):
+        handle = bench.executor.start(spec)
+    bench.handles.append(handle)
+    assert bench.again().start(spec) == handle
+    time.sleep(0.5)
+    assert isinstance(bench.again().poll(handle), Running)
+    assert (bench.result(spec) / "starts").read_text() == "x"
+
+
+@process_only
+def test_cpu_of_short_lived_children_is_counted(bench):
+    script = (
+        "import subprocess, sys, time\n"
+        "code = 'import time\\nend = time.process_time() + 0.25\\nwhile time.process_time() < end: pass'\n"
+        "for _ in range(4):\n    subprocess.run([sys.executable, '-c', code])\n"
+        "time.sleep(60)\n"
+    )
+    _, handle = bench.start(script)
+    source = bench.executor.usage_source(handle)
+    assert isinstance(source, ProcessTreeSource)
+    cpu_s = 0.0
+    deadline = time.monotonic() + 15
+    while cpu_s < 1.0:
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+        usage = source.read()
+        assert usage is not None
+        assert usage[0] >= cpu_s
+        cpu_s = usage[0]
+
+
+@process_only
+def test_prepared_files_are_there(bench):
+    script = "import os, pathlib\nassert pathlib.Path(os.environ['SLAMHIVE_PREPARED'], 'made').exists()\n"
+    _, handle = bench.start(script)
+    while isinstance(status := bench.executor.poll(handle), Running):
+        time.sleep(0.05)
+    assert isinstance(status, Exited)
+    assert status.exit_code == 0
+
+
+@docker_only
+def test_created_container_is_started_by_the_next_start(bench):
+    executor = bench.executor
+    assert isinstance(executor, DockerExecutor)
+    spec = bench.spec(SLEEP)
+    container = executor._create(spec)
+    handle = bench.again().start(spec)
+    bench.handles.append(handle)
+    assert handle.data["container"] == container.id
+    assert isinstance(executor.poll(handle), Running)
+
+
+@docker_only
+def test_sweep_removes_what_no_run_knows(bench):
+    executor = bench.executor
+    assert isinstance(executor, DockerExecutor)
+    kept, _ = bench.start(SLEEP)
+    _, stale = bench.start(SLEEP)
+    assert len(executor.sweep({kept.key})) == 1
+    assert isinstance(executor.poll(stale), Gone)
+    assert isinstance(executor.poll(bench.handles[0]), Running)
+
+
+@docker_only
+def test_child_killed_by_the_memory_limit_counts(bench):
+    script = (
+        "import subprocess, sys, time\n"
+        "subprocess.run([sys.executable, '-c', 'x = b\"1\" * 300_000_000'])\ntime.sleep(0.5)\n"
+    )
+    _, handle = bench.start(script, Limits(memory_bytes=60_000_000))
+    while isinstance(status := bench.executor.poll(handle), Running):
+        time.sleep(0.05)
+    assert isinstance(status, Exited)
+    assert status.out_of_memory

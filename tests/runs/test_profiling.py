@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.runs.folder import RunFolder
+from slamhive.runs.outcome import Evidence, TrajectoryCheck
+from slamhive.runs.profiling import measure_run, read_profile, weighted_percentile, write_plots
+
+START = datetime(2026, 1, 1, tzinfo=UTC)
+END = START + timedelta(seconds=12.5)
+EVIDENCE = Evidence(0, TrajectoryCheck(51))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    folder = RunFolder(tmp_path / "1")
+    folder.create()
+    return folder
+
+
+def write_profile(folder: RunFolder, rows: list[tuple[float, float, float]]) -> None:
+    lines = [f"{time},{cpu},{memory}\n" for time, cpu, memory in rows]
+    folder.profiling.write_text("time,cpu_usage,memory_usage\n" + "".join(lines))
+
+
+def test_what_was_not_measured_is_absent(folder):
+    assert measure_run(folder, START, END, None, EVIDENCE) == {"duration": 12.5, "poses": 51.0}
+
+
+def test_means_are_weighted_by_time(folder):
+    write_profile(folder, [(0.1, 1.0, 100), (0.2, 1.0, 100), (0.3, 1.0, 100), (0.6, 3.0, 400)])
+    metrics = measure_run(folder, START, END, None, EVIDENCE)
+    assert metrics["cpu.mean"] == pytest.approx((0.3 * 1 + 0.3 * 3) / 0.6)
+    assert metrics["ram.mean"] == pytest.approx((0.3 * 100 + 0.3 * 400) / 0.6)
+    assert metrics["cpu.max"] == 3.0
+    assert metrics["cpu.p95"] == 3.0
+    assert metrics["ram.max"] == 400
+
+
+def test_a_gap_in_sampling_does_not_stretch_one_sample(folder):
+    write_profile(folder, [(0.1, 1.0, 1), (0.2, 1.0, 1), (0.3, 1.0, 1), (60.3, 5.0, 1), (60.4, 1.0, 1)])
+    assert measure_run(folder, START, END, None, EVIDENCE)["cpu.mean"] == pytest.approx((4 * 1 + 5) / 5)
+
+
+def test_kernel_peak_wins(folder):
+    write_profile(folder, [(0.1, 1.0, 100)])
+    assert measure_run(folder, START, END, 999, EVIDENCE)["ram.max"] == 999
+
+
+def test_frames_and_playback(folder):
+    folder.frames.write_text(
+        "timestamp,received,done,dropped\n1,10.0,10.5,0\n2,11.0,11.1,0\n3,12.0,,1\n4,13.0,13.3,0\n"
+    )
+    folder.playback.write_text(json.dumps({"cpu_s": 2.0, "duration_s": 10.0, "lag_max_s": 0.25}))
+    metrics = measure_run(folder, START, END, None, EVIDENCE)
+    assert metrics["frames.dropped_fraction"] == 0.25
+    assert metrics["latency.median"] == pytest.approx(0.3)
+    assert metrics["latency.max"] == pytest.approx(0.5)
+    assert metrics["cpu.player_mean"] == pytest.approx(2.0 / 12.5)
+    assert metrics["playback.lag_max"] == 0.25
+    assert all(not CATALOGUE[key].needs_protocol for key in metrics)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[1]",
+        "{",
+        '{"cpu_s": "x", "duration_s": 0}',
+        '{"cpu_s": NaN, "duration_s": -1}',
+        f'{{"cpu_s": {"9" * 401}, "lag_max_s": 1e400}}',
+        '{"cpu_s": true, "lag_max_s": 1e200}',
+        "[" * 100_000,
+    ],
+)
+def test_forged_files_do_no_harm(folder, text):
+    folder.playback.write_text(text)
+    folder.frames.write_text("nonsense\n\x00,,\n")
+    assert set(measure_run(folder, START, END, None, EVIDENCE)) == {"duration", "poses"}
+
+
+def test_numbers_that_nothing_measures_are_missing(folder):
+    lines = ["1,inf,inf,0", "2,-1e308,1e308,0", "3,nan,1,0", "4,1.0,1.5,0"]
+    folder.frames.write_text("\n".join(["timestamp,received,done,dropped", *lines]))
+    assert measure_run(folder, START, END, None, EVIDENCE)["latency.max"] == 0.5
+
+
+def test_the_players_share_is_a_part_of_the_cpu_mean(folder):
+    """The player alone keeps a core busy for 2 of 12.5 s: both figures say 0.16 cores, whatever the playback took."""
+    write_profile(folder, [(k / 10, 1.0 if k <= 20 else 0.0, 1) for k in range(1, 126)])
+    folder.playback.write_text(json.dumps({"cpu_s": 2.0, "duration_s": 0.5}))
+    metrics = measure_run(folder, START, END, None, EVIDENCE)
+    assert metrics["cpu.player_mean"] == pytest.approx(metrics["cpu.mean"])
+
+
+def test_half_written_lines_are_skipped(folder):
+    folder.profiling.write_text("time,cpu_usage,memory_usage\n0.1,1.0,100\n0.2,1.")
+    assert len(read_profile(folder.profiling)) == 1
+
+
+def test_weighted_percentile():
+    values = np.array([1.0, 2.0, 3.0])
+    assert weighted_percentile(values, np.array([90.0, 6.0, 4.0]), 95) == 2.0
+    assert weighted_percentile(values, np.array([1.0, 1.0, 98.0]), 50) == 3.0
+
+
+def test_plots(folder):
+    write_plots(folder)
+    assert not folder.profiling_cpu_plot.exists()
+    write_profile(folder, [(t / 10, 1.0 + np.sin(t / 20), 1e8 + t * 1e6) for t in range(1, 200)])
+    write_plots(folder)
+    for path in (folder.profiling_cpu_plot, folder.profiling_ram_plot):
+        assert path.read_bytes().startswith(b"\x89PNG")

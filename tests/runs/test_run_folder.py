@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from slamhive.errors import InvalidInput, NotFound, Unavailable
+from slamhive.files import write_aside
+from slamhive.runs.folder import RunFolder
+from slamhive.runs.untrusted import read_regular_file
+
+
+def test_a_record_comes_back(tmp_path):
+    folder = RunFolder(tmp_path / "7")
+    folder.create()
+    folder.write_record({"id": 7})
+    assert folder.read_record() == {"id": 7}
+    assert [entry.name for entry in folder.root.iterdir() if entry.name.startswith(".")] == []
+
+
+def test_a_full_disk_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    path = tmp_path / "run.json"
+    write_aside(path, "old")
+
+    def full(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(Unavailable, match="No space left"):
+        write_aside(path, "new")
+    assert path.read_text() == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.json"]
+
+
+def test_a_missing_and_a_broken_record_are_told_apart(tmp_path):
+    folder = RunFolder(tmp_path)
+    with pytest.raises(NotFound):
+        folder.read_record()
+    folder.record.write_text("{")
+    with pytest.raises(InvalidInput, match="cannot be read"):
+        folder.read_record()
+
+
+def test_what_an_algorithm_left_is_not_followed(tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("x")
+    link = tmp_path / "link"
+    link.symlink_to(secret)
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path in (link, pipe, tmp_path, tmp_path / "absent"):
+        assert read_regular_file(path, 10) is None
+    assert read_regular_file(secret, 10) == b"x"
+
+
+def test_reading_is_bounded(tmp_path: Path):
+    path = tmp_path / "big"
+    path.write_bytes(b"x" * 100)
+    assert read_regular_file(path, 10) == b"x" * 10

@@ -1,0 +1,23 @@
+"""An installation with the test algorithm and its dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from slamhive.services.hive import Hive, open_hive
+from tests.services.tiny_project import environment, make_dataset, make_project
+
+
+@pytest.fixture
+def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hive]:
+    """Opened in a process environment that leads to it, so that commands started by a test find it too."""
+    make_project(tmp_path / "project")
+    make_dataset(tmp_path / "data")
+    for key, value in environment(tmp_path / "project", tmp_path / "data").items():
+        monkeypatch.setenv(key, value)
+    opened = open_hive()
+    yield opened
+    opened.close()

@@ -1,0 +1,38 @@
+"""The small Docker image with python3 that tests run their scripts in."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import docker
+import pytest
+
+from slamhive.executors.docker_build import choose_base
+
+TEST_IMAGE = "slam-hive-test:base"
+PROJECT_ROOT = Path(__file__).resolve().parents[2]
+
+
+def run_docker(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """The result of one ``docker`` command."""
+    return subprocess.run(["docker", *arguments], capture_output=True, text=True, check=False)
+
+
+def make_base_image() -> str:
+    """The image's name; it is made from the project's base on first use. Skips the test where no engine answers."""
+    if shutil.which("docker") is None or run_docker("version", "--format", "x").returncode != 0:
+        pytest.skip("no Docker engine answers")
+    if run_docker("image", "inspect", TEST_IMAGE).returncode != 0:
+        base = choose_base(docker.from_env(), PROJECT_ROOT, lambda _line: None)
+        steps = f"FROM {base}\nRUN apt-get update && apt-get install -y python3-minimal\n"
+        built = subprocess.run(
+            ["docker", "build", "--network", "host", "--tag", TEST_IMAGE, "-"],
+            input=steps,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert built.returncode == 0, built.stdout + built.stderr
+    return TEST_IMAGE

@@ -1,0 +1,84 @@
+"""An executor that runs nothing: each test says how the run behaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from slamhive.executors.base import Exited, RunHandle, Running, RunSpec, RunStatus
+
+
+@dataclass
+class FakeExecutor:
+    """Statuses come from ``statuses``, the last one stays; an exception in the list is raised once."""
+
+    statuses: list[RunStatus | Exception] = field(default_factory=lambda: [Exited(0)])
+    on_start: Callable[[RunSpec], None] = lambda spec: None
+    build_error: Exception | None = None
+    start_error: Exception | None = None
+    name: str = "process"
+    starts: list[RunSpec] = field(default_factory=list)
+    stopped: int = 0
+    removed: int = 0
+    discarded: list[str] = field(default_factory=list)
+
+    def unavailable_because(self) -> str | None:
+        return None
+
+    def identity(self, package) -> str | None:
+        return "sha256:abc"
+
+    def build(self, package, progress) -> str:
+        if self.build_error is not None:
+            raise self.build_error
+        progress("built")
+        return "sha256:abc"
+
+    def start(self, spec: RunSpec) -> RunHandle:
+        if self.start_error is not None:
+            raise self.start_error
+        self.starts.append(spec)
+        self.on_start(spec)
+        return RunHandle("process", {"key": spec.key})
+
+    def poll(self, handle: RunHandle) -> RunStatus:
+        status = self.statuses[0] if len(self.statuses) == 1 else self.statuses.pop(0)
+        if isinstance(status, Exception):
+            raise status
+        return status
+
+    def stop(self, handle: RunHandle, grace_s: float) -> None:
+        self.stopped += 1
+        self.statuses = [Exited(137)]
+
+    def save_log(self, handle: RunHandle, path: Path) -> None:
+        path.write_text("hello\n")
+
+    def remove(self, handle: RunHandle) -> None:
+        self.removed += 1
+
+    def discard(self, spec: RunSpec) -> None:
+        self.discarded.append(spec.key)
+
+    def usage_source(self, handle: RunHandle):
+        return None
+
+    def close(self) -> None:
+        pass
+
+    def sweep(self, live_keys) -> list[str]:
+        return []
+
+
+def write_trajectory(poses: int = 3) -> Callable[[RunSpec], None]:
+    """A start that leaves a trajectory."""
+
+    def on_start(spec: RunSpec) -> None:
+        result = next(mount.source for mount in spec.mounts if mount.target == "/slamhive/result")
+        (result / "traj.txt").write_text("".join(f"{i} {i} 0 0 0 0 0 1\n" for i in range(poses)))
+
+    return on_start
+
+
+__all__ = ["FakeExecutor", "Running", "write_trajectory"]

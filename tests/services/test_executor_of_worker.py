@@ -1,0 +1,41 @@
+"""Who decides whether an executor can be used: this process, or the worker that will use it."""
+
+from __future__ import annotations
+
+from unittest.mock import Mock
+
+import pytest
+
+from slamhive.errors import Unavailable
+from slamhive.services.catalogue import Catalogue
+from slamhive.services.hive import Hive
+from slamhive.services.lock import WorkerLock
+from slamhive.settings import Settings
+
+
+@pytest.fixture
+def hive(tmp_path, monkeypatch):
+    """An installation that is told to use Docker, in a process that sees no engine."""
+
+    def refuse(setting, context):
+        raise Unavailable("no Docker engine answers")
+
+    monkeypatch.setattr("slamhive.services.hive.choose_executor", refuse)
+    settings = Settings(data=tmp_path, executor="docker")
+    return Hive(settings, Mock(), Catalogue(settings, tmp_path))
+
+
+def test_named_executor_is_left_to_the_worker_that_runs(hive, tmp_path):
+    with WorkerLock(tmp_path):
+        assert hive.executor_name() == "docker"
+        assert hive.executor_name("docker") == "docker"
+
+
+def test_without_a_worker_it_is_refused_at_once(hive):
+    with pytest.raises(Unavailable, match="no Docker engine"):
+        hive.executor_name()
+
+
+def test_another_executor_than_the_worker_uses_is_checked_here(hive, tmp_path):
+    with WorkerLock(tmp_path), pytest.raises(Unavailable):
+        hive.executor_name("process")

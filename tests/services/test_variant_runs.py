@@ -1,0 +1,244 @@
+"""Runs on variants of a dataset: what the run sees, what is written down, and what goes wrong."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from slamhive.bags.reader import inspect_bag
+from slamhive.bags.variants.build import build_variant
+from slamhive.domain.configuration import Configuration
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.variant import VariantStep, parse_step
+from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
+from slamhive.runtime import config as run_config
+from slamhive.services import variants as variants_module
+from slamhive.services import worker as worker_module
+from slamhive.services.hive import Hive, open_hive
+from slamhive.services.reindex import reindex
+from slamhive.services.request import Submission
+from slamhive.services.run_json import run_to_json
+from slamhive.services.variants import IDENTITY
+from tests.services.fake_executor import FakeExecutor, Running, write_trajectory
+from tests.services.recorded_track import SCANS, make_recorded_track
+from tests.services.tiny_project import environment, make_project
+
+pytestmark = pytest.mark.integration
+
+HALF = (
+    VariantStep("rate", ("lidar",), {"every": 2}),
+    VariantStep("point_range", ("lidar",), {"minimum_m": 0.0, "maximum_m": 20.0}),
+)
+REFUSED: dict[str, tuple[type[Exception], str]] = {
+    "rate hz=50": (InvalidInput, r"step rate: 50 Hz is above the 10 Hz of lidar \(/points\)"),
+    "resolution@lidar scale=0.5": (InvalidInput, r"step resolution cannot be used on lidar \(/points\)"),
+    "resolution scale=0.5": (InvalidInput, "step resolution: dataset track has no sensor for it"),
+    "resolution@lidar scale=0": (InvalidInput, "step resolution: scale: .*greater than 0"),
+    "rate@cam0 every=2": (NotFound, "dataset track has no sensor 'cam0'"),
+    "blur radius=2": (NotFound, "unknown pre-processing step 'blur'"),
+    "fog visibility=2": (InvalidInput, "step fog: .*visibility"),
+}
+
+
+@pytest.fixture
+def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hive]:
+    make_project(tmp_path / "project")
+    make_recorded_track(tmp_path / "data")
+    for key, value in environment(tmp_path / "project", tmp_path / "data", poll_interval_s="0.01").items():
+        monkeypatch.setenv(key, value)
+    for name in ("TROUBLE_PAUSE_S", "IDLE_PAUSE_S", "CANCEL_CHECK_S"):
+        monkeypatch.setattr(worker_module, name, 0.01)
+    opened = open_hive()
+    yield opened
+    opened.close()
+
+
+def submit(hive: Hive, executor: FakeExecutor | None = None, **changes: Any) -> int:
+    hive._executors["process"] = executor or FakeExecutor(on_start=write_trajectory())
+    return hive.submit(Submission("tiny", "track", evaluate=False, **{"variant": HALF, **changes}))[0].id
+
+
+def finish(hive: Hive, executor: FakeExecutor | None = None, **changes: Any):
+    run_id = submit(hive, executor, **changes)
+    hive.worker().run(until_idle=True)
+    return hive.run(run_id)
+
+
+def mounts(executor: FakeExecutor) -> dict[str, Path]:
+    return {mount.target: mount.source for mount in executor.starts[0].mounts}
+
+
+def test_a_run_sees_the_variant_and_its_calibration(hive):
+    executor = FakeExecutor(on_start=write_trajectory())
+    run = finish(hive, executor)
+    assert run.state is RunState.SUCCEEDED, run.detail
+    (entry,) = hive.variants.entries()
+    bag = mounts(executor)["/slamhive/dataset/track.bag"]
+    assert bag == hive.settings.variants_folder / entry.key / "track.bag"
+    assert mounts(executor)["/slamhive/dataset/dataset.yaml"].parent == bag.parent
+    assert inspect_bag(bag).topics[0].count == SCANS // 2
+    config = run_config.load(hive.folder(run.id).config)
+    assert config.dataset == "track"
+    assert config.dataset_frequency == {"/points": 2}
+    assert config.dataset_parameters["points_rate_hz"] == 5.0
+    assert config.dataset_parameters["points_maximum_range_m"] == 20.0
+
+
+def test_the_record_says_which_variant_it_was(hive):
+    run = finish(hive)
+    (entry,) = hive.variants.entries()
+    record = hive.record(run.id)
+    source = hive.catalogue.dataset("track")
+    assert record["dataset"]["variant"] == entry.key
+    assert record["dataset"]["checksum"] == source.checksum != record["dataset"]["variant_checksum"]
+    assert record["request"]["variant"] == run_to_json(run)["variant"] == list(map(dict, entry.steps))
+    assert run.variant == HALF
+    assert run.dataset_checksum == source.checksum
+
+
+def test_the_folder_alone_brings_the_variant_back(hive, tmp_path):
+    run = finish(hive)
+    other = open_hive({"database_url": f"sqlite:///{tmp_path}/other.db"})
+    try:
+        assert reindex(other, lambda _done, _total: None).skipped == []
+        found = other.run(run.id)
+        assert found.variant == HALF
+        assert other.store.read(lambda t: t.configurations.get(found.configuration_id)).variant == HALF
+    finally:
+        other.close()
+
+
+def test_runs_of_one_variant_share_it(hive, monkeypatch):
+    built: list[str] = []
+
+    def build(dataset, variant, folder, progress):
+        built.append(folder.name)
+        return build_variant(dataset, variant, folder, progress)
+
+    monkeypatch.setattr(variants_module, "build_variant", build)
+    first, second = submit(hive), submit(hive, repeat=2)
+    hive.worker().run(until_idle=True)
+    assert {hive.run(run_id).state for run_id in (first, second, second + 1)} == {RunState.SUCCEEDED}
+    assert len(built) == 1
+    assert hive.run(first).configuration_id == hive.run(second).configuration_id
+
+
+def test_the_identity_is_the_dataset_itself(hive):
+    same = [(), (VariantStep("rate", ("lidar",), {"every": 1}),), (parse_step("rate hz=10"),)]
+    runs = [hive.run(submit(hive, variant=variant)) for variant in same]
+    assert len({run.configuration_id for run in runs}) == 1
+    executor = FakeExecutor(on_start=write_trajectory())
+    run = finish(hive, executor, variant=same[1])
+    assert run.variant == ()
+    assert hive.record(run.id)["dataset"]["variant"] == IDENTITY
+    assert mounts(executor)["/slamhive/dataset/track.bag"] == hive.catalogue.dataset("track").bag_path
+    assert not hive.settings.variants_folder.exists()
+    assert hive.store.read(lambda t: t.configurations.get(run.configuration_id)) == Configuration(
+        "tiny", "track", dict(run.parameters), run.playback
+    )
+
+
+def test_text_and_typed_options_are_one_configuration(hive):
+    typed = hive.run(submit(hive))
+    text = hive.run(submit(hive, variant=(parse_step("rate@lidar every=2"), parse_step("point_range maximum_m=20"))))
+    assert typed.configuration_id == text.configuration_id
+
+
+def test_steps_that_cannot_be_are_refused_before_anything_is_stored(hive):
+    for step, (kind, message) in REFUSED.items():
+        with pytest.raises(kind, match=message):
+            submit(hive, variant=(parse_step(step),))
+    assert hive.counts() == dict.fromkeys(hive.counts(), 0)
+
+
+@pytest.mark.parametrize("text", ["", " ", "@lidar", "rate every", "rate =2", "rate every=2 every=3"])
+def test_a_step_that_cannot_be_read_shows_the_form(text):
+    with pytest.raises(InvalidInput, match="KIND@SENSOR,SENSOR OPTION=VALUE"):
+        parse_step(text)
+
+
+def test_a_cache_that_is_too_small_is_said_at_once(hive, monkeypatch):
+    monkeypatch.setenv("SLAMHIVE_VARIANT_CACHE_BYTES", "1000")
+    small = open_hive()
+    try:
+        with pytest.raises(InvalidInput, match="the cache is to hold 0 MB; raise VARIANT_CACHE_BYTES"):
+            submit(small)
+    finally:
+        small.close()
+
+
+def test_a_disk_that_is_too_small_is_said_at_once(hive, monkeypatch):
+    nearly_full = shutil.disk_usage(hive.settings.data)._replace(free=1_500_000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: nearly_full)
+    with pytest.raises(Unavailable, match=r"has 0 MB to spare, a variant of track needs about 1 MB"):
+        submit(hive)
+    assert sum(hive.counts().values()) == 0
+
+
+def test_a_recording_that_cannot_be_treated_fails_the_run(hive):
+    run_id = submit(hive)
+    bag = hive.catalogue.dataset("track").bag_path
+    bag.write_bytes(bag.read_bytes()[:2000])
+    hive.worker().run(until_idle=True)
+    run = hive.run(run_id)
+    assert (run.state, run.reason) == (RunState.FAILED, FailureReason.PREPROCESS_ERROR)
+    assert "track.bag cannot be read" in (run.detail or "")
+    assert hive.variants.entries() == ()
+
+
+def test_a_variant_in_use_stays(hive):
+    tried: list[str] = []
+
+    def on_start(spec) -> None:
+        (entry,) = hive.variants.entries()
+        assert entry.in_use
+        with pytest.raises(Conflict, match="in use"):
+            hive.variants.drop(entry.key)
+        tried.append(entry.key)
+        write_trajectory()(spec)
+
+    finish(hive, FakeExecutor(on_start=on_start))
+    (entry,) = hive.variants.entries()
+    assert tried == [entry.key]
+    assert not entry.in_use
+    hive.variants.drop(entry.key)
+    assert hive.variants.entries() == ()
+
+
+def test_a_run_whose_worker_left_keeps_its_variant(hive):
+    executor = FakeExecutor([Running()], write_trajectory())
+    run_id = submit(hive, executor)
+    worker = hive.worker()
+    thread = threading.Thread(target=worker.run)
+    thread.start()
+    while hive.run(run_id).state is not RunState.RUNNING:
+        thread.join(0.01)
+    worker.stop()
+    thread.join()
+    (entry,) = hive.variants.entries()
+    assert entry.in_use
+    with pytest.raises(Conflict, match="in use"):
+        hive.variants.drop(entry.key)
+    executor.stop(None, 0)  # type: ignore[arg-type]
+    hive.worker().run(until_idle=True)
+    assert hive.run(run_id).state.ended
+    hive.variants.drop(entry.key)
+
+
+def test_a_run_can_be_cancelled_while_its_variant_is_made(hive, monkeypatch):
+    run_id = submit(hive)
+
+    def build(dataset, variant, folder, progress):
+        hive.cancel(run_id)
+        while True:
+            progress(0.1, "making")
+
+    monkeypatch.setattr(variants_module, "build_variant", build)
+    hive.worker().run(until_idle=True)
+    assert hive.run(run_id).state is RunState.CANCELLED
+    assert list(hive.settings.variants_folder.glob(".*.partial")) == []

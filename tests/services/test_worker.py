@@ -1,0 +1,248 @@
+"""The worker on an executor that does what the test says."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, Unavailable
+from slamhive.executors.base import EngineUnavailable, Exited, Gone, ImageMissing, Running, StartFailed
+from slamhive.services import worker as worker_module
+from slamhive.services.hive import Hive, check_indexed, open_hive
+from slamhive.services.request import Submission
+from slamhive.services.run_json import run_to_json
+from tests.services.fake_executor import FakeExecutor, write_trajectory
+from tests.services.tiny_project import environment, make_dataset, make_project
+
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture
+def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hive]:
+    make_project(tmp_path / "project")
+    make_dataset(tmp_path / "data")
+    extra = {"poll_interval_s": "0.01", "stop_grace_s": "0.1"}
+    for key, value in environment(tmp_path / "project", tmp_path / "data", **extra).items():
+        monkeypatch.setenv(key, value)
+    monkeypatch.setattr(worker_module, "TROUBLE_PAUSE_S", 0.02)
+    monkeypatch.setattr(worker_module, "IDLE_PAUSE_S", 0.01)
+    monkeypatch.setattr(worker_module, "CANCEL_CHECK_S", 0.02)
+    opened = open_hive()
+    yield opened
+    opened.close()
+
+
+def submit(hive: Hive, executor: FakeExecutor, **changes: Any) -> int:
+    hive._executors["process"] = executor
+    return hive.submit(Submission("tiny", "track", evaluate=False, **changes))[0].id
+
+
+def finish(hive: Hive, executor: FakeExecutor, **changes: Any):
+    run_id = submit(hive, executor, **changes)
+    hive.worker().run(until_idle=True)
+    return hive.run(run_id)
+
+
+def test_a_good_run_goes_through_all_states(hive):
+    executor = FakeExecutor([Running(), Running(), Exited(0)], write_trajectory(3))
+    run = finish(hive, executor)
+    assert (run.state, run.reason, run.poses) == (RunState.SUCCEEDED, None, 3)
+    moves = [event.to_state for event in hive.events(run.id)]
+    assert moves == ["queued", "preparing", "starting", "running", "collecting", "succeeded"]
+    assert executor.removed == 1
+    assert hive.log(run.id) == "hello\n"
+
+
+@pytest.mark.parametrize(
+    ("executor", "reason", "detail"),
+    [
+        (FakeExecutor(build_error=ImageMissing("pip failed")), FailureReason.IMAGE_MISSING, "pip failed"),
+        (FakeExecutor(start_error=StartFailed("no cgroup")), FailureReason.START_ERROR, "no cgroup"),
+        (FakeExecutor([Exited(3)], write_trajectory()), FailureReason.NONZERO_EXIT, "3"),
+        (FakeExecutor([Exited(137, out_of_memory=True)]), FailureReason.OUT_OF_MEMORY, "memory"),
+        (FakeExecutor([Gone("container is gone")]), FailureReason.LOST, "container is gone"),
+        (FakeExecutor([Exited(0)]), FailureReason.NO_TRAJECTORY, "traj.txt"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else None,
+)
+def test_each_way_to_fail_has_its_reason(hive, executor, reason, detail):
+    run = finish(hive, executor)
+    assert (run.state, run.reason) == (RunState.FAILED, reason)
+    assert detail in run.detail
+    assert hive.record(run.id)["reason"] == reason.value
+    assert run_to_json(run)["metrics"].get("ate.rmse") is None
+
+
+def test_a_stuck_algorithm_ends_by_its_timeout(hive):
+    executor = FakeExecutor([Running()])
+    run = finish(hive, executor, timeout_s=1)
+    assert (run.state, run.reason) == (RunState.FAILED, FailureReason.TIMEOUT)
+    assert executor.stopped == 1
+
+
+def test_a_dataset_that_vanishes_fails_the_run_with_a_reason(hive):
+    run_id = submit(hive, FakeExecutor())
+    hive.catalogue.remove_dataset("track")
+    hive.worker().run(until_idle=True)
+    run = hive.run(run_id)
+    assert run.reason is FailureReason.PREPROCESS_ERROR
+    assert "unknown dataset 'track'" in run.detail
+
+
+def test_an_engine_that_is_away_loses_nothing(hive):
+    away = [EngineUnavailable("no engine") for _ in range(3)]
+    executor = FakeExecutor([Running(), *away, Running(), Exited(0)], write_trajectory())
+    run = finish(hive, executor)
+    assert run.state is RunState.SUCCEEDED
+    assert len(executor.starts) == 1
+
+
+def test_a_run_that_its_engine_took_along_is_lost_not_blamed(hive):
+    executor = FakeExecutor([Running(), EngineUnavailable("no engine"), Exited(137)])
+    run = finish(hive, executor)
+    assert (run.state, run.reason) == (RunState.FAILED, FailureReason.LOST)
+    assert "the engine went away at" in run.detail
+
+
+def test_a_queued_run_is_cancelled_at_once(hive):
+    run_id = submit(hive, FakeExecutor())
+    assert hive.cancel(run_id).state is RunState.CANCELLED
+    hive.worker().run(until_idle=True)
+    assert hive.run(run_id).state is RunState.CANCELLED
+    with pytest.raises(Conflict, match="has ended already"):
+        hive.cancel(run_id)
+
+
+def test_an_active_run_is_cancelled_by_its_worker(hive):
+    started = threading.Event()
+    executor = FakeExecutor([Running()], lambda spec: started.set())
+    run_id = submit(hive, executor)
+    worker = hive.worker()
+    thread = threading.Thread(target=worker.run, kwargs={"until_idle": True})
+    thread.start()
+    assert started.wait(10)
+    hive.cancel(run_id)
+    thread.join(10)
+    assert hive.run(run_id).state is RunState.CANCELLED
+    assert (executor.stopped, executor.removed) == (1, 1)
+
+
+def test_a_stopping_worker_leaves_the_run_to_the_next(hive):
+    started = threading.Event()
+
+    def start(spec):
+        write_trajectory()(spec)
+        started.set()
+
+    executor = FakeExecutor([Running()], start)
+    run_id = submit(hive, executor)
+    worker = hive.worker()
+    thread = threading.Thread(target=worker.run)
+    thread.start()
+    assert started.wait(10)
+    for _ in range(500):
+        if hive.run(run_id).state is RunState.RUNNING:
+            break
+        threading.Event().wait(0.01)
+    worker.stop()
+    thread.join(10)
+    assert hive.run(run_id).state is RunState.RUNNING
+    assert executor.stopped == 0
+    executor.statuses = [Exited(0)]
+    hive.worker().run(until_idle=True)
+    assert hive.run(run_id).state is RunState.SUCCEEDED
+    assert len(executor.starts) == 1
+
+
+def test_only_one_worker_runs_on_a_machine(hive, monkeypatch):
+    executor = FakeExecutor([Running()])
+    submit(hive, executor)
+    worker = hive.worker()
+    thread = threading.Thread(target=worker.run)
+    thread.start()
+    while not hive.worker_alive():
+        threading.Event().wait(0.01)
+    with pytest.raises(Conflict, match="runs on this machine already"):
+        hive.worker().run()
+    worker.stop()
+    thread.join(10)
+
+
+def test_retry_makes_a_new_run_of_the_same_configuration(hive):
+    failed = finish(hive, FakeExecutor([Exited(1)]))
+    again = hive.retry(failed.id)
+    assert (again.retry_of, again.configuration_id, again.state) == (failed.id, failed.configuration_id, "queued")
+    with pytest.raises(Conflict, match="only a run that has ended"):
+        hive.retry(again.id)
+
+
+def test_repeats_share_a_configuration_and_differ_in_seed(hive):
+    runs = hive.submit(Submission("tiny", "track", repeat=3, seed=5))
+    assert {run.configuration_id for run in runs} == {runs[0].configuration_id}
+    assert [run.seed for run in runs] == [5, 6, 7]
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"algorithm": "tinny"}, NotFound, "unknown algorithm 'tinny'; did you mean 'tiny'"),
+        ({"dataset": "trak"}, NotFound, "unknown dataset 'trak'; did you mean 'track'"),
+        ({"parameters": {"second": 1}}, NotFound, "did you mean 'seconds'"),
+        ({"parameters": {"seconds": "soon"}}, InvalidInput, "parameter seconds='soon'"),
+        ({"parameters": {"seconds": 61}}, InvalidInput, "0 to 60 s"),
+        ({"repeat": 0}, InvalidInput, "repeat 0"),
+        ({"playback_mode": "fast"}, InvalidInput, "use one of realtime, sequential"),
+        ({"playback_rate": 0.0}, InvalidInput, "playback rate"),
+        ({"executor": "podman"}, NotFound, "unknown executor 'podman'"),
+        ({"alignment": "magic"}, InvalidInput, "alignment 'magic'"),
+        ({"timeout_s": float("nan")}, InvalidInput, "time limit"),
+    ],
+)
+def test_a_wrong_request_stores_nothing(hive, changes, error, message):
+    request = {"algorithm": "tiny", "dataset": "track", **changes}
+    with pytest.raises(error, match=message):
+        hive.submit(Submission(**request))
+    assert sum(hive.counts().values()) == 0
+
+
+def test_view_only_changes_nothing(tmp_path, monkeypatch, hive):
+    run_id = submit(hive, FakeExecutor())
+    monkeypatch.setenv("SLAMHIVE_MODE", "view-only")
+    reader = open_hive()
+    for change in (
+        lambda: reader.submit(Submission("tiny", "track")),
+        lambda: reader.cancel(run_id),
+        lambda: reader.retry(run_id),
+        reader.queue_evaluations,
+        reader.worker,
+    ):
+        with pytest.raises(Forbidden, match="view-only"):
+            change()
+    assert reader.run(run_id).state is RunState.QUEUED
+    reader.close()
+
+
+@pytest.mark.parametrize("mode", ["cluster", "cloud"])
+def test_modes_that_do_not_exist_yet_say_so(hive, monkeypatch, mode):
+    monkeypatch.setenv("SLAMHIVE_MODE", mode)
+    with pytest.raises(Unavailable, match=f"MODE={mode} is not available yet"):
+        open_hive()
+
+
+def test_a_full_disk_starts_nothing(hive, monkeypatch):
+    monkeypatch.setenv("SLAMHIVE_MIN_FREE_DISK_MB", "999999999")
+    strict = open_hive()
+    with pytest.raises(Unavailable, match="MB free, 999999999 MB are wanted"):
+        strict.submit(Submission("tiny", "track"))
+    strict.close()
+
+
+def test_run_folders_without_rows_ask_for_a_reindex(hive):
+    (hive.settings.runs_folder / "1").mkdir()
+    with pytest.raises(Conflict, match="slamhive reindex"):
+        check_indexed(hive)

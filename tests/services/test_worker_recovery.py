@@ -1,0 +1,135 @@
+"""The worker is killed at every step of a run's life; the next one accounts for the run, and nothing runs twice."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from slamhive.domain.run import RunState
+from slamhive.services.evaluations import Evaluations
+from slamhive.services.hive import Hive, open_hive
+from slamhive.services.request import Submission
+
+pytestmark = pytest.mark.integration
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+KILLED_WORKER = Path(__file__).with_name("killed_worker.py")
+MOST_STEPS = 200
+
+
+def work(fatal_step: int) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, str(KILLED_WORKER), str(fatal_step)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=dict(os.environ),
+        check=False,
+    )
+
+
+def started_times(hive: Hive, run_id: int) -> int:
+    return len((hive.folder(run_id).result / "starts.txt").read_text().splitlines())
+
+
+def processes_of(hive: Hive) -> list[str]:
+    listing = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+    return [line for line in listing.splitlines() if str(hive.settings.data) in line and "ps -eo" not in line]
+
+
+def test_killed_at_any_step_the_run_ends_once_and_well(hive, monkeypatch):
+    # Evaluating takes a second each time and has tests of its own; here it counts that each run is queued for it.
+    monkeypatch.setattr(Evaluations, "work_once", lambda *_arguments, **_options: 0)
+    (warm_up,) = hive.submit(Submission("tiny", "track"))
+    undisturbed = work(MOST_STEPS)
+    assert undisturbed.returncode == 0, undisturbed.stderr
+    (steps,) = map(int, re.findall(r"steps (\d+)", undisturbed.stdout))
+    assert steps > 20
+    assert hive.run(warm_up.id).state is RunState.SUCCEEDED
+    for fatal_step in range(1, steps + 1):
+        (run,) = hive.submit(Submission("tiny", "track", {"seconds": 0.05}))
+        killed = work(fatal_step)
+        assert killed.returncode in (-signal.SIGKILL, 0), killed.stderr
+        hive.worker().run(until_idle=True)
+        after = hive.run(run.id)
+        assert after.state is RunState.SUCCEEDED, f"killed at step {fatal_step}: {after.state}, {after.detail}"
+        assert after.poses == 30
+        assert len(hive.evaluations(run.id)) == 1, f"killed at step {fatal_step}"
+        assert started_times(hive, run.id) == 1, f"killed at step {fatal_step}"
+        record = hive.record(run.id)
+        assert (record["state"], record["poses"]) == ("succeeded", 30)
+        assert [event.to_state for event in hive.events(run.id)][-1] is RunState.SUCCEEDED
+    assert processes_of(hive) == []
+
+
+def test_a_run_that_goes_on_while_no_worker_lives_is_adopted(hive):
+    (run,) = hive.submit(Submission("tiny", "track", {"seconds": 3}, evaluate=False))
+    worker = subprocess.Popen([sys.executable, "-m", "slamhive", "worker"], cwd=CHECKOUT)
+    try:
+        for _ in range(200):
+            if hive.run(run.id).state is RunState.RUNNING:
+                break
+            signal.sigtimedwait([], 0.05)
+        assert hive.run(run.id).state is RunState.RUNNING
+    finally:
+        worker.kill()
+        worker.wait()
+    hive.worker().run(until_idle=True)
+    after = hive.run(run.id)
+    assert after.state is RunState.SUCCEEDED
+    assert started_times(hive, run.id) == 1
+    assert after.metrics["duration"] > 2.5
+
+
+def test_a_lost_database_is_rebuilt_from_the_folders(hive):
+    submitted = hive.submit(Submission("tiny", "track", {"seconds": 0.05}, repeat=2))
+    hive.submit(Submission("tiny", "track", {"behaviour": "crash", "seconds": 0.05}))
+    hive.worker().run(until_idle=True)
+    before = [hive.run(run_id) for run_id in (1, 2, 3)]
+    assert before[0].metrics["ate.rmse"] is not None
+    hive.close()
+    for path in hive.settings.data.glob("slamhive.db*"):
+        path.unlink()
+
+    lost = subprocess.run(
+        [sys.executable, "-m", "slamhive", "runs"], cwd=CHECKOUT, capture_output=True, text=True, check=False
+    )
+    assert lost.returncode == 1
+    assert "slamhive reindex" in lost.stderr
+    filed = subprocess.run(
+        [sys.executable, "-m", "slamhive", "reindex"], cwd=CHECKOUT, capture_output=True, text=True, check=False
+    )
+    assert "3 runs and 2 evaluations filed, 0 left out" in filed.stdout, filed.stderr
+
+    again = open_hive()
+    for old in before:
+        new = again.run(old.id)
+        assert (new.uid, new.state, new.reason, new.poses) == (old.uid, old.state, old.reason, old.poses)
+        assert new.parameters == old.parameters
+        assert new.metrics == old.metrics
+        assert new.protocol == old.protocol
+        assert new.version == old.version
+        assert new.host == old.host
+    assert again.submit(Submission("tiny", "track"))[0].id == max(run.id for run in submitted) + 2
+    again.close()
+
+
+def test_a_broken_folder_is_left_out_with_its_reason(hive):
+    hive.submit(Submission("tiny", "track", {"seconds": 0.05}, repeat=2, evaluate=False))
+    hive.worker().run(until_idle=True)
+    hive.folder(1).record.write_text("{")
+    shutil.copytree(hive.folder(2).root, hive.settings.runs_folder / "9")
+    filed = subprocess.run(
+        [sys.executable, "-m", "slamhive", "reindex"], cwd=CHECKOUT, capture_output=True, text=True, check=False
+    )
+    assert filed.returncode == 1
+    assert "1 runs and 0 evaluations filed, 2 left out" in filed.stdout
+    assert "runs/1: " in filed.stderr
+    assert "folders must not be renamed" in filed.stderr

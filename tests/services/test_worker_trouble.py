@@ -1,0 +1,151 @@
+"""The worker in trouble: whatever goes wrong around one run ends that run with a reason, and never the worker."""
+
+from __future__ import annotations
+
+import threading
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.errors import Unavailable
+from slamhive.evaluation.runner import EvaluationRunner
+from slamhive.executors.base import EngineUnavailable, Exited, ImageMissing, RunHandle, Running
+from slamhive.services.request import Submission
+from slamhive.store import EvaluationState
+from tests.services.fake_executor import FakeExecutor, write_trajectory
+from tests.services.test_worker import finish, hive, submit
+
+pytestmark = pytest.mark.integration
+
+__all__ = ["hive"]
+
+
+def test_a_broken_record_ends_the_run_and_not_the_worker(hive):
+    executor: Any = FakeExecutor([Running(), Exited(0)])
+    executor.on_start = lambda spec: hive.folder(spec.run_id).record.write_text("{")
+    broken = submit(hive, executor)
+    hive.worker().run(until_idle=True)
+    after = hive.run(broken)
+    assert (after.state, after.reason) == (RunState.FAILED, FailureReason.START_ERROR)
+    assert "cannot be read" in after.detail
+    assert finish(hive, FakeExecutor([Exited(0)], write_trajectory())).state is RunState.SUCCEEDED
+
+
+def test_a_fault_of_ours_ends_the_run_and_not_the_worker(hive):
+    executor: Any = FakeExecutor(start_error=ZeroDivisionError("oops"))
+    bad = finish(hive, executor)
+    assert bad.state is RunState.FAILED
+    assert "internal error: ZeroDivisionError: oops" in bad.detail
+    assert executor.discarded == [bad.uid]
+    assert finish(hive, FakeExecutor([Exited(0)], write_trajectory())).state is RunState.SUCCEEDED
+
+
+def test_a_disk_that_is_full_for_a_while_loses_nothing(hive):
+    executor: Any = FakeExecutor([Exited(0)], write_trajectory())
+    full = [OSError(28, "No space left on device"), OSError(28, "No space left on device")]
+    build = executor.build
+
+    def sometimes(package, progress):
+        if full:
+            raise full.pop()
+        return build(package, progress)
+
+    executor.build = sometimes
+    assert finish(hive, executor).state is RunState.SUCCEEDED
+
+
+@pytest.mark.parametrize("failing", ["remove", "plots"])
+def test_what_fails_after_the_outcome_cannot_take_the_evaluation(hive, monkeypatch, failing):
+    executor: Any = FakeExecutor([Exited(0)], write_trajectory(30))
+
+    def refuse(*_arguments):
+        raise EngineUnavailable("no engine") if failing == "remove" else Unavailable("disk full")
+
+    if failing == "remove":
+        executor.remove = refuse
+    else:
+        monkeypatch.setattr("slamhive.services.driver.write_plots", refuse)
+    hive._executors["process"] = executor
+    (run,) = hive.submit(Submission("tiny", "track"))
+    hive.worker(only=[run.id]).run(until_idle=True)
+    assert hive.run(run.id).state is RunState.SUCCEEDED
+    (evaluation,) = hive.evaluations(run.id)
+    assert evaluation.state in {EvaluationState.SUCCEEDED, EvaluationState.FAILED}
+
+
+def test_an_evaluation_image_that_does_not_build_fails_the_evaluation_with_the_reason(hive, monkeypatch):
+    def refuse(self, *_arguments, **_keywords):
+        raise ImageMissing("building slam-hive-evaluation:evo failed at Step 3")
+
+    monkeypatch.setattr(EvaluationRunner, "run", refuse)
+    hive._executors["process"] = FakeExecutor([Exited(0)], write_trajectory(30))
+    (run,) = hive.submit(Submission("tiny", "track"))
+    hive.worker().run(until_idle=True)
+    (evaluation,) = hive.evaluations(run.id)
+    assert evaluation.state is EvaluationState.FAILED
+    assert "failed at Step 3" in evaluation.reason
+    assert hive.run(run.id).state is RunState.SUCCEEDED
+
+
+def test_an_engine_that_came_back_is_not_blamed_later(hive):
+    executor: Any = FakeExecutor([Running(), EngineUnavailable("a hiccup"), Running(), Exited(3)])
+    run = finish(hive, executor)
+    assert run.reason is FailureReason.NONZERO_EXIT
+
+
+def test_an_unanswered_start_is_discarded_when_the_run_is_cancelled(hive):
+    asked = threading.Event()
+    executor: Any = FakeExecutor()
+
+    def start(spec):
+        asked.set()
+        raise EngineUnavailable("no answer")
+
+    executor.start = start
+    run_id = submit(hive, executor)
+    worker = hive.worker()
+    thread = threading.Thread(target=worker.run, kwargs={"until_idle": True})
+    thread.start()
+    assert asked.wait(10)
+    hive.cancel(run_id)
+    thread.join(10)
+    assert hive.run(run_id).state is RunState.CANCELLED
+    assert executor.discarded == [hive.run(run_id).uid]
+
+
+def test_the_engine_knows_best_when_a_run_started(hive):
+    began = datetime.now(UTC) - timedelta(seconds=5)
+    executor: Any = FakeExecutor([Exited(0, ended_at=datetime.now(UTC))], write_trajectory())
+    start = executor.start
+
+    def start_earlier(spec):
+        handle = start(spec)
+        return RunHandle(handle.executor, {**handle.data, "started_at": began.isoformat()})
+
+    executor.start = start_earlier
+    run = finish(hive, executor)
+    assert run.started_at == began
+    assert 4 < run.metrics["duration"] < 10
+
+
+def test_a_worker_that_lost_its_lease_leaves_the_folder_alone(hive):
+    executor: Any = FakeExecutor([Running()], write_trajectory())
+    run_id = submit(hive, executor)
+    worker = hive.worker()
+    thread = threading.Thread(target=worker.run)
+    thread.start()
+    while hive.record(run_id).get("state") != "running":
+        threading.Event().wait(0.01)
+    hive.store.write(lambda t: t.queue.release_all(worker.owner))
+    now = datetime.now(UTC)
+    hive.store.write(lambda t: t.queue.claim("another", now, 60))
+    before = hive.folder(run_id).record.read_text()
+    executor.statuses = [Exited(1)]
+    threading.Event().wait(0.3)
+    worker.stop()
+    thread.join(10)
+    assert hive.run(run_id).state is RunState.RUNNING
+    assert hive.run(run_id).lease_owner == "another"
+    assert hive.folder(run_id).record.read_text() == before

@@ -1,0 +1,242 @@
+"""URLs that cannot be used, and a database that is locked, away, full, damaged or not ours."""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from sqlalchemy import text
+from sqlalchemy.exc import IntegrityError, OperationalError
+
+from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.store import Store, open_store
+from slamhive.store.engine import database_label, make_engine
+
+pytestmark = pytest.mark.integration
+
+SECRET = "hunter2!"
+
+
+class Clock:
+    """Time that passes only while somebody sleeps."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.pauses: list[float] = []
+        self.while_asleep: Callable[[], None] = lambda: None
+
+    def __call__(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.pauses.append(seconds)
+        self.while_asleep()
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def sqlite_path(sqlite_template: Path, tmp_path: Path) -> Path:
+    path = tmp_path / "slamhive.db"
+    path.write_bytes(sqlite_template.read_bytes())
+    return path
+
+
+def impatient(path: Path, clock: Clock, retry_s: float = 60.0) -> Store:
+    """A store whose SQLite waits for no lock itself."""
+    store = Store(make_engine(f"sqlite:///{path}?timeout=0"), retry_s, clock, clock.sleep)
+    store.write(lambda tx: tx.session.execute(text("DELETE FROM metrics")))
+    return store
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("", "not a database URL"),
+        ("slamhive.db", "not a database URL"),
+        (f"mysql+pymysql//u:{SECRET}@host/db", "not a database URL"),
+        (f"mysql+pymysql://u:{SECRET}@host:port/db", "not a database URL"),
+        (f"postgresql://u:{SECRET}@host/db", "'postgresql' is not supported"),
+        (f"mysql+mysqldb://u:{SECRET}@host/db", r"'mysql\+mysqldb' is not supported"),
+        (f"oracel://u:{SECRET}@host/db", "'oracel' is not supported"),
+        (f"mysql+pymysql://u:{SECRET}@host", "names no database"),
+        ("sqlite://", "in-memory"),
+        ("sqlite:///:memory:", "in-memory"),
+        ("sqlite:///file:x?mode=memory&uri=true", "in-memory"),
+        ("sqlite:////", "names the folder /; name a file in it"),
+        ("sqlite:////nonexistent/dir/x.db", "folder /nonexistent/dir does not exist; make it"),
+    ],
+)
+def test_urls_that_cannot_be_used(url: str, message: str) -> None:
+    with pytest.raises(InvalidInput, match=message) as caught:
+        open_store(url)
+    assert SECRET not in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert caught.value.remedy
+
+
+def test_names_of_mysql_mean_the_same() -> None:
+    for name in ("mysql", "mariadb", "mysql+pymysql", "mariadb+pymysql"):
+        engine = make_engine(f"{name}://u:{SECRET}@lab.example/slamhive")
+        assert engine.url.drivername == "mysql+pymysql"
+        assert database_label(engine) == "mysql lab.example/slamhive"
+
+
+def test_the_folder_may_have_any_name(tmp_path: Path) -> None:
+    (tmp_path / "data root" / "ü").mkdir(parents=True)
+    store = open_store(f"sqlite:///{tmp_path}/data root/ü/slamhive.db")
+    assert (tmp_path / "data root" / "ü" / "slamhive.db").is_file()
+    store.close()
+
+
+def test_a_wrong_path_makes_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="does not exist; make it, or correct DATABASE_URL"):
+        open_store(f"sqlite:///{tmp_path}/mistyped/slamhive.db")
+    assert not (tmp_path / "mistyped").exists()
+
+
+def test_sqlite_is_durable_and_checks_references(sqlite_path: Path) -> None:
+    store = open_store(f"sqlite:///{sqlite_path}")
+    with store.engine.connect() as connection:
+        found = [
+            connection.exec_driver_sql(f"PRAGMA {name}").scalar()
+            for name in ("journal_mode", "synchronous", "foreign_keys")
+        ]
+    assert found == ["wal", 2, 1]
+    with pytest.raises(IntegrityError):
+        store.write(lambda tx: tx.session.execute(text("INSERT INTO metric_values VALUES (1, 1, 1, 0.5)")))
+    store.close()
+
+
+def test_a_reader_does_not_wait_for_a_writer(sqlite_path: Path, clock: Clock) -> None:
+    store = impatient(sqlite_path, clock)
+    writer = sqlite3.connect(sqlite_path, isolation_level=None)
+    writer.execute("BEGIN IMMEDIATE")
+    assert store.read(lambda tx: tx.runs.page()).total == 0
+    assert clock.pauses == []
+    writer.close()
+    store.close()
+
+
+def test_a_locked_database_is_tried_again_and_one_line_is_logged(
+    sqlite_path: Path, clock: Clock, caplog: pytest.LogCaptureFixture
+) -> None:
+    store = impatient(sqlite_path, clock)
+    other = sqlite3.connect(sqlite_path, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+
+    def let_go_in_time() -> None:
+        if clock.now_s > 130 and other.in_transaction:
+            other.execute("COMMIT")
+
+    clock.while_asleep = let_go_in_time
+    with caplog.at_level(logging.WARNING, "slamhive.store"):
+        store.write(lambda tx: tx.metrics._metric_ids(["ate.rmse"]))
+    assert 30 <= sum(clock.pauses) < 33
+    assert max(clock.pauses) <= 2.0
+    assert [record.getMessage() for record in caplog.records] == [
+        f"database sqlite {sqlite_path}: database is locked; trying again"
+    ]
+    other.close()
+    store.close()
+
+
+def test_a_database_locked_for_too_long_is_one_line(sqlite_path: Path, clock: Clock) -> None:
+    store = impatient(sqlite_path, clock)
+    other = sqlite3.connect(sqlite_path, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    with pytest.raises(
+        Unavailable, match=r"does not answer since 6\d s: database is locked; nothing .* is lost"
+    ) as caught:
+        store.write(lambda tx: tx.catalogue.algorithms())
+    assert "\n" not in str(caught.value)
+    other.close()
+    store.close()
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing(sqlite_path: Path, clock: Clock) -> None:
+    store = impatient(sqlite_path, clock)
+    store.write(lambda tx: tx.catalogue.put_algorithm_named("kept", "kept", "mono"))
+
+    def fill(tx) -> None:
+        pages = tx.session.execute(text("PRAGMA page_count")).scalar()
+        tx.session.execute(text(f"PRAGMA max_page_count={pages}"))
+        for number in range(3000):
+            tx.catalogue.put_algorithm_named(f"name-{number}" + "x" * 40, "package", "mono")
+
+    with pytest.raises(Unavailable, match="cannot grow, the disk is full; free space"):
+        store.write(fill)
+    assert clock.pauses == []
+    assert [record.name for record in store.read(lambda tx: tx.catalogue.algorithms())] == ["kept"]
+    store.close()
+
+
+@pytest.mark.parametrize("code", [sqlite3.SQLITE_IOERR_SHMSIZE, sqlite3.SQLITE_CANTOPEN])
+def test_an_io_error_on_a_full_disk_is_said_to_be_one_at_once(
+    sqlite_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
+    store = impatient(sqlite_path, clock)
+
+    def fail(_tx) -> None:
+        original = sqlite3.OperationalError("disk I/O error")
+        original.sqlite_errorcode = code
+        raise OperationalError("SELECT 1", None, original)
+
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=0))
+    with pytest.raises(Unavailable, match="cannot grow, the disk is full; free space"):
+        store.read(fail)
+    assert clock.pauses == []
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=10**9))
+    with pytest.raises(Unavailable, match="does not answer since 6"):
+        store.read(fail)
+    store.close()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b"not a database at all, just text" * 40, "is not an SQLite database"), (None, "is damaged")],
+)
+def test_files_that_are_no_database(sqlite_path: Path, content: bytes | None, message: str) -> None:
+    good = sqlite_path.read_bytes()
+    sqlite_path.write_bytes(good[:100] + b"\xff" * (len(good) - 100) if content is None else content)
+    with pytest.raises(Unavailable, match=message):
+        open_store(f"sqlite:///{sqlite_path}")
+
+
+def test_a_bug_keeps_its_traceback(sqlite_path: Path, clock: Clock) -> None:
+    store = impatient(sqlite_path, clock)
+    with pytest.raises(OperationalError, match="no such table"):
+        store.read(lambda tx: tx.session.execute(text("SELECT * FROM absent")))
+    assert clock.pauses == []
+    store.close()
+
+
+def test_errors_of_the_project_pass_through(sqlite_path: Path, clock: Clock) -> None:
+    store = impatient(sqlite_path, clock)
+
+    def refuse(_tx) -> None:
+        raise SlamHiveError("stop")
+
+    with pytest.raises(SlamHiveError, match="stop"):
+        store.write(refuse)
+    assert clock.pauses == []
+    store.close()
+
+
+def test_a_server_that_is_not_there_is_one_line_without_the_password(clock: Clock) -> None:
+    engine = make_engine(f"mysql+pymysql://u:{SECRET}@127.0.0.1:1/slamhive")
+    store = Store(engine, 3.0, clock, clock.sleep)
+    with pytest.raises(
+        Unavailable, match=r"database mysql 127\.0\.0\.1:1/slamhive does not answer since \d s"
+    ) as caught:
+        store.read(lambda tx: tx.runs.page())
+    assert SECRET not in str(caught.value)
+    assert "see whether the server runs" in str(caught.value)

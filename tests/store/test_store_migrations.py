@@ -1,0 +1,167 @@
+"""The tables: up, down, up again; equal to the models; never those of a newer software."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.runtime.migration import MigrationContext
+from sqlalchemy import Engine, inspect
+
+from slamhive.errors import Conflict, Unavailable
+from slamhive.store import migrate, open_store
+from slamhive.store.engine import make_engine
+from slamhive.store.models import MEASURED_PROTOCOL_ID, Base
+
+pytestmark = pytest.mark.integration
+
+BOTH = ["sqlite", pytest.param("mysql", marks=pytest.mark.mysql)]
+
+
+@pytest.fixture(params=BOTH)
+def engine(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Engine]:
+    """An engine on a database without any table."""
+    if request.param == "sqlite":
+        engine = make_engine(f"sqlite:///{tmp_path}/empty%20%25.db")
+        yield engine
+        engine.dispose()
+        return
+    server = request.getfixturevalue("database_server")
+    engine = make_engine(server.create_database("slamhive_migrations"))
+    yield engine
+    engine.dispose()
+    server.drop_database("slamhive_migrations")
+
+
+def tables(engine: Engine) -> set[str]:
+    return set(inspect(engine).get_table_names()) - {"alembic_version"}
+
+
+def test_up_down_and_up_again(engine: Engine) -> None:
+    assert migrate.current(engine) is None
+    for _ in range(2):
+        migrate.upgrade(engine)
+        assert migrate.current(engine) == migrate.head()
+        assert tables(engine) == set(Base.metadata.tables)
+        migrate.downgrade(engine)
+        assert migrate.current(engine) is None
+        assert tables(engine) == set()
+
+
+def test_the_migrations_make_what_the_models_say(engine: Engine) -> None:
+    migrate.upgrade(engine)
+    with engine.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True, "compare_server_default": True})
+        assert compare_metadata(context, Base.metadata) == []
+
+
+def test_the_comparison_would_see_a_difference(engine: Engine) -> None:
+    migrate.upgrade(engine)
+    with engine.begin() as connection:
+        connection.exec_driver_sql("ALTER TABLE hosts ADD COLUMN surprise INTEGER")
+        connection.exec_driver_sql("DROP INDEX ix_runs_created_at" + _on(engine, "runs"))
+    with engine.connect() as connection:
+        found = compare_metadata(MigrationContext.configure(connection), Base.metadata)
+    assert {difference[0] for difference in found} >= {"remove_column", "add_index"}
+
+
+def test_measured_figures_have_their_protocol_row(engine: Engine) -> None:
+    migrate.upgrade(engine)
+    with engine.connect() as connection:
+        rows = connection.exec_driver_sql("SELECT id, fingerprint FROM protocols").all()
+    assert [tuple(row) for row in rows] == [(MEASURED_PROTOCOL_ID, "measured")]
+
+
+def test_configurations_of_the_first_version_use_their_datasets_as_they_are(engine: Engine) -> None:
+    migrate.upgrade(engine, "0001")
+    _add_configuration(engine)
+    migrate.upgrade(engine)
+    with engine.connect() as connection:
+        assert connection.exec_driver_sql("SELECT variant FROM configurations").all() == [(None,)]
+    migrate.downgrade(engine, "0001")
+    assert "variant" not in {column["name"] for column in inspect(engine).get_columns("configurations")}
+    assert migrate.current(engine) == "0001"
+    with engine.connect() as connection:
+        assert connection.exec_driver_sql("SELECT count(*) FROM configurations").scalar() == 1
+
+
+def test_going_back_is_refused_where_runs_would_be_told_wrongly(engine: Engine) -> None:
+    migrate.upgrade(engine)
+    _add_configuration(engine)
+    with engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE configurations SET variant='[]'")
+    with pytest.raises(Conflict, match="1 configurations use variants"):
+        migrate.downgrade(engine, "0001")
+    assert migrate.current(engine) == migrate.head()
+
+
+def _add_configuration(engine: Engine) -> None:
+    now = "'2026-05-04 03:02:01'"
+    with engine.begin() as connection:
+        connection.exec_driver_sql("INSERT INTO algorithms (id, name, package, mode) VALUES (1, 'a', 'a', 'a')")
+        connection.exec_driver_sql(
+            "INSERT INTO datasets (id, name, checksum, duration_s, folder, sensors, title, registered_at) "
+            f"VALUES (1, 'd', 'c', 1, 'f', '[]', '', {now})"
+        )
+        connection.exec_driver_sql(
+            "INSERT INTO configurations "
+            "(id, content_hash, algorithm_id, dataset_id, playback_mode, playback_rate, created_at) "
+            f"VALUES (1, 'h', 1, 1, 'realtime', 1, {now})"
+        )
+
+
+def test_upgrading_what_is_current_changes_nothing(engine: Engine) -> None:
+    migrate.upgrade(engine)
+    with engine.begin() as connection:
+        connection.exec_driver_sql(
+            "INSERT INTO metrics (id, name_key) VALUES (1, 'a')".replace("name_key", _key(engine))
+        )
+    migrate.upgrade(engine)
+    with engine.connect() as connection:
+        assert connection.exec_driver_sql("SELECT count(*) FROM metrics").scalar() == 1
+
+
+def test_several_processes_may_upgrade_at_once(engine: Engine) -> None:
+    url = engine.url.render_as_string(hide_password=False)
+    start = threading.Barrier(4)
+
+    def work(_number: int) -> str | None:
+        start.wait()
+        store = open_store(url)
+        revision = migrate.current(store.engine)
+        store.close()
+        return revision
+
+    with ThreadPoolExecutor(4) as pool:
+        assert set(pool.map(work, range(4))) == {migrate.head()}
+    assert tables(engine) == set(Base.metadata.tables)
+
+
+def test_tables_of_a_newer_software_are_left_alone(engine: Engine) -> None:
+    migrate.upgrade(engine)
+    with engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE alembic_version SET version_num='9999'")
+    for work in (migrate.upgrade, migrate.check_current):
+        with pytest.raises(Unavailable, match=r"is at schema 9999, which is newer than this software \(0002\)"):
+            work(engine)
+    assert tables(engine) == set(Base.metadata.tables)
+
+
+def test_a_reader_says_that_tables_are_missing(engine: Engine) -> None:
+    url = engine.url.render_as_string(hide_password=False)
+    with pytest.raises(Unavailable, match="has no tables; start the worker"):
+        open_store(url, upgrade=False)
+    open_store(url).close()
+    open_store(url, upgrade=False).close()
+
+
+def _on(engine: Engine, table: str) -> str:
+    return "" if engine.dialect.name == "sqlite" else f" ON {table}"
+
+
+def _key(engine: Engine) -> str:
+    return engine.dialect.identifier_preparer.quote("key")

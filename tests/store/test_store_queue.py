@@ -1,0 +1,126 @@
+"""Claims, leases, heartbeats: one run, one worker."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from slamhive.domain.run import RunState
+from slamhive.store import Store, open_store
+from tests.store.store_samples import WORKER, Samples
+
+pytestmark = pytest.mark.integration
+
+NOW = datetime(2026, 5, 4, 3, 2, 1, 123456, tzinfo=UTC)
+LEASE_S = 30.0
+LATER = NOW + timedelta(seconds=LEASE_S + 1)
+
+
+def claim(store: Store, owner: str = WORKER, now: datetime = NOW):
+    return store.write(lambda tx: tx.queue.claim(owner, now, LEASE_S))
+
+
+def test_claims_go_by_priority_and_then_by_age(store: Store, samples: Samples) -> None:
+    first, second = samples.queued(2)
+    (urgent,) = samples.queued(priority=5)
+    assert [claim(store).id for _ in range(3)] == [urgent, first, second]
+    assert claim(store) is None
+
+
+def test_a_claim_starts_preparing_under_a_lease(store: Store, samples: Samples) -> None:
+    (run_id,) = samples.queued()
+    run = claim(store)
+    assert (run.id, run.state, run.attempt, run.lease_owner) == (run_id, RunState.PREPARING, 1, WORKER)
+    assert run.lease_expires_at == NOW + timedelta(seconds=LEASE_S)
+    moves = [(event.from_state, event.to_state) for event in store.read(lambda tx: tx.runs.events(run_id))]
+    assert moves == [(None, RunState.QUEUED), (RunState.QUEUED, RunState.PREPARING)]
+
+
+@pytest.mark.parametrize("state", [state for state in RunState if state.active])
+def test_a_silent_workers_run_is_adopted_in_its_state(store: Store, samples: Samples, state: RunState) -> None:
+    run_id = samples.run_in(state)
+    assert claim(store, "worker-2") is None, "the lease still holds"
+    run = claim(store, "worker-2", LATER)
+    assert (run.id, run.state, run.attempt, run.lease_owner) == (run_id, state, 2, "worker-2")
+
+
+def test_an_orphan_goes_before_the_queue(store: Store, samples: Samples) -> None:
+    orphan = samples.run_in(RunState.RUNNING)
+    samples.queued(priority=9)
+    assert claim(store, "worker-2", LATER).id == orphan
+
+
+@pytest.mark.parametrize("state", [state for state in RunState if state.ended])
+def test_what_has_ended_is_never_claimed(store: Store, samples: Samples, state: RunState) -> None:
+    samples.run_in(state)
+    assert claim(store, "worker-2", LATER) is None
+
+
+def test_a_worker_bound_to_some_runs_takes_no_others(store: Store, samples: Samples) -> None:
+    first, second, third = samples.queued(3)
+    claimed = [store.write(lambda tx: tx.queue.claim(WORKER, NOW, LEASE_S, only=(third, second))) for _ in range(3)]
+    assert [None if run is None else run.id for run in claimed] == [second, third, None]
+    assert store.write(lambda tx: tx.queue.claim("worker-2", LATER, LEASE_S, only=())) is None
+    assert claim(store, "worker-2", LATER).id == second, "an orphan goes first"
+    assert store.read(lambda tx: tx.runs.get(first)).state is RunState.QUEUED
+
+
+def test_a_released_run_is_free_at_once(store: Store, samples: Samples) -> None:
+    run_id = samples.run_in(RunState.RUNNING)
+    store.write(lambda tx: tx.queue.release([run_id], "somebody else"))
+    assert claim(store, "worker-2") is None
+    store.write(lambda tx: tx.queue.release([run_id], WORKER))
+    assert claim(store, "worker-2").state is RunState.RUNNING
+
+
+def test_heartbeats_extend_what_is_held_and_tell_what_is_lost(store: Store, samples: Samples) -> None:
+    first, second = samples.queued(2)
+    for _ in range(2):
+        claim(store)
+    assert store.write(lambda tx: tx.queue.heartbeat([first], WORKER, LATER, LEASE_S)) == {first}
+    assert claim(store, "worker-2", LATER).id == second
+    assert store.write(lambda tx: tx.queue.heartbeat([first, second], WORKER, LATER, LEASE_S)) == {first}
+    assert store.write(lambda tx: tx.queue.heartbeat([], WORKER, LATER, LEASE_S)) == set()
+
+
+def test_the_worker_sees_which_runs_shall_end(store: Store, samples: Samples) -> None:
+    run_id = samples.run_in(RunState.RUNNING)
+    assert store.read(lambda tx: tx.queue.cancel_requested([run_id])) == set()
+    store.write(lambda tx: tx.runs.request_cancel(run_id, NOW))
+    assert store.read(lambda tx: tx.queue.cancel_requested([run_id])) == {run_id}
+
+
+def test_many_workers_never_get_the_same_run(database_url: str, samples: Samples) -> None:
+    wanted = set(samples.queued(24))
+    start = threading.Barrier(4)
+
+    def work(number: int) -> list[int]:
+        own = open_store(database_url)
+        start.wait()
+        taken = []
+        while (run := claim(own, f"worker-{number}")) is not None:
+            taken.append(run.id)
+        own.close()
+        return taken
+
+    with ThreadPoolExecutor(4) as pool:
+        taken = [run_id for ids in pool.map(work, range(4)) for run_id in ids]
+    assert sorted(taken) == sorted(wanted)
+
+
+def test_many_workers_adopt_an_orphan_once(database_url: str, samples: Samples) -> None:
+    orphan = samples.run_in(RunState.RUNNING)
+    start = threading.Barrier(4)
+
+    def work(number: int) -> int | None:
+        own = open_store(database_url)
+        start.wait()
+        run = claim(own, f"worker-{number + 2}", LATER)
+        own.close()
+        return None if run is None else run.id
+
+    with ThreadPoolExecutor(4) as pool:
+        assert [run_id for run_id in pool.map(work, range(4)) if run_id is not None] == [orphan]

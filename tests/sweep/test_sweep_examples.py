@@ -1,0 +1,115 @@
+"""The experiments that ship, against the real steps and, where they are installed, the real algorithms."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from slamhive.bags.variants.rules import RegisteredSteps
+from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.sweep.expand import count, expand
+from slamhive.sweep.experiment_file import experiment_schema, load_experiment, parse_experiment
+from slamhive.sweep.view import CatalogueView
+from tests.sweep.sweep_world import CAMERA, IMU, MONO, ROOM, STEREO, STEREO_INERTIAL, algorithm, dataset
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "docs" / "examples"
+SCHEMA = ROOT / "docs" / "schemas" / "experiment.schema.json"
+
+ROLES = {"mono": MONO, "mono-imu": {**MONO, "imu": IMU}, "stereo": STEREO, "stereo-imu": STEREO_INERTIAL}
+
+
+@pytest.fixture(scope="module")
+def room() -> CatalogueView:
+    """What is there after ``make demo``."""
+    algorithms = [
+        entry for folder in ("orb-slam3", "kiss-icp") for entry in load_algorithms(ROOT / "algorithms" / folder)
+    ]
+    return CatalogueView({entry.name: entry for entry in algorithms}, {"room": ROOM}, RegisteredSteps())
+
+
+def test_the_papers_experiment_is_1500_configurations():
+    path = EXAMPLES / "paper-euroc.yaml"
+    assert len(path.read_text().splitlines()) <= 40
+    experiment = load_experiment(path)
+    algorithms = {name: algorithm(name, ROLES[sensing(name)]) for name in map(str, experiment.algorithms.values)}
+    datasets = {
+        name: dataset(name, ("cam0", CAMERA, 20), ("cam1", CAMERA, 20), ("imu0", IMU, 200))
+        for name in map(str, experiment.datasets.values)
+    }
+    view = CatalogueView(algorithms, datasets, RegisteredSteps())
+    size = count(experiment, view)
+    assert (size.combinations, size.configurations, size.runs) == (1500, 1500, 1500)
+    assert size.axes == {"algorithm": 10, "dataset": 5, "image_rate": 5, "image_resolution": 6}
+    assert size.variants == 5 * (5 * 6 - 1)
+    expansion = expand(experiment, view)
+    runs = list(expansion)
+    assert len({run.content_hash for run in runs}) == 1500
+    assert expansion.merged == 0
+    assert (runs[0].name, runs[-1].name) == ("paper-euroc-0001", "paper-euroc-1500")
+    assert sum(not run.configuration.variant for run in runs) == 10 * 5
+
+
+def sensing(name: str) -> str:
+    found = re.search(r"(mono|stereo)(-imu|-inertial)?$", name)
+    assert found is not None
+    return found[1] + ("-imu" if found[2] else "")
+
+
+def test_the_sensitivity_experiment_is_5_rates_4_resolutions_2_algorithms(room):
+    size = count(load_experiment(EXAMPLES / "room-sensitivity.yaml"), room)
+    assert size.axes == {"algorithm": 2, "image_rate": 5, "image_resolution": 4}
+    assert (size.configurations, size.runs, size.variants) == (40, 40, 19)
+
+
+def test_the_demo_is_over_in_minutes(room):
+    assert count(load_experiment(EXAMPLES / "room-demo.yaml"), room).runs == 4
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda path: path.name)
+def test_every_example_is_named_like_its_file_and_points_to_the_schema(path):
+    assert load_experiment(path).name == path.stem
+    assert "$schema=../schemas/experiment.schema.json" in path.read_text()
+
+
+def test_the_published_schema_is_current():
+    assert SCHEMA.read_text(encoding="utf-8") == experiment_schema(), "run: .venv/bin/python tools/generate_docs.py"
+
+
+def test_the_schema_knows_every_key_and_refuses_others():
+    schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
+    assert schema["required"] == ["name", "algorithms", "datasets"]
+    assert schema["additionalProperties"] is False
+    assert {"steps", "parameters", "linked", "tied", "where", "stop_when", "limits"} <= set(schema["properties"])
+
+
+def test_general_names_are_documented_and_mean_the_same_everywhere():
+    page = (ROOT / "docs" / "experiments.md").read_text(encoding="utf-8")
+    meaning: dict[str, set[tuple[str, str]]] = {}
+    for folder in sorted(path.parent for path in (ROOT / "algorithms").glob("*/algorithm.yaml")):
+        for entry in load_algorithms(folder):
+            for parameter in entry.parameters:
+                if parameter.general is not None:
+                    meaning.setdefault(parameter.general, set()).add((parameter.type.value, parameter.unit))
+    assert meaning
+    assert [name for name in meaning if f"`{name}`" not in page] == []
+    assert {name: uses for name, uses in meaning.items() if len(uses) > 1} == {}
+
+
+def test_every_experiment_in_the_documentation_is_accepted(room):
+    page = (ROOT / "docs" / "experiments.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    whole = [block for block in blocks if block.startswith("name:")]
+    assert whole
+    sizes = [count(parse_experiment(block, "docs/experiments.md"), room) for block in whole]
+    assert "10 configurations, 30 runs" in page
+    assert (sizes[0].configurations, sizes[0].runs) == (10, 30)
+
+
+@pytest.mark.parametrize("kind", RegisteredSteps().kinds())
+def test_every_registered_step_can_be_named_in_an_experiment(kind):
+    text = f"name: t\nalgorithms: a\ndatasets: room\nsteps:\n  x: {{step: {kind}, sensors: camera}}\n"
+    assert parse_experiment(text).steps[0].kind == kind

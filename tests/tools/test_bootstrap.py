@@ -1,0 +1,98 @@
+"""``tools/bootstrap.py``: an environment is made once, and again only when its sources change."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+sys.path.insert(0, str(TOOLS))
+
+import bootstrap  # noqa: E402
+import machine  # noqa: E402
+import steps  # noqa: E402
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """A project folder whose environment seems to have been made for ``demo``."""
+    monkeypatch.setattr(bootstrap, "ROOT", tmp_path)
+    monkeypatch.setattr(bootstrap, "ENVIRONMENT", tmp_path / ".venv")
+    monkeypatch.setattr(bootstrap, "STAMP", tmp_path / ".venv" / "stamp.json")
+    (tmp_path / "pyproject.toml").write_text("[project]\n")
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    (tmp_path / ".venv" / "bin" / "python").symlink_to(sys.executable)
+    bootstrap.STAMP.write_text(json.dumps({"fingerprint": bootstrap.fingerprint(), "extras": []}))
+    return tmp_path
+
+
+def test_unchanged_environment_lacks_nothing(project):
+    assert bootstrap.missing_extras(()) == ()
+    assert bootstrap.missing_extras(("dev",)) == ("dev",)
+
+
+def test_changed_constraints_ask_for_a_new_environment(project):
+    (project / "constraints.txt").write_text("numpy==1\n")
+    assert bootstrap.missing_extras(()) is None
+
+
+@pytest.mark.parametrize("damage", ["stamp", "python"])
+def test_damaged_environment_is_made_anew(project, damage):
+    path = bootstrap.STAMP if damage == "stamp" else bootstrap.ENVIRONMENT / "bin" / "python"
+    path.unlink()
+    assert bootstrap.missing_extras(()) is None
+
+
+def test_used_again_without_installing(project, capsys, monkeypatch):
+    monkeypatch.setattr(bootstrap, "install", lambda extras: pytest.fail("installed again"))
+    assert bootstrap.main(["demo"]) == 0
+    assert "used again" in capsys.readouterr().out
+
+
+def test_without_venv_module_the_command_is_named(project, capsys, monkeypatch):
+    bootstrap.STAMP.unlink()
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr(machine, "can_install", lambda: False)
+    assert bootstrap.main(["demo"]) == 1
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}-venv"
+    assert f"sudo apt-get install {version}" in capsys.readouterr().err
+
+
+def test_failed_install_leaves_no_stamp(project, capsys, monkeypatch):
+    def refuse(label, command, environment=None):
+        raise steps.StepFailed("no network")
+
+    monkeypatch.setattr(bootstrap, "run_step", refuse)
+    assert bootstrap.main(["test"]) == 1
+    assert not bootstrap.STAMP.exists()
+    assert "no network" in capsys.readouterr().err
+
+
+def test_step_shows_the_end_of_the_output_when_it_fails():
+    with pytest.raises(steps.StepFailed, match=r"(?s)dig failed \(exit code 3\).*the reason"):
+        steps.run_step("dig", [sys.executable, "-c", "print('the reason'); raise SystemExit(3)"])
+
+
+def test_step_names_a_program_that_is_not_there():
+    with pytest.raises(steps.StepFailed, match="no-such-program cannot be started"):
+        steps.run_step("dig", ["no-such-program"])
+
+
+def test_finder_prefers_the_chosen_python():
+    environment = {"PATH": "/usr/bin:/bin", "PYTHON": sys.executable}
+    found = subprocess.run(
+        ["sh", TOOLS / "find-python.sh"], check=True, capture_output=True, text=True, env=environment
+    ).stdout.strip()
+    assert Path(found).resolve() == Path(sys.executable).resolve()
+
+
+def test_no_file_names_a_package_index():
+    root = TOOLS.parent
+    for name in ("constraints.txt", "pyproject.toml", "Makefile", "docker/install.sh", "tools/bootstrap.py"):
+        text = (root / name).read_text()
+        assert "index-url" not in text.replace("-index-url=$", "")
+        assert "pypi.org" not in text

@@ -1,0 +1,88 @@
+"""``tools/test.py``: what counts as a pass, and how what was left out is told."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+
+
+@pytest.fixture(scope="module")
+def runner():
+    sys.path.insert(0, str(TOOLS))
+    spec = importlib.util.spec_from_file_location("slamhive_test_runner", TOOLS / "test.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+REPORT = """<testsuites><testsuite>
+<testcase name="a"/><testcase name="b"/>
+<testcase name="c"><failure message="no"/></testcase>
+<testcase name="d"><error message="no"/></testcase>
+<testcase name="e"><skipped message="../shared/data is not here"/></testcase>
+</testsuite></testsuites>"""
+
+
+def test_report_is_counted(runner, tmp_path):
+    path = tmp_path / "report.xml"
+    path.write_text(REPORT)
+    outcome = runner.read_report(path)
+    assert (outcome.passed, outcome.failed, outcome.skipped) == (2, 2, ["../shared/data is not here"])
+
+
+def test_missing_report_is_a_failure(runner, tmp_path):
+    assert runner.read_report(tmp_path / "none.xml").state == "failed"
+
+
+def test_tier_that_cannot_run_is_named_and_only_ci_fails(runner, capsys):
+    def outcomes():
+        return {"docker": runner.Outcome("not run", "no Docker engine answers"), "unit": runner.Outcome(passed=3)}
+
+    assert runner.report(outcomes(), 1.0, strict=False) == 0
+    text = capsys.readouterr().out
+    assert "no Docker engine answers" in text
+    assert text.splitlines()[-1] == "3 passed, 0 failed, 0 skipped in 1.0s"
+    assert runner.report(outcomes(), 1.0, strict=True) == 1
+
+
+@pytest.mark.parametrize(("reason", "code"), [("../shared/data is absent", 0), ("no engine", 1)])
+def test_ci_allows_only_absent_recordings_to_be_skipped(runner, reason, code):
+    assert runner.report({"unit": runner.Outcome(passed=1, skipped=[reason])}, 1.0, strict=True) == code
+    assert runner.report({"unit": runner.Outcome(passed=1, skipped=[reason])}, 1.0, strict=False) == 0
+
+
+def test_slow_unit_tier_fails(runner, monkeypatch):
+    monkeypatch.setattr(runner, "run_pytest", lambda tier: runner.Outcome(passed=1))
+    assert runner.run_tier(runner.Tier("unit", marks="x", limit_s=0.0)).state == "failed"
+    assert runner.run_tier(runner.Tier("unit", marks="x", limit_s=9.0)).state == "passed"
+
+
+def test_without_rights_the_engine_tier_names_the_command(runner, monkeypatch):
+    monkeypatch.setattr(runner.machine, "engine_answers", lambda: False)
+    monkeypatch.setattr(runner.machine, "can_install", lambda: False)
+    monkeypatch.setattr(runner.shutil, "which", lambda name, path=None: f"/usr/sbin/{name}")
+    outcome = runner.run_tier(next(tier for tier in runner.all_tiers(runner.machine.Engine()) if tier.name == "docker"))
+    assert outcome.state == "not run"
+    assert "sudo apt-get install docker.io" in outcome.note
+
+
+def test_every_test_belongs_to_exactly_one_tier(runner):
+    tiers = [tier for tier in runner.all_tiers(runner.machine.Engine()) if tier.marks]
+    for docker in (False, True):
+        for mysql in (False, True):
+            for integration in (False, True):
+                marks = {"docker": docker, "mysql": mysql, "integration": integration}
+                assert sum(eval(tier.marks, {}, marks) for tier in tiers) == 1
+
+
+def test_unknown_tier_lists_the_known_ones(runner, capsys):
+    assert runner.main(["units"]) == 2
+    assert "known: lint, types" in capsys.readouterr().err

@@ -1,0 +1,53 @@
+"""A filled installation, made once; tests that change it get one of their own."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.web import web_world as world
+from tests.web.web_world import Web, make_web
+
+
+@pytest.fixture(scope="session")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a filled installation that nobody has opened."""
+    folder = tmp_path_factory.mktemp("filled")
+    hive = world.make_hive(folder)
+    world.fill(hive)
+    hive.close()
+    return folder
+
+
+@pytest.fixture(scope="session")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the applications of all tests find the templates that one of them has compiled."""
+    return tmp_path_factory.mktemp("templates")
+
+
+@pytest.fixture(scope="session")
+def shown(filled: Path, compiled: Path) -> Iterator[Web]:
+    """An installation to look at; no test may change it."""
+    web = make_web(world.make_hive(filled), compiled)
+    yield web
+    web.hive.close()
+
+
+@pytest.fixture
+def web(filled: Path, tmp_path: Path, compiled: Path) -> Iterator[Web]:
+    """An installation of the test's own."""
+    shutil.copytree(filled, tmp_path, symlinks=True, dirs_exist_ok=True)
+    web = make_web(world.make_hive(tmp_path), compiled)
+    yield web
+    web.hive.close()
+
+
+@pytest.fixture
+def empty(tmp_path: Path, compiled: Path) -> Iterator[Web]:
+    """An installation without datasets and runs."""
+    web = make_web(world.make_hive(tmp_path, empty=True), compiled)
+    yield web
+    web.hive.close()

@@ -1,0 +1,221 @@
+"""Live updates and the server that carries them."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from slamhive.domain.run import RunState
+from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.services.hive import Hive
+from slamhive.web.live import LiveHub, LiveStream, with_version
+from slamhive.web.serve import THREADS, WebServer
+from tests.web import web_world as world
+from tests.web.web_world import Web
+
+pytestmark = pytest.mark.integration
+
+
+def next_state(events: Iterator[str]) -> dict[str, Any]:
+    for event in events:
+        if event.startswith("event: state"):
+            state: dict[str, Any] = json.loads(event.partition("data: ")[2])
+            return state
+    raise AssertionError("the stream ended")
+
+
+def eventually(condition: Any) -> None:
+    ends = time.monotonic() + 5
+    while not condition():
+        assert time.monotonic() < ends
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def hub(shown: Web) -> Iterator[LiveHub]:
+    hub = LiveHub(shown.hive, most_streams=2, interval_s=0.02)
+    yield hub
+    hub.close()
+
+
+def poller_runs() -> bool:
+    return any(thread.name == "slamhive-live" for thread in threading.enumerate())
+
+
+def test_a_stream_tells_what_goes_on(hub: LiveHub, shown: Web):
+    stream = hub.open()
+    state = next_state(stream.events())
+    assert state["counts"]["succeeded"] == 2
+    assert state["unevaluated"] == 1
+    assert state["active"][0]["memory"] == "699 MB"
+    stream.close()
+
+
+def test_the_poller_works_only_while_somebody_listens(hub: LiveHub):
+    stream = hub.open()
+    next_state(stream.events())
+    assert poller_runs()
+    stream.close()
+    stream.close()
+    assert hub.open_streams == 0
+    eventually(lambda: not poller_runs())
+    again = hub.open()
+    assert next_state(again.events())["version"]
+    again.close()
+
+
+def test_streams_are_limited(hub: LiveHub):
+    streams = [hub.open(), hub.open()]
+    with pytest.raises(Unavailable, match="too many"):
+        hub.open()
+    streams[0].close()
+    hub.open().close()
+    streams[1].close()
+
+
+def test_closing_the_hub_ends_streams_at_once(hub: LiveHub):
+    stream = hub.open()
+    ended = threading.Event()
+
+    def read() -> None:
+        for _ in stream.events():
+            pass
+        ended.set()
+
+    threading.Thread(target=read, daemon=True).start()
+    hub.close()
+    assert ended.wait(2)
+    with pytest.raises(Unavailable):
+        hub.open()
+
+
+def test_a_database_that_is_away_does_not_end_the_stream(hub: LiveHub, monkeypatch: pytest.MonkeyPatch):
+    answers = iter([Unavailable("the database is away")])
+    real = Hive.counts
+
+    def counts(hive: Hive) -> Any:
+        for error in answers:
+            raise error
+        return real(hive)
+
+    monkeypatch.setattr(Hive, "counts", counts)
+    stream = hub.open()
+    assert next_state(stream.events())["counts"]
+    stream.close()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_broken_poller_ends_its_streams_and_the_next_one_starts_another(
+    hub: LiveHub, monkeypatch: pytest.MonkeyPatch
+):
+    def broken(hive: Hive) -> Any:
+        raise RuntimeError("a mistake in the program")
+
+    with monkeypatch.context() as breaking:
+        breaking.setattr(Hive, "counts", broken)
+        stream = hub.open()
+        assert not any(event.startswith("event") for event in stream.events())
+        stream.close()
+    eventually(lambda: not poller_runs())
+    again = hub.open()
+    assert next_state(again.events())["counts"]
+    again.close()
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 4000, f'{{"fraction": {"9" * 401}}}', '{"fraction": NaN}', '"x"', '{"fraction": {}}']
+)
+def test_hostile_progress_leaves_pages_and_streams_alone(web: Web, text: str):
+    web.hive.folder(web.runs["running"]).progress.write_text(text)
+    for page in ("/", f"/runs/{web.runs['running']}"):
+        assert web.client.get(page).status_code == 200
+    assert LiveHub(web.hive).latest()["active"][0]["percent"] is None
+
+
+def test_the_version_changes_with_states_and_not_with_progress():
+    run: dict[str, Any] = {"id": 1, "state": "running", "percent": 10.0}
+    state = {"counts": {"queued": 1}, "unevaluated": 0, "worker": True, "active": [run]}
+    version = with_version(state)["version"]
+    assert with_version({**state, "active": [{**run, "percent": 20.0}]})["version"] == version
+    assert with_version({**state, "active": [{**run, "state": "collecting"}]})["version"] != version
+    assert with_version({**state, "counts": {"queued": 2}})["version"] != version
+
+
+def test_a_request_for_headers_only_leaves_no_stream_open(shown: Web):
+    shown.client.head("/events").close()
+    assert shown.app.extensions["slamhive-live"].open_streams == 0
+
+
+def test_events_refused_beyond_the_limit_are_503(shown: Web, monkeypatch: pytest.MonkeyPatch):
+    def full(hub: LiveHub) -> LiveStream:
+        raise Unavailable("too many live pages are open on this server")
+
+    monkeypatch.setattr(LiveHub, "open", full)
+    assert shown.client.get("/events").status_code == 503
+
+
+@contextmanager
+def serving(hive: Hive) -> Iterator[tuple[WebServer, int, threading.Thread]]:
+    server = WebServer(hive, "127.0.0.1", 0)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    yield server, int(server.url.rpartition(":")[2]), thread
+    server.close()
+    thread.join(8)
+    assert not thread.is_alive()
+
+
+@pytest.mark.integration
+def test_the_server_streams_and_ends_in_time(web: Web):
+    with serving(web.hive) as (server, port, thread):
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+        connection.request("GET", "/events")
+        answer = connection.getresponse()
+        assert answer.headers["Content-Type"].startswith("text/event-stream")
+        lines = iter(answer.readline, b"")
+        first = json.loads(next(line for line in lines if line.startswith(b"data: "))[6:])
+        world.advance(web.hive, web.runs["queued"], RunState.PREPARING)
+        news = (json.loads(line[6:]) for line in lines if line.startswith(b"data: "))
+        assert next(state for state in news if state["version"] != first["version"])["counts"]["preparing"] == 1
+        began = time.monotonic()
+        server.close()
+        thread.join(5)
+        assert time.monotonic() - began < 3
+        connection.close()
+
+
+@pytest.mark.integration
+def test_pages_answer_while_all_streams_are_taken_and_left(web: Web):
+    with serving(web.hive) as (_, port, _thread):
+        connections = [http.client.HTTPConnection("127.0.0.1", port, timeout=10) for _ in range(THREADS)]
+        for connection in connections:
+            connection.request("GET", "/events")
+        answers = [connection.getresponse() for connection in connections]
+        statuses = [answer.status for answer in answers]
+        assert sorted(set(statuses)) == [200, 503]
+        page = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+        page.request("GET", "/healthz")
+        assert page.getresponse().status == 200
+        for connection in [*connections, page]:
+            connection.close()
+        for answer in answers:
+            answer.close()
+
+
+def test_a_port_that_is_taken_is_said_in_one_line(shown: Web):
+    with serving(shown.hive) as (_, port, _thread), pytest.raises(Unavailable, match=f"port {port} .* is taken; .*--p"):
+        WebServer(shown.hive, "127.0.0.1", port)
+
+
+@pytest.mark.parametrize(("host", "port"), [("192.0.2.1", 0), ("no such host", 0), ("127.0.0.1", 70000)])
+def test_an_address_that_is_not_ours_is_said_in_one_line(shown: Web, host: str, port: int):
+    with pytest.raises(InvalidInput, match=r"cannot bind|does not exist") as caught:
+        WebServer(shown.hive, host, port)
+    assert isinstance(caught.value, SlamHiveError)

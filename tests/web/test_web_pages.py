@@ -1,0 +1,183 @@
+"""What the pages show."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+
+import pytest
+
+from tests.web import web_world as world
+from tests.web.web_world import Web
+
+pytestmark = pytest.mark.integration
+
+PAGES = [
+    "/",
+    "/runs",
+    "/runs?state=failed&columns=id,reason,protocol,parameters,playback,seed,started_at&limit=5",
+    "/runs/new",
+    "/runs/new?algorithm=eye-slam-stereo&dataset=room",
+    "/algorithms",
+    "/algorithms/eye-slam-mono",
+    "/datasets",
+    "/datasets/room",
+    "/datasets/hall",
+    *[f"/runs/{{{kind}}}" for kind in ("done", "bare", "failed", "running", "queued")],
+]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_page_is_whole_and_fetches_nothing_from_elsewhere(shown: Web, page: str):
+    answer = shown.client.get(page.format(**shown.runs))
+    assert answer.status_code == 200
+    text = answer.text
+    assert text.rstrip().endswith("</html>")
+    assert not re.search(r"<[^>]+\sstyle=|<style|<script(?![^>]*\ssrc=)|\son[a-z]+=\"", text)
+    for tag, target in re.findall(r"<(\w+)[^>]*?\s(?:src|href|action)=\"(https?:[^\"]*|//[^\"]*)\"", text):
+        assert (tag, target) in {("a", "https://example.org/eye-slam"), ("a", "https://example.org/beam-odometry")}
+    assert world.HOSTILE not in text
+    assert "<b>levels</b>" not in text
+    ids = re.findall(r"\sid=\"([^\"]+)\"", text)
+    assert len(ids) == len(set(ids))
+    assert "<main" in text
+    assert text.count("<h1") == 1
+
+
+def test_hostile_names_are_shown_as_text(shown: Web):
+    assert html.escape(world.HOSTILE) in shown.client.get("/datasets/room").text
+    failed = shown.client.get(f"/runs/{shown.runs['failed']}").text
+    assert failed.count(html.escape(world.HOSTILE)) >= 2  # the reason and the log
+
+
+@pytest.mark.parametrize("path", ["bootstrap/static/css/bootstrap.min.css", "static/slamhive.css", "static/figures.js"])
+def test_assets_come_from_this_server(shown: Web, path: str):
+    with shown.client.get(f"/{path}") as answer:
+        assert answer.status_code == 200
+
+
+def test_plotly_comes_from_the_package_and_may_be_kept(shown: Web):
+    page = shown.client.get(f"/runs/{shown.runs['done']}").text
+    address = re.search(r"src=\"(/assets/plotly-[^\"]+)\"", page)
+    assert address is not None
+    with shown.client.get(address[1]) as answer:
+        assert answer.status_code == 200
+        assert "immutable" in answer.headers["Cache-Control"]
+    assert shown.client.get("/assets/plotly-0.0.0.min.js").status_code == 404
+
+
+def test_dashboard_shows_queue_progress_and_results(shown: Web):
+    text = shown.client.get("/").text
+    assert 'aria-valuenow="50.0"' in text
+    assert "slamhive worker" in text
+    assert "Evaluate all 1 un-evaluated" in text
+    assert "Showing 1 of 1 queued run, oldest first." in text
+    assert "0.04567" in text
+    assert "no trajectory" in text
+
+
+def test_empty_pages_say_what_to_do_next(empty: Web):
+    assert "slamhive dataset room" in empty.client.get("/").text
+    assert "slamhive dataset room" in empty.client.get("/datasets").text
+    assert "slamhive dataset room" in empty.client.get("/runs/new").text
+    assert "slamhive run ALGORITHM DATASET" in empty.client.get("/runs").text
+
+
+def test_a_broken_dataset_is_named_and_hides_only_itself(web: Web):
+    (web.hive.settings.datasets_folder / "room" / "dataset.yaml").write_text("format: 1\nformat: 2\n")
+    text = web.client.get("/datasets").text
+    assert "1 dataset folder left out" in text
+    assert "hall" in text
+
+
+def test_run_page_tells_everything(shown: Web):
+    text = shown.client.get(f"/runs/{shown.runs['done']}").text
+    for part in (
+        "ATE RMSE 0.0457 m (SE(3), association 0.01 s, RPE over 1 m)",
+        "protocol " + world.PROTOCOL.fingerprint,
+        "host.cpu_model",
+        "submitted",
+        "evo 1.0",
+        "tracking\n",
+        "profiling.csv",
+        f"{world.PROTOCOL.fingerprint}-traj.tum",
+        'title="512345678.0 bytes"',
+        'class="changed"',
+    ):
+        assert part in text, part
+
+
+def test_run_page_offers_what_the_state_allows(shown: Web):
+    def actions(kind: str) -> set[str]:
+        text = shown.client.get(f"/runs/{shown.runs[kind]}").text
+        return set(re.findall(r"action=\"/runs/\d+/(\w+)\"", text))
+
+    assert actions("done") == {"retry", "evaluate"}
+    assert actions("failed") == {"retry"}
+    assert actions("running") == {"cancel"}
+    assert actions("queued") == {"cancel"}
+
+
+def test_failed_run_says_why(shown: Web):
+    text = shown.client.get(f"/runs/{shown.runs['failed']}").text
+    assert "Failed: no trajectory." in text
+    reasons = shown.client.get(f"/runs/{shown.runs['failed']}/figures.json").get_json()["reasons"]
+    assert set(reasons) == {"estimate", "groundtruth", "error", "cpu", "memory", "latency"}
+
+
+def test_figures_of_an_evaluated_run(shown: Web):
+    content = shown.client.get(f"/runs/{shown.runs['done']}/figures.json").get_json()
+    names = {"path_xy", "path_xz", "path_yz", "path_3d", "error", "cpu", "memory", "latency"}
+    assert set(content["figures"]) == names
+    assert content["best_plane"] == "xy"
+    assert content["reasons"] == {}
+    assert "400 matched poses" in content["captions"]["error"]
+    assert "SE(3)" in content["captions"]["path"]
+    plane = content["figures"]["path_xy"]
+    assert [trace["name"] for trace in plane["data"]] == ["eye-slam-stereo", "ground truth", "start", "end"]
+    assert plane["data"][1]["line"]["dash"] == "dash"
+    assert plane["layout"]["yaxis"]["scaleanchor"] == "x"
+    for figure in content["figures"].values():
+        axes = figure["layout"].get("scene", figure["layout"])
+        assert axes["xaxis"]["title"]["text"].endswith("]")
+
+
+def test_an_unevaluated_run_shows_its_path_in_its_own_frame(shown: Web):
+    content = shown.client.get(f"/runs/{shown.runs['bare']}/figures.json").get_json()
+    assert "not aligned" in content["captions"]["path"]
+    assert content["reasons"]["error"] == "The run has not been evaluated."
+
+
+def test_the_same_algorithm_has_one_colour_everywhere(shown: Web):
+    figures = shown.client.get(f"/runs/{shown.runs['done']}/figures.json").get_json()["figures"]
+    colour = figures["path_xy"]["data"][0]["line"]["color"]
+    assert figures["cpu"]["data"][0]["line"]["color"] == colour
+    row = re.search(r"fill=\"(#\w+)\"[^\n]*eye-slam-stereo", shown.client.get("/algorithms").text)
+    assert row is not None
+    assert row[1] == colour
+
+
+@pytest.mark.parametrize(
+    ("figure", "header"), [("path", "trajectory,timestamp_s,x_m,y_m,z_m"), ("cpu", "time_s,cpu_cores")]
+)
+def test_figure_data_as_csv(shown: Web, figure: str, header: str):
+    answer = shown.client.get(f"/runs/{shown.runs['done']}/figures/{figure}.csv")
+    assert answer.text.splitlines()[0] == header
+    assert len(answer.text.splitlines()) in {401, 801}
+    assert "attachment" in answer.headers["Content-Disposition"]
+    assert shown.client.get(f"/runs/{shown.runs['done']}/figures/nothing.csv").status_code == 404
+
+
+def test_dataset_figure(shown: Web):
+    content = shown.client.get("/datasets/room/figures.json").get_json()
+    assert content["best_plane"] == "xy"
+    assert shown.client.get("/datasets/hall/figures.json").status_code == 404
+
+
+def test_a_progress_fragment_is_json_safe(shown: Web):
+    state = shown.client.get("/live.json").get_json()
+    (active,) = state["active"]
+    assert active["id"] == shown.runs["running"]
+    assert active["percent"] == 50.0
+    assert json.dumps(state)

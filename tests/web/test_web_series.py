@@ -1,0 +1,95 @@
+"""Figure data: thinning, malformed files, and real evaluations of real runs."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.evaluation.job import EvaluationTask
+from slamhive.project import project_root
+from slamhive.services.series import MAX_POINTS, read_track, thin_keeping_extremes
+from slamhive.web.figures import best_plane
+from tests.web import web_world as world
+from tests.web.web_world import Web
+
+EUROC = project_root().parent / "shared" / "data" / "euroc_vio_runs"
+
+
+def test_thinning_keeps_every_peak():
+    values = np.zeros(100_000)
+    values[[7, 50_001, 99_990]] = [5.0, -3.0, 9.0]
+    times_s, thinned = thin_keeping_extremes(np.arange(100_000.0), values)
+    assert len(thinned) <= MAX_POINTS
+    assert {5.0, -3.0, 9.0} <= set(thinned.tolist())
+    assert (np.diff(times_s) > 0).all()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "\n", "# only a comment\n", "1 2 3\n", "a b c d e f g h\n", "nan nan nan nan 0 0 0 1\n", "\x00\xff"]
+)
+def test_a_malformed_trajectory_draws_nothing(tmp_path: Path, text: str):
+    path = tmp_path / "traj.txt"
+    path.write_text(text)
+    assert read_track(path) is None
+    assert read_track(tmp_path / "missing.txt") is None
+
+
+def test_one_pose_is_a_path(tmp_path: Path):
+    (tmp_path / "traj.txt").write_text("1 2 3 4 0 0 0 1\n")
+    track = read_track(tmp_path / "traj.txt")
+    assert track is not None
+    assert track.positions_m.tolist() == [[2.0, 3.0, 4.0]]
+    assert best_plane(track) in {"xy", "xz", "yz"}
+
+
+def test_a_single_pose_can_be_drawn(web: Web):
+    folder = web.hive.folder(web.runs["bare"])
+    folder.trajectory.write_text("1 2 3 4 0 0 0 1\n")
+    figure = web.client.get(f"/runs/{web.runs['bare']}/figures.json").get_json()["figures"]["path_3d"]
+    assert all(math.isfinite(value) for value in figure["layout"]["scene"]["aspectratio"].values())
+
+
+FRAMES = "timestamp,received,done,dropped\n1000.0,0.0,0.03,0\n"
+
+
+@pytest.mark.parametrize(
+    "frames",
+    [FRAMES + "9" * 200_000 + ",,,\n", FRAMES.replace("\n", "\r"), FRAMES + "\x00,,\n", FRAMES + "inf,1,2,0\n"],
+)
+def test_hostile_frame_times_draw_what_can_be_drawn(web: Web, frames: str):
+    run_id = web.runs["bare"]
+    web.hive.folder(run_id).frames.write_bytes(frames.encode())
+    assert web.client.get(f"/runs/{run_id}/figures.json").status_code == 200
+    latency = web.hive.series(run_id).latency
+    assert latency is not None
+    assert latency.values.tolist() == [0.03]
+
+
+@pytest.mark.integration
+@pytest.mark.shared_data
+def test_figures_show_what_evo_computed_on_a_real_run(web: Web):
+    if not EUROC.is_dir():
+        pytest.skip("../shared/data/euroc_vio_runs is not there")
+    from slamhive.evaluation.artefacts import run_task  # noqa: PLC0415 - evo takes a second to import
+    from slamhive.evaluation.references import References  # noqa: PLC0415
+
+    run_id = web.runs["bare"]
+    estimate = min((EUROC / "vio_stereo" / "MH_01").glob("*.txt"))
+    folder = web.hive.folder(run_id)
+    folder.trajectory.write_bytes(estimate.read_bytes())
+    protocol = Protocol(Alignment.SE3)
+    world.evaluate_run(web.hive, run_id)
+    output = folder.evaluation(protocol.fingerprint)
+    task = EvaluationTask(str(run_id), estimate, EUROC / "MH_01" / "groundtruth.txt", output, protocol)
+    result = run_task(task, References())
+    assert result.reason is None
+    content = web.client.get(f"/runs/{run_id}/figures.json").get_json()
+    assert f"{result.matched_poses:,} matched poses" in content["captions"]["error"]
+    series = web.hive.series(run_id)
+    assert series.error is not None
+    assert series.error.values.max() == pytest.approx(result.metrics["ate.max"], abs=1e-8)
+    assert series.aligned

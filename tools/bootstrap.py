@@ -1,0 +1,110 @@
+"""Makes ``.venv`` and installs SLAM Hive into it. Standard library only; needs Python >= 3.11.
+
+``bootstrap.py demo`` installs what running needs, ``bootstrap.py test`` the development and documentation tools
+too. An environment made from the same files is used again. ``PIP_*`` variables and pip's own configuration are
+honoured; nothing here names a package index.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import machine
+from steps import StepFailed, run_step, say
+
+ROOT = Path(__file__).resolve().parent.parent
+ENVIRONMENT = ROOT / ".venv"
+STAMP = ENVIRONMENT / ".slamhive-stamp.json"
+EXTRAS: dict[str, tuple[str, ...]] = {"demo": (), "test": ("dev", "docs")}
+SOURCES = ("pyproject.toml", "setup.py", "constraints.txt")
+
+
+def fingerprint() -> str:
+    """What an environment was made from: the sources of its packages, this Python, and where it lies."""
+    digest = hashlib.sha256(f"{sys.version_info[:2]} {ENVIRONMENT}".encode())
+    for name in SOURCES:
+        path = ROOT / name
+        digest.update(path.read_bytes() if path.is_file() else b"-")
+    return digest.hexdigest()
+
+
+def missing_extras(wanted: tuple[str, ...]) -> tuple[str, ...] | None:
+    """Which extras the present environment lacks; None if it has to be made anew."""
+    try:
+        stamp = json.loads(STAMP.read_text())
+        subprocess.run([ENVIRONMENT / "bin" / "python", "-c", ""], check=True, capture_output=True)
+    except (OSError, ValueError, subprocess.CalledProcessError):
+        return None
+    if stamp.get("fingerprint") != fingerprint():
+        return None
+    return tuple(extra for extra in wanted if extra not in stamp["extras"])
+
+
+def make_environment() -> None:
+    """Make an empty ``.venv``; nothing is left if that fails."""
+    if importlib.util.find_spec("ensurepip") is None:
+        machine.install_or_explain(
+            (f"python{sys.version_info.major}.{sys.version_info.minor}-venv",),
+            f"{sys.executable} cannot make virtual environments",
+        )
+    shutil.rmtree(ENVIRONMENT, ignore_errors=True)
+    try:
+        run_step("make the environment .venv", [sys.executable, "-m", "venv", ENVIRONMENT])
+    except (StepFailed, KeyboardInterrupt):
+        shutil.rmtree(ENVIRONMENT, ignore_errors=True)
+        raise
+
+
+def install(extras: tuple[str, ...]) -> None:
+    """Install the project, editable, in the versions of ``constraints.txt``."""
+    project = f"{ROOT}[{','.join(extras)}]" if extras else str(ROOT)
+    environment = {"PIP_DISABLE_PIP_VERSION_CHECK": "1", **os.environ}
+    environment.pop("PYTHONPATH", None)
+    label = f"install SLAM Hive{' and ' + ', '.join(extras) + ' tools' if extras else ''}"
+    python = ENVIRONMENT / "bin" / "python"
+    run_step(label, [python, "-m", "pip", "install", "-e", project, "-c", ROOT / "constraints.txt"], environment)
+
+
+def bootstrap(purpose: str) -> None:
+    """Bring ``.venv`` into the state that ``purpose`` needs; raises StepFailed."""
+    wanted = EXTRAS[purpose]
+    missing = missing_extras(wanted)
+    if missing == ():
+        say("environment .venv", "unchanged, used again")
+        return
+    say("Python", f"{sys.version.split()[0]} ({sys.executable})")
+    if missing is None:
+        make_environment()
+        extras = wanted
+    else:
+        extras = tuple({extra for known in EXTRAS.values() for extra in known})
+    STAMP.unlink(missing_ok=True)
+    install(tuple(sorted(extras)))
+    STAMP.write_text(json.dumps({"fingerprint": fingerprint(), "extras": sorted(extras)}) + "\n")
+
+
+def main(arguments: list[str]) -> int:
+    """Run from the Makefile."""
+    if len(arguments) != 1 or arguments[0] not in EXTRAS:
+        print(f"usage: bootstrap.py {'|'.join(EXTRAS)}", file=sys.stderr)
+        return 2
+    try:
+        bootstrap(arguments[0])
+    except StepFailed as error:
+        print(error, file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("\ninterrupted; run it again to go on", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,132 @@
+"""Writes what follows from the code: settings, command line, pre-processing steps, the JSON Schema of experiments.
+
+``generate_docs.py`` writes them, ``generate_docs.py --check`` fails if they are out of date.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import click
+
+from slamhive import cli
+from slamhive.bags.variants.rules import RegisteredSteps, describe_options, explain_step
+from slamhive.settings import describe
+from slamhive.sweep.experiment_file import experiment_schema
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+HELP_WIDTH = 100
+NOTE = "<!-- Written by tools/generate_docs.py; change the code, not this page. -->\n"
+
+SETTINGS_HEAD = """# Settings
+
+Values come from four places; a later one wins: the default, `configuration.py` in the project's root, the
+environment variable, the command-line option. `slamhive settings` shows each value in force and where it
+comes from.
+
+In `configuration.py` a setting has the name of the first column: `WORKER_SLOTS = 2`. A value of the wrong type or
+out of range, and a name that does not exist, stop every command with one line that says so.
+
+Passwords and keys belong into the environment, never into a file under version control.
+
+One variable is no setting: `SLAMHIVE_ROOT` names the project's folder (with `algorithms/`, `templates/` and
+`configuration.py`) where it is not the checkout that the program was started from, or that of the installed package.
+
+| setting | environment variable | default | unit | what it does |
+|---|---|---|---|---|
+"""
+
+STEPS_HEAD = """# Pre-processing steps
+
+What each step does, on which data, with which options. [Variants](variants.md) says how steps are used.
+"""
+OPTIONS_HEAD = "| option | type | allowed | unit | default | meaning |\n|---|---|---|---|---|---|\n"
+
+CLI_HEAD = """# Command line
+
+Every command has `--help`; those that list or show have `--json`. A mistake of the user ends with one line on
+standard error and exit code 1.
+"""
+
+
+def settings_page() -> str:
+    """``docs/settings.md``: every setting in one table."""
+    rows = (
+        f"| `{entry.name}` | `{entry.environment}` | {f'`{entry.default}`' if entry.default else 'empty'} "
+        f"| {entry.unit} | {_cell(entry.help)} |\n"
+        for entry in describe()
+    )
+    return NOTE + SETTINGS_HEAD + "".join(rows)
+
+
+def steps_page() -> str:
+    """``docs/variant-steps.md``: every pre-processing step with its options."""
+    sections = []
+    for kind in RegisteredSteps().kinds():
+        rows = (
+            f"| `{entry.name}` | {entry.type} | {_cell(entry.allowed)} | {entry.unit} "
+            f"| {'required' if entry.required else '' if entry.default is None else f'`{entry.default}`'} "
+            f"| {_cell(entry.help)} |\n"
+            for entry in describe_options(kind)
+        )
+        sections.append(f"\n## {kind}\n\n{explain_step(kind)}\n\n{OPTIONS_HEAD}{''.join(rows)}")
+    return NOTE + STEPS_HEAD + "".join(sections)
+
+
+def cli_page() -> str:
+    """``docs/cli.md``: the help text of every command."""
+    sections = (f"\n## {path}\n\n```text\n{text}\n```\n" for path, text in _commands(cli.main, "slamhive", None))
+    return NOTE + CLI_HEAD + "".join(sections)
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    "settings.md": settings_page,
+    "cli.md": cli_page,
+    "variant-steps.md": steps_page,
+    "schemas/experiment.schema.json": experiment_schema,
+}
+
+
+def out_of_date() -> list[str]:
+    """Names of the pages whose text on disk is not what the code says."""
+    return [
+        name
+        for name, page in PAGES.items()
+        if not (DOCS / name).is_file() or (DOCS / name).read_text(encoding="utf-8") != page()
+    ]
+
+
+def main(arguments: list[str]) -> int:
+    """Write, or with ``--check`` compare."""
+    stale = out_of_date()
+    if "--check" in arguments:
+        for name in stale:
+            print(f"docs/{name} is out of date; run: .venv/bin/python tools/generate_docs.py", file=sys.stderr)
+        return 1 if stale else 0
+    for name in stale:
+        (DOCS / name).parent.mkdir(exist_ok=True)
+        (DOCS / name).write_text(PAGES[name](), encoding="utf-8")
+        print(f"wrote docs/{name}")
+    return 0
+
+
+def _commands(command: click.Command, name: str, parent: click.Context | None) -> Iterator[tuple[str, str]]:
+    context = command.make_context(name, [], parent=parent, resilient_parsing=True)
+    context.terminal_width = HELP_WIDTH
+    yield context.command_path, command.get_help(context).rstrip()
+    if isinstance(command, click.Group):
+        for child_name in command.list_commands(context):
+            child = command.get_command(context, child_name)
+            if child is not None and not child.hidden:
+                yield from _commands(child, child_name, context)
+
+
+def _cell(text: str) -> str:
+    """Text that stays inside its table cell; ``<...>`` is not markup."""
+    return text.replace("|", "\\|").replace("<", "&lt;").replace(">", "&gt;")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,246 @@
+"""``make test``: everything this machine can test, fast things first; what did not run is named with its remedy.
+
+As root on Debian or Ubuntu it installs and starts what is missing (Docker engine, MariaDB, libraries), and stops
+what it started. Under ``CI=true`` nothing may be left out: a tier or a test that could not run is a failure.
+Standard library only; runs with the interpreter of ``.venv``.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import machine
+from steps import StepFailed
+
+ROOT = Path(__file__).resolve().parent.parent
+BIN = Path(sys.executable).parent
+UNIT_LIMIT_S = 15.0
+MAY_BE_ABSENT = "shared/data"
+"""A skipped test whose reason names this is fine everywhere: the recorded data is not part of the repository."""
+
+ORB_SLAM3_LIBRARIES = ("libgl1", "libegl1", "libopengl0", "libsm6", "libice6", "libx11-6", "libxext6")
+ENGINE_PACKAGES = ("docker.io", "iptables", "debootstrap")
+COMPOSE_PACKAGES = ("docker-compose-v2", "docker-compose-plugin", "docker-compose")
+CLIENT_PACKAGE = "docker-cli"
+DATABASE_PACKAGE = "mariadb-server-core"
+
+
+class CannotRun(Exception):
+    """A tier has to be left out; the message is the reason and how to enable it."""
+
+
+@dataclass
+class Outcome:
+    """What became of a tier. ``skipped`` holds the reasons of skipped tests."""
+
+    state: str = "passed"
+    note: str = ""
+    seconds: float = 0.0
+    passed: int = 0
+    failed: int = 0
+    skipped: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Tier:
+    """One tier: what must be there first, the commands, or the pytest marks that select its tests."""
+
+    name: str
+    commands: tuple[tuple[str, ...], ...] = ()
+    marks: str = ""
+    workers: int = 0
+    limit_s: float | None = None
+    prepare: Callable[[], str] = lambda: ""
+
+
+def main(names: Sequence[str]) -> int:
+    """Run all tiers, or the named ones; returns the exit code."""
+    engine = machine.Engine()
+    tiers = all_tiers(engine)
+    unknown = sorted(set(names) - {tier.name for tier in tiers})
+    if unknown:
+        print(f"unknown tier {unknown[0]!r}; known: {', '.join(tier.name for tier in tiers)}", file=sys.stderr)
+        return 2
+    chosen = [tier for tier in tiers if not names or tier.name in names]
+    started = time.monotonic()
+    outcomes: dict[str, Outcome] = {}
+    try:
+        for tier in chosen:
+            outcomes[tier.name] = run_tier(tier)
+    except KeyboardInterrupt:
+        print("\ninterrupted")
+    finally:
+        engine.stop()
+    for tier in chosen:
+        outcomes.setdefault(tier.name, Outcome("not run", "interrupted"))
+    return report(outcomes, time.monotonic() - started, strict=os.environ.get("CI", "") in {"true", "1"})
+
+
+def all_tiers(engine: machine.Engine) -> list[Tier]:
+    """Every tier, fast ones first."""
+    with_site = (str(BIN / "mkdocs"), "build", "--strict", "--quiet", "--site-dir", str(ROOT / "site"))
+    return [
+        Tier("lint", ((str(BIN / "ruff"), "check", "."), (str(BIN / "ruff"), "format", "--check", "."))),
+        Tier("types", ((str(BIN / "mypy"),),)),
+        Tier("imports", ((str(BIN / "lint-imports"),),)),
+        Tier("unit", marks="not integration and not docker and not mysql", workers=2, limit_s=UNIT_LIMIT_S),
+        Tier("docs", (with_site,)),
+        Tier("mysql", marks="mysql and not docker", prepare=prepare_database),
+        Tier("integration", marks="integration and not docker and not mysql", prepare=prepare_libraries),
+        Tier("docker", marks="docker", prepare=lambda: prepare_database() + prepare_engine(engine)),
+    ]
+
+
+def run_tier(tier: Tier) -> Outcome:
+    """Prepare and run one tier."""
+    print(f"\n=== {tier.name} ".ljust(100, "="), flush=True)
+    try:
+        note = tier.prepare()
+    except (CannotRun, StepFailed) as reason:
+        print(reason)
+        return Outcome("not run", str(reason).splitlines()[0])
+    started = time.monotonic()
+    outcome = run_pytest(tier) if tier.marks else run_commands(tier)
+    outcome.seconds = time.monotonic() - started
+    outcome.note = outcome.note or note
+    if tier.limit_s is not None and outcome.seconds > tier.limit_s and outcome.state == "passed":
+        outcome.state = "failed"
+        outcome.note = f"took {outcome.seconds:.1f} s, must stay under {tier.limit_s:g} s"
+    return outcome
+
+
+def run_commands(tier: Tier) -> Outcome:
+    """Run the commands of a tier, all of them even if one fails."""
+    outcome = Outcome()
+    for command in tier.commands:
+        environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+        if subprocess.run(command, cwd=ROOT, check=False, env=environment).returncode != 0:
+            outcome.state = "failed"
+            outcome.note = outcome.note or f"{Path(command[0]).name} found problems, see above"
+    return outcome
+
+
+def run_pytest(tier: Tier) -> Outcome:
+    """Run the tests that carry the marks of a tier and read pytest's own report."""
+    with tempfile.TemporaryDirectory() as folder:
+        report_path = Path(folder) / "report.xml"
+        command = [sys.executable, "-m", "pytest", "-q", "-m", tier.marks, f"--junitxml={report_path}"]
+        if tier.workers > 1 and (os.cpu_count() or 1) > 1:
+            command += ["-n", str(tier.workers)]
+        code = subprocess.run(command, cwd=ROOT, check=False).returncode
+        outcome = read_report(report_path)
+    if code != 0:
+        outcome.state = "failed"
+        outcome.note = "no test carries its marks" if code == 5 else f"pytest ended with {code}, see above"
+    return outcome
+
+
+def read_report(path: Path) -> Outcome:
+    """Counts and skip reasons out of a JUnit report; a missing report is a failure."""
+    if not path.is_file():
+        return Outcome("failed", "pytest left no report")
+    outcome = Outcome()
+    for case in ET.parse(path).getroot().iter("testcase"):  # noqa: S314 - our own pytest wrote it
+        skipped = case.find("skipped")
+        if skipped is not None:
+            outcome.skipped.append(skipped.get("message", "") or "no reason given")
+        elif case.find("failure") is not None or case.find("error") is not None:
+            outcome.failed += 1
+        else:
+            outcome.passed += 1
+    return outcome
+
+
+def prepare_database() -> str:
+    """A MariaDB or MySQL server binary; the tests start a private server themselves."""
+    found = next((shutil.which(name, path=_server_path()) for name in ("mariadbd", "mysqld")), None)
+    if found is None:
+        if not machine.can_install():
+            command = machine.install_command((DATABASE_PACKAGE,))
+            raise CannotRun(f"no MariaDB or MySQL server here; enable: {command}")
+        machine.install((DATABASE_PACKAGE,))
+    return ""
+
+
+def prepare_libraries() -> str:
+    """The shared libraries that ORB-SLAM3 loads outside containers, and a compose that checks the deployment."""
+    missing = machine.absent(ORB_SLAM3_LIBRARIES) if shutil.which("dpkg-query") else ()
+    wanted = list(missing)
+    if not machine.has_compose():
+        compose = machine.available(*COMPOSE_PACKAGES) if machine.can_install() else COMPOSE_PACKAGES[0]
+        wanted += [name for name in (compose,) if name]
+    if not wanted:
+        return ""
+    if machine.can_install():
+        machine.install(wanted)
+        return ""
+    return f"parts are skipped; enable: {machine.install_command(wanted)}"
+
+
+def prepare_engine(engine: machine.Engine) -> str:
+    """A Docker engine that answers, and debootstrap for images where no registry answers."""
+    wanted = machine.absent(("debootstrap",)) if machine.can_install() else ()
+    if machine.engine_answers():
+        if wanted:
+            machine.install(wanted)
+        return ""
+    if not machine.can_install():
+        command = machine.install_command(ENGINE_PACKAGES)
+        raise CannotRun(f"no Docker engine answers; enable: {command}, then: sudo usermod -aG docker $USER")
+    if shutil.which("dockerd", path=_server_path()) is None:
+        client = (CLIENT_PACKAGE,) if machine.available(CLIENT_PACKAGE) else ()
+        machine.install((*ENGINE_PACKAGES, *client))
+    elif wanted:
+        machine.install(wanted)
+    if not machine.engine_answers():
+        engine.start()
+    return ""
+
+
+def report(outcomes: dict[str, Outcome], seconds: float, *, strict: bool) -> int:
+    """Print the table and the last line; returns the exit code."""
+    print("\n" + "=" * 100)
+    bad = 0
+    for name, outcome in outcomes.items():
+        left_out = [reason for reason in outcome.skipped if MAY_BE_ABSENT not in reason]
+        if strict and outcome.state == "passed" and left_out:
+            outcome.state, outcome.note = "failed", f"{len(left_out)} tests were skipped, CI=true allows none"
+        bad += outcome.state == "failed" or (strict and outcome.state == "not run")
+        counts = f"{outcome.passed} passed" if outcome.passed or outcome.skipped or outcome.failed else ""
+        counts += f", {outcome.failed} failed" if outcome.failed else ""
+        counts += f", {len(outcome.skipped)} skipped" if outcome.skipped else ""
+        print(f"{name:<12} {outcome.state:<8} {outcome.seconds:7.1f} s   {counts:<28} {outcome.note}".rstrip())
+        for reason in sorted(set(outcome.skipped)):
+            print(f"{'':<12} skipped {outcome.skipped.count(reason)}: {reason}")
+    if strict and bad:
+        print("CI=true: what did not run counts as failed")
+    _last_line(outcomes, bad, seconds)
+    return 1 if bad else 0
+
+
+def _last_line(outcomes: dict[str, Outcome], bad: int, seconds: float) -> None:
+    passed = sum(outcome.passed for outcome in outcomes.values())
+    failed = sum(outcome.failed for outcome in outcomes.values())
+    skipped = sum(len(outcome.skipped) for outcome in outcomes.values())
+    not_run = [name for name, outcome in outcomes.items() if outcome.state == "not run"]
+    verdict = f"{bad} of {len(outcomes)} tiers FAILED" if bad else "all tiers that ran passed"
+    verdict += f" ({', '.join(not_run)} did not run)" if not_run else ""
+    print(verdict)
+    print(f"{passed} passed, {failed} failed, {skipped} skipped in {seconds:.1f}s")
+
+
+def _server_path() -> str:
+    return f"{os.environ.get('PATH', '')}:/usr/local/sbin:/usr/sbin:/sbin"
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
