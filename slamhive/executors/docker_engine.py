@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -12,6 +14,7 @@ import docker
 import docker.errors
 import requests
 import urllib3
+from docker.constants import DEFAULT_UNIX_SOCKET
 
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import EngineUnavailable
@@ -24,6 +27,7 @@ EVALUATION_KEY = "evaluation-"
 """Keys that begin with this belong to evaluations, not to runs."""
 
 _TIMEOUT_S = 60
+_SOCKET_TIMEOUT_S = 5
 _NAME_LIMIT = 63
 _SERVER_ERROR = 500
 
@@ -59,6 +63,7 @@ def engine_errors(doing: str, failure: type[SlamHiveError]) -> Iterator[None]:
 
 def connect() -> docker.DockerClient:
     """A client of the engine that the environment names (``DOCKER_HOST``). Raises EngineUnavailable."""
+    _check_socket()
     with engine_errors("connecting to Docker", EngineUnavailable):
         return docker.from_env(timeout=_TIMEOUT_S)
 
@@ -71,6 +76,20 @@ def container_name(key: str) -> str:
         return name
     digest = hashlib.sha256(key.encode()).hexdigest()[:12]
     return f"{name[: _NAME_LIMIT - 13]}-{digest}"
+
+
+def _check_socket() -> None:
+    """Refuse a Unix socket where nobody listens: the SDK would leave its own socket open when it fails there."""
+    address = os.environ.get("DOCKER_HOST") or DEFAULT_UNIX_SOCKET
+    scheme, _, path = address.partition("://")
+    if scheme not in {"unix", "http+unix"}:
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(_SOCKET_TIMEOUT_S)
+        try:
+            probe.connect(path)
+        except OSError as error:
+            raise _no_answer("connecting to Docker", error) from None
 
 
 def _no_answer(doing: str, error: Exception) -> EngineUnavailable:

@@ -13,7 +13,7 @@ from slamhive.executors.base import EngineUnavailable, ImageMissing, Limits, Mou
 from slamhive.executors.capped_log import CappedLog, assemble
 from slamhive.executors.docker import container_options
 from slamhive.executors.docker_build import follow_build
-from slamhive.executors.docker_engine import container_name, engine_errors
+from slamhive.executors.docker_engine import connect, container_name, engine_errors
 from slamhive.executors.docker_stats import parse_stats
 from slamhive.executors.environment import Environments
 from slamhive.executors.registry import ExecutorContext, choose_executor, installation_id, open_executor
@@ -117,6 +117,12 @@ def test_failed_build_names_step_and_last_lines():
     with pytest.raises(ImageMissing, match=r"Step 2/2 : RUN false: something \| went wrong \| The command"):
         follow_build(events, "demo", lines.append)
     assert lines[0] == "demo: Step 1/2 : FROM base"
+
+
+def test_an_absent_engine_is_refused_without_a_socket_left_open(monkeypatch, tmp_path):
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/docker.sock")
+    with pytest.raises(EngineUnavailable, match="no Docker engine answers"):
+        connect()  # an open socket would be a ResourceWarning, which fails the test
 
 
 def test_connection_errors_mean_engine_unavailable():
