@@ -3,7 +3,7 @@
 A step is a frozen pydantic model: its fields are its options. It says which sensors it can be used on, how their
 calibration changes, and what happens to the messages of one topic (:class:`Operation`). Steps are applied in order;
 each sees what the ones before it have left. To add one, subclass :class:`Step` (or :class:`SeededStep`) in a file of
-its own and register the class in ``steps.py``, or announce it from a package of yours in the entry-point group
+its own and register the class in ``steps/__init__.py``, or announce it from a package of yours in the entry-point group
 ``slamhive.variant_steps``.
 """
 

@@ -7,8 +7,6 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from slamhive.bags.variants.rate import Rate
-from slamhive.bags.variants.resolution import Resolution
 from slamhive.bags.variants.step import Step
 from slamhive.bags.variants.steps.defocus_blur import DefocusBlur
 from slamhive.bags.variants.steps.depth_range import DepthRange
@@ -26,6 +24,8 @@ from slamhive.bags.variants.steps.point_beams import PointBeams
 from slamhive.bags.variants.steps.point_range import PointRange
 from slamhive.bags.variants.steps.point_stride import PointStride
 from slamhive.bags.variants.steps.range_noise import RangeNoise
+from slamhive.bags.variants.steps.rate import Rate
+from slamhive.bags.variants.steps.resolution import Resolution
 from slamhive.bags.variants.steps.shot_noise import ShotNoise
 from slamhive.bags.variants.steps.stamp_jitter import StampJitter
 from slamhive.bags.variants.steps.time_offset import TimeOffset
