@@ -46,6 +46,18 @@ class FailureReason(StrEnum):
     EMPTY_TRAJECTORY = "empty_trajectory"
     MALFORMED_TRAJECTORY = "malformed_trajectory"
     LOST = "lost"
+    LOST_TRACKING = "lost_tracking"
+    MEMORY_BUDGET = "memory_budget"
+    TIME_BUDGET = "time_budget"
+    CONFIGURATION_FAILED = "configuration_failed"
+
+    @property
+    def blames_configuration(self) -> bool:
+        """The failure counts against the run's configuration: it was tried, and nothing took the run away."""
+        return self not in _NOT_THE_CONFIGURATION
+
+
+_NOT_THE_CONFIGURATION = frozenset({FailureReason.LOST, FailureReason.CONFIGURATION_FAILED})
 
 
 _ENDED = frozenset({RunState.SUCCEEDED, RunState.FAILED, RunState.CANCELLED})

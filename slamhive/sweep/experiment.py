@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Alignment
+from slamhive.domain.stop_when import StopWhen
 from slamhive.sweep.condition import Condition
 
 
@@ -87,20 +88,6 @@ class Where:
     condition: Condition
     text: str
     place: Place
-
-
-@dataclass(frozen=True, slots=True)
-class StopWhen:
-    """When a run ends early; None never ends one.
-
-    ``lost_tracking_s``: no pose for this long. ``memory_mb``, ``time_s``: budgets of a run.
-    ``failures_of_configuration``: further runs of a configuration are skipped after so many failures.
-    """
-
-    lost_tracking_s: float | None = None
-    memory_mb: int | None = None
-    time_s: float | None = None
-    failures_of_configuration: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

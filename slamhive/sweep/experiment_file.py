@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from slamhive import strict_yaml
 from slamhive.catalogue.validation import first_problem_at
+from slamhive.domain.stop_when import StopWhen
 from slamhive.errors import InvalidInput
 from slamhive.sweep.condition import parse_condition
 from slamhive.sweep.experiment import (
@@ -24,7 +25,6 @@ from slamhive.sweep.experiment import (
     PlaybackAxes,
     StepDeclaration,
     StepOption,
-    StopWhen,
     Where,
 )
 from slamhive.sweep.experiment_model import EvaluateModel, ExperimentModel, StepModel
