@@ -77,6 +77,7 @@ class _PackageModel(BaseModel):
     system_packages: list[str] = Field(default_factory=list)
     system_libraries: list[str] = Field(default_factory=list)
     resources: _ResourcesModel = Field(default_factory=_ResourcesModel)
+    reports_tracking: bool = False
     modes: dict[str, _ModeModel] = Field(min_length=1)
     parameters: dict[str, _ParameterModel] = Field(default_factory=dict)
 
@@ -111,6 +112,7 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         system_libraries=tuple(model.system_libraries),
         cpu_cores=model.resources.cpu_cores,
         memory_mb=model.resources.memory_mb,
+        reports_tracking=model.reports_tracking,
     )
     algorithms = tuple(_algorithm(path, package, name, mode, model) for name, mode in model.modes.items())
     names = [algorithm.name for algorithm in algorithms]

@@ -21,7 +21,10 @@ class Input:
 
 @dataclass(frozen=True, slots=True)
 class AlgorithmPackage:
-    """One folder below ``algorithms/``: code, image and provenance shared by all modes of an upstream project."""
+    """One folder below ``algorithms/``: code, image and provenance shared by all modes of an upstream project.
+
+    ``reports_tracking``: while it runs it says for how long it has found no pose (``progress.json``).
+    """
 
     name: str
     folder: Path
@@ -34,6 +37,7 @@ class AlgorithmPackage:
     system_libraries: tuple[str, ...] = ()
     cpu_cores: float = 2.0
     memory_mb: int = 4096
+    reports_tracking: bool = False
 
     @property
     def image(self) -> str:

@@ -31,8 +31,11 @@ _PROGRESS_LINE_EVERY_S = 1.0
 class Algorithm(Protocol):
     """What a ``mapping.py`` provides."""
 
-    def process(self, frame: Frame) -> None:
-        """Take one frame; called in the order of the recording."""
+    def process(self, frame: Frame) -> bool | None:
+        """Take one frame; called in the order of the recording.
+
+        Returns whether its pose was found, None where the algorithm does not say.
+        """
 
     def finish(self) -> Poses:
         """The recording is over: the trajectory."""
@@ -74,10 +77,10 @@ def _process_all(algorithm: Algorithm, player: Player, result: Path) -> list[Fra
     processed: list[FrameTimes] = []
     progress = _Progress(result / "progress.json", player.frames_total)
     for frame in player.frames():
-        algorithm.process(frame)
+        tracked = algorithm.process(frame)
         done_s = time.monotonic() - player.start_s
         processed.append(FrameTimes(frame.number, frame.stamp_s, frame.received_s, done_s))
-        progress.update(frame, player.dropped)
+        progress.update(frame, player.dropped, tracked)
     progress.end(len(processed))
     return processed
 
@@ -89,9 +92,12 @@ class _Progress:
         self._path = path
         self._total = total
         self._file_at_s = self._line_at_s = time.monotonic()
+        self._tracked_at_s: float | None = None
+        self._untracked_s: float | None = None
         self._write(0.0, 0)
 
-    def update(self, frame: Frame, dropped: int) -> None:
+    def update(self, frame: Frame, dropped: int, tracked: bool | None) -> None:
+        self._note(frame.stamp_s, tracked)
         now_s = time.monotonic()
         if now_s - self._file_at_s >= _PROGRESS_FILE_EVERY_S:
             self._file_at_s = now_s
@@ -103,10 +109,19 @@ class _Progress:
     def end(self, frames: int) -> None:
         self._write(1.0, frames)
 
+    def _note(self, stamp_s: float, tracked: bool | None) -> None:
+        """Time without a pose, in s of the recording; before the first pose it counts from the first frame."""
+        if tracked is None:
+            return
+        if tracked or self._tracked_at_s is None:
+            self._tracked_at_s = stamp_s
+        self._untracked_s = round(max(0.0, stamp_s - self._tracked_at_s), 4)
+
     def _write(self, fraction: float, frames: int) -> None:
         """Renamed into place, but not flushed to the disk: the figure is out of date in half a second anyway."""
         aside = self._path.with_name(f".{self._path.name}")
-        aside.write_text(_json({"fraction": round(min(fraction, 1.0), 4), "frames": frames}), encoding="ascii")
+        content = {"fraction": round(min(fraction, 1.0), 4), "frames": frames, "untracked_s": self._untracked_s}
+        aside.write_text(_json(content), encoding="ascii")
         os.replace(aside, self._path)  # noqa: PTH105
 
 

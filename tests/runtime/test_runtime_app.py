@@ -26,6 +26,7 @@ class Counter:
         self.stamps = []
     def process(self, frame):
         self.stamps.append(frame.stamp_s)
+        return {tracked}
     def finish(self):
         kept = self.stamps if {keep} else []
         return Poses(np.array(kept), np.tile(np.eye(4), (len(kept), 1, 1)))
@@ -36,14 +37,16 @@ sys.exit(run(Counter))
 """
 
 
-def start(tmp_path: Path, keep: bool = True, topic: str = "/cam0") -> subprocess.CompletedProcess[str]:
+def start(
+    tmp_path: Path, keep: bool = True, topic: str = "/cam0", tracked: str = "None"
+) -> subprocess.CompletedProcess[str]:
     dataset, result = tmp_path / "dataset", tmp_path / "result"
     dataset.mkdir()
     result.mkdir()
     write_bag(dataset / "small.bag", 10)
     config = RunConfig("a", "d", algorithm_remap={"left": "/left"}, dataset_remap={"/left": topic})
     (tmp_path / "config.yaml").write_text(to_yaml(config))
-    (tmp_path / "mapping.py").write_text(SCRIPT.format(keep=keep))
+    (tmp_path / "mapping.py").write_text(SCRIPT.format(keep=keep, tracked=tracked))
     places = {
         "SLAMHIVE_CONFIG": str(tmp_path / "config.yaml"),
         "SLAMHIVE_DATASET": str(dataset),
@@ -63,7 +66,7 @@ def test_a_run_leaves_everything_the_contract_names(tmp_path: Path) -> None:
     names = {"about.json", "finished", "frames.csv", "playback.json", "progress.json", "traj.txt"}
     assert {path.name for path in result.iterdir()} == names
     assert len((result / "traj.txt").read_text().splitlines()) == 11
-    assert json.loads((result / "progress.json").read_text()) == {"fraction": 1.0, "frames": 10}
+    assert json.loads((result / "progress.json").read_text()) == {"fraction": 1.0, "frames": 10, "untracked_s": None}
     assert json.loads((result / "playback.json").read_text())["frames_total"] == 10
     newest = max(result.iterdir(), key=lambda path: path.stat().st_mtime_ns)
     assert newest.name == "finished"
@@ -76,3 +79,11 @@ def test_a_failure_is_one_line_and_never_finished(tmp_path: Path, keep: bool, to
     assert len(ended.stderr.splitlines()) == 1
     assert words in ended.stderr
     assert not (tmp_path / "result" / "finished").exists()
+
+
+@pytest.mark.parametrize(("tracked", "last"), [("frame.number < 4", 6), ("False", 9), ("frame.number != 5", 0)])
+def test_time_without_a_pose_is_told_in_seconds_of_the_recording(tmp_path: Path, tracked: str, last: int) -> None:
+    start(tmp_path, tracked=tracked)
+    stamps_s = [float(line.split()[0]) for line in (tmp_path / "result" / "traj.txt").read_text().splitlines()[1:]]
+    told = json.loads((tmp_path / "result" / "progress.json").read_text())
+    assert told["untracked_s"] == pytest.approx(stamps_s[-1] - stamps_s[-1 - last], abs=1e-3)

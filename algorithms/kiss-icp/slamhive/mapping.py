@@ -34,11 +34,11 @@ class KissIcpOdometry:
         self._stamps_s: list[float] = []
         self._poses: list[np.ndarray] = []
 
-    def process(self, frame: Frame) -> None:
-        """Register the scan."""
+    def process(self, frame: Frame) -> bool:
+        """Register the scan; an empty one has no pose."""
         cloud = frame.points("points")
         if len(cloud.points_m) == 0:
-            return
+            return False
         normalised = np.empty(0)
         if self._time_field:
             offsets_s = cloud.offsets_s(str(self._time_field), self._time_unit)
@@ -46,6 +46,7 @@ class KissIcpOdometry:
         self._odometry.register_frame(cloud.points_m, np.clip(normalised, 0.0, 1.0))
         self._stamps_s.append(self._pose_stamp_s(frame.stamp_s))
         self._poses.append(self._odometry.last_pose.copy())
+        return True
 
     def finish(self) -> Poses:
         """One pose for each scan."""

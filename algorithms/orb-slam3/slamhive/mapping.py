@@ -59,14 +59,16 @@ class OrbSlam3:
         self._stamps_s: list[float] = []
         self._tracked = False
 
-    def process(self, frame: Frame) -> None:
+    def process(self, frame: Frame) -> bool:
         """Track one frame with the IMU samples up to its stamp; later ones are kept for the next."""
         samples = np.concatenate([self._imu, frame.imu])
         due = samples[:, 0] <= frame.stamp_s
         self._imu = samples[~due]
         result = self._track(frame, samples[due] if "imu" in self._roles else None)
         self._stamps_s.append(frame.stamp_s)
-        self._tracked = self._tracked or bool(result.pose_valid)
+        tracked = bool(result.pose_valid)
+        self._tracked = self._tracked or tracked
+        return tracked
 
     def finish(self) -> Poses:
         """Stop all threads, then take the final trajectory. Saving when nothing was tracked would crash."""

@@ -51,14 +51,14 @@ class RkoLioOdometry:
         self._lio = LIO(LIOConfig(**{key: values[key] for key in SETTINGS}))
         self._refused = 0
 
-    def process(self, frame: Frame) -> None:
-        """Register the scan with the IMU samples that lead to its end."""
+    def process(self, frame: Frame) -> bool:
+        """Register the scan with the IMU samples that lead to its end; one that is empty or refused has no pose."""
         identity = np.eye(4)
         for row in frame.imu:
             self._lio.add_imu_measurement(row[4:7], row[1:4], round(row[0] * 1e9), identity)
         cloud = frame.points("points")
         if len(cloud.points_m) == 0:
-            return
+            return False
         offsets_s = cloud.offsets_s(self._time_field, self._time_unit)
         offsets_s -= offsets_s.min()
         start_s = frame.stamp_s - {"start": 0.0, "middle": 0.5, "end": 1.0}[self._stamp] * self._duration_s
@@ -70,6 +70,8 @@ class RkoLioOdometry:
         except InputError as error:
             self._refused += 1
             print(f"scan {frame.number} refused: {error}", flush=True)
+            return False
+        return True
 
     def finish(self) -> Poses:
         """One pose of the IMU for each registered scan."""
