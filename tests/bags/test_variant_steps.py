@@ -26,6 +26,7 @@ RINGED = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4"), ("rin
 EXAMPLES: dict[str, tuple[Sensor, dict[str, object]]] = {
     "rate": (CAMERA, {"every": 2}),
     "resolution": (CAMERA, {"scale": 0.5}),
+    "calibration": (CAMERA, {"fx": 40.0}),
     "point_range": (LIDAR, {"minimum_m": 1.0, "maximum_m": 20.0}),
     "point_stride": (LIDAR, {"every": 3}),
     "point_beams": (LIDAR, {"every": 2}),
@@ -125,7 +126,8 @@ def test_a_step_changes_something_and_knows_its_sensors(kind):
     kept, moved, data = outcome(kind)
     untouched = sample_of(sensor).tobytes()
     period_ns = int(1e9 / sensor.rate_hz)
-    assert not all(kept) or moved != [10**9 + i * period_ns for i in range(200)] or any(d != untouched for d in data)
+    changed = not all(kept) or moved != [10**9 + i * period_ns for i in range(200)] or any(d != untouched for d in data)
+    assert changed or step.calibrate(sensor) != sensor
 
 
 @pytest.mark.parametrize("kind", sorted(EXAMPLES))
@@ -375,7 +377,7 @@ def test_no_stamp_before_zero():
 
 def test_a_fault_is_not_announced():
     for kind, (sensor, options) in EXAMPLES.items():
-        if kind not in {"rate", "resolution", "point_range", "point_beams"}:
+        if kind not in {"rate", "resolution", "calibration", "point_range", "point_beams"}:
             assert make_step(kind, options).calibrate(sensor) == sensor
 
 

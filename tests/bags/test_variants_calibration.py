@@ -7,10 +7,26 @@ import numpy as np
 import pytest
 
 from slamhive.bags.variants.calibration import pixel_map, scale_camera_info, scale_sensor
-from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.bags.variants.rules import RegisteredSteps
+from slamhive.catalogue.run_config import build_run_config
+from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input
+from slamhive.domain.configuration import Configuration
+from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
 from slamhive.domain.variant import VariantStep
 from slamhive.errors import InvalidInput
-from tests.bags.variant_bags import SIZE, START_NS, build, camera, dataset, image, info, on_topic, pixels_of, write_bag
+from tests.bags.variant_bags import (
+    SIZE,
+    START_NS,
+    build,
+    camera,
+    dataset,
+    image,
+    info,
+    on_topic,
+    pixels_of,
+    stereo,
+    write_bag,
+)
 
 SIZES = [(32, 24), (44, 33), (16, 12), (51, 38), (12, 9)]
 
@@ -111,3 +127,78 @@ def test_depth_takes_the_nearest_pixel_and_goes_with_its_camera(tmp_path):
     assert set(entry.message.data.view(np.uint16).tolist()) == {1000, 5000}
     with pytest.raises(InvalidInput, match="give both the same resolution"):
         build(source, tmp_path / "w", VariantStep("resolution", ("depth0",), {"scale": 0.5}))
+
+
+STATED = {"fx": 26.0, "fy": 24.5, "cx": 15.0, "cy": 11.25}
+HALF_AND_STATED = (
+    VariantStep("resolution", ("cam0",), {"scale": 0.5}),
+    VariantStep("calibration", ("cam0",), STATED),
+)
+
+
+def stereo_dataset(folder):
+    write_bag(folder / "d.bag", stereo(frames=2))
+    return dataset(folder)
+
+
+def test_stated_intrinsics_override_those_that_follow_from_the_resize(tmp_path):
+    made = build(stereo_dataset(tmp_path), tmp_path / "v", *HALF_AND_STATED)
+    c: Any = made.sensor("cam0").calibration
+    assert {key: c[key] for key in STATED} == STATED
+    assert (c["width"], c["height"]) == (SIZE[0] // 2, SIZE[1] // 2)
+    for entry in on_topic(made.bag_path, "/cam0/camera_info"):
+        content = entry.message
+        assert (content.width, content.height) == (c["width"], c["height"])
+        np.testing.assert_allclose(content.K, [26.0, 0, 15.0, 0, 24.5, 11.25, 0, 0, 1], atol=1e-12)
+        assert -content.P[3] / content.P[0] == pytest.approx(5.5 / 50.0), "the baseline stays"
+    assert made.sensor("cam1") == camera("cam1")
+
+
+def test_the_settings_of_the_algorithm_get_the_stated_intrinsics(tmp_path):
+    source = stereo_dataset(tmp_path)
+    made = build(source, tmp_path / "v", *HALF_AND_STATED)
+    package = AlgorithmPackage("p", tmp_path, "p", "1", "", "", "")
+    inputs = (Input("left", SensorKind.CAMERA), Input("right", SensorKind.CAMERA))
+    algorithm = Algorithm("a", package, "m", "a", SensorSetup.STEREO, inputs, "left", ())
+    configuration = Configuration("a", "d", {}, variant=HALF_AND_STATED)
+    settings = build_run_config(algorithm, made, configuration, 1, 0, source).dataset_parameters
+    assert {key: settings[f"left_{key}"] for key in STATED} == STATED
+    assert settings["left_width"] == SIZE[0] // 2
+    assert settings["right_fx"] == 50.0
+
+
+def test_without_a_resize_the_images_are_copied_and_only_the_calibration_changes(tmp_path):
+    source = stereo_dataset(tmp_path)
+    made = build(source, tmp_path / "v", VariantStep("calibration", ("cam0",), {"fx": 40.0}))
+    before, after = (on_topic(path, "/cam0/image_raw") for path in (source.bag_path, made.bag_path))
+    assert [entry.raw for entry in before] == [entry.raw for entry in after]
+    (first, _) = on_topic(made.bag_path, "/cam0/camera_info")
+    np.testing.assert_allclose(first.message.K, [40.0, 0, 31.25, 0, 51.0, 22.5, 0, 0, 1], atol=1e-12)
+    assert [e.raw for e in on_topic(made.bag_path, "/cam1/camera_info")] == [
+        e.raw for e in on_topic(source.bag_path, "/cam1/camera_info")
+    ]
+
+
+def test_two_resizes_in_a_row_leave_camera_info_to_the_resize_alone(tmp_path):
+    """What is equal but for rounding is not stated by hand: the bytes stay those of the resize."""
+    half = VariantStep("resolution", ("cam0",), {"scale": 0.5})
+    made = build(stereo_dataset(tmp_path), tmp_path / "v", half, half)
+    expected = scale_camera_info(info(camera(), START_NS), (16, 12), "/cam0/camera_info")
+    (first, _) = on_topic(made.bag_path, "/cam0/camera_info")
+    np.testing.assert_array_equal(first.message.K, expected.K)
+
+
+def test_a_calibration_that_states_nothing_or_nothing_new():
+    rules = RegisteredSteps()
+    assert rules.resolve("calibration", {"fx": 50.0, "cy": 22.5}, camera()) == (None, camera())
+    for options, words in (
+        ({}, "give at least one of fx, fy, cx, cy"),
+        ({"fx": 0.0}, "greater than 0"),
+        ({"cx": "middle"}, "must be a number"),
+        ({"fz": 1.0}, "unknown key 'fz'"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            rules.resolve("calibration", options, camera())
+    lidar = Sensor("l", SensorKind.LIDAR, "/l", 10.0)
+    with pytest.raises(InvalidInput, match="cannot be used on l"):
+        rules.resolve("calibration", {"fx": 1.0}, lidar)

@@ -99,6 +99,19 @@ def test_general_names_are_documented_and_mean_the_same_everywhere():
     assert {name: uses for name, uses in meaning.items() if len(uses) > 1} == {}
 
 
+def test_stated_intrinsics_move_with_the_resolution(room):
+    expansion = expand(load_experiment(EXAMPLES / "room-stated-intrinsics.yaml"), room)
+    runs = list(expansion)
+    assert len(runs) == 6
+    stated = {}
+    for run in runs:
+        by_kind = {step.kind: step.options for step in run.configuration.variant}
+        scale = by_kind.get("resolution", {"scale": 1.0})["scale"]
+        stated[scale] = by_kind.get("calibration", {}).get("cx")
+        assert [step.kind for step in run.configuration.variant][-1:] != ["resolution"]
+    assert stated == {1.0: None, 0.5: 159.75, 0.25: 79.875}, "at full size the sensor's own values change nothing"
+
+
 def test_every_experiment_in_the_documentation_is_accepted(room):
     page = (ROOT / "docs" / "experiments.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)

@@ -1,4 +1,4 @@
-"""Intrinsics of an image that was resized.
+"""Intrinsics of an image that was resized, or whose calibration is stated by hand.
 
 Integer pixel coordinates are at pixel centres, so the image's left edge is at -0.5. An image of ``w`` pixels resized to
 ``w'`` maps the coordinate ``u`` to ``u' = (u + 0.5) s - 0.5`` with ``s = w'/w``, each axis with its own factor. Hence
@@ -16,6 +16,9 @@ import numpy as np
 from slamhive.bags.variants.step import Array
 from slamhive.domain.sensors import Sensor
 from slamhive.errors import InvalidInput
+
+_ROUNDING = 1e-9
+"""Several resizes in a row come out as one but for this."""
 
 
 def image_size(sensor: Sensor) -> tuple[int, int]:
@@ -35,7 +38,7 @@ def pixel_map(old_size: tuple[int, int], new_size: tuple[int, int]) -> Array:
 def scale_sensor(sensor: Sensor, new_size: tuple[int, int]) -> Sensor:
     """``sensor`` with images of ``new_size`` (width, height); keys other than size and intrinsics are kept."""
     calibration = sensor.calibration
-    fx, fy, cx, cy = (float(calibration[key]) for key in ("fx", "fy", "cx", "cy"))  # type: ignore[arg-type]
+    fx, fy, cx, cy = _intrinsics(sensor)
     A = pixel_map(image_size(sensor), new_size)
     scaled = {
         "width": new_size[0],
@@ -46,6 +49,33 @@ def scale_sensor(sensor: Sensor, new_size: tuple[int, int]) -> Sensor:
         "cy": float(A[1, 1] * cy + A[1, 2]),
     }
     return replace(sensor, calibration={**calibration, **scaled})
+
+
+def intrinsics_map(before: Sensor, after: Sensor) -> Array:
+    """The (3, 3) matrix that turns the camera matrix of ``before`` into that of ``after``, on its left side."""
+    old, new = _intrinsics(before), _intrinsics(after)
+    sx, sy = new[0] / old[0], new[1] / old[1]
+    return np.array([[sx, 0.0, new[2] - sx * old[2]], [0.0, sy, new[3] - sy * old[3]], [0.0, 0.0, 1.0]])
+
+
+def follow_sensor(info: Any, before: Sensor, after: Sensor, topic: str) -> Any:
+    """A ``sensor_msgs/CameraInfo`` of ``before`` as one of ``after``: resized, then with the intrinsics stated by hand.
+
+    K and P may differ from ``dataset.yaml`` (P describes rectified images): they keep their relation to it.
+    Raises InvalidInput as :func:`scale_camera_info`.
+    """
+    old_size, new_size = image_size(before), image_size(after)
+    if old_size != new_size:
+        info = scale_camera_info(info, new_size, topic)
+        before = scale_sensor(before, new_size)
+    if same_intrinsics(before, after):
+        return info
+    return _transformed(info, intrinsics_map(before, after))
+
+
+def same_intrinsics(before: Sensor, after: Sensor) -> bool:
+    """Whether focal lengths and principal point are equal but for rounding."""
+    return bool(np.allclose(_intrinsics(before), _intrinsics(after), rtol=_ROUNDING, atol=_ROUNDING))
 
 
 def scale_camera_info(info: Any, new_size: tuple[int, int], topic: str) -> Any:
@@ -60,9 +90,18 @@ def scale_camera_info(info: Any, new_size: tuple[int, int], topic: str) -> Any:
             "record full images, or drop the step",
         )
     A = pixel_map((info.width, info.height), new_size)
-    names = ("K", "P") if hasattr(info, "K") else ("k", "p")
-    K, P = (np.asarray(getattr(info, name)).reshape(3, -1) for name in names)
-    scaled = {names[0]: (A @ K).reshape(-1), names[1]: (A @ P).reshape(-1)}
     if roi.width or roi.height:
         roi = replace(roi, width=new_size[0], height=new_size[1])
-    return replace(info, width=new_size[0], height=new_size[1], roi=roi, **scaled)
+    return replace(_transformed(info, A), width=new_size[0], height=new_size[1], roi=roi)
+
+
+def _transformed(info: Any, A: Array) -> Any:
+    """``info`` with K and P multiplied by ``A`` from the left."""
+    names = ("K", "P") if hasattr(info, "K") else ("k", "p")
+    K, P = (np.asarray(getattr(info, name)).reshape(3, -1) for name in names)
+    return replace(info, **{names[0]: (A @ K).reshape(-1), names[1]: (A @ P).reshape(-1)})
+
+
+def _intrinsics(sensor: Sensor) -> tuple[float, float, float, float]:
+    fx, fy, cx, cy = (float(sensor.calibration[key]) for key in ("fx", "fy", "cx", "cy"))  # type: ignore[arg-type]
+    return fx, fy, cx, cy

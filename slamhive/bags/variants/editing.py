@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from slamhive.bags.variants.calibration import image_size, scale_camera_info
+from slamhive.bags.variants.calibration import follow_sensor, image_size, same_intrinsics
 from slamhive.bags.variants.payloads import CAMERA_INFO, CODECS, TYPES_BY_KIND, Edit
 from slamhive.bags.variants.step import Message
 from slamhive.bags.variants.streams import TopicStream, Treatment, camera_info_topic
@@ -83,8 +83,8 @@ def _payload_edit(topic: str, message_type: str, stream: TopicStream) -> Edit:
 
 
 def _info_edit(topic: str, before: Sensor, after: Sensor) -> Edit | None:
-    old_size, new_size = image_size(before), image_size(after)
-    if old_size == new_size:
+    old_size = image_size(before)
+    if old_size == image_size(after) and same_intrinsics(before, after):
         return None
 
     def edit(message: Any, index: int, _received_ns: int) -> Any:
@@ -94,6 +94,6 @@ def _info_edit(topic: str, before: Sensor, after: Sensor) -> Edit | None:
                 f"{old_size[0]}x{old_size[1]}",
                 "correct the size and intrinsics in dataset.yaml",
             )
-        return scale_camera_info(message, new_size, topic)
+        return follow_sensor(message, before, after, topic)
 
     return edit

@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from slamhive.bags.variants.step import Step
+from slamhive.bags.variants.steps.calibration import Calibration
 from slamhive.bags.variants.steps.defocus_blur import DefocusBlur
 from slamhive.bags.variants.steps.depth_range import DepthRange
 from slamhive.bags.variants.steps.drop_bursts import DropBursts
@@ -38,6 +39,7 @@ STEPS: Registry[type[Step]] = Registry("pre-processing step", "slamhive.variant_
 _SHIPPED: tuple[type[Step], ...] = (
     Rate,
     Resolution,
+    Calibration,
     DepthRange,
     PointBeams,
     PointRange,
