@@ -5,7 +5,7 @@ from __future__ import annotations
 from flask import Blueprint, render_template
 
 from slamhive.store.records import RunFilter, RunSort
-from slamhive.web.colours import algorithm_colours
+from slamhive.analysis.colours import algorithm_colours
 from slamhive.web.context import hive
 from slamhive.web.presenters.catalogue import dataset_choices
 

@@ -15,7 +15,7 @@ from slamhive.errors import InvalidInput, NotFound
 from slamhive.executors.registry import EXECUTORS
 from slamhive.services.downloads import list_downloads, open_download
 from slamhive.store.records import EvaluationRecord, EvaluationState
-from slamhive.web.colours import colour_of
+from slamhive.analysis.colours import colour_of
 from slamhive.web.columns import all_columns
 from slamhive.web.context import hive, now
 from slamhive.web.figures import best_plane, captions, figure_table, run_figures
