@@ -145,6 +145,7 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
     for key in [*keys, *model.defaults]:
         if key not in whole.parameters:
             raise InvalidInput(f"{path}: mode {mode} names parameter {key!r}, which is not defined")
+    _check_general_names(path, mode, {key: whole.parameters[key] for key in keys})
     name = model.name or (package.name if len(whole.modes) == 1 else f"{package.name}-{mode}")
     return Algorithm(
         name=check_name_in(path, "algorithm", name),
@@ -156,6 +157,22 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
         trajectory_role=model.trajectory_role,
         parameters=tuple(_parameter(path, key, whole.parameters[key], model.defaults) for key in keys),
     )
+
+
+def _check_general_names(path: Path, mode: str, parameters: dict[str, _ParameterModel]) -> None:
+    """A name leads to one parameter, whether it is a key or a general name."""
+    owners: dict[str, str] = {}
+    for key, model in parameters.items():
+        general = model.general
+        if general is None:
+            continue
+        other = owners.get(general) or (general if general in parameters and general != key else None)
+        if other is not None:
+            raise InvalidInput(
+                f"{path}: mode {mode}: the general name {general!r} of {key} is also that of {other}",
+                "give each parameter of a mode a name of its own",
+            )
+        owners[general] = key
 
 
 def _parameter(path: Path, key: str, model: _ParameterModel, defaults: dict[str, Any]) -> Parameter:

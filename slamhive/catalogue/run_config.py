@@ -8,6 +8,7 @@ from typing import Any
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.parameters import Value
 from slamhive.domain.sensors import Sensor
 from slamhive.domain.variant import Variant
 from slamhive.runtime.config import RunConfig
@@ -57,12 +58,21 @@ def build_run_config(
         },
         algorithm_attribute=algorithm.setup.value,
         dataset_attribute=", ".join(dataset.attributes) or None,
-        general_parameter={"save_map": 0},
+        general_parameter={"save_map": 0, **_general_parameters(algorithm, configuration)},
         run_id=run_id,
         seed=seed,
         playback_mode=configuration.playback.mode.value,
         playback_rate=configuration.playback.rate,
     )
+
+
+def _general_parameters(algorithm: Algorithm, configuration: Configuration) -> dict[str, Value]:
+    """What the configuration says of parameters that have a general name, under that name."""
+    return {
+        parameter.general: configuration.parameters[parameter.key]
+        for parameter in algorithm.parameters
+        if parameter.general is not None and parameter.key in configuration.parameters
+    }
 
 
 def _every(sensor: Sensor, source: Dataset | None) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeVar
@@ -33,6 +33,7 @@ _FALSE = {"0", "false", "no", "off"}
 _LARGEST_INT = 2**63 - 1
 _MAX_TEXT = 1024
 _SHOWN = 200
+_OUTDATED = "its definition in algorithm.yaml was edited; copy the configuration with a value that fits"
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,16 +156,58 @@ class Parameter:
                 raise self._refuse(raw)
 
 
+def find_parameter(parameters: Sequence[Parameter], name: str) -> Parameter | None:
+    """The parameter whose own key or general name is ``name``; the key wins."""
+    for parameter in parameters:
+        if parameter.key == name:
+            return parameter
+    return next((parameter for parameter in parameters if parameter.general == name), None)
+
+
 def parse_settings(owner: str, parameters: tuple[Parameter, ...], settings: Mapping[str, object]) -> dict[str, Value]:
     """All parameters of ``owner`` with their values: the defaults, overridden by ``settings``, in definition order.
 
-    Raises NotFound for an unknown key (with the nearest known one) and InvalidInput for a value that does not fit.
+    A setting is named by the parameter's own key or its general name. Raises NotFound for an unknown name (with the
+    nearest known one) and InvalidInput for a value that does not fit, or one parameter under both its names.
+    """
+    given: dict[str, tuple[str, object]] = {}
+    for name, value in settings.items():
+        parameter = find_parameter(parameters, name)
+        if parameter is None:
+            known = [entry.key for entry in parameters] + [entry.general for entry in parameters if entry.general]
+            raise lacks(owner, "parameter", name, known)
+        if parameter.key in given:
+            raise InvalidInput(f"{given[parameter.key][0]} and {name} both set {parameter.key} of {owner}", "give one")
+        given[parameter.key] = (name, value)
+    return {
+        parameter.key: parameter.parse(given[parameter.key][1]) if parameter.key in given else parameter.default
+        for parameter in parameters
+    }
+
+
+def check_stored(owner: str, parameters: Sequence[Parameter], values: Mapping[str, Value]) -> None:
+    """Raise InvalidInput if stored ``values`` are no complete and legal set for ``owner`` as it is defined now.
+
+    A definition may have been edited since the values were stored. They stay what they are: those that still fit are
+    used as stored (a new default changes nothing), the first that does not is named.
     """
     known = {parameter.key: parameter for parameter in parameters}
-    for key in settings:
+    for key, value in values.items():
         if key not in known:
-            raise lacks(owner, "parameter", key, list(known))
-    return {
-        key: parameter.parse(settings[key]) if key in settings else parameter.default
-        for key, parameter in known.items()
-    }
+            raise InvalidInput(f"{owner} has no parameter {key!r} any more, {key}={value!r} is stored", _OUTDATED)
+        _check_still_fits(owner, known[key], value)
+    for key in known:
+        if key not in values:
+            raise InvalidInput(f"{owner} has a new parameter {key!r}, for which no value is stored", _OUTDATED)
+
+
+def _check_still_fits(owner: str, parameter: Parameter, value: Value) -> None:
+    try:
+        fits = parameter.parse(value) == value and isinstance(value, bool) == (parameter.type is ParameterType.BOOL)
+    except InvalidInput:
+        fits = False
+    if not fits:
+        raise InvalidInput(
+            f"{parameter.key}={value!r} is stored, {owner} now wants {parameter.expectation}",
+            _OUTDATED,
+        )

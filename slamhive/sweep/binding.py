@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.parameters import Parameter, Scalar, Value
+from slamhive.domain.parameters import Parameter, Scalar, Value, find_parameter
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.domain.variant import StepRules, Variant, VariantStep
 from slamhive.errors import InvalidInput, SlamHiveError, unknown
-from slamhive.sweep.experiment import Axis, Experiment, Place, StepDeclaration
+from slamhive.strict_yaml import Place
+from slamhive.sweep.experiment import Axis, Experiment, StepDeclaration
 from slamhive.sweep.values import check_distinct, plain, typed
 from slamhive.sweep.variants import resolve_step
 from slamhive.sweep.view import CatalogueView
@@ -267,14 +268,6 @@ def _parameter_axes(experiment: Experiment, algorithm: Algorithm) -> list[tuple[
         taken[parameter.key] = axis
         bound.append((axis, parameter))
     return bound
-
-
-def find_parameter(parameters: Sequence[Parameter], name: str) -> Parameter | None:
-    """The parameter whose general name or key is ``name``; the key wins."""
-    for parameter in parameters:
-        if parameter.key == name:
-            return parameter
-    return next((parameter for parameter in parameters if parameter.general == name), None)
 
 
 def _groups(experiment: Experiment, axes: Mapping[str, BoundAxis]) -> Iterator[Group]:

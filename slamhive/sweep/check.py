@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from slamhive.domain.parameters import Value
+from slamhive.domain.parameters import Value, find_parameter
 from slamhive.errors import InvalidInput, SlamHiveError, unknown
-from slamhive.sweep.binding import PLAYBACK_MODE, PLAYBACK_RATE, Pair, Resolved, at, bind, find_parameter
+from slamhive.sweep.binding import PLAYBACK_MODE, PLAYBACK_RATE, Pair, Resolved, at, bind
 from slamhive.sweep.condition import compared_names
 from slamhive.sweep.experiment import Axis, Experiment
 from slamhive.sweep.view import CatalogueView

@@ -14,12 +14,11 @@ from slamhive.catalogue.validation import first_problem
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.parameters import Scalar, parse_settings
+from slamhive.domain.parameters import Scalar, find_parameter, parse_settings
 from slamhive.domain.variant import VariantStep
 from slamhive.errors import InvalidInput, SlamHiveError, unknown
 from slamhive.runtime import config as run_config
 from slamhive.runtime.config import RunConfig
-from slamhive.sweep.binding import find_parameter
 from slamhive.sweep.variants import resolve_variant
 from slamhive.sweep.view import CatalogueView
 

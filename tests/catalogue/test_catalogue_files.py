@@ -100,6 +100,7 @@ def test_an_algorithm_is_read_with_its_parameters(tmp_path):
         ("version: ", "version: 1.0 #", "version: must be text; put it in quotes (found 1.0)"),
         ("minimum: 0, maximum: 60", "minimum: 5, maximum: 1", "minimum 5 is larger than maximum 1"),
         ("unit: s", "unit: s, general: 'a b'", "general parameter name 'a b' is not allowed"),
+        ("unit: s", "unit: s, general: behaviour", "the general name 'behaviour' of seconds is also that of behaviour"),
         ("default: 0.3", "default: .inf", "parameters.seconds.default: inf is not a finite number"),
         ("type: float, default: 0.3", "type: int, default: .nan", "parameters.seconds.default: nan is not a finite"),
         ("parameters:\n", "parameters:\n  a/b: {type: bool, default: true, help: x}\n", "parameter name 'a/b'"),

@@ -12,7 +12,7 @@ from slamhive.catalogue.run_config import build_run_config
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.parameters import parse_settings
+from slamhive.domain.parameters import Parameter, ParameterType, parse_settings
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.domain.variant import VariantStep
 from slamhive.errors import InvalidInput
@@ -88,6 +88,20 @@ def test_it_survives_being_written_and_read() -> None:
     back = from_yaml(to_yaml(config))
     assert to_yaml(back) == to_yaml(config)
     assert back.parameters["points_stamp"] == "start"
+
+
+def test_general_names_stand_in_their_section_beside_the_own_keys() -> None:
+    entry = algorithm("kiss-icp")
+    saving = Parameter("store_the_map", ParameterType.BOOL, False, "", general="save_map")
+    entry = replace(entry, parameters=(*entry.parameters, saving))
+    sensor = Sensor("l", SensorKind.LIDAR, "/points", 10.0)
+    asked = replace(configuration(entry), parameters={**configuration(entry).parameters, "store_the_map": True})
+    config = build_run_config(entry, dataset(sensor), asked, run_id=1, seed=1)
+    assert config.general_parameter["voxel_size"] == config.algorithm_parameters["voxel_size"]
+    assert config.general_parameter["save_map"] is True
+    without = build_run_config(algorithm("kiss-icp"), dataset(sensor), configuration(algorithm("kiss-icp")), 1, 1)
+    assert without.general_parameter["save_map"] == 0
+    assert from_yaml(to_yaml(config)).general_parameter == config.general_parameter
 
 
 def test_a_missing_sensor_is_named_before_anything_starts() -> None:

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamhive.domain.parameters import Parameter, ParameterType, parse_settings
+from slamhive.domain.parameters import Parameter, ParameterType, check_stored, find_parameter, parse_settings
 from slamhive.errors import InvalidInput, NotFound
 
 FEATURES = Parameter("nFeatures", ParameterType.INT, 1200, "How many.", unit="features", minimum=100, maximum=10000)
@@ -92,3 +94,60 @@ def test_an_unknown_parameter_is_named_with_the_nearest_known_one():
 @given(st.floats(min_value=1.01, max_value=2.0))
 def test_a_float_survives_its_text(value):
     assert SCALE.parse(repr(value)) == value
+
+
+GENERAL = Parameter("nFeatures", ParameterType.INT, 1200, "", minimum=100, general="features")
+OTHER = Parameter("features_per_cell", ParameterType.INT, 5, "")
+
+
+def test_a_parameter_has_two_names():
+    for name in ("nFeatures", "features"):
+        assert find_parameter((OTHER, GENERAL), name) is GENERAL
+        assert parse_settings("orb", (GENERAL,), {name: "900"}) == {"nFeatures": 900}
+    assert find_parameter((GENERAL,), "feature") is None
+    with pytest.raises(NotFound, match="did you mean 'features'"):
+        parse_settings("orb", (GENERAL,), {"feature": 1})
+    with pytest.raises(InvalidInput, match="features and nFeatures both set nFeatures of orb; give one"):
+        parse_settings("orb", (GENERAL,), {"features": 900, "nFeatures": 900})
+
+
+def test_a_key_wins_over_a_general_name():
+    shadow = Parameter("features", ParameterType.INT, 1, "")
+    assert find_parameter((GENERAL, shadow), "features") is shadow
+
+
+EVERY_TYPE = (FEATURES, SCALE, DESKEW, KIND, MATRIX, TEXT)
+STORED = {"nFeatures": 900, "scaleFactor": 1.5, "deskew": False, "kind": "b", "K": (1.0, 2.0), "label": "x"}
+
+
+def test_stored_values_of_every_type_fit_their_own_definitions():
+    check_stored("orb", EVERY_TYPE, STORED)
+    check_stored("orb", EVERY_TYPE[::-1], STORED)
+
+
+@pytest.mark.parametrize(
+    "edited",
+    [replace(FEATURES, default=5000), replace(FEATURES, unit="points"), replace(FEATURES, help="x", general="features"),
+     replace(FEATURES, minimum=900), replace(FEATURES, type=ParameterType.FLOAT)],
+)  # fmt: skip
+def test_an_edit_that_still_allows_the_value_is_no_matter(edited):
+    check_stored("orb", (edited, *EVERY_TYPE[1:]), STORED)
+
+
+@pytest.mark.parametrize(
+    ("definitions", "message"),
+    [
+        ((replace(FEATURES, minimum=1000), *EVERY_TYPE[1:]), "nFeatures=900 is stored, orb now wants int, 1000 to 10000"),
+        ((replace(FEATURES, type=ParameterType.STRING), *EVERY_TYPE[1:]), "nFeatures=900 is stored, orb now wants string"),
+        ((replace(FEATURES, type=ParameterType.BOOL), *EVERY_TYPE[1:]), "nFeatures=900 is stored, orb now wants true or"),
+        ((*EVERY_TYPE[:2], replace(DESKEW, type=ParameterType.STRING), *EVERY_TYPE[3:]), "deskew=False is stored"),
+        ((*EVERY_TYPE[:3], replace(KIND, choices=("a", "c")), *EVERY_TYPE[4:]), "kind='b' is stored, orb now wants one of a"),
+        (EVERY_TYPE[1:], "orb has no parameter 'nFeatures' any more, nFeatures=900 is stored"),
+        ((*EVERY_TYPE, OTHER), "orb has a new parameter 'features_per_cell', for which no value is stored"),
+    ],
+)  # fmt: skip
+def test_an_edit_after_which_a_stored_value_does_not_fit_is_named(definitions, message):
+    with pytest.raises(InvalidInput) as caught:
+        check_stored("orb", definitions, STORED)
+    assert message in str(caught.value)
+    assert "copy the configuration" in str(caught.value)

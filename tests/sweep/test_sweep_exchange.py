@@ -107,7 +107,7 @@ def test_our_own_config_yaml_is_taken_over_whole():
         ("algorithm: sterio\ndataset: room\n", "c.yaml: unknown algorithm 'sterio'; did you mean 'stereo'?"),
         ("algorithm: stereo\ndataset: rom\n", "c.yaml: unknown dataset 'rom'; did you mean 'room'?"),
         ("algorithm: stereo\n", "c.yaml: dataset"),
-        ("algorithm: stereo\ndataset: room\nparameters: {features: 900}\n", "did you mean 'nFeatures'?"),
+        ("algorithm: stereo\ndataset: room\nparameters: {feature: 900}\n", "did you mean 'features'?"),
         ("algorithm: stereo\ndataset: room\nparameters: {nFeatures: 1}\n", "c.yaml: parameter nFeatures=1 is not"),
         ("algorithm: stereo\ndataset: room\nspeed: 3\n", "speed"),
         ("algorithm: stereo\ndataset: room\nplayback: {rate: 0}\n", "c.yaml: playback.rate"),
