@@ -6,6 +6,7 @@ Used by the controller and, inside the algorithm images, by the runtime; depends
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,39 @@ MAX_DEPTH = 20
 
 Lines = dict[tuple[str | int, ...], int]
 """The line, from 1, of each key (text) and list item (position from 0), by the path that leads to it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where something was written; ``line`` counts from 1 and is None where there is no text."""
+
+    source: str
+    line: int | None = None
+
+    def __str__(self) -> str:
+        return self.source if self.line is None else f"{self.source} line {self.line}"
+
+
+class Places:
+    """Where each part of a file stands.
+
+    Args:
+        source: What messages call the file.
+        lines: As :func:`parse_with_lines` gives them.
+    """
+
+    def __init__(self, source: str, lines: Lines) -> None:
+        self._source = source
+        self._lines = lines
+
+    def of(self, *path: str | int) -> Place:
+        """The place of ``path``, or of the nearest thing around it."""
+        for length in range(len(path), 0, -1):
+            line = self._lines.get(path[:length])
+            if line is not None:
+                return Place(self._source, line)
+        return Place(self._source)
+
 
 _NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 

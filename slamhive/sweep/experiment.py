@@ -8,18 +8,8 @@ from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.stop_when import StopWhen
+from slamhive.strict_yaml import Place
 from slamhive.sweep.condition import Condition
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where something was written; ``line`` counts from 1 and is None where there is no text."""
-
-    source: str
-    line: int | None = None
-
-    def __str__(self) -> str:
-        return self.source if self.line is None else f"{self.source} line {self.line}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,6 @@ from slamhive.sweep.experiment import (
     Limits,
     Link,
     ParameterAxis,
-    Place,
     PlaybackAxes,
     StepDeclaration,
     StepOption,
@@ -53,7 +52,7 @@ def parse_experiment(text: str, source: str = "experiment.yaml") -> Experiment:
             :func:`slamhive.sweep.expand.count`.
     """
     content, lines = strict_yaml.parse_with_lines(text, source)
-    places = _Places(source, lines)
+    places = strict_yaml.Places(source, lines)
     try:
         model = ExperimentModel.model_validate(content)
     except ValidationError as error:
@@ -68,23 +67,7 @@ def experiment_schema() -> str:
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
-class _Places:
-    """Where each part of a file stands."""
-
-    def __init__(self, source: str, lines: strict_yaml.Lines) -> None:
-        self._source = source
-        self._lines = lines
-
-    def of(self, *path: str | int) -> Place:
-        """The place of ``path``, or of the nearest thing around it."""
-        for length in range(len(path), 0, -1):
-            line = self._lines.get(path[:length])
-            if line is not None:
-                return Place(self._source, line)
-        return Place(self._source)
-
-
-def _experiment(model: ExperimentModel, places: _Places) -> Experiment:
+def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experiment:
     evaluate = model.evaluate
     return Experiment(
         name=model.name,
@@ -111,7 +94,7 @@ def _experiment(model: ExperimentModel, places: _Places) -> Experiment:
     )
 
 
-def _step(name: str, model: StepModel, places: _Places) -> StepDeclaration:
+def _step(name: str, model: StepModel, places: strict_yaml.Places) -> StepDeclaration:
     options: Mapping[str, Any] = model.__pydantic_extra__ or {}
     varied = [option for option, values in options.items() if len(values) > 1]
     alone = varied if len(varied) == 1 else list(options) if len(options) == 1 else []
@@ -132,7 +115,7 @@ def _step(name: str, model: StepModel, places: _Places) -> StepDeclaration:
     )
 
 
-def _parameters(parameters: Mapping[str, Any], places: _Places) -> Iterator[ParameterAxis]:
+def _parameters(parameters: Mapping[str, Any], places: strict_yaml.Places) -> Iterator[ParameterAxis]:
     for key, values in parameters.items():
         if not isinstance(values, dict):
             yield ParameterAxis(key, values, places.of("parameters", key), key)
@@ -141,7 +124,7 @@ def _parameters(parameters: Mapping[str, Any], places: _Places) -> Iterator[Para
             yield ParameterAxis(f"{key}.{own}", own_values, places.of("parameters", key, own), own, algorithm=key)
 
 
-def _links(section: str, entries: Sequence[Sequence[str]], places: _Places) -> Iterator[Link]:
+def _links(section: str, entries: Sequence[Sequence[str]], places: strict_yaml.Places) -> Iterator[Link]:
     for index, names in enumerate(entries):
         place = places.of(section, index)
         if len(names) < 2:

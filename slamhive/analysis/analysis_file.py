@@ -1,0 +1,141 @@
+"""An analysis file to :class:`Analysis`; every mistake is told with file and line."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from slamhive import strict_yaml
+from slamhive.analysis.analysis_model import AnalysisModel, SetModel
+from slamhive.analysis.forms.base import FORMS, Form, FormOptions
+from slamhive.analysis.selection import Expression, check_names, in_words, parse_expression, union_of
+from slamhive.analysis.table import FailureRule
+from slamhive.catalogue.validation import first_problem_at
+from slamhive.errors import InvalidInput, SlamHiveError
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+@dataclass(frozen=True, slots=True)
+class FormRequest:
+    """One form with its options; ``place`` is where it stands, for messages."""
+
+    form: Form[Any]
+    options: FormOptions
+    place: str
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """A checked analysis. Sets and names are looked up by who runs it, not here."""
+
+    name: str
+    text: str
+    sets: dict[str, SetModel]
+    use: Expression
+    protocol: str | None
+    rule: FailureRule
+    forms: tuple[FormRequest, ...]
+    source: str
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 of the file's text, in hex: the same text over the same runs gives the same result."""
+        return hashlib.sha256(self.source.encode()).hexdigest()
+
+    @property
+    def selection_words(self) -> str:
+        """The selection as a sentence."""
+        return in_words(self.use, lambda name: set_words(self.sets[name]))
+
+
+def set_words(chosen: SetModel) -> str:
+    """What a set is, in words."""
+    if chosen.where is not None:
+        return f"runs where {chosen.where}"
+    if chosen.experiment is not None:
+        return f"runs of experiment {chosen.experiment}"
+    if chosen.search is not None:
+        return f"runs of the saved search {chosen.search!r}"
+    if chosen.group is not None:
+        return f"runs of the configurations of group {chosen.group!r}"
+    ids, noun = (chosen.runs, "run") if chosen.runs is not None else (chosen.configurations or [], "configuration")
+    listed = ", ".join(map(str, ids[:8])) + (f" and {len(ids) - 8} more" if len(ids) > 8 else "")
+    of = "" if noun == "run" else "runs of "
+    return f"{of}{noun}{'s' if len(ids) > 1 else ''} {listed}"
+
+
+def load_analysis(path: Path) -> Analysis:
+    """Read the analysis at ``path``; raises InvalidInput naming file, line and what is wrong."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InvalidInput(f"{path} does not exist") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInput(f"{path} cannot be read as text: {error}") from None
+    return parse_analysis(text, str(path))
+
+
+def parse_analysis(text: str, source: str = "analysis.yaml") -> Analysis:
+    """The analysis that ``text`` states; ``source`` is what messages call it. Raises InvalidInput with the line."""
+    content, lines = strict_yaml.parse_with_lines(text, source)
+    places = strict_yaml.Places(source, lines)
+    model = _validated(AnalysisModel, content, (), places)
+    forms = tuple(_form(raw, index, places) for index, raw in enumerate(model.forms))
+    use = union_of(list(model.select)) if model.use is None else parse_expression(model.use)
+    try:
+        check_names(use, list(model.select))
+    except SlamHiveError as error:
+        raise InvalidInput(f"{places.of('use')}: {error.message}") from None
+    return Analysis(
+        name=model.name,
+        text=model.text,
+        sets=dict(model.select),
+        use=use,
+        protocol=model.protocol,
+        rule=FailureRule(**model.failed_when.model_dump()),
+        forms=forms,
+        source=text,
+    )
+
+
+def analysis_schema() -> str:
+    """The JSON Schema of an analysis file, with the options of every form."""
+    schema: dict[str, Any] = AnalysisModel.model_json_schema()
+    choices = []
+    for key, form in FORMS:
+        options = form.options.model_json_schema()
+        schema.setdefault("$defs", {}).update(options.pop("$defs", {}))
+        options["properties"] = {"form": {"const": key}, **options.get("properties", {})}
+        options["required"] = ["form", *options.get("required", [])]
+        choices.append(options | {"title": form.title, "description": form.description})
+    schema["properties"]["forms"]["items"] = {"anyOf": choices}
+    return json.dumps({"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}, indent=2) + "\n"
+
+
+def _form(raw: dict[str, Any], index: int, places: strict_yaml.Places) -> FormRequest:
+    place = places.of("forms", index)
+    key = raw.get("form")
+    if not isinstance(key, str):
+        raise InvalidInput(f"{place}: 'form' is missing, name one of {', '.join(FORMS.names())}")
+    try:
+        form = FORMS.get(key)
+    except SlamHiveError as error:
+        raise InvalidInput(f"{places.of('forms', index, 'form')}: {error.message}") from None
+    options = {name: value for name, value in raw.items() if name != "form"}
+    return FormRequest(form, _validated(form.options, options, ("forms", index), places), str(place))
+
+
+def _validated(
+    model: type[ModelT], content: object, above: tuple[str | int, ...], places: strict_yaml.Places
+) -> ModelT:
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        path, problem = first_problem_at(error, model)
+        raise InvalidInput(f"{places.of(*above, *path)}: {problem}") from None

@@ -1,0 +1,89 @@
+"""The shape of an analysis file; also what its published JSON Schema is made from."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from slamhive.analysis.selection import parse_expression
+from slamhive.catalogue.validation import explained
+from slamhive.errors import InvalidInput
+
+MAX_SETS = 50
+MAX_FORMS = 50
+MAX_LISTED = 100_000
+_SET_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}")
+_RESERVED = {"union", "or", "intersection", "and", "minus", "without", "difference"}
+
+Id = Annotated[int, Field(ge=1, lt=2**63)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class SetModel(_Model):
+    """A set of runs, stated in one way: a search, an experiment, run numbers, configurations or a saved search."""
+
+    where: str | None = Field(default=None, min_length=1, description="A filter, as on the page of runs.")
+    experiment: str | None = Field(default=None, min_length=1, description="All runs of an experiment.")
+    runs: list[Id] | None = Field(default=None, min_length=1, max_length=MAX_LISTED, description="Numbers of runs.")
+    configurations: list[Id] | None = Field(
+        default=None, min_length=1, max_length=MAX_LISTED, description="All runs of these configurations."
+    )
+    search: str | None = Field(default=None, min_length=1, description="The name of a saved search.")
+    group: str | None = Field(default=None, min_length=1, description="The name of a group of configurations.")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> SetModel:
+        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
+        if len(given) != 1:
+            found = " and ".join(given) or "nothing"
+            known = ", ".join(type(self).model_fields)
+            raise explained(InvalidInput(f"a set is stated in one way, found {found}", f"use one of {known}"))
+        return self
+
+
+class FailureModel(_Model):
+    """When a run counts as failed besides not having ended well: one rule for every figure."""
+
+    tracked_fraction_below: float | None = Field(default=0.75, ge=0, le=1)
+    ate_rmse_above_m: float | None = Field(default=None, gt=0)
+
+
+def _set_name(name: str) -> str:
+    if not _SET_NAME.fullmatch(name) or name.lower() in _RESERVED:
+        raise explained(
+            InvalidInput(f"{name!r} cannot name a set", "use letters, digits and '_', the first a letter; no operator")
+        )
+    return name
+
+
+def _expression(text: str) -> str:
+    try:
+        parse_expression(text)
+    except InvalidInput as error:
+        raise explained(error) from None
+    return text
+
+
+class AnalysisModel(_Model):
+    """An analysis: which runs, under which protocol, shown how."""
+
+    model_config = ConfigDict(title="SLAM Hive analysis")
+    format: Literal[1] = 1
+    name: str = Field(min_length=1, max_length=200, description="What the analysis is called.")
+    text: str = Field(default="", max_length=100_000, description="Markdown above the figures.")
+    select: dict[Annotated[str, AfterValidator(_set_name)], SetModel] = Field(
+        min_length=1, max_length=MAX_SETS, description="Sets of runs, each under a name of yours."
+    )
+    use: Annotated[str, AfterValidator(_expression)] | None = Field(
+        default=None, max_length=10_000, description="An expression over the sets, (a | b) - c; their union if absent."
+    )
+    protocol: str | None = Field(
+        default=None, description="Fingerprint of the evaluation protocol; each run's current one if absent."
+    )
+    failed_when: FailureModel = Field(default_factory=FailureModel)
+    forms: list[dict[str, Any]] = Field(min_length=1, max_length=MAX_FORMS, description="What is shown, in order.")

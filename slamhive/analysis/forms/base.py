@@ -1,0 +1,185 @@
+"""The seam of analysis forms: options, and a function from the table of runs to charts and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import numpy as np
+import pandas as pd
+from pydantic import BaseModel, ConfigDict, Field
+
+from slamhive.analysis.chart import Array, Axis
+from slamhive.analysis.result import Cell, Exclusion, FormResult, ResultTable, TableColumn
+from slamhive.analysis.table import FAILED, Column, RunTable
+from slamhive.errors import InvalidInput
+from slamhive.registry import Registry
+
+
+class FormOptions(BaseModel):
+    """What every form understands; a form adds its own options."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    title: str | None = Field(default=None, max_length=200, description="Instead of the form's own title.")
+    text: str = Field(default="", max_length=20_000, description="Markdown above the figure.")
+
+
+OptionsT_contra = TypeVar("OptionsT_contra", bound=FormOptions, contravariant=True)
+
+
+@dataclass(frozen=True, slots=True)
+class RunTrack:
+    """The aligned estimate of one run and its ground truth, as its evaluation left them.
+
+    Stamps in s, positions (n, 3) in m in the ground truth's frame; ``errors_m`` has one entry for each pose.
+    """
+
+    run_id: int
+    stamps_s: Array
+    positions_m: Array
+    errors_m: Array
+    reference_stamps_s: Array
+    reference_positions_m: Array
+
+
+@dataclass(frozen=True, slots=True)
+class RunUsage:
+    """CPU (cores) and memory (bytes) of one run over the time since its start (s)."""
+
+    run_id: int
+    times_s: Array
+    cpu_cores: Array
+    memory_bytes: Array
+
+
+class RunFiles(Protocol):
+    """What forms read from run folders; None where a run has none."""
+
+    def track(self, run_id: int) -> RunTrack | None:
+        """The evaluated trajectory of a run."""
+        ...
+
+    def usage(self, run_id: int) -> RunUsage | None:
+        """The sampled usage of a run."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class FormData:
+    """What a form works on.
+
+    Attributes:
+        table: The selected runs under the analysis' protocol.
+        every_protocol: Long form, for comparing protocols: run_id, protocol, protocol_label, metric, value.
+        files: Trajectories and usage of single runs.
+        progress: To be called with a fraction from time to time; raises to end a computation that takes too long.
+    """
+
+    table: RunTable
+    every_protocol: pd.DataFrame
+    files: RunFiles
+    progress: Callable[[float], None] = field(default=lambda _: None)
+
+
+class Form(Protocol[OptionsT_contra]):
+    """One kind of figure or table.
+
+    ``key`` is what analysis files call it; ``options`` is the pydantic model of its part of the file.
+    """
+
+    key: ClassVar[str]
+    title: ClassVar[str]
+    description: ClassVar[str]
+    options: ClassVar[type[FormOptions]]
+
+    def build(self, data: FormData, options: OptionsT_contra) -> FormResult:
+        """Charts and tables. Raises InvalidInput or NotFound if the data or the options do not fit the form."""
+        ...
+
+
+FORMS: Registry[Form[Any]] = Registry("analysis form", "slamhive.analysis_forms")
+"""Every form by its key; installed packages add theirs through the entry-point group."""
+
+
+def require_runs(table: RunTable) -> None:
+    """Raise InvalidInput for an empty selection."""
+    if table.frame.empty:
+        raise InvalidInput("the selection holds no run", "widen it; the page of runs shows what there is")
+
+
+def one_value(table: RunTable, key: str, purpose: str) -> str:
+    """The only value of a column of words; raises InvalidInput naming the values if there are several."""
+    values = sorted(str(value) for value in table.frame[key].dropna().unique())
+    if len(values) == 1:
+        return values[0]
+    shown = ", ".join(values[:5]) + (", ..." if len(values) > 5 else "") if values else "none"
+    raise InvalidInput(f"{purpose} needs one {key}, the selection holds {len(values)}: {shown}", f"select one {key}")
+
+
+def axis_of(column: Column, *, log: bool = False, values: Iterable[object] = ()) -> Axis:
+    """The axis of a column; a column of words becomes categories in the order of the alphabet."""
+    if column.numeric:
+        return Axis(column.label, column.unit, log)
+    return Axis(column.label, column.unit, categories=tuple(sorted({str(value) for value in values})))
+
+
+def spans_decades(values: Array) -> bool:
+    """Whether values are all positive and spread over more than a factor of 100: then an axis is logarithmic."""
+    finite = values[np.isfinite(values)]
+    return bool(len(finite) > 1 and finite.min() > 0 and finite.max() > 100 * finite.min())
+
+
+def caption(table: RunTable, shown: int, protocol: str | None, *more: str) -> str:
+    """What every figure says of itself: n, failures by the one rule, protocol."""
+    failed = int(table.frame[FAILED].notna().sum())
+    total = len(table.frame)
+    parts = [f"n = {shown} of {total} runs, {failed} failed.", table.rule.words]
+    parts.append(f"Protocol: {protocol}." if protocol else "No figure here depends on an evaluation protocol.")
+    return " ".join([*parts, *more])
+
+
+def excluded_without(rows: pd.DataFrame, keys: Sequence[str], columns: Mapping[str, Column]) -> tuple[Exclusion, ...]:
+    """The good runs that lack one of these values, told by which."""
+    exclusions = []
+    for key in keys:
+        lacking = rows[rows[key].isna()]
+        if len(lacking):
+            runs = tuple(int(run) for run in lacking["run_id"])
+            exclusions.append(Exclusion(f"no value of {columns[key].label}", runs))
+    return tuple(exclusions)
+
+
+def raw_table(key: str, table: RunTable, keys: Sequence[str], title: str = "Raw data") -> ResultTable:
+    """The runs behind a figure, failed ones included, with the reason."""
+    chosen = ["run_id", "configuration_id", "algorithm", "dataset", *[k for k in keys if k not in _ALWAYS]]
+    columns = [_table_column(table.column(name)) for name in chosen]
+    columns.append(TableColumn("failed", "Failed because"))
+    rows = tuple(
+        tuple(plain_cell(value) for value in row)
+        for row in table.frame[[*chosen, FAILED]].itertuples(index=False, name=None)
+    )
+    return ResultTable(key, title, tuple(columns), rows, raw=True)
+
+
+def plain_cell(value: object) -> Cell:
+    """A value of a data frame as one of a table: NaN and missing become None, numpy's numbers Python's."""
+    if value is None or value is pd.NA:
+        return None
+    if isinstance(value, bool | np.bool_):
+        return str(bool(value)).lower()
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        number = float(value)
+        if not np.isfinite(number):
+            return None
+        return number
+    return str(value)
+
+
+_ALWAYS = {"run_id", "configuration_id", "algorithm", "dataset", FAILED}
+
+
+def _table_column(column: Column) -> TableColumn:
+    return TableColumn(column.key, column.label, column.unit, links_run=column.key == "run_id")

@@ -1,0 +1,224 @@
+"""The table that analyses work on: one row for each run, failed ones included, one column for each fact and figure.
+
+Columns are named as filters name them: ``ate.rmse`` (a metric), ``nFeatures`` (a parameter by its own key or general
+name), ``algorithm``. What a run does not have is NaN (numbers) or None (words), never 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+import pandas as pd
+
+from slamhive.domain.metrics import CATALOGUE, Direction
+from slamhive.errors import InvalidInput, unknown
+
+
+class ColumnKind(StrEnum):
+    """Where a column's values come from."""
+
+    FACT = "fact"
+    PARAMETER = "parameter"
+    METRIC = "metric"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """What a column means. ``needs_protocol``: its values belong to an evaluation protocol."""
+
+    key: str
+    label: str
+    kind: ColumnKind
+    unit: str = ""
+    direction: Direction = Direction.NEUTRAL
+    numeric: bool = True
+    needs_protocol: bool = False
+
+
+FACTS = (
+    Column("run_id", "Run", ColumnKind.FACT),
+    Column("configuration_id", "Configuration", ColumnKind.FACT),
+    Column("algorithm", "Algorithm", ColumnKind.FACT, numeric=False),
+    Column("dataset", "Dataset", ColumnKind.FACT, numeric=False),
+    Column("sensors", "Sensors", ColumnKind.FACT, numeric=False),
+    Column("state", "State", ColumnKind.FACT, numeric=False),
+    Column("reason", "Reason", ColumnKind.FACT, numeric=False),
+    Column("seed", "Seed", ColumnKind.FACT),
+    Column("experiment", "Experiment", ColumnKind.FACT, numeric=False),
+    Column("variant", "Variant", ColumnKind.FACT, numeric=False),
+    Column("executor", "Executor", ColumnKind.FACT, numeric=False),
+    Column("host", "Host", ColumnKind.FACT, numeric=False),
+    Column("protocol", "Protocol", ColumnKind.FACT, numeric=False),
+    Column("protocol_label", "Protocol in words", ColumnKind.FACT, numeric=False),
+)
+"""The columns that every table has, in this order."""
+
+FAILED = "failed"
+"""The column, added by :func:`mark_failures`, that says why a run counts as failed; None if it counts as good."""
+
+
+def metric_column(key: str) -> Column:
+    """The column of one metric of the catalogue."""
+    metric = CATALOGUE[key]
+    return Column(
+        key, metric.label, ColumnKind.METRIC, metric.unit, metric.direction, needs_protocol=metric.needs_protocol
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FailureRule:
+    """When a run counts as failed: one rule for every figure, stated on each.
+
+    It did not end well; or it tracked less than ``tracked_fraction_below`` of the ground truth's time (the published
+    SLAM Hive takes 0.75); or its ATE RMSE is above ``ate_rmse_above_m``; or no evaluation gave it figures.
+    """
+
+    tracked_fraction_below: float | None = 0.75
+    ate_rmse_above_m: float | None = None
+
+    @property
+    def words(self) -> str:
+        """The rule as a sentence for captions."""
+        parts = ["did not end well", "has no figures"]
+        if self.tracked_fraction_below is not None:
+            parts.append(f"tracked less than {100 * self.tracked_fraction_below:.4g} % of the time")
+        if self.ate_rmse_above_m is not None:
+            parts.append(f"has an ATE RMSE above {self.ate_rmse_above_m:g} m")
+        return f"A run counts as failed if it {', '.join(parts[:-1])} or {parts[-1]}."
+
+
+@dataclass(frozen=True, slots=True)
+class RunTable:
+    """Runs as rows.
+
+    Attributes:
+        frame: Columns as :attr:`columns` names them, one row for each run, by run id.
+        columns: What each column means, by key.
+        rule: When a run counts as failed.
+    """
+
+    frame: pd.DataFrame
+    columns: Mapping[str, Column]
+    rule: FailureRule = field(default_factory=FailureRule)
+
+    def column(self, key: str) -> Column:
+        """The column called ``key``; raises NotFound with the nearest name."""
+        try:
+            return self.columns[key]
+        except KeyError:
+            raise unknown("metric or parameter", key, list(self.columns)) from None
+
+    def numeric(self, key: str, purpose: str) -> Column:
+        """The column called ``key``, which must hold numbers; raises NotFound or InvalidInput."""
+        column = self.column(key)
+        if not column.numeric:
+            numbers = [other.key for other in self.columns.values() if other.numeric and other.kind is column.kind]
+            hint = f"use one with numbers: {', '.join(numbers[:8])}" if numbers else "use a metric"
+            raise InvalidInput(f"{purpose} needs numbers, {key!r} holds words", hint)
+        return column
+
+    def failed(self) -> pd.DataFrame:
+        """The rows that count as failed."""
+        return self.frame[self.frame[FAILED].notna()]
+
+    def good(self) -> pd.DataFrame:
+        """The rows that do not."""
+        return self.frame[self.frame[FAILED].isna()]
+
+    def with_rows(self, rows: pd.DataFrame) -> RunTable:
+        """The same columns over other rows."""
+        return RunTable(rows, self.columns, self.rule)
+
+    def one_protocol(self, keys: Iterable[str]) -> str | None:
+        """The protocol in words if any of ``keys`` belongs to one; None if none does.
+
+        Raises:
+            InvalidInput: if the runs' values belong to several: they are never averaged, ranked or drawn together.
+        """
+        needing = [key for key in keys if self.column(key).needs_protocol]
+        if not needing:
+            return None
+        having = self.frame[self.frame[needing].notna().any(axis=1)]
+        labels = having.groupby("protocol", sort=True)["protocol_label"].agg(["first", "size"])
+        if len(labels) > 1:
+            found = "; ".join(f"{row['first']} ({row['size']} runs, {key})" for key, row in labels.iterrows())
+            raise InvalidInput(
+                f"{needing[0]} was taken under {len(labels)} protocols, which are never mixed: {found}",
+                "choose one with 'protocol: FINGERPRINT', or evaluate all runs under one first",
+            )
+        return str(labels["first"].iloc[0]) if len(labels) else None
+
+    def varied(self) -> list[Column]:
+        """The parameters that take more than one value in these runs."""
+        return [
+            column
+            for column in self.columns.values()
+            if column.kind is ColumnKind.PARAMETER and self.frame[column.key].nunique(dropna=False) > 1
+        ]
+
+
+def make_table(
+    facts: Mapping[str, Iterable[object]],
+    parameters: Mapping[str, Iterable[object]],
+    metrics: Mapping[str, Iterable[float | None]],
+    rule: FailureRule | None = None,
+) -> RunTable:
+    """A table out of columns, each with one entry for each run.
+
+    Args:
+        facts: By the keys of :data:`FACTS`; ``run_id``, ``algorithm``, ``dataset`` and ``state`` at least.
+        parameters: By key or general name; None where a run does not have it.
+        metrics: By catalogue key; None where a run does not have it.
+        rule: When a run counts as failed; the default rule if None.
+    """
+    rows = {key: list(values) for key, values in facts.items()}
+    count = len(next(iter(rows.values()), []))
+    frame = pd.DataFrame({column.key: rows.get(column.key, [None] * count) for column in FACTS})
+    columns = {column.key: column for column in FACTS}
+    extra: dict[str, object] = {}
+    for key, values in parameters.items():
+        entries = list(values)
+        numeric = all(entry is None or _is_number(entry) for entry in entries)
+        shown = [_as_number(entry) if numeric else None if entry is None else str(entry) for entry in entries]
+        extra[key] = np.array(shown, dtype=float) if numeric else np.array(shown, dtype=object)
+        columns[key] = Column(key, key, ColumnKind.PARAMETER, numeric=numeric)
+    for key, figures in metrics.items():
+        extra[key] = np.array([np.nan if figure is None else figure for figure in figures], dtype=float)
+        columns[key] = metric_column(key)
+    if extra:
+        frame = pd.concat([frame, pd.DataFrame(extra, index=frame.index)], axis=1)
+    chosen = rule or FailureRule()
+    return RunTable(mark_failures(frame, chosen), columns, chosen)
+
+
+def mark_failures(frame: pd.DataFrame, rule: FailureRule) -> pd.DataFrame:
+    """``frame`` with the column :data:`FAILED`: why each run counts as failed, None for the good ones."""
+    why = np.full(len(frame), None, dtype=object)
+
+    def mark(rows: pd.Series, text: str) -> None:
+        chosen = rows.to_numpy(dtype=bool) & (why == None)  # noqa: E711 - elementwise
+        why[chosen] = text
+
+    ended_badly = (frame["state"] != "succeeded").to_numpy(dtype=bool)
+    reasons = frame["reason"].where(frame["reason"].notna(), frame["state"]).to_numpy(dtype=object)
+    why[ended_badly] = reasons[ended_badly]
+    if "ate.rmse" in frame:
+        mark(frame["ate.rmse"].isna(), "not evaluated")
+        if rule.ate_rmse_above_m is not None:
+            mark(frame["ate.rmse"] > rule.ate_rmse_above_m, "ATE too high")
+    if "tracked_fraction" in frame and rule.tracked_fraction_below is not None:
+        mark(frame["tracked_fraction"] < rule.tracked_fraction_below, "tracked too little")
+    marked = frame.copy()
+    marked[FAILED] = pd.Series(why, index=frame.index, dtype=object)
+    return marked
+
+
+def _is_number(entry: object) -> bool:
+    return isinstance(entry, int | float)
+
+
+def _as_number(entry: object) -> float:
+    return float(entry) if isinstance(entry, int | float) else float("nan")
