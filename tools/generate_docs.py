@@ -1,4 +1,4 @@
-"""Writes what follows from the code: settings, command line, pre-processing steps, the JSON Schema of experiments.
+"""Writes what follows from the code: settings, command line, pre-processing steps, metrics, the schema of experiments.
 
 ``generate_docs.py`` writes them, ``generate_docs.py --check`` fails if they are out of date.
 """
@@ -13,6 +13,7 @@ import click
 
 from slamhive import cli
 from slamhive.bags.variants.rules import RegisteredSteps, describe_options, explain_step
+from slamhive.domain.metrics import CATALOGUE, Group, Metric
 from slamhive.settings import describe
 from slamhive.sweep.experiment_file import experiment_schema
 
@@ -43,6 +44,14 @@ STEPS_HEAD = """# Pre-processing steps
 What each step does, on which data, with which options. [Variants](variants.md) says how steps are used.
 """
 OPTIONS_HEAD = "| option | type | allowed | unit | default | meaning |\n|---|---|---|---|---|---|\n"
+
+METRICS_HEAD = """# Metrics
+
+Every figure that a run can have. Those of an evaluation depend on the [protocol](evaluation.md) and carry its
+fingerprint; figures of different fingerprints are never averaged or ranked together. The others, marked "while
+running", need no evaluation. A figure that cannot be computed is absent, never 0, and the evaluation says why.
+"""
+METRICS_TABLE = "| key | name | unit | better | what it is | after |\n|---|---|---|---|---|---|\n"
 
 CLI_HEAD = """# Command line
 
@@ -75,6 +84,15 @@ def steps_page() -> str:
     return NOTE + STEPS_HEAD + "".join(sections)
 
 
+def metrics_page() -> str:
+    """``docs/metrics.md``: the metric catalogue, group by group."""
+    sections = []
+    for group in Group:
+        rows = (_metric_row(metric) for metric in CATALOGUE.values() if metric.group is group)
+        sections.append(f"\n## {group.value.capitalize()}\n\n{METRICS_TABLE}{''.join(rows)}")
+    return NOTE + METRICS_HEAD + "".join(sections)
+
+
 def cli_page() -> str:
     """``docs/cli.md``: the help text of every command."""
     sections = (f"\n## {path}\n\n```text\n{text}\n```\n" for path, text in _commands(cli.main, "slamhive", None))
@@ -85,6 +103,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "settings.md": settings_page,
     "cli.md": cli_page,
     "variant-steps.md": steps_page,
+    "metrics.md": metrics_page,
     "schemas/experiment.schema.json": experiment_schema,
 }
 
@@ -121,6 +140,14 @@ def _commands(command: click.Command, name: str, parent: click.Context | None) -
             child = command.get_command(context, child_name)
             if child is not None and not child.hidden:
                 yield from _commands(child, child_name, context)
+
+
+def _metric_row(metric: Metric) -> str:
+    when = "" if metric.needs_protocol else " While running."
+    return (
+        f"| `{metric.key}` | {_cell(metric.label)} | {metric.unit or '1'} | {metric.direction.value} "
+        f"| {_cell(metric.definition)}{when} | {_cell(metric.source)} |\n"
+    )
 
 
 def _cell(text: str) -> str:

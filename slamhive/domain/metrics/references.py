@@ -1,0 +1,74 @@
+"""Metrics that need more than two trajectories: covariances of the algorithm, relations measured by people."""
+
+from __future__ import annotations
+
+from slamhive.domain.metrics.model import Direction, Group, Metric
+
+_BAR_SHALOM = "Bar-Shalom et al., Estimation with Applications to Tracking and Navigation, 2001, section 5.4"
+_KUEMMERLE = "Kuemmerle et al., On Measuring the Accuracy of SLAM Algorithms, Autonomous Robots 27, 2009, eq. (4)"
+
+
+def _nees(part: str, words: str) -> list[Metric]:
+    return [
+        Metric(
+            f"nees.{part}",
+            f"NEES {part}",
+            "",
+            Direction.NEUTRAL,
+            f"Mean normalised estimation error squared e^T P^-1 e of the {words}, P the covariance that the algorithm "
+            "gave with the pose: 3 is consistent, more is overconfident, less too cautious.",
+            True,
+            Group.CONSISTENCY,
+            _BAR_SHALOM,
+        ),
+        Metric(
+            f"nees.{part}.within",
+            f"NEES {part} within 95 %",
+            "",
+            Direction.NEUTRAL,
+            f"Share of the poses whose {words} lies within the 95 % bound of its covariance (chi-square with 3 degrees "
+            "of freedom: 7.81); 0.95 is consistent.",
+            True,
+            Group.CONSISTENCY,
+            _BAR_SHALOM,
+        ),
+    ]
+
+
+def _relations() -> list[Metric]:
+    parts = {
+        "translation": ("m", "distance between the positions that estimate and relation give to the second pose"),
+        "rotation": ("deg", "angle between the orientations that estimate and relation give to the second pose"),
+    }
+    statistics = {"mean": "Mean", "std": "Standard deviation (divisor n)", "max": "Maximum"}
+    metrics = [
+        Metric(
+            f"relations.{part}.{name}",
+            f"Relations {part} {name}",
+            unit,
+            Direction.LOWER,
+            f"{words} over the relations of the {what}, seen from the first; no alignment.",
+            True,
+            Group.RELATIONS,
+            _KUEMMERLE,
+        )
+        for part, (unit, what) in parts.items()
+        for name, words in statistics.items()
+    ]
+    metrics.append(
+        Metric(
+            "relations.matched_fraction",
+            "Relations matched",
+            "",
+            Direction.HIGHER,
+            "Share of the relations at both of whose times the estimate has a pose, or poses on both sides that are no "
+            "further apart than the gap threshold, between which it is interpolated.",
+            True,
+            Group.RELATIONS,
+            "SLAM Hive",
+        )
+    )
+    return metrics
+
+
+REFERENCE_METRICS = (*_nees("position", "position error"), *_nees("orientation", "rotation error"), *_relations())

@@ -1,0 +1,285 @@
+"""Metrics of an estimated trajectory against a ground-truth trajectory."""
+
+from __future__ import annotations
+
+from slamhive.domain.metrics.model import STATISTICS, Direction, Group, Metric, higher, neutral, statistics
+
+KITTI_LENGTHS_M = (100, 200, 300, 400, 500, 600, 700, 800)
+"""Segment lengths of the KITTI odometry devkit."""
+KITTI_STEP = 10
+"""A segment starts at every tenth pose."""
+SEGMENT_PERCENTS = (10, 20, 30, 40, 50)
+"""Segment lengths in percent of the ground truth's path, unless the protocol gives lengths."""
+SCORE_LIMIT_M = 1.0
+"""The completeness score looks at errors up to this."""
+
+_ALL = tuple(STATISTICS)
+_MAIN = ("rmse", "mean", "median", "max")
+_FEW = ("rmse", "median", "max")
+
+_EVO = "evo (https://github.com/MichaelGrupp/evo)"
+_STURM = "Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012, eq. (1) to (3)"
+_PAIRS = "pairs as evo"
+_BY_SECONDS = "pairs as the script of the TUM RGB-D benchmark"
+_KITTI = "Geiger et al., CVPR 2012, and the KITTI odometry devkit (evaluate_odometry.cpp)"
+_ZHANG = "Zhang and Scaramuzza, A Tutorial on Quantitative Trajectory Evaluation, IROS 2018, section III-C"
+_ENGEL = "Engel et al., A Photometrically Calibrated Benchmark For Monocular Visual Odometry, arXiv 1607.02555"
+_OURS = "SLAM Hive"
+
+
+def _one(key: str, label: str, unit: str, group: Group, definition: str, source: str = _OURS) -> Metric:
+    return Metric(key, label, unit, Direction.LOWER, definition, needs_protocol=True, group=group, source=source)
+
+
+def _absolute() -> list[Metric]:
+    where = "the absolute trajectory error: distance between aligned estimate and ground-truth positions"
+    turn = "the absolute rotation error: angle of the rotation between aligned estimate and ground-truth orientations"
+    return [
+        *statistics(_one("ate", "ATE", "m", Group.ABSOLUTE, where, _EVO), _ALL),
+        *statistics(_one("ate_rot", "ATE rotation", "deg", Group.ABSOLUTE, turn, _EVO), _MAIN),
+    ]
+
+
+def _relative() -> list[Metric]:
+    pairs = "of poses apart by the protocol's RPE delta"
+    chosen = {
+        "frames": f"pairs {pairs} in frames (1)",
+        "seconds": f"pairs {pairs} in seconds (1 s); all pairs: each pose with the nearest, within a tenth of it",
+        "degrees": (
+            f"pairs {pairs} in degrees (10) of rotation summed along the estimate; all pairs: each pose with the "
+            "nearest, within a tenth of it"
+        ),
+    }
+    metres = f"pairs {pairs} in metres (1 m) of estimated path; all pairs: within a tenth of it"
+    metrics = _both_parts("", "RPE", metres, (_ALL, _MAIN))
+    for unit, which in chosen.items():
+        metrics += _both_parts(f".{unit}", f"RPE by {unit}", which, (_FEW, _FEW))
+    return metrics
+
+
+def _both_parts(suffix: str, label: str, pairs: str, names: tuple[tuple[str, ...], tuple[str, ...]]) -> list[Metric]:
+    moved = f"the relative pose error: translation part over {pairs}"
+    turned = f"the relative pose error: rotation angle over {pairs}"
+    source = f"{_STURM}; {_BY_SECONDS if suffix == '.seconds' else _PAIRS}"
+    return [
+        *statistics(_one(f"rpe{suffix}", label, "m", Group.RELATIVE, moved, source), names[0]),
+        *statistics(_one(f"rpe_rot{suffix}", f"{label} rotation", "deg", Group.RELATIVE, turned, source), names[1]),
+    ]
+
+
+def _kitti() -> list[Metric]:
+    how = (
+        f"segments of {KITTI_LENGTHS_M[0]} to {KITTI_LENGTHS_M[-1]} m of ground-truth path from every {KITTI_STEP}th "
+        "frame, pooled, path lengths in single precision as in the devkit; a frame without a pose rejects the run"
+    )
+    translation = f"Mean translation error over segment length: {how}; a Sim(3) protocol scales the estimate first."
+    rotation = f"Mean rotation error over segment length: {how}."
+    group = Group.SEGMENTS
+    metrics = [
+        _one("kitti.translation", "KITTI translation", "%", group, translation, _KITTI),
+        _one("kitti.rotation", "KITTI rotation", "deg/m", group, rotation, _KITTI),
+    ]
+    for length_m in KITTI_LENGTHS_M:
+        only = f"over the segments of {length_m} m alone."
+        metrics += [
+            _one(
+                f"kitti.translation.{length_m}m",
+                f"KITTI translation {length_m} m",
+                "%",
+                group,
+                f"As KITTI translation, {only}",
+                _KITTI,
+            ),
+            _one(
+                f"kitti.rotation.{length_m}m",
+                f"KITTI rotation {length_m} m",
+                "deg/m",
+                group,
+                f"As KITTI rotation, {only}",
+                _KITTI,
+            ),
+        ]
+    count = "How many segments the KITTI figures are means of."
+    return [*metrics, neutral(_one("kitti.segments", "KITTI segments", "", group, count, _KITTI))]
+
+
+def _segments() -> list[Metric]:
+    pooled = (
+        "segments from every matched pose, as long as 10, 20, 30, 40 and 50 % of the ground truth's path (or as the "
+        "protocol says), each ending at the pose nearest to its length and within 20 % of it"
+    )
+    group = Group.SEGMENTS
+    metrics = [
+        _one(
+            "segment.translation",
+            "Segment translation",
+            "%",
+            group,
+            f"Mean translation error over segment length: {pooled}, all pooled; the estimate scaled as aligned.",
+            _ZHANG,
+        ),
+        _one(
+            "segment.rotation",
+            "Segment rotation",
+            "deg/m",
+            group,
+            f"Mean rotation error over segment length: {pooled}, all pooled.",
+            _ZHANG,
+        ),
+    ]
+    for percent in SEGMENT_PERCENTS:
+        only = f"over the segments as long as {percent} % of the path alone."
+        metrics += [
+            _one(
+                f"segment.translation.{percent}pct",
+                f"Segment translation {percent} %",
+                "%",
+                group,
+                f"As segment translation, {only}",
+                _ZHANG,
+            ),
+            _one(
+                f"segment.rotation.{percent}pct",
+                f"Segment rotation {percent} %",
+                "deg/m",
+                group,
+                f"As segment rotation, {only}",
+                _ZHANG,
+            ),
+        ]
+    return metrics
+
+
+def _drift_and_scale() -> list[Metric]:
+    group = Group.DRIFT
+    ends = (
+        "where ground truth exists at start and end only (a pause of it longer than the gap threshold): T_A aligns the "
+        "estimate with the part before the longest pause, T_E with the part behind, both as the protocol aligns"
+    )
+    return [
+        _one(
+            "drift.alignment",
+            "Drift e_align",
+            "m",
+            group,
+            f"Root mean square distance between the whole estimate moved by T_A and by T_E, {ends}.",
+            f"{_ENGEL}, alignment error",
+        ),
+        _one("drift.rotation", "Drift rotation", "deg", group, f"Angle of T_E T_A^-1, {ends}.", _ENGEL),
+        _one(
+            "drift.scale",
+            "Drift scale",
+            "%",
+            group,
+            f"Change of scale |s_E / s_A - 1| between T_A and T_E, {ends}; 0 unless the alignment has a scale.",
+            _ENGEL,
+        ),
+        _one(
+            "drift.end",
+            "End drift",
+            "%",
+            group,
+            f"Distance at the last matched pose between the estimate moved by T_A and ground truth, over the path of "
+            f"the estimate moved by T_A, {ends}.",
+            "Schubert et al., The TUM VI Benchmark, IROS 2018, and its followers",
+        ),
+        _one(
+            "scale.error",
+            "Scale error",
+            "%",
+            group,
+            "|s - 1|, s being the factor by which the estimate is too large before any alignment: the inverse of the "
+            "least-squares Sim(3) scale. Without a meaning for one camera, which cannot know its scale.",
+            "Umeyama, PAMI 1991, eq. (42)",
+        ),
+        _one(
+            "scale.drift",
+            "Scale drift",
+            "%",
+            group,
+            "Mean |r / r0 - 1| over all pairs of matched poses the RPE delta (1 m) of ground-truth path apart, r being "
+            "the distance between the two estimated positions over that of the true ones and r0 the same for the sums "
+            "of all pairs, so that a constant scale error is no drift; pairs that end near their start (under half of "
+            "the delta) are left out. rpg_trajectory_evaluation intends this but takes distances from the origin.",
+            f"{_ZHANG} (intent)",
+        ),
+        neutral(
+            _one(
+                "alignment.time_offset",
+                "Time offset",
+                "s",
+                group,
+                "What was added to the estimate's stamps to bring them to the ground truth's clock: as the protocol "
+                "gives it, or found where the aligned error is least.",
+            )
+        ),
+        neutral(
+            _one(
+                "alignment.scale",
+                "Scale",
+                "",
+                group,
+                "Factor applied to the estimate by a Sim(3) alignment; 1 for every other alignment.",
+                "Umeyama, PAMI 1991, eq. (42), by evo",
+            )
+        ),
+    ]
+
+
+def _completeness() -> list[Metric]:
+    group = Group.COMPLETENESS
+    return [
+        higher(
+            _one(
+                "tracked_fraction",
+                "Tracked fraction",
+                "",
+                group,
+                "Share of the ground truth's time span covered by the estimate, gaps taken out, clamped to 0..1.",
+            )
+        ),
+        _one("gap.max", "Longest gap", "s", group, "Longest time without a pose inside the ground truth's span."),
+        _one(
+            "gap.count",
+            "Gaps",
+            "",
+            group,
+            "How many times the estimate pauses for longer than the gap threshold of the protocol.",
+        ),
+        _one(
+            "time_to_first_pose",
+            "Time to first pose",
+            "s",
+            group,
+            "From the ground truth's first stamp to the estimate's; 0 if the estimate begins before.",
+        ),
+        _one(
+            "tracking.losses",
+            "Tracking losses",
+            "",
+            group,
+            "How many times the estimate, once begun, pauses for longer than the gap threshold or ends that much "
+            "before the ground truth.",
+        ),
+        higher(
+            _one(
+                "completeness.score",
+                "Completeness score",
+                "",
+                group,
+                f"Area under the curve 'share of the ground truth's time within x m', x from 0 to {SCORE_LIMIT_M:g} m, "
+                "over that maximum: 1 is always tracked without error; time without a pose counts as not within.",
+                "After the ranking of ETH3D (Schops et al., BAD SLAM, CVPR 2019), over time instead of sequences",
+            )
+        ),
+    ]
+
+
+TRAJECTORY_METRICS = (
+    *_absolute(),
+    *_relative(),
+    *_kitti(),
+    *_segments(),
+    *_drift_and_scale(),
+    *_completeness(),
+)
