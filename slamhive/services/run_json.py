@@ -7,6 +7,7 @@ from typing import Any
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
+from slamhive.domain.stop_when import stop_when_to_json
 from slamhive.domain.variant import variant_to_json
 from slamhive.store.records import EvaluationRecord, RunRecord
 
@@ -34,6 +35,10 @@ def run_to_json(run: RunRecord) -> dict[str, Any]:
         "poses": run.poses,
         "limits": {"cpu_cores": run.cpu_cores, "memory_mb": run.memory_mb, "timeout_s": run.timeout_s},
         "retry_of": run.retry_of,
+        "experiment": run.experiment,
+        "cell": run.cell,
+        "held": run.held,
+        "stop_when": stop_when_to_json(run.stop_when),
         "protocol": None
         if run.protocol is None
         else {"fingerprint": run.protocol.fingerprint, "label": run.protocol.label},

@@ -5,12 +5,13 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any, ClassVar
 
-from sqlalchemy import BigInteger, ForeignKey, Index, MetaData, SmallInteger, String, Table, UniqueConstraint
+from sqlalchemy import BigInteger, ForeignKey, Index, MetaData, SmallInteger, String, Table, UniqueConstraint, text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.evaluation.job import Artefacts
+from slamhive.store.experiment_records import ExperimentState
 from slamhive.store.records import EvaluationState
 from slamhive.store.types import JsonText, LongText, Number, UtcDateTime, enum_column
 
@@ -39,7 +40,10 @@ class Base(DeclarativeBase):
     type_annotation_map: ClassVar[dict[Any, Any]] = {
         datetime: UtcDateTime(),
         float: Number,
-        **{kind: enum_column(kind) for kind in (RunState, FailureReason, PlaybackMode, Artefacts, EvaluationState)},
+        **{
+            kind: enum_column(kind)
+            for kind in (RunState, FailureReason, PlaybackMode, Artefacts, EvaluationState, ExperimentState)
+        },
     }
     __table__: ClassVar[Table]
     __table_args__: Any = TABLE_OPTIONS
@@ -148,12 +152,49 @@ class Protocol(Base):
     definition: Mapped[Any] = mapped_column(JsonText)
 
 
+class Experiment(Base):
+    """An experiment as its file states it. While ``complete`` is false its cells and runs are still being stored.
+
+    ``repeats`` may have grown since; ``cells`` and ``runs`` say how many there are (at most, while incomplete).
+    """
+
+    __tablename__ = "experiments"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    uid: Mapped[str] = mapped_column(String(32), unique=True)
+    name: Mapped[str] = mapped_column(String(NAME_LENGTH), unique=True)
+    description: Mapped[str] = mapped_column(LongText)
+    content_hash: Mapped[str] = mapped_column(String(64))
+    source: Mapped[str] = mapped_column(LongText)
+    state: Mapped[ExperimentState]
+    executor: Mapped[str] = mapped_column(String(32))
+    priority: Mapped[int]
+    repeats: Mapped[int]
+    cells: Mapped[int]
+    runs: Mapped[int]
+    complete: Mapped[bool]
+    created_at: Mapped[datetime]
+
+
+class ExperimentCell(Base):
+    """One configuration of an experiment, with its value on each axis that applies to it."""
+
+    __tablename__ = "experiment_cells"
+    __table_args__ = ({**TABLE_OPTIONS, "sqlite_with_rowid": False},)
+    experiment_id: Mapped[int] = mapped_column(ForeignKey("experiments.id"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    configuration_id: Mapped[int] = mapped_column(ForeignKey("configurations.id"), index=True)
+    name: Mapped[str] = mapped_column(String(80))
+    axis_values: Mapped[Any] = mapped_column(JsonText)
+
+
 class Run(Base):
     """A run: request, place in the queue, and outcome. Ids are never used twice, folders are named after them."""
 
     __tablename__ = "runs"
     __table_args__ = (
-        Index("ix_runs_queue", "state", "priority", "id"),
+        Index("ix_runs_queue", "state", "held", "priority", "id"),
+        Index("ix_runs_affinity", "state", "held", "priority", "affinity", "id"),
+        Index("ix_runs_experiment", "experiment_id", "cell", "state", "reason"),
         {**TABLE_OPTIONS, "sqlite_autoincrement": True},
     )
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -185,6 +226,11 @@ class Run(Base):
     retry_of: Mapped[int | None] = mapped_column(ForeignKey("runs.id"))
     protocol_override: Mapped[Any | None] = mapped_column(JsonText)
     current_protocol_id: Mapped[int | None] = mapped_column(ForeignKey("protocols.id"))
+    experiment_id: Mapped[int | None] = mapped_column(ForeignKey("experiments.id"))
+    cell: Mapped[int | None]
+    held: Mapped[bool] = mapped_column(server_default=text("0"))
+    affinity: Mapped[str] = mapped_column(String(32), server_default=text("''"))
+    stop_when: Mapped[Any | None] = mapped_column(JsonText)
 
 
 class RunEvent(Base):

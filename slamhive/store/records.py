@@ -13,6 +13,7 @@ from slamhive.domain.configuration import Playback
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunEvent, RunState
+from slamhive.domain.stop_when import NEVER, StopWhen
 from slamhive.domain.variant import Variant
 from slamhive.errors import Conflict
 from slamhive.evaluation.job import Artefacts
@@ -86,6 +87,8 @@ class RunRequest:
 
     ``cpu_cores``, ``memory_mb``, ``timeout_s``: limits asked for, None for the installation's. ``priority``: higher
     goes first. ``evaluate``: evaluate as soon as it has succeeded, under ``protocol`` or the sensor's default.
+    ``cell``: number of the configuration in the experiment ``experiment_id``, the same for its repeats and retries.
+    ``held``: queued, but not to be claimed. ``affinity``: see :mod:`slamhive.domain.affinity`.
     """
 
     uid: str
@@ -99,6 +102,11 @@ class RunRequest:
     timeout_s: float | None = None
     retry_of: int | None = None
     protocol: Protocol | None = None
+    experiment_id: int | None = None
+    cell: int | None = None
+    held: bool = False
+    affinity: str = ""
+    stop_when: StopWhen = NEVER
 
 
 class RunFields(TypedDict, total=False):
@@ -134,7 +142,8 @@ class RunRecord:
     ``attempt`` counts the times a worker took the run. ``protocol_override`` is what the user asked for,
     ``protocol`` what the latest successful evaluation used. ``metrics`` holds the measured figures and those of
     ``protocol``, {metric key: value}; None if they were not asked for. ``host`` and ``version`` are known once the
-    run has started.
+    run has started. ``experiment`` is the name of the one that it belongs to, ``cell`` its place there; for the rest
+    see :class:`RunRequest`.
     """
 
     id: int
@@ -172,6 +181,12 @@ class RunRecord:
     protocol: ProtocolLabel | None
     version: AlgorithmVersion | None
     host: Host | None
+    experiment_id: int | None
+    experiment: str | None
+    cell: int | None
+    held: bool
+    affinity: str
+    stop_when: StopWhen
     metrics: dict[str, float] | None = None
 
 
@@ -197,6 +212,7 @@ class RunFilter:
     algorithms: tuple[str, ...] = ()
     datasets: tuple[str, ...] = ()
     executors: tuple[str, ...] = ()
+    experiments: tuple[str, ...] = ()
     configuration_id: int | None = None
     created_after: datetime | None = None
     created_before: datetime | None = None

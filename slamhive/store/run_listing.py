@@ -12,7 +12,16 @@ from sqlalchemy.orm import Session
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput, unknown
-from slamhive.store.models import MEASURED_PROTOCOL_ID, Algorithm, Configuration, Dataset, Metric, MetricValue, Run
+from slamhive.store.models import (
+    MEASURED_PROTOCOL_ID,
+    Algorithm,
+    Configuration,
+    Dataset,
+    Experiment,
+    Metric,
+    MetricValue,
+    Run,
+)
 from slamhive.store.records import Page, RunFilter, RunSort
 from slamhive.store.run_rows import run_query, to_records
 from slamhive.store.types import UtcDateTime
@@ -81,6 +90,9 @@ def _conditions(wanted: RunFilter) -> list[ColumnElement[bool]]:
     if wanted.datasets:
         named = select(Configuration.id).join(Dataset, Dataset.id == Configuration.dataset_id)
         conditions.append(runs.configuration_id.in_(named.where(Dataset.name.in_(wanted.datasets))))
+    if wanted.experiments:
+        named = select(Experiment.id).where(Experiment.name.in_(wanted.experiments))
+        conditions.append(runs.experiment_id.in_(named))
     if wanted.configuration_id is not None:
         conditions.append(runs.configuration_id == wanted.configuration_id)
     if wanted.created_after is not None:

@@ -10,11 +10,12 @@ from sqlalchemy.orm import Session
 
 from slamhive.domain.configuration import Playback
 from slamhive.domain.parameters import Value
+from slamhive.domain.stop_when import stop_when_from_json
 from slamhive.domain.variant import variant_from_json
 from slamhive.store.catalogue import protocol_from_definition
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.metrics import MetricRepository
-from slamhive.store.models import Algorithm, AlgorithmVersion, Configuration, Dataset, Host, Protocol, Run
+from slamhive.store.models import Algorithm, AlgorithmVersion, Configuration, Dataset, Experiment, Host, Protocol, Run
 from slamhive.store.records import AlgorithmVersion as VersionRecord
 from slamhive.store.records import Host as HostRecord
 from slamhive.store.records import ProtocolLabel, RunRecord
@@ -45,6 +46,10 @@ _PLAIN_COLUMNS = (
     "cancel_requested",
     "retry_of",
     "dataset_checksum",
+    "experiment_id",
+    "cell",
+    "held",
+    "affinity",
 )
 
 
@@ -69,6 +74,7 @@ def run_query() -> Select[Any]:
             Host.memory_bytes,
             Host.kernel,
             Host.os,
+            Experiment.name.label("experiment"),
         )
         .join(Configuration, Configuration.id == Run.configuration_id)
         .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
@@ -76,6 +82,7 @@ def run_query() -> Select[Any]:
         .outerjoin(Protocol, Protocol.id == Run.current_protocol_id)
         .outerjoin(AlgorithmVersion, AlgorithmVersion.id == Run.algorithm_version_id)
         .outerjoin(Host, Host.id == Run.host_id)
+        .outerjoin(Experiment, Experiment.id == Run.experiment_id)
     )
 
 
@@ -104,5 +111,7 @@ def _record(row: Row[Any], parameters: dict[str, Value], metrics: dict[str, floa
         host=None
         if row.cpu_model is None
         else HostRecord(row.cpu_model, row.cpu_count, row.memory_bytes, row.kernel, row.os),
+        experiment=row.experiment,
+        stop_when=stop_when_from_json(row.stop_when),
         metrics=metrics,
     )

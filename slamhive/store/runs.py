@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from datetime import datetime
 from typing import Any, Unpack
 
@@ -11,6 +11,7 @@ from sqlalchemy import delete, func, insert, select, update
 from sqlalchemy.orm import Session
 
 from slamhive.domain.run import RunEvent, RunState, check_move
+from slamhive.domain.stop_when import stop_when_to_json
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.store.models import WHY_LENGTH, Run
 from slamhive.store.models import RunEvent as EventRow
@@ -31,6 +32,8 @@ from slamhive.store.run_rows import run_query, to_records
 DETAIL_LENGTH = 10_000
 _RUNS = Run.__table__
 _EVENTS = EventRow.__table__
+_AS_ASKED = tuple(entry.name for entry in fields(RunRequest) if entry.name not in ("protocol", "stop_when"))
+"""The fields of a request that are columns as they are."""
 
 
 class RunRepository:
@@ -227,8 +230,9 @@ class RunRepository:
 
 
 def _new_row(request: RunRequest, now: datetime) -> dict[str, Any]:
-    values = asdict(request)
-    values["protocol_override"] = values.pop("protocol")
+    values = {name: getattr(request, name) for name in _AS_ASKED}
+    values["protocol_override"] = None if request.protocol is None else asdict(request.protocol)
+    values["stop_when"] = stop_when_to_json(request.stop_when) or None
     return {**values, "state": RunState.QUEUED, "created_at": now, "attempt": 0, "cancel_requested": False}
 
 

@@ -99,6 +99,43 @@ def test_going_back_is_refused_where_runs_would_be_told_wrongly(engine: Engine) 
     assert migrate.current(engine) == migrate.head()
 
 
+def test_runs_of_the_second_version_belong_to_no_experiment_and_wait_for_nothing(engine: Engine) -> None:
+    migrate.upgrade(engine, "0002")
+    _add_configuration(engine)
+    _add_run(engine)
+    columns = "experiment_id, cell, held, affinity, stop_when"
+    for _ in range(2):
+        migrate.upgrade(engine)
+        with engine.connect() as connection:
+            row = connection.exec_driver_sql(f"SELECT uid, {columns} FROM runs").one()
+        assert tuple(row) == ("u", None, None, 0, "", None)
+        migrate.downgrade(engine, "0002")
+        assert not set(columns.split(", ")) & {column["name"] for column in inspect(engine).get_columns("runs")}
+    with engine.connect() as connection:
+        assert connection.exec_driver_sql("SELECT uid FROM runs").all() == [("u",)]
+
+
+def test_going_back_is_refused_where_experiments_would_be_lost(engine: Engine) -> None:
+    migrate.upgrade(engine)
+    with engine.begin() as connection:
+        connection.exec_driver_sql(
+            "INSERT INTO experiments (id, uid, name, description, content_hash, source, state, executor, priority, "
+            "repeats, cells, runs, complete, created_at) VALUES "
+            "(1, 'u', 'n', '', 'h', '', 'active', 'docker', 0, 1, 1, 1, 1, '2026-05-04 03:02:01')"
+        )
+    with pytest.raises(Conflict, match="1 experiments are stored"):
+        migrate.downgrade(engine, "0002")
+    assert migrate.current(engine) == migrate.head()
+
+
+def _add_run(engine: Engine) -> None:
+    with engine.begin() as connection:
+        connection.exec_driver_sql(
+            "INSERT INTO runs (uid, configuration_id, executor, seed, priority, evaluate, created_at, state, attempt, "
+            "cancel_requested) VALUES ('u', 1, 'docker', 0, 0, 0, '2026-05-04 03:02:01', 'queued', 0, 0)"
+        )
+
+
 def _add_configuration(engine: Engine) -> None:
     now = "'2026-05-04 03:02:01'"
     with engine.begin() as connection:
@@ -146,7 +183,7 @@ def test_tables_of_a_newer_software_are_left_alone(engine: Engine) -> None:
     with engine.begin() as connection:
         connection.exec_driver_sql("UPDATE alembic_version SET version_num='9999'")
     for work in (migrate.upgrade, migrate.check_current):
-        with pytest.raises(Unavailable, match=r"is at schema 9999, which is newer than this software \(0002\)"):
+        with pytest.raises(Unavailable, match=r"is at schema 9999, which is newer than this software \(0003\)"):
             work(engine)
     assert tables(engine) == set(Base.metadata.tables)
 

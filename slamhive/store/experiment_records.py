@@ -1,0 +1,98 @@
+"""What the store knows of experiments: frozen values, never rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import StrEnum
+
+from slamhive.domain.configuration import Configuration
+from slamhive.domain.parameters import Value
+from slamhive.domain.run import FailureReason, RunState
+
+
+class ExperimentState(StrEnum):
+    """What was last wanted of an experiment. That it has finished is seen from its runs."""
+
+    ACTIVE = "active"
+    PAUSED = "paused"
+    CANCELLED = "cancelled"
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentRecord:
+    """An experiment. ``source`` is the file as it was given, ``content_hash`` tells what it states.
+
+    ``uid`` (32 hex digits) makes the uids of its runs. ``repeats`` holds for each seed and may have grown since.
+    ``cells`` and ``runs`` (without retries) are bounds from above until it is ``complete``, that is, all are stored.
+    """
+
+    id: int
+    uid: str
+    name: str
+    description: str
+    content_hash: str
+    source: str
+    state: ExperimentState
+    executor: str
+    priority: int
+    repeats: int
+    cells: int
+    runs: int
+    complete: bool
+    created_at: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class NewCell:
+    """A cell to store: its configuration, and its value on each axis that applies to it."""
+
+    number: int
+    name: str
+    configuration_id: int
+    values: Mapping[str, Value]
+
+
+@dataclass(frozen=True, slots=True)
+class CellRecord:
+    """A stored cell."""
+
+    number: int
+    name: str
+    configuration_id: int
+    values: dict[str, Value]
+
+
+@dataclass(frozen=True, slots=True)
+class CellRun:
+    """A run of a cell, as tables of cells need it. ``retried``: a later run took its place."""
+
+    id: int
+    cell: int
+    seed: int
+    state: RunState
+    reason: FailureReason | None
+    retried: bool
+    protocol: str | None = None
+    metrics: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class StateCount:
+    """How many runs are in a state for a reason; ``retried`` ones, whose place another run took, apart."""
+
+    state: RunState
+    reason: FailureReason | None
+    retried: bool
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class NewConfiguration:
+    """A configuration to file under rows that exist; ``content_hash`` is that of ``configuration``."""
+
+    configuration: Configuration
+    content_hash: str
+    algorithm_id: int
+    dataset_id: int
