@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, TypeVar
+from typing import Annotated
 
-from flask import Blueprint, Response, jsonify, make_response, request, url_for
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from flask import Blueprint, Response, request, url_for
+from pydantic import BaseModel, ConfigDict, Field
 
-from slamhive.catalogue.validation import first_problem, refuse_non_finite
-from slamhive.errors import InvalidInput
 from slamhive.services.catalogue_json import algorithm_to_json, dataset_to_json
 from slamhive.services.request import Submission
 from slamhive.services.run_json import evaluation_to_json, run_to_json
 from slamhive.web.context import hive
+from slamhive.web.json_exchange import answer, read_body
 from slamhive.web.run_form import checked_alignment
 from slamhive.web.run_query import EXPORT_LIMIT, RunQuery
 from slamhive.web.security import require_api_header
 from slamhive.web.views.runs import RUN_ID
 
-Body = TypeVar("Body", bound=BaseModel)
 blueprint = Blueprint("api", __name__, url_prefix="/api/v1")
 blueprint.before_request(require_api_header)
 
@@ -57,7 +55,7 @@ def runs() -> Response:
     query = RunQuery.from_args(request.args, EXPORT_LIMIT)
     page = hive().runs(query.filter, query.sort, query.after, query.limit)
     following = None if page.next_key is None else url_for("api.runs", **query.at(page.next_key).args())
-    return _json({"runs": [run_to_json(run) for run in page.records], "total": page.total, "next": following})
+    return answer({"runs": [run_to_json(run) for run in page.records], "total": page.total, "next": following})
 
 
 @blueprint.get(f"/runs/{RUN_ID}")
@@ -75,72 +73,55 @@ def run(run_id: int) -> Response:
         }
         for event in services.events(run_id)
     ]
-    return _json(content)
+    return answer(content)
 
 
 @blueprint.post("/runs")
 def submit() -> Response:
     """Queue runs; answers with them."""
-    body = _body(_SubmitBody)
+    body = read_body(_SubmitBody)
     queued = hive().submit(Submission(**body.model_dump()))
-    return _json({"runs": [run_to_json(run) for run in queued]}, 201)
+    return answer({"runs": [run_to_json(run) for run in queued]}, 201)
 
 
 @blueprint.post(f"/runs/{RUN_ID}/cancel")
 def cancel(run_id: int) -> Response:
     """Ask for the run to be ended."""
-    return _json(run_to_json(hive().cancel(run_id)), 202)
+    return answer(run_to_json(hive().cancel(run_id)), 202)
 
 
 @blueprint.post(f"/runs/{RUN_ID}/retry")
 def retry(run_id: int) -> Response:
     """Queue the same again as a new run."""
-    return _json(run_to_json(hive().retry(run_id)), 201)
+    return answer(run_to_json(hive().retry(run_id)), 201)
 
 
 @blueprint.post("/evaluations")
 def evaluate() -> Response:
     """Queue evaluations."""
-    body = _body(_EvaluateBody)
-    return _json({"queued": hive().queue_evaluations(body.runs, checked_alignment(body.alignment))}, 202)
+    body = read_body(_EvaluateBody)
+    return answer({"queued": hive().queue_evaluations(body.runs, checked_alignment(body.alignment))}, 202)
 
 
 @blueprint.get("/algorithms")
 def algorithms() -> Response:
     """All algorithms."""
-    return _json({"algorithms": [algorithm_to_json(entry) for entry in hive().catalogue.algorithms()]})
+    return answer({"algorithms": [algorithm_to_json(entry) for entry in hive().catalogue.algorithms()]})
 
 
 @blueprint.get("/algorithms/<name>")
 def algorithm(name: str) -> Response:
     """One algorithm."""
-    return _json(algorithm_to_json(hive().catalogue.algorithm(name)))
+    return answer(algorithm_to_json(hive().catalogue.algorithm(name)))
 
 
 @blueprint.get("/datasets")
 def datasets() -> Response:
     """All datasets."""
-    return _json({"datasets": [dataset_to_json(entry) for entry in hive().catalogue.datasets()]})
+    return answer({"datasets": [dataset_to_json(entry) for entry in hive().catalogue.datasets()]})
 
 
 @blueprint.get("/datasets/<name>")
 def dataset(name: str) -> Response:
     """One dataset."""
-    return _json(dataset_to_json(hive().catalogue.dataset(name)))
-
-
-def _body(kind: type[Body]) -> Body:
-    if not request.is_json:
-        raise InvalidInput("the body is not JSON", "send it with Content-Type: application/json")
-    content = request.get_json(silent=True)
-    if not isinstance(content, dict):
-        raise InvalidInput("the body is not a JSON object", 'send one, for example {"algorithm": ..., "dataset": ...}')
-    refuse_non_finite(content, "the body")
-    try:
-        return kind.model_validate(content)
-    except ValidationError as error:
-        raise InvalidInput(first_problem(error, kind)) from None
-
-
-def _json(content: dict[str, Any], status: int = 200) -> Response:
-    return make_response(jsonify(content), status)
+    return answer(dataset_to_json(hive().catalogue.dataset(name)))
