@@ -1,0 +1,217 @@
+"""What the experiment service takes and gives: frozen values that command line, pages and JSON show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import StrEnum
+from pathlib import Path
+
+from slamhive.domain.parameters import Value
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.variant import Variant
+from slamhive.errors import InvalidInput
+from slamhive.store.experiment_records import CellRun
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentSource:
+    """The text of an experiment file, and what messages call it."""
+
+    text: str
+    name: str = "experiment.yaml"
+
+    @classmethod
+    def read(cls, path: Path) -> ExperimentSource:
+        """The file at ``path``; raises InvalidInput."""
+        try:
+            return cls(path.read_text(encoding="utf-8"), str(path))
+        except FileNotFoundError:
+            raise InvalidInput(f"{path} does not exist") from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise InvalidInput(f"{path} cannot be read as text: {error}") from None
+
+
+class Phase(StrEnum):
+    """The states of runs as progress shows them."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    GOOD = "good"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+    @classmethod
+    def of(cls, state: RunState) -> Phase:
+        """The phase that ``state`` belongs to."""
+        ends = {RunState.SUCCEEDED: cls.GOOD, RunState.FAILED: cls.FAILED, RunState.CANCELLED: cls.CANCELLED}
+        if state is RunState.QUEUED:
+            return cls.QUEUED
+        return ends.get(state, cls.RUNNING)
+
+
+class Standing(StrEnum):
+    """Where an experiment stands. ``storing``: its start was interrupted, or is under way."""
+
+    STORING = "storing"
+    ACTIVE = "active"
+    PAUSED = "paused"
+    CANCELLED = "cancelled"
+    FINISHED = "finished"
+
+
+@dataclass(frozen=True, slots=True)
+class PreviewRow:
+    """One of the first cells. ``known``: its configuration is stored already, and so often it has run or will."""
+
+    number: int
+    name: str
+    values: Mapping[str, Value]
+    known: bool
+    known_runs: int
+
+
+@dataclass(frozen=True, slots=True)
+class VariantNeed:
+    """A variant of a dataset that runs need. ``made``: it lies in the cache; else it takes ``needed_bytes`` at most."""
+
+    dataset: str
+    variant: Variant
+    key: str
+    needed_bytes: int
+    made: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentPreview:
+    """What starting an experiment would do; nothing is stored for it.
+
+    ``combinations`` before conditions, ``cells`` distinct configurations after them (``merged`` were identical to
+    another), ``runs`` with seeds and repeats. ``known_cells`` configurations are stored already, with ``known_runs``
+    runs. ``time_s`` is the estimated time of all runs on this machine's slots, ``measured_runs`` how many of them it
+    knows from earlier runs; the others are taken to last as long as their recording plays. ``run_bytes`` is the room
+    that run folders will take, None if none has been measured yet. ``refusals`` would keep it from being started.
+    ``standing``: of the experiment if it is stored already.
+    """
+
+    name: str
+    description: str
+    combinations: int
+    cells: int
+    merged: int
+    runs: int
+    axes: Mapping[str, int]
+    rows: tuple[PreviewRow, ...]
+    known_cells: int
+    known_runs: int
+    time_s: float
+    measured_runs: int
+    slots: int
+    variants: tuple[VariantNeed, ...]
+    variant_bytes: int
+    run_bytes: int | None
+    free_bytes: int
+    warnings: tuple[str, ...]
+    refusals: tuple[str, ...]
+    standing: Standing | None
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentStatus:
+    """How far an experiment is.
+
+    ``counts`` of runs by phase leave out failed runs that another run has taken the place of (``retried``).
+    ``failures``: {reason: runs}. ``left_s`` is the estimated time left, None if nothing has been measured. ``missing``
+    runs are not stored, because the start was interrupted.
+    """
+
+    id: int
+    name: str
+    description: str
+    standing: Standing
+    executor: str
+    priority: int
+    repeats: int
+    created_at: datetime
+    cells: int
+    runs: int
+    missing: int
+    counts: Mapping[Phase, int]
+    retried: int
+    failures: Mapping[FailureReason, int]
+    left_s: float | None
+
+    @property
+    def ended(self) -> int:
+        """Runs that nothing more will come of."""
+        return sum(self.counts[phase] for phase in (Phase.GOOD, Phase.FAILED, Phase.CANCELLED))
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Mean and sample standard deviation of ``n`` values; no deviation of a single one."""
+
+    n: int
+    mean: float
+    std: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class CellFigures:
+    """Figures of the good runs of a cell under one protocol (fingerprint), None where none was evaluated."""
+
+    protocol: str | None
+    runs: int
+    metrics: Mapping[str, Spread]
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One configuration of an experiment with its runs.
+
+    ``counts`` as in :class:`ExperimentStatus`; ``failures`` counts all failed runs, retried ones too. Figures of
+    different protocols stay apart.
+    """
+
+    number: int
+    name: str
+    configuration_id: int
+    values: Mapping[str, Value]
+    runs: tuple[CellRun, ...]
+    counts: Mapping[Phase, int]
+    failures: Mapping[FailureReason, int]
+    figures: tuple[CellFigures, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CellPage:
+    """Some cells in order. ``next_number`` asks for those after, None at the end."""
+
+    cells: tuple[Cell, ...]
+    total: int
+    next_number: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class GridCell:
+    """The cells of an experiment that share two values: how many, the first one, and their runs by phase."""
+
+    cells: int
+    first: int
+    counts: Mapping[Phase, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Progress over two axes. A value is None where an axis has no meaning (``features`` for a LiDAR algorithm).
+
+    ``cells``: {(row, column) as indices of ``rows`` and ``columns``: what is there}; combinations that do not exist are
+    absent.
+    """
+
+    row_axis: str
+    column_axis: str
+    rows: tuple[Value | None, ...]
+    columns: tuple[Value | None, ...]
+    cells: Mapping[tuple[int, int], GridCell] = field(default_factory=dict)
