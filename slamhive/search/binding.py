@@ -1,0 +1,219 @@
+"""Names and values get their meaning: a parsed filter becomes a typed one, or is refused at the place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from fnmatch import fnmatchcase
+from typing import TypeAlias
+
+from slamhive.errors import nearest
+from slamhive.search.fields import Field, Kind, Source, Vocabulary
+from slamhive.search.grammar import Junction, Tree, leaves, mapped
+from slamhive.search.reader import FilterError, Place
+from slamhive.search.syntax import PRESENCE, Comparison, Filter, Sign, Word, filter_text, parse_filter
+from slamhive.search.units import moments, number, units_of
+
+Value = float | str | bool | datetime
+LONGEST_TEXT = 190
+"""Characters of a text value that the store can search by."""
+
+_FLAGS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
+_ORDERED = (Sign.LESS, Sign.AT_MOST, Sign.MORE, Sign.AT_LEAST, Sign.BETWEEN)
+_PATTERNS = (Sign.LIKE, Sign.UNLIKE)
+_EXACT = (Sign.EQUAL, Sign.NOT_EQUAL, Sign.IN, Sign.NOT_IN)
+_ALLOWED: dict[Kind, tuple[Sign, ...]] = {
+    Kind.NUMBER: (*_EXACT, *_ORDERED),
+    Kind.TIME: (Sign.EQUAL, Sign.NOT_EQUAL, *_ORDERED),
+    Kind.TEXT: (*_EXACT, *_PATTERNS),
+    Kind.CHOICE: (*_EXACT, *_PATTERNS),
+    Kind.FLAG: (Sign.EQUAL, Sign.NOT_EQUAL),
+}
+_EXPECTED = {
+    Kind.NUMBER: "a number such as 2000 or 1e-3",
+    Kind.TIME: "a day such as 2026-01-31, or 2026-01-31T12:00 (UTC)",
+    Kind.FLAG: "true or false",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """A comparison whose name and values have a meaning.
+
+    Moments are written as half-open spans: ``created_at <= 2026-01-31`` has become ``created_at < 2026-02-01``.
+    """
+
+    field: Field
+    sign: Sign
+    values: tuple[Value, ...] = ()
+
+
+Bound: TypeAlias = Tree[Condition]
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """Which runs: ``tree`` (None: all), and the protocol whose figures are meant (None: each run's current one)."""
+
+    tree: Bound | None = None
+    protocol: str | None = None
+    text: str = ""
+
+    @property
+    def metrics(self) -> tuple[Field, ...]:
+        """The metrics that it compares, each once."""
+        found = [] if self.tree is None else [leaf.field for leaf in leaves(self.tree)]
+        return tuple(dict.fromkeys(entry for entry in found if entry.source is Source.METRIC))
+
+
+EVERYTHING = Search()
+
+
+def read_search(text: str, vocabulary: Vocabulary) -> Search:
+    """The search that ``text`` states; raises FilterError pointing at what is not understood."""
+    return bind(parse_filter(text), text, vocabulary)
+
+
+def bind(tree: Filter | None, source: str, vocabulary: Vocabulary) -> Search:
+    """The typed form of a parsed filter; ``source`` is its text, for messages."""
+    if tree is None:
+        return EVERYTHING
+    binder = _Binder(source, vocabulary)
+    rest, protocol = binder.split_protocol(tree)
+    bound = None if rest is None else mapped(rest, binder.condition)
+    return Search(bound, protocol, filter_text(tree))
+
+
+class _Binder:
+    def __init__(self, source: str, vocabulary: Vocabulary) -> None:
+        self._source = source
+        self._vocabulary = vocabulary
+
+    def split_protocol(self, tree: Filter) -> tuple[Filter | None, str | None]:
+        """``protocol = X`` taken out of the outermost ``and``; anywhere else it has no meaning and is refused."""
+        outermost = tree.parts if isinstance(tree, Junction) and tree.word == "and" else (tree,)
+        chosen = [part for part in outermost if isinstance(part, Comparison) and part.name.text == "protocol"]
+        rest = tuple(part for part in outermost if part not in chosen)
+        nested = [leaf for part in rest for leaf in leaves(part) if leaf.name.text == "protocol"]
+        if nested or len(chosen) > 1:
+            raise self._refusal(
+                "protocol is chosen for the whole filter", "write it once, joined by and", [*nested, *chosen][-1].place
+            )
+        if not chosen:
+            return tree, None
+        left = None if not rest else rest[0] if len(rest) == 1 else Junction("and", rest)
+        return left, self._protocol(chosen[0])
+
+    def condition(self, leaf: Comparison) -> Condition:
+        """One comparison, of the first meaning of its name that fits."""
+        meanings = self._vocabulary.fields(leaf.name.text)
+        if not meanings:
+            name = leaf.name.text
+            raise self._refusal(
+                f"nothing is called {name[:80]!r}", self._vocabulary.nearest(name[:80]), leaf.name.place
+            )
+        if leaf.sign in PRESENCE:
+            return Condition(meanings[0], leaf.sign)
+        problems: list[FilterError] = []
+        for meaning in meanings:
+            try:
+                return self._of(meaning, leaf)
+            except FilterError as problem:
+                problems.append(problem)
+        raise problems[0]
+
+    def _of(self, meaning: Field, leaf: Comparison) -> Condition:
+        if leaf.sign not in _ALLOWED[meaning.kind]:
+            signs = " ".join(_ALLOWED[meaning.kind])
+            raise self._refusal(
+                f"{meaning.name} is a {meaning.kind}, {leaf.sign} does not compare it", f"use {signs}", leaf.place
+            )
+        if meaning.kind is Kind.TIME:
+            return self._time(meaning, leaf)
+        if meaning.kind is Kind.CHOICE and meaning.choices:
+            return self._choice(meaning, leaf)
+        readers: dict[Kind, Callable[[Field, Word], Value]] = {
+            Kind.NUMBER: self._number,
+            Kind.FLAG: self._flag,
+            Kind.TEXT: self._text,
+            Kind.CHOICE: self._text,
+        }
+        return Condition(meaning, leaf.sign, tuple(readers[meaning.kind](meaning, word) for word in leaf.values))
+
+    def _number(self, meaning: Field, word: Word) -> float:
+        value = number(word.text, meaning.unit)
+        if value is None:
+            raise self._unfit(meaning, word)
+        return value
+
+    def _flag(self, meaning: Field, word: Word) -> bool:
+        if word.text.lower() not in _FLAGS:
+            raise self._unfit(meaning, word)
+        return _FLAGS[word.text.lower()]
+
+    def _text(self, meaning: Field, word: Word) -> str:
+        if len(word.text) > LONGEST_TEXT or "\0" in word.text:
+            raise self._refusal(
+                f"{meaning.name} cannot be compared with this text",
+                f"use at most {LONGEST_TEXT} characters",
+                word.place,
+            )
+        return word.text
+
+    def _choice(self, meaning: Field, leaf: Comparison) -> Condition:
+        """Patterns are resolved here: what remains is a list of known values."""
+        if leaf.sign in _PATTERNS:
+            (word,) = leaf.values
+            found = tuple(choice for choice in meaning.choices if matches(choice, word.text))
+            return Condition(meaning, Sign.IN if leaf.sign is Sign.LIKE else Sign.NOT_IN, found)
+        for word in leaf.values:
+            if word.text not in meaning.choices:
+                remedy = nearest(word.text[:80], list(meaning.choices))
+                raise self._refusal(f"{meaning.name} is never {word.text[:80]!r}", remedy, word.place)
+        return Condition(meaning, leaf.sign, tuple(str(word.text) for word in leaf.values))
+
+    def _time(self, meaning: Field, leaf: Comparison) -> Condition:
+        spans = []
+        for word in leaf.values:
+            span = moments(word.text)
+            if span is None:
+                raise self._unfit(meaning, word)
+            spans.append(span)
+        (begin, end), last = spans[0], spans[-1][1]
+        simple = {Sign.LESS: begin, Sign.AT_LEAST: begin, Sign.MORE: end, Sign.AT_MOST: end}
+        if leaf.sign in simple:
+            sign = Sign.LESS if leaf.sign in {Sign.LESS, Sign.AT_MOST} else Sign.AT_LEAST
+            return Condition(meaning, sign, (simple[leaf.sign],))
+        return Condition(meaning, Sign.NOT_EQUAL if leaf.sign is Sign.NOT_EQUAL else Sign.EQUAL, (begin, last))
+
+    def _protocol(self, leaf: Comparison) -> str:
+        if leaf.sign is not Sign.EQUAL:
+            raise self._refusal("a protocol is chosen with =", "protocol = FINGERPRINT", leaf.place)
+        text = leaf.values[0].text
+        known = self._vocabulary.protocols
+        by_label = [fingerprint for fingerprint, label in known.items() if text in {fingerprint, label}]
+        if not by_label:
+            raise self._refusal(
+                f"no figure is filed under protocol {text[:80]!r}",
+                nearest(text[:80], list(known)),
+                leaf.values[0].place,
+            )
+        return by_label[0]
+
+    def _unfit(self, meaning: Field, word: Word) -> FilterError:
+        units = ", ".join(units_of(meaning.unit))
+        unit = f" in {meaning.unit} or with a unit ({units})" if meaning.kind is Kind.NUMBER and units else ""
+        return self._refusal(
+            f"{meaning.name} is a {meaning.kind}, {word.text[:80]!r} is none",
+            f"write {_EXPECTED[meaning.kind]}{unit}",
+            word.place,
+        )
+
+    def _refusal(self, message: str, remedy: str, place: Place) -> FilterError:
+        return FilterError(message, remedy, self._source, place)
+
+
+def matches(text: str, pattern: str) -> bool:
+    """Whether ``text`` is of the form ``pattern``: ``*`` stands for any text, ``?`` for one character."""
+    return fnmatchcase(text, pattern.replace("[", "[[]"))

@@ -1,0 +1,163 @@
+"""What a filter can name: columns of a run and its configuration, metrics, parameters, attributes of algorithms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.sensors import SensorSetup
+from slamhive.errors import nearest
+
+
+class Kind(StrEnum):
+    """What values a field has, and with it which signs it takes."""
+
+    NUMBER = "number"
+    TEXT = "text"
+    CHOICE = "choice"
+    TIME = "time"
+    FLAG = "yes or no"
+
+
+class Source(StrEnum):
+    """Where a field's value is found."""
+
+    RUN = "run"
+    CONFIGURATION = "configuration"
+    METRIC = "metric"
+    PARAMETER = "parameter"
+    SETUP = "setup"
+    PROTOCOL = "protocol"
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One name of the language.
+
+    ``groups`` tells, for an attribute of algorithms, which algorithms have which value.
+    """
+
+    name: str
+    label: str
+    kind: Kind
+    source: Source
+    unit: str = ""
+    help: str = ""
+    choices: tuple[str, ...] = ()
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict, compare=False, hash=False)
+
+
+def _run(name: str, label: str, kind: Kind, note: str = "", choices: Iterable[str] = ()) -> Field:
+    return Field(name, label, kind, Source.RUN, help=note, choices=tuple(map(str, choices)))
+
+
+def _configuration(name: str, label: str, kind: Kind, note: str = "", choices: Iterable[str] = ()) -> Field:
+    return Field(name, label, kind, Source.CONFIGURATION, help=note, choices=tuple(map(str, choices)))
+
+
+SENSOR = Field(
+    "sensor",
+    "Sensors",
+    Kind.CHOICE,
+    Source.SETUP,
+    help="what the algorithm senses with",
+    choices=tuple(map(str, SensorSetup)),
+)
+PROTOCOL = Field(
+    "protocol", "Protocol", Kind.TEXT, Source.PROTOCOL, help="fingerprint that the figures are taken from; once only"
+)
+BUILT_IN: dict[str, Field] = {
+    entry.name: entry
+    for entry in (
+        _run("id", "Run", Kind.NUMBER, "the run's number"),
+        _configuration("algorithm", "Algorithm", Kind.TEXT, "mode of a package"),
+        _configuration("package", "Package", Kind.TEXT, "folder of the algorithm"),
+        SENSOR,
+        _configuration("dataset", "Dataset", Kind.TEXT),
+        _run("state", "State", Kind.CHOICE, "where the run is in its life", RunState),
+        _run("reason", "Reason", Kind.CHOICE, "why a run failed", FailureReason),
+        _run("executor", "Executor", Kind.TEXT, "docker, process, ..."),
+        _run("experiment", "Experiment", Kind.TEXT, "name of the experiment that asked for the run"),
+        _run("configuration", "Configuration", Kind.NUMBER, "number shared by all repeats"),
+        _configuration("playback", "Playback", Kind.CHOICE, "how the recording was fed", PlaybackMode),
+        _configuration("rate", "Playback rate", Kind.NUMBER, "1 is real time"),
+        _configuration("variant", "Variant", Kind.FLAG, "whether the recording went through pre-processing"),
+        _run("evaluated", "Evaluated", Kind.FLAG, "whether an evaluation succeeded"),
+        _run("seed", "Seed", Kind.NUMBER),
+        _run("priority", "Priority", Kind.NUMBER),
+        _run("exit_code", "Exit code", Kind.NUMBER),
+        _run("created_at", "Created", Kind.TIME),
+        _run("started_at", "Started", Kind.TIME),
+        _run("ended_at", "Ended", Kind.TIME),
+        PROTOCOL,
+    )
+}
+PARAMETER_PREFIX = "parameter."
+"""Before the name of a parameter that something else is called, too: ``parameter.seed``."""
+
+VARIANT_PREFIX = "variant."
+"""Before kind and option of a pre-processing step: ``variant.resolution.scale``."""
+
+
+def metric_field(key: str) -> Field:
+    """The field of a metric."""
+    metric = CATALOGUE[key]
+    return Field(key, metric.label, Kind.NUMBER, Source.METRIC, metric.unit, metric.definition)
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterKind:
+    """A parameter as some package defines it; packages may define the same name differently."""
+
+    name: str
+    kind: Kind
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Vocabulary:
+    """The names that a filter may use besides the built-in ones.
+
+    ``parameters`` by key and by general name, each with every way in which it is defined; ``sensors`` tells which
+    algorithms sense with what; ``protocols`` are the fingerprints of all protocols that figures are filed under.
+    """
+
+    parameters: Mapping[str, tuple[ParameterKind, ...]] = field(default_factory=dict)
+    sensors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    protocols: Mapping[str, str] = field(default_factory=dict)
+
+    def fields(self, name: str) -> tuple[Field, ...]:
+        """All meanings of ``name`` (parameters may have several kinds); empty if it has none."""
+        if name == SENSOR.name:
+            return (replace(SENSOR, groups=self.sensors),)
+        if name in BUILT_IN:
+            return (BUILT_IN[name],)
+        if name in CATALOGUE:
+            return (metric_field(name),)
+        key = name.removeprefix(PARAMETER_PREFIX)
+        return tuple(
+            Field(key, key, entry.kind, Source.PARAMETER, entry.unit, choices=entry.choices)
+            for entry in self.parameters.get(key, ())
+        )
+
+    def names(self) -> Sequence[str]:
+        """Every name that can stand on the left of a comparison."""
+        return [*BUILT_IN, *CATALOGUE, *self.parameters]
+
+    def nearest(self, name: str) -> str:
+        """A remedy for a name that has no meaning."""
+        found = nearest(name, list(self.names()))
+        return found if found.startswith("did you") else "docs/search.md lists what a filter can name"
+
+
+def vocabulary_of(kinds: Iterable[ParameterKind], **others: Mapping[str, object]) -> Vocabulary:
+    """A vocabulary of these parameters; definitions that differ in nothing that matters here are one."""
+    by_name: dict[str, dict[ParameterKind, None]] = {}
+    for entry in kinds:
+        by_name.setdefault(entry.name, {})[entry] = None
+    return Vocabulary({name: tuple(entries) for name, entries in by_name.items()}, **others)  # type: ignore[arg-type]

@@ -1,0 +1,91 @@
+"""``and``, ``or``, ``not`` and brackets over comparisons of any kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeAlias, TypeVar
+
+from slamhive.search.reader import Reader
+
+Leaf = TypeVar("Leaf")
+Other = TypeVar("Other")
+
+
+@dataclass(frozen=True, slots=True)
+class Junction(Generic[Leaf]):
+    """``and``, ``or`` over two or more parts, ``not`` over one. Parts of the same word are joined, not nested."""
+
+    word: str
+    parts: tuple[Junction[Leaf] | Leaf, ...]
+
+
+Tree: TypeAlias = Junction[Leaf] | Leaf
+
+
+def read_tree(reader: Reader, leaf: Callable[[Reader], Leaf]) -> Tree[Leaf]:
+    """The whole text; ``leaf`` reads one comparison. ``not`` binds closest, then ``and``, then ``or``."""
+    tree = _joined(reader, leaf, "or")
+    if reader.peek().kind != "end":
+        raise reader.misplaced("'and', 'or' or the end")
+    return tree
+
+
+def join(word: str, parts: list[Tree[Leaf]]) -> Tree[Leaf]:
+    """The parts under one ``and`` or ``or``; a single one is itself."""
+    flat: list[Tree[Leaf]] = []
+    for part in parts:
+        flat.extend(part.parts if isinstance(part, Junction) and part.word == word else [part])
+    return flat[0] if len(flat) == 1 else Junction(word, tuple(flat))
+
+
+def leaves(tree: Tree[Leaf]) -> Iterator[Leaf]:
+    """Every comparison, from left to right."""
+    if isinstance(tree, Junction):
+        for part in tree.parts:
+            yield from leaves(part)
+    else:
+        yield tree
+
+
+def mapped(tree: Tree[Leaf], change: Callable[[Leaf], Other]) -> Tree[Other]:
+    """The same tree over what ``change`` makes of each comparison."""
+    if isinstance(tree, Junction):
+        return Junction(tree.word, tuple(mapped(part, change) for part in tree.parts))
+    return change(tree)
+
+
+def written(tree: Tree[Leaf], leaf: Callable[[Leaf], str], outer: str = "") -> str:
+    """The tree as text, with brackets where they are needed."""
+    if not isinstance(tree, Junction):
+        return leaf(tree)
+    if tree.word == "not":
+        (part,) = tree.parts
+        inner = written(part, leaf, "not")
+        return f"not ({inner})" if isinstance(part, Junction) else f"not {inner}"
+    text = f" {tree.word} ".join(written(part, leaf, tree.word) for part in tree.parts)
+    return f"({text})" if tree.word == "or" and outer == "and" else text
+
+
+def _joined(reader: Reader, leaf: Callable[[Reader], Leaf], word: str) -> Tree[Leaf]:
+    def part() -> Tree[Leaf]:
+        return _joined(reader, leaf, "and") if word == "or" else _negated(reader, leaf)
+
+    parts = [part()]
+    while reader.take(word):
+        parts.append(part())
+    return join(word, parts)
+
+
+def _negated(reader: Reader, leaf: Callable[[Reader], Leaf]) -> Tree[Leaf]:
+    if reader.take("not"):
+        reader.deeper()
+        tree: Tree[Leaf] = Junction("not", (_negated(reader, leaf),))
+    elif reader.take("("):
+        reader.deeper()
+        tree = _joined(reader, leaf, "or")
+        reader.expect(")")
+    else:
+        return leaf(reader)
+    reader.shallower()
+    return tree

@@ -1,0 +1,87 @@
+"""A search as the end of a sentence: ``ATE RMSE below 0.1 m and state failed``."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+
+from slamhive.domain.numbers import plain
+from slamhive.search.binding import Condition, Search, Value
+from slamhive.search.fields import Field, Kind, Source
+from slamhive.search.grammar import written
+from slamhive.search.syntax import Sign
+
+_DAY = timedelta(days=1)
+_WORDS = {
+    Sign.NOT_EQUAL: "not {}",
+    Sign.LESS: "below {}",
+    Sign.AT_MOST: "at most {}",
+    Sign.MORE: "above {}",
+    Sign.AT_LEAST: "at least {}",
+    Sign.LIKE: "like {}",
+    Sign.UNLIKE: "not like {}",
+    Sign.BETWEEN: "from {} to {}",
+}
+
+
+def in_words(search: Search) -> str:
+    """The search in words; empty for all runs."""
+    parts = [] if search.tree is None else [written(search.tree, _words)]
+    if search.protocol is not None:
+        parts.append(f"figures under protocol {search.protocol}")
+    return ", ".join(parts)
+
+
+def _words(condition: Condition) -> str:
+    field, sign = condition.field, condition.sign
+    name = field.name if field.source is Source.PARAMETER else _lower(field.label)
+    if sign in {Sign.HAS, Sign.MISSING}:
+        return f"{'with' if sign is Sign.HAS else 'without'} {name}"
+    if field.kind is Kind.TIME:
+        return f"{name} {_span(condition)}"
+    if field.kind is Kind.FLAG and field.source is not Source.PARAMETER:
+        yes = condition.values[0] is (sign is Sign.EQUAL)
+        return {"variant": "of a pre-processed recording"}.get(field.name, name) if yes else f"not {name}"
+    values = [_value(field, value) for value in condition.values]
+    if sign in {Sign.IN, Sign.NOT_IN}:
+        if sign is Sign.IN and len(values) == 1:
+            return f"{name} {values[0]}"
+        return f"{name} {'one' if sign is Sign.IN else 'none'} of {', '.join(values) or 'nothing'}"
+    return f"{name} " + _WORDS.get(sign, "{}").format(*values)
+
+
+def _value(field: Field, value: Value) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return _with_unit(value, field.unit)
+    return str(value).replace("_", " ") if field.kind is Kind.CHOICE and field.name == "reason" else str(value)
+
+
+def _with_unit(value: float, unit: str) -> str:
+    if unit == "bytes":
+        for factor, name in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+            if abs(value) >= factor:
+                return f"{value / factor:g} {name}"
+    return f"{plain(value)} {unit}".strip()
+
+
+def _span(condition: Condition) -> str:
+    moments = [value for value in condition.values if isinstance(value, datetime)]
+    if condition.sign is Sign.LESS:
+        return f"before {_moment(moments[0])}"
+    if condition.sign is Sign.AT_LEAST:
+        return f"since {_moment(moments[0])}"
+    begin, end = moments
+    last = end - _DAY if _moment(end).count(":") == 0 else end
+    words = f"on {_moment(begin)}" if begin == last else f"from {_moment(begin)} to {_moment(last)}"
+    return words if condition.sign is Sign.EQUAL else f"not {words}"
+
+
+def _moment(at: datetime) -> str:
+    midnight = at.hour == at.minute == at.second == at.microsecond == 0
+    return at.strftime("%Y-%m-%d") if midnight else at.strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _lower(label: str) -> str:
+    """A label inside a sentence; abbreviations stay as they are."""
+    return label if label[:2].isupper() else label[:1].lower() + label[1:]
