@@ -4,55 +4,196 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from enum import StrEnum
+from typing import Any
 
-from slamhive.domain.sensors import SensorSetup
+from slamhive.domain.sensors import Matrix4, SensorSetup, is_rigid
+from slamhive.errors import InvalidInput, nearest
 
 
 class Alignment(StrEnum):
     """How the estimate is moved onto the ground truth before errors are taken."""
 
     NONE = "none"
+    FIRST_POSE = "first_pose"
     SE3 = "se3"
     SIM3 = "sim3"
     YAW_POSITION = "yaw_position"
+    SCALE = "scale"
 
 
 ALIGNMENT_LABELS = {
     Alignment.NONE: "no alignment",
+    Alignment.FIRST_POSE: "first pose",
     Alignment.SE3: "SE(3)",
     Alignment.SIM3: "Sim(3)",
     Alignment.YAW_POSITION: "yaw + position",
+    Alignment.SCALE: "scale only",
 }
+
+
+class Association(StrEnum):
+    """Which pose of the ground truth answers to which of the estimate.
+
+    ``nearest``: each pose of the shorter list takes the nearest of the other, which may be taken twice (as evo does).
+    ``one_to_one``: pairs by growing gap, each pose once (as TUM does). ``interpolate``: the ground truth between its
+    two neighbours, at the estimate's stamps. ``hold``: the estimate at the ground truth's stamps, its last pose held
+    where it pauses or has ended, so that lost tracking counts (as ETH3D does). ``index``: by position in the files,
+    stamps unused (as KITTI does).
+    """
+
+    NEAREST = "nearest"
+    ONE_TO_ONE = "one_to_one"
+    INTERPOLATE = "interpolate"
+    HOLD = "hold"
+    INDEX = "index"
+
+
+class RpePairs(StrEnum):
+    """Which pairs of poses a relative error is taken over: all that are a delta apart, or one after the other."""
+
+    ALL = "all"
+    CONSECUTIVE = "consecutive"
 
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """Association and alignment. Figures of different fingerprints are never averaged or ranked together.
+    """Association, time offset, alignment, reference and deltas.
 
-    ``association_tolerance_s``: largest gap between matched stamps. ``gap_threshold_s``: a pause of the estimate
-    longer than this counts as tracking lost. ``rpe_delta_m``: path length between the poses of an RPE pair.
+    Figures of different fingerprints are never averaged or ranked together. A field's default is part of every
+    fingerprint that was ever taken, so no default may change, and a new field's default has to mean what was done
+    before there was the field.
+
+    Attributes:
+        alignment: How the estimate is moved onto the ground truth.
+        association_tolerance_s: Largest gap between matched stamps (nearest, one_to_one).
+        gap_threshold_s: A pause of the estimate longer than this counts as tracking lost.
+        rpe_delta_m: Path length between the poses of an RPE pair.
+        association: Which pose answers to which.
+        interpolation_interval_s: Longest interval of the ground truth that is interpolated (interpolate).
+        time_offset_s: Added to the estimate's stamps, to bring them to the ground truth's clock.
+        offset_search_s: The offset is searched within this of ``time_offset_s``; 0 for no search.
+        align_poses: The alignment is computed over this many first matched poses; None for all.
+        T_body_sensor: Pose of the estimate's frame in the ground truth's body frame, instead of what algorithm and
+            dataset say; None for that.
+        reference: File of the dataset's folder to compare with instead of its ground truth; None for that.
+        rpe_pairs: Which pairs the relative errors are taken over.
+        rpe_delta_s: Time between the poses of a pair, for the relative error by time.
+        rpe_delta_frames: Poses from one to the other of a pair, for the relative error by frames.
+        rpe_delta_deg: Rotation between the poses of a pair, for the relative error by angle.
+        segment_lengths_m: Path lengths of the segments; empty for 10, 20, 30, 40 and 50 % of the ground truth's path.
+        segment_tolerance_m: How far a segment's length may be off; None for a fifth of it.
+
+    Raises:
+        InvalidInput: Naming the field and the value that cannot be meant.
     """
 
     alignment: Alignment
     association_tolerance_s: float = 0.01
     gap_threshold_s: float = 1.0
     rpe_delta_m: float = 1.0
+    association: Association = Association.NEAREST
+    interpolation_interval_s: float = 0.1
+    time_offset_s: float = 0.0
+    offset_search_s: float = 0.0
+    align_poses: int | None = None
+    T_body_sensor: Matrix4 | None = None
+    reference: str | None = None
+    rpe_pairs: RpePairs = RpePairs.ALL
+    rpe_delta_s: float = 1.0
+    rpe_delta_frames: int = 1
+    rpe_delta_deg: float = 10.0
+    segment_lengths_m: tuple[float, ...] = ()
+    segment_tolerance_m: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, (minimum, maximum) in BOUNDS.items():
+            value = getattr(self, name)
+            for number in value if isinstance(value, tuple) else (value,):
+                if number is not None and not minimum <= number <= maximum:
+                    raise InvalidInput(f"{name} {number!r} is not allowed", f"use {minimum:g} to {maximum:g}")
+        if list(self.segment_lengths_m) != sorted(set(self.segment_lengths_m)):
+            raise InvalidInput(f"segment_lengths_m {list(self.segment_lengths_m)} must grow", "sort them, each once")
+        if self.T_body_sensor is not None and not is_rigid(self.T_body_sensor):
+            raise InvalidInput(
+                "T_body_sensor must be 16 numbers, row by row, that are a rotation with a translation",
+                "take them from the calibration of the sensor",
+            )
 
     @property
     def fingerprint(self) -> str:
         """First 12 hex digits of the SHA-256 of the protocol's content."""
-        text = json.dumps(asdict(self), sort_keys=True, separators=(",", ":"))
+        text = json.dumps(self.content, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     @property
+    def content(self) -> dict[str, Any]:
+        """As plain values: the first four fields, and every other one that differs from its default.
+
+        So a field that comes to be later leaves the fingerprints as they are.
+        """
+        return {
+            field.name: value.value if isinstance(value := getattr(self, field.name), StrEnum) else value
+            for index, field in enumerate(fields(self))
+            if index < _ALWAYS_IN_CONTENT or getattr(self, field.name) != field.default
+        }
+
+    @property
     def label(self) -> str:
-        """The protocol in words, for captions."""
-        return (
-            f"{ALIGNMENT_LABELS[self.alignment]}, association {self.association_tolerance_s:g} s, "
-            f"RPE over {self.rpe_delta_m:g} m"
-        )
+        """The protocol in words, for captions: what differs from the defaults is there."""
+        return ", ".join(_words(self))
+
+
+_ALWAYS_IN_CONTENT = 4
+_LARGEST_S, _LARGEST_M = 1e6, 1e9
+BOUNDS = {
+    "association_tolerance_s": (0.0, _LARGEST_S),
+    "gap_threshold_s": (0.0, _LARGEST_S),
+    "rpe_delta_m": (1e-6, _LARGEST_M),
+    "interpolation_interval_s": (1e-6, _LARGEST_S),
+    "time_offset_s": (-1e10, 1e10),
+    "offset_search_s": (0.0, 60.0),
+    "align_poses": (1, 10**9),
+    "rpe_delta_s": (1e-6, _LARGEST_S),
+    "rpe_delta_frames": (1, 10**9),
+    "rpe_delta_deg": (1e-3, 180.0),
+    "segment_lengths_m": (1e-6, _LARGEST_M),
+    "segment_tolerance_m": (1e-9, _LARGEST_M),
+}
+"""What the numbers of a protocol may be, both ends included."""
+
+
+def protocol_from_content(content: Mapping[str, Any]) -> Protocol:
+    """The protocol with this :attr:`Protocol.content`; raises InvalidInput for what cannot be one."""
+    values = dict(content)
+    known = [field.name for field in fields(Protocol)]
+    for name in values:
+        if name not in known:
+            raise InvalidInput(f"a protocol has no field {name!r}; {nearest(name, known)}")
+    if "alignment" not in values:
+        raise InvalidInput("a protocol needs an alignment", f"use one of {', '.join(Alignment)}")
+    for name, kind in _ENUMS.items():
+        if name in values:
+            values[name] = _member(kind, name, values[name])
+    try:
+        for name in ("T_body_sensor", "segment_lengths_m"):
+            if values.get(name) is not None:
+                values[name] = tuple(float(number) for number in values[name])
+        return Protocol(**values)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(f"a field of the protocol has a type that is not allowed: {error}") from None
+
+
+_ENUMS: dict[str, type[StrEnum]] = {"alignment": Alignment, "association": Association, "rpe_pairs": RpePairs}
+
+
+def _member(kind: type[StrEnum], name: str, value: str) -> StrEnum:
+    try:
+        return kind(value)
+    except ValueError:
+        raise InvalidInput(f"{name} {value!r} is not known", f"use one of {', '.join(kind)}") from None
 
 
 def default_alignment(setup: SensorSetup, *, gravity_aligned: bool) -> Alignment:
@@ -67,3 +208,41 @@ def default_alignment(setup: SensorSetup, *, gravity_aligned: bool) -> Alignment
     if inertial and gravity_aligned:
         return Alignment.YAW_POSITION
     return Alignment.SE3
+
+
+def _words(protocol: Protocol) -> list[str]:
+    alignment = ALIGNMENT_LABELS[protocol.alignment]
+    if protocol.align_poses is not None:
+        alignment += f" over the first {protocol.align_poses} poses"
+    words = [alignment, _association_words(protocol)]
+    if protocol.offset_search_s > 0:
+        around = f" around {protocol.time_offset_s:+g} s" if protocol.time_offset_s else ""
+        words.append(f"time offset searched within {protocol.offset_search_s:g} s{around}")
+    elif protocol.time_offset_s:
+        words.append(f"time offset {protocol.time_offset_s:+g} s")
+    if protocol.T_body_sensor is not None:
+        words.append("own T_body_sensor")
+    if protocol.reference is not None:
+        words.append(f"against {protocol.reference}")
+    words.append(f"RPE over {protocol.rpe_delta_m:g} m")
+    if protocol.rpe_pairs is RpePairs.CONSECUTIVE:
+        words.append("consecutive pairs")
+    shown = {"alignment", "association", "align_poses", "offset_search_s", "time_offset_s", "T_body_sensor"}
+    shown |= {"reference", "rpe_delta_m", "rpe_pairs", "association_tolerance_s", "interpolation_interval_s"}
+    for field in fields(protocol):
+        value = getattr(protocol, field.name)
+        if field.name not in shown and value != field.default:
+            numbers = value if isinstance(value, tuple) else (value,)
+            words.append(f"{field.name} {' '.join(f'{number:g}' for number in numbers)}")
+    return words
+
+
+def _association_words(protocol: Protocol) -> str:
+    if protocol.association is Association.INTERPOLATE:
+        return f"ground truth interpolated over up to {protocol.interpolation_interval_s:g} s"
+    if protocol.association is Association.HOLD:
+        return "estimate held at every stamp of the ground truth"
+    if protocol.association is Association.INDEX:
+        return "poses by index"
+    one_to_one = " one to one" if protocol.association is Association.ONE_TO_ONE else ""
+    return f"association{one_to_one} {protocol.association_tolerance_s:g} s"

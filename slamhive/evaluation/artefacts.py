@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from evo.core.result import Result
-from evo.core.trajectory import PoseTrajectory3D
 
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.evaluation.engine import ENGINE, Evaluated, evaluate
@@ -22,14 +21,14 @@ from slamhive.evaluation.job import (
 )
 from slamhive.evaluation.references import References
 from slamhive.files import write_aside
+from slamhive.trajectory.model import Poses
 from slamhive.trajectory.tum import format_tum
 
-APE_FILE = "ape.zip"
-RPE_FILE = "rpe.zip"
+_ARCHIVES = ("ape", "rpe")
 ALIGNED_FILE = "traj.tum"
 REFERENCE_FILE = "groundtruth.tum"
 ERRORS_FILE = "errors.csv"
-FILES = (APE_FILE, RPE_FILE, ALIGNED_FILE, REFERENCE_FILE, ERRORS_FILE)
+FILES = (*(f"{name}.zip" for name in _ARCHIVES), ALIGNED_FILE, REFERENCE_FILE, ERRORS_FILE)
 
 
 def run_task(task: EvaluationTask, references: References) -> EvaluationResult:
@@ -52,16 +51,12 @@ def run_task(task: EvaluationTask, references: References) -> EvaluationResult:
 def _write_files(task: EvaluationTask, evaluated: Evaluated) -> None:
     if task.artefacts is Artefacts.METRICS:
         return
-    write_aside(task.output / APE_FILE, _result_archive(evaluated.ape, task.id))
-    if evaluated.rpe is None:
-        _remove(task.output, [RPE_FILE])
-    else:
-        write_aside(task.output / RPE_FILE, _result_archive(evaluated.rpe, task.id))
-    write_aside(task.output / ALIGNED_FILE, _tum(evaluated.aligned))
-    reference = evaluated.reference
-    write_aside(
-        task.output / REFERENCE_FILE, format_tum(reference.stamps_s, reference.positions_m, reference.quats_xyzw)
-    )
+    _remove(task.output, (f"{name}.zip" for name in _ARCHIVES))
+    for name, result in evaluated.archives.items():
+        write_aside(task.output / f"{name}.zip", _result_archive(result, task.id))
+    aligned, reference = evaluated.paired.aligned, evaluated.paired.reference
+    write_aside(task.output / ALIGNED_FILE, _tum(aligned))
+    write_aside(task.output / REFERENCE_FILE, _tum(reference))
     write_aside(task.output / ERRORS_FILE, _errors_csv(evaluated))
     if task.artefacts is Artefacts.PLOTS:
         # Plotting loads matplotlib and evo's settings, which the figures alone do not need.
@@ -82,13 +77,12 @@ def load_libraries(tasks: Iterable[EvaluationTask]) -> None:
         import slamhive.evaluation.plots  # noqa: F401, PLC0415
 
 
-def _tum(trajectory: PoseTrajectory3D) -> str:
-    quats_xyzw = np.roll(trajectory.orientations_quat_wxyz, -1, axis=1)
-    return format_tum(trajectory.timestamps, trajectory.positions_xyz, quats_xyzw)
+def _tum(poses: Poses) -> str:
+    return format_tum(poses.stamps_s, poses.positions_m, poses.quats_xyzw)
 
 
 def _errors_csv(evaluated: Evaluated) -> str:
-    rows = np.column_stack((evaluated.aligned.timestamps, evaluated.ape.np_arrays["error_array"]))
+    rows = np.column_stack((evaluated.paired.aligned.stamps_s, evaluated.archives["ape"].np_arrays["error_array"]))
     return "timestamp,ape_m\n" + ("%.9f,%.9f\n" * len(rows)) % tuple(rows.ravel().tolist())
 
 

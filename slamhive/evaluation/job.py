@@ -7,15 +7,15 @@ output folder (aside, then renamed), and prints one JSON line per task to stdout
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.protocol import Protocol, protocol_from_content
 from slamhive.domain.sensors import IDENTITY4, Matrix4
-from slamhive.errors import InvalidInput
+from slamhive.errors import InvalidInput, SlamHiveError
 
 RESULT_FILE = "result.json"
 
@@ -34,6 +34,8 @@ class EvaluationTask:
 
     ``T_body_sensor`` is the pose of the frame that the estimate describes in the ground truth's body frame; the
     ground truth is moved into that frame (which is metric, whatever the estimate's scale).
+    ``positions_only``: the orientations of the ground truth mean nothing. ``files``: what else there is of the run,
+    by the name that evaluators know it by (see :class:`~slamhive.evaluation.evaluators.base.Paired`).
     ``artefacts``: METRICS writes figures only; FILES adds ``ape.zip``, ``rpe.zip`` and the aligned ``traj.tum``;
     PLOTS adds the paper's figures.
     """
@@ -45,11 +47,16 @@ class EvaluationTask:
     protocol: Protocol
     T_body_sensor: Matrix4 = IDENTITY4
     artefacts: Artefacts = Artefacts.FILES
+    positions_only: bool = False
+    files: Mapping[str, Path] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class EvaluationResult:
-    """What came out of one task. ``reason`` says in one line why it failed; ``metrics`` is then empty."""
+    """What came out of one task. ``reason`` says in one line why it failed; ``metrics`` is then empty.
+
+    ``missing`` says of each figure that could not be computed why not, {metric key: one line}.
+    """
 
     id: str
     fingerprint: str
@@ -58,6 +65,7 @@ class EvaluationResult:
     poses: int
     matched_poses: int
     engine: str
+    missing: dict[str, str] = field(default_factory=dict)
 
     @property
     def succeeded(self) -> bool:
@@ -90,7 +98,9 @@ def job_from_json(text: str) -> tuple[EvaluationTask, ...]:
     try:
         content = json.loads(text)
         return tuple(_task_from_json(entry) for entry in content["tasks"])
-    except (ValueError, KeyError, TypeError) as error:
+    except SlamHiveError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InvalidInput(f"job.json is not an evaluation job: {error!r}") from None
 
 
@@ -113,21 +123,23 @@ def _task_to_json(task: EvaluationTask) -> dict[str, Any]:
         "estimate": str(task.estimate),
         "reference": str(task.reference),
         "output": str(task.output),
-        "protocol": asdict(task.protocol),
+        "protocol": task.protocol.content,
         "T_body_sensor": list(task.T_body_sensor),
         "artefacts": task.artefacts.value,
+        "positions_only": task.positions_only,
+        "files": {name: str(path) for name, path in task.files.items()},
     }
 
 
 def _task_from_json(entry: dict[str, Any]) -> EvaluationTask:
-    protocol = dict(entry["protocol"])
-    protocol["alignment"] = Alignment(protocol["alignment"])
     return EvaluationTask(
         id=entry["id"],
         estimate=Path(entry["estimate"]),
         reference=Path(entry["reference"]),
         output=Path(entry["output"]),
-        protocol=Protocol(**protocol),
+        protocol=protocol_from_content(entry["protocol"]),
         T_body_sensor=tuple(entry["T_body_sensor"]),
         artefacts=Artefacts(entry["artefacts"]),
+        positions_only=entry["positions_only"],
+        files={name: Path(path) for name, path in entry["files"].items()},
     )

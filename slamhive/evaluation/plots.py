@@ -13,7 +13,8 @@ from evo.core.trajectory import PoseTrajectory3D
 from evo.tools import plot
 from matplotlib.figure import Figure
 
-from slamhive.evaluation.engine import ESTIMATE_NAME, REFERENCE_NAME, Evaluated
+from slamhive.evaluation.engine import Evaluated
+from slamhive.evaluation.evaluators.evo_errors import ESTIMATE_NAME, REFERENCE_NAME, evo_pair
 from slamhive.files import write_aside
 from slamhive.trajectory.model import FloatArray
 
@@ -26,16 +27,18 @@ _LINES = ("rmse", "mean", "median", "std")
 
 def write_plots(folder: Path, evaluated: Evaluated) -> None:
     """Write every figure of the evaluation as a PNG, each in one step. Raises Unavailable."""
-    plane = _widest_plane(evaluated.matched.positions_xyz)
+    matched, aligned = evo_pair(evaluated.paired)
+    ape = evaluated.archives["ape"]
+    plane = _widest_plane(matched.positions_xyz)
     drawings: dict[str, Callable[[Figure], None]] = {
-        "traj_trajectories": lambda figure: _trajectories(figure, evaluated, plane),
-        "traj_xyz": lambda figure: _over_time(figure, evaluated, plot.traj_xyz),
-        "traj_rpy": lambda figure: _over_time(figure, evaluated, plot.traj_rpy),
-        "traj_speeds": lambda figure: _speeds(figure, evaluated),
-        "ape_raw": lambda figure: _errors(figure, evaluated.ape),
-        "ape_map": lambda figure: _error_map(figure, evaluated.matched, evaluated.aligned, evaluated.ape, plane),
+        "traj_trajectories": lambda figure: _trajectories(figure, matched, aligned, plane),
+        "traj_xyz": lambda figure: _over_time(figure, matched, aligned, plot.traj_xyz),
+        "traj_rpy": lambda figure: _over_time(figure, matched, aligned, plot.traj_rpy),
+        "traj_speeds": lambda figure: _speeds(figure, matched, aligned),
+        "ape_raw": lambda figure: _errors(figure, ape),
+        "ape_map": lambda figure: _error_map(figure, matched, aligned, ape, plane),
     }
-    pairs = evaluated.rpe
+    pairs = evaluated.archives.get("rpe")
     if pairs is not None:
         ends, reference_ends = pairs.trajectories[ESTIMATE_NAME], pairs.trajectories[REFERENCE_NAME]
         drawings["rpe_raw"] = lambda figure: _errors(figure, pairs)
@@ -58,25 +61,25 @@ def _widest_plane(positions_m: FloatArray) -> plot.PlotMode:
     return (plot.PlotMode.yz, plot.PlotMode.xz, plot.PlotMode.xy)[flattest]
 
 
-def _trajectories(figure: Figure, evaluated: Evaluated, plane: plot.PlotMode) -> None:
+def _trajectories(figure: Figure, matched: PoseTrajectory3D, aligned: PoseTrajectory3D, plane: plot.PlotMode) -> None:
     axes = plot.prepare_axis(figure, plane)
-    plot.traj(axes, plane, evaluated.matched, **_REFERENCE_STYLE)
-    plot.traj(axes, plane, evaluated.aligned, plot_start_end_markers=True, **_ESTIMATE_STYLE)
+    plot.traj(axes, plane, matched, **_REFERENCE_STYLE)
+    plot.traj(axes, plane, aligned, plot_start_end_markers=True, **_ESTIMATE_STYLE)
     axes.legend()
 
 
-def _over_time(figure: Figure, evaluated: Evaluated, draw: Callable[..., None]) -> None:
+def _over_time(figure: Figure, matched: PoseTrajectory3D, aligned: PoseTrajectory3D, draw: Callable[..., None]) -> None:
     axes = figure.subplots(3, sharex="col")
-    start_s = evaluated.matched.timestamps[0]
-    draw(axes, evaluated.matched, start_timestamp=start_s, **_REFERENCE_STYLE)
-    draw(axes, evaluated.aligned, start_timestamp=start_s, **_ESTIMATE_STYLE)
+    start_s = matched.timestamps[0]
+    draw(axes, matched, start_timestamp=start_s, **_REFERENCE_STYLE)
+    draw(axes, aligned, start_timestamp=start_s, **_ESTIMATE_STYLE)
 
 
-def _speeds(figure: Figure, evaluated: Evaluated) -> None:
+def _speeds(figure: Figure, matched: PoseTrajectory3D, aligned: PoseTrajectory3D) -> None:
     axes = figure.add_subplot()
-    start_s = evaluated.matched.timestamps[0]
-    plot.speeds(axes, evaluated.matched, start_timestamp=start_s, **_REFERENCE_STYLE)
-    plot.speeds(axes, evaluated.aligned, start_timestamp=start_s, **_ESTIMATE_STYLE)
+    start_s = matched.timestamps[0]
+    plot.speeds(axes, matched, start_timestamp=start_s, **_REFERENCE_STYLE)
+    plot.speeds(axes, aligned, start_timestamp=start_s, **_ESTIMATE_STYLE)
     axes.legend()
 
 

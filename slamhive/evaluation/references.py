@@ -4,25 +4,65 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from slamhive.domain.protocol import Alignment
 from slamhive.domain.sensors import Matrix4
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.job import EvaluationTask
-from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.table import read_bounded
+from slamhive.trajectory.model import FloatArray, Trajectory
+from slamhive.trajectory.table import count_columns, read_bounded
 from slamhive.trajectory.transforms import move_sensor, rigid_transform
-from slamhive.trajectory.tum import parse_tum
+from slamhive.trajectory.tum import parse_positions, parse_tum
+
+_POSITION_COLUMNS = 4
+_SCALING = {Alignment.SIM3, Alignment.SCALE}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """A ground truth, ready to be compared with an estimate.
+
+    Attributes:
+        trajectory: Its poses, in the frame of the estimate; where only positions are known, in the body frame.
+        rotations_known: False where only positions are known.
+        T_sensor_body: Where only positions are known, and there is a lever arm: what moves the estimate to the body.
+    """
+
+    trajectory: Trajectory
+    rotations_known: bool = True
+    T_sensor_body: FloatArray | None = None
+
+    def check(self, alignment: Alignment) -> None:
+        """Raise InvalidInput if the estimate cannot be aligned so for want of orientations."""
+        if self.rotations_known:
+            return
+        if alignment is Alignment.FIRST_POSE:
+            raise InvalidInput(
+                "alignment of the first pose needs orientations, and the ground truth holds positions only",
+                "use se3, sim3 or none",
+            )
+        if self.T_sensor_body is not None and alignment in _SCALING:
+            raise InvalidInput(
+                f"the alignment {alignment} leaves the scale open, but the ground truth holds positions only, "
+                "so that the lever arm has to be added to the estimate in metres",
+                "use se3, or give the protocol a T_body_sensor without translation",
+            )
+
+    def placed(self, estimate: Trajectory) -> Trajectory:
+        """The estimate, moved to where the ground truth was taken if that could not be moved to the estimate."""
+        return estimate if self.T_sensor_body is None else move_sensor(estimate, self.T_sensor_body)
 
 
 class References:
     """Ground truths by file and by the sensor frame they are moved into, read when first asked for."""
 
     def __init__(self) -> None:
-        self._bodies: dict[Path, Trajectory | InvalidInput] = {}
-        self._moved: dict[tuple[Path, Matrix4], Trajectory] = {}
+        self._bodies: dict[tuple[Path, bool], Reference | InvalidInput] = {}
+        self._moved: dict[tuple[Path, bool, Matrix4], Reference] = {}
 
     def preload(self, tasks: Iterable[EvaluationTask]) -> None:
         """Read what ``tasks`` need. A malformed ground truth raises when its task asks for it."""
@@ -30,23 +70,42 @@ class References:
             with contextlib.suppress(InvalidInput):
                 self.of(task)
 
-    def of(self, task: EvaluationTask) -> Trajectory:
+    def of(self, task: EvaluationTask) -> Reference:
         """The ground truth of ``task`` in its estimate's frame; raises InvalidInput that says why there is none."""
-        key = (task.reference, task.T_body_sensor)
+        T_body_sensor = task.protocol.T_body_sensor or task.T_body_sensor
+        key = (task.reference, task.positions_only, T_body_sensor)
         if key not in self._moved:
-            body = self._body(task.reference)
+            body = self._body(task.reference, positions_only=task.positions_only)
             if isinstance(body, InvalidInput):
                 raise body
-            transform = rigid_transform(task.T_body_sensor, "T_body_sensor")
-            self._moved[key] = body if np.array_equal(transform, np.eye(4)) else move_sensor(body, transform)
+            self._moved[key] = _moved(body, rigid_transform(T_body_sensor, "T_body_sensor"))
         return self._moved[key]
 
-    def _body(self, path: Path) -> Trajectory | InvalidInput:
-        if path not in self._bodies:
+    def _body(self, path: Path, *, positions_only: bool) -> Reference | InvalidInput:
+        key = (path, positions_only)
+        if key not in self._bodies:
             try:
-                self._bodies[path] = parse_tum(read_bounded(path), f"ground truth {path.name}")
+                self._bodies[key] = _read(path, positions_only=positions_only)
             except NotFound:
-                self._bodies[path] = InvalidInput(f"there is no ground truth: {path.name} does not exist")
+                self._bodies[key] = InvalidInput(f"there is no ground truth: {path.name} does not exist")
             except InvalidInput as error:
-                self._bodies[path] = error
-        return self._bodies[path]
+                self._bodies[key] = error
+        return self._bodies[key]
+
+
+def _read(path: Path, *, positions_only: bool) -> Reference:
+    """The ground truth as it stands in the file: eight columns, or four, which are positions."""
+    data, name = read_bounded(path), f"ground truth {path.name}"
+    if count_columns(data) == _POSITION_COLUMNS:
+        return Reference(parse_positions(data, name), rotations_known=False)
+    return Reference(parse_tum(data, name), rotations_known=not positions_only)
+
+
+def _moved(body: Reference, T_body_sensor: FloatArray) -> Reference:
+    if not body.rotations_known:
+        has_lever_arm = bool(T_body_sensor[:3, 3].any())
+        T_sensor_body: FloatArray = np.asarray(np.linalg.inv(T_body_sensor), dtype=np.float64)
+        return Reference(body.trajectory, False, T_sensor_body if has_lever_arm else None)
+    if np.array_equal(T_body_sensor, np.eye(4)):
+        return body
+    return Reference(move_sensor(body.trajectory, T_body_sensor))

@@ -8,7 +8,6 @@ import tempfile
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 from slamhive.domain.protocol import Protocol
@@ -199,7 +198,7 @@ class Evaluations:
             output.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise Unavailable(f"{output} cannot be made: {error.strerror}", "check space and rights") from None
-        write_aside(output / PROTOCOL_FILE, json.dumps(asdict(entry.protocol), indent=1))
+        write_aside(output / PROTOCOL_FILE, json.dumps(entry.protocol.content, indent=1))
         return EvaluationTask(
             id=str(entry.id),
             estimate=folder.trajectory,

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
-from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.protocol import protocol_from_content
 from slamhive.domain.run import FailureReason, RunEvent, RunState
+from slamhive.domain.stop_when import stop_when_from_json, stop_when_to_json
 from slamhive.domain.variant import variant_from_json, variant_to_json
 from slamhive.errors import InvalidInput
 from slamhive.executors.base import Limits, Mount, RunHandle, RunSpec
@@ -36,7 +37,8 @@ def request_to_json(run: RunRecord) -> dict[str, Any]:
         "memory_mb": run.memory_mb,
         "timeout_s": run.timeout_s,
         "retry_of": run.retry_of,
-        "protocol": None if run.protocol_override is None else asdict(run.protocol_override),
+        "stop_when": stop_when_to_json(run.stop_when),
+        "protocol": None if run.protocol_override is None else run.protocol_override.content,
     }
 
 
@@ -120,11 +122,6 @@ def snapshot_from_record(record: Mapping[str, Any], configuration_id: int) -> Ru
         raise InvalidInput(f"run record {record.get('id')!r} is not complete: {error!r}") from None
 
 
-def protocol_from_json(content: Mapping[str, Any]) -> Protocol:
-    """The protocol written as a mapping of its fields."""
-    return Protocol(**{**content, "alignment": Alignment(content["alignment"])})
-
-
 def _snapshot(record: Mapping[str, Any], configuration_id: int) -> RunSnapshot:
     request = record["request"]
     protocol = request.get("protocol")
@@ -154,7 +151,8 @@ def _snapshot(record: Mapping[str, Any], configuration_id: int) -> RunSnapshot:
             memory_mb=request["memory_mb"],
             timeout_s=request["timeout_s"],
             retry_of=request["retry_of"],
-            protocol=None if protocol is None else protocol_from_json(protocol),
+            stop_when=stop_when_from_json(request.get("stop_when")),
+            protocol=None if protocol is None else protocol_from_content(protocol),
         ),
         state=RunState(record["state"]),
         created_at=created_at,

@@ -14,14 +14,14 @@ from typing import Any
 from slamhive.catalogue.dataset_file import load_dataset
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.protocol import Protocol
+from slamhive.domain.protocol import Protocol, protocol_from_content
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.job import RESULT_FILE, Artefacts, EvaluationResult, result_from_json
 from slamhive.runs.folder import RunFolder
 from slamhive.services.driver_context import utc_now
 from slamhive.services.evaluations import PROTOCOL_FILE
 from slamhive.services.hive import Hive
-from slamhive.services.record import configuration_from_record, protocol_from_json, snapshot_from_record
+from slamhive.services.record import configuration_from_record, snapshot_from_record
 from slamhive.store import AlgorithmVersion, Host, Transaction
 
 logger = logging.getLogger(__name__)
@@ -155,7 +155,7 @@ def _evaluations(folder: RunFolder) -> list[tuple[Protocol, EvaluationResult, da
     found = []
     for path in sorted(folder.root.glob(f"evaluations/*/{RESULT_FILE}"), key=lambda entry: entry.stat().st_mtime):
         try:
-            protocol = protocol_from_json(json.loads((path.parent / PROTOCOL_FILE).read_text(encoding="utf-8")))
+            protocol = protocol_from_content(json.loads((path.parent / PROTOCOL_FILE).read_text(encoding="utf-8")))
             result = result_from_json(path.read_text(encoding="utf-8"))
         except (OSError, InvalidInput, *_NOT_A_RECORD) as error:
             logger.warning("%s is left out: %s", path.parent, error)

@@ -70,7 +70,7 @@ class CatalogueRepository:
 
     def put_protocol(self, protocol: domain.Protocol) -> int:
         """The id of ``protocol``, stored if it is new."""
-        values = {"label": protocol.label, "definition": asdict(protocol)}
+        values = {"label": protocol.label, "definition": protocol.content}
         return get_or_insert(self._session, Protocol, {"fingerprint": protocol.fingerprint}, values)[0]
 
     def algorithms(self) -> list[AlgorithmRecord]:
@@ -99,7 +99,7 @@ class CatalogueRepository:
 
 def protocol_from_definition(definition: dict[str, Any]) -> domain.Protocol:
     """The protocol that was stored as JSON."""
-    return domain.Protocol(**{**definition, "alignment": domain.Alignment(definition["alignment"])})
+    return domain.protocol_from_content(definition)
 
 
 def _dataset(row: Row[Any]) -> DatasetRecord:

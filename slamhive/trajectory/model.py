@@ -28,24 +28,49 @@ class PoseProblem:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trajectory:
-    """Poses of a moving frame in a fixed one, in the order of time.
+class Poses:
+    """Stamped poses of a moving frame in a fixed one.
 
-    Creating one validates it: at least one pose, stamps strictly increasing, every number finite, quaternions unit
-    within :data:`QUATERNION_TOLERANCE`. They are normalised, and the arrays are made read-only.
+    Those of a :class:`Trajectory`, or those of it that were matched: the same pose may then stand twice.
 
     Attributes:
         stamps_s: Time of each pose in s, shape (n,).
         positions_m: Positions in the fixed frame in m, shape (n, 3).
         quats_xyzw: Orientations as unit quaternions, w last, shape (n, 4).
-
-    Raises:
-        InvalidInput: Naming the first bad pose, counted from 0, and the value.
     """
 
     stamps_s: FloatArray
     positions_m: FloatArray
     quats_xyzw: FloatArray
+
+    def __len__(self) -> int:
+        return int(self.stamps_s.shape[0])
+
+    @property
+    def span_s(self) -> float:
+        """Time from the first to the last pose in s."""
+        return float(self.stamps_s[-1] - self.stamps_s[0])
+
+    @property
+    def path_length_m(self) -> float:
+        """Sum of the distances between neighbouring poses in m."""
+        return float(np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1).sum())
+
+    def take(self, indices: npt.NDArray[np.intp]) -> Poses:
+        """The poses at ``indices``, in that order."""
+        return Poses(self.stamps_s[indices], self.positions_m[indices], self.quats_xyzw[indices])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory(Poses):
+    """Poses of a moving frame in a fixed one, in the order of time.
+
+    Creating one validates it: at least one pose, stamps strictly increasing, every number finite, quaternions unit
+    within :data:`QUATERNION_TOLERANCE`. They are normalised, and the arrays are made read-only.
+
+    Raises:
+        InvalidInput: Naming the first bad pose, counted from 0, and the value.
+    """
 
     def __post_init__(self) -> None:
         stamps_s = np.array(self.stamps_s, dtype=np.float64)
@@ -64,19 +89,6 @@ class Trajectory:
         for name, array in (("stamps_s", stamps_s), ("positions_m", positions_m), ("quats_xyzw", quats_xyzw)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
-
-    def __len__(self) -> int:
-        return int(self.stamps_s.shape[0])
-
-    @property
-    def span_s(self) -> float:
-        """Time from the first to the last pose in s."""
-        return float(self.stamps_s[-1] - self.stamps_s[0])
-
-    @property
-    def path_length_m(self) -> float:
-        """Sum of the distances between neighbouring poses in m."""
-        return float(np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1).sum())
 
 
 def find_problem(stamps_s: FloatArray, positions_m: FloatArray, quats_xyzw: FloatArray) -> PoseProblem | None:

@@ -64,6 +64,12 @@ def read_bounded(path: Path) -> bytes:
     return data
 
 
+def count_columns(data: bytes) -> int:
+    """How many numbers the first row holds; 0 if there is none."""
+    rows = (line for line in data.splitlines() if line.strip() and not line.lstrip().startswith(b"#"))
+    return len(next(rows, b"").replace(b",", b" ").split())
+
+
 def parse_table(data: bytes, name: str, columns: int, layout: str, *, more_columns: bool = False) -> NumberTable:
     """Read rows of ``columns`` numbers separated by blanks or commas; ``#`` starts a comment line.
 

@@ -57,6 +57,20 @@ def quats_from_rotations(rotations: FloatArray) -> FloatArray:
     return quats
 
 
+def multiply_quats(left_xyzw: FloatArray, right_xyzw: FloatArray) -> FloatArray:
+    """The quaternions of the rotations ``left`` after ``right``; shapes (n, 4) or (1, 4), which is for all."""
+    ax, ay, az, aw = left_xyzw.T
+    bx, by, bz, bw = right_xyzw.T
+    return np.column_stack(
+        (
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        )
+    )
+
+
 def rigid_transform(numbers: Sequence[float], name: str) -> FloatArray:
     """The 4x4 transform in 16 row-major ``numbers``; raises InvalidInput, calling it ``name``, if it is not rigid."""
     matrix = np.asarray(numbers, dtype=np.float64)

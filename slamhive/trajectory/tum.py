@@ -14,6 +14,7 @@ from slamhive.trajectory.model import FloatArray, Trajectory, find_problem
 from slamhive.trajectory.table import parse_table, read_bounded
 
 LAYOUT = "timestamp tx ty tz qx qy qz qw"
+POSITIONS_LAYOUT = "timestamp tx ty tz"
 _ROW = " ".join(["%.9f"] * 8) + "\n"
 
 
@@ -35,6 +36,19 @@ def parse_tum(data: bytes, name: str) -> Trajectory:
     if problem is not None:
         raise table.error(problem.index, problem.found, problem.remedy)
     return Trajectory(stamps_s, positions_m, quats_xyzw)
+
+
+def parse_positions(data: bytes, name: str) -> Trajectory:
+    """The trajectory in lines of stamp and position, from a receiver or a total station; its orientations are void.
+
+    Raises InvalidInput.
+    """
+    table = parse_table(data, name, 4, POSITIONS_LAYOUT)
+    quats_xyzw = np.tile((0.0, 0.0, 0.0, 1.0), (len(table.values), 1))
+    problem = find_problem(table.values[:, 0], table.values[:, 1:4], quats_xyzw)
+    if problem is not None:
+        raise table.error(problem.index, problem.found, problem.remedy)
+    return Trajectory(table.values[:, 0], table.values[:, 1:4], quats_xyzw)
 
 
 def format_tum(

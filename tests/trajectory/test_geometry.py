@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slamhive.errors import InvalidInput
-from slamhive.trajectory.alignment import align_yaw_position, check_rank
+from slamhive.trajectory.alignment import align_umeyama, align_yaw_position
 from slamhive.trajectory.completeness import measure_completeness
 from slamhive.trajectory.euroc import read_euroc
 from slamhive.trajectory.kitti import read_kitti, write_kitti
@@ -51,8 +51,8 @@ def test_yaw_and_position_are_found_again() -> None:
     R = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
     q = p @ R.T + [1, -2, 3]
     T = align_yaw_position(p, q)
-    np.testing.assert_allclose(T[:3, :3], R, atol=1e-12)
-    np.testing.assert_allclose(T[:3, 3], [1, -2, 3], atol=1e-12)
+    np.testing.assert_allclose(T.rotation, R, atol=1e-12)
+    np.testing.assert_allclose(T.translation_m, [1, -2, 3], atol=1e-12)
 
 
 def test_what_yaw_cannot_be_found_from() -> None:
@@ -65,10 +65,11 @@ def test_what_yaw_cannot_be_found_from() -> None:
 def test_the_rank_problem_of_a_line_is_named() -> None:
     line = np.outer(np.arange(20.0), [1.0, 0.3, -0.2])
     with pytest.raises(InvalidInput, match=r"straight line \(rank below 2\)"):
-        check_rank(line, line)
+        align_umeyama(line, line, scaled=False)
     with pytest.raises(InvalidInput, match="the estimate stands still"):
-        check_rank(np.zeros((20, 3)), line)
-    check_rank(line + np.random.default_rng(1).normal(scale=1e-3, size=line.shape), line + np.sin(line) * [[0, 0, 1]])
+        align_umeyama(np.zeros((20, 3)), line, scaled=False)
+    noise_m = np.random.default_rng(1).normal(scale=1e-3, size=line.shape)
+    align_umeyama(line + noise_m, line + np.sin(line) * [[0, 0, 1]], scaled=True)
 
 
 @pytest.mark.parametrize(

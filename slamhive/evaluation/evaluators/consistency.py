@@ -1,0 +1,142 @@
+"""Consistency: whether the estimate's errors are as large as the covariances that the algorithm gives say.
+
+NEES (normalised estimation error squared), Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
+Navigation", 2001, section 5.4: e^T P^-1 e, chi-square distributed with 3 degrees of freedom for position and
+orientation each, so 3 on average.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
+from slamhive.trajectory.model import FloatArray
+from slamhive.trajectory.table import parse_table, read_bounded
+from slamhive.trajectory.transforms import rotations_from_quats
+
+COVARIANCES = "covariances"
+LAYOUT = "timestamp and 21 numbers: the upper triangle, row by row, of the 6x6 covariance of x y z rx ry rz"
+FRAMES = ("body", "world")
+_HEADER = b"# orientation:"
+_SAME_STAMP_S = 1e-5
+"""Stamps of one pose in two files, written with different digits."""
+_CHI_SQUARE_95 = 7.814727903251179
+"""95 % of a chi-square distribution with 3 degrees of freedom is below this."""
+_UPPER = np.triu_indices(6)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Covariances:
+    """What ``covariances.txt`` holds.
+
+    Attributes:
+        stamps_s: Of the poses, strictly increasing, shape (n,).
+        matrices: Of the errors x y z (m) in the world of the estimate and rx ry rz (rad), shape (n, 6, 6).
+        in_body: The rotation vector is in the body frame, R_true = R Exp(r); in the world frame, R_true = Exp(r) R,
+            otherwise.
+    """
+
+    stamps_s: FloatArray
+    matrices: FloatArray
+    in_body: bool
+
+
+class Consistency:
+    """NEES of position and orientation."""
+
+    keys = ("nees.position", "nees.position.within", "nees.orientation", "nees.orientation.within")
+
+    def evaluate(self, paired: Paired) -> Figures:
+        """Missing where the algorithm gives no covariances; one that is none leaves all figures out."""
+        path = paired.files.get(COVARIANCES)
+        if path is None:
+            return absent(self.keys, "the algorithm gives no covariances.txt")
+        covariances = read_covariances(path)
+        own, theirs = _matched(paired, covariances)
+        if len(own) == 0:
+            return absent(self.keys, "no covariance has the stamp of a matched pose")
+        values = _figures("nees.position", _position_errors_m(paired)[own], covariances.matrices[theirs, :3, :3])
+        if not paired.rotations_known:
+            return Figures(values, dict.fromkeys(self.keys[2:], ROTATIONS_UNKNOWN))
+        turns_rad = _rotation_errors_rad(paired, in_body=covariances.in_body)[own]
+        return Figures(values | _figures("nees.orientation", turns_rad, covariances.matrices[theirs, 3:, 3:]))
+
+
+def read_covariances(path: Path) -> Covariances:
+    """Read ``covariances.txt``.
+
+    Raises:
+        InvalidInput: Naming the line that is malformed, out of order or no covariance, or the convention that the
+            first line does not state.
+    """
+    if path.is_symlink():
+        raise InvalidInput(f"{path.name} is a link, which is not followed")
+    try:
+        data = read_bounded(path)
+    except NotFound:
+        raise InvalidInput(f"{path.name} does not exist") from None
+    in_body = _orientation_frame(data, path.name) == "body"
+    table = parse_table(data, path.name, 22, LAYOUT)
+    finite = np.isfinite(table.values).all(axis=1)
+    if not finite.all():
+        raise table.error(int((~finite).argmax()), "a number is not finite", "leave out covariances that are unknown")
+    stamps_s = table.values[:, 0]
+    backwards = np.diff(stamps_s) <= 0
+    if backwards.any():
+        raise table.error(int(backwards.argmax()) + 1, "the timestamp does not grow", "sort by timestamp, each once")
+    matrices = np.zeros((len(stamps_s), 6, 6))
+    matrices[:, _UPPER[0], _UPPER[1]] = matrices[:, _UPPER[1], _UPPER[0]] = table.values[:, 1:]
+    smallest = np.linalg.eigvalsh(matrices)[:, 0]
+    if not (smallest > 0).all():
+        row = int((~(smallest > 0)).argmax())
+        found = f"the covariance is not positive definite: its smallest eigenvalue is {smallest[row]:.3g}"
+        raise table.error(row, found, "write covariances, of all six in the order x y z rx ry rz")
+    return Covariances(stamps_s, matrices, in_body)
+
+
+def _orientation_frame(data: bytes, name: str) -> str:
+    first = data.split(b"\n", 1)[0].strip()
+    stated = first.removeprefix(_HEADER).strip().decode("ascii", errors="replace") if first.startswith(_HEADER) else ""
+    if stated not in FRAMES:
+        raise InvalidInput(
+            f"{name} does not say which frame its rotation vectors are in",
+            "begin it with the line '# orientation: body' or '# orientation: world'",
+        )
+    return stated
+
+
+def _matched(paired: Paired, covariances: Covariances) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of matched poses, and of the covariances that have their stamps."""
+    stamps_s = paired.matched_estimate.stamps_s - paired.time_offset_s
+    after = np.searchsorted(covariances.stamps_s, stamps_s - _SAME_STAMP_S)
+    after = np.minimum(after, len(covariances.stamps_s) - 1)
+    own = np.flatnonzero(np.abs(covariances.stamps_s[after] - stamps_s) <= _SAME_STAMP_S)
+    return own, after[own]
+
+
+def _position_errors_m(paired: Paired) -> FloatArray:
+    """True minus estimated positions in the world of the estimate, in whose units the covariances are, (n, 3)."""
+    transform = paired.transform
+    truth_m = (paired.matched_reference.positions_m - transform.translation_m) @ transform.rotation / transform.scale
+    return truth_m - paired.matched_estimate.positions_m
+
+
+def _rotation_errors_rad(paired: Paired, *, in_body: bool) -> FloatArray:
+    """Rotation vectors from the estimated to the true orientations, in the world of the estimate, (n, 3)."""
+    true = paired.transform.rotation.T @ rotations_from_quats(paired.matched_reference.quats_xyzw)
+    estimated = rotations_from_quats(paired.matched_estimate.quats_xyzw)
+    turned = estimated.transpose(0, 2, 1) @ true if in_body else true @ estimated.transpose(0, 2, 1)
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - slow to load, and few runs give covariances
+
+    vectors: FloatArray = Rotation.from_matrix(turned).as_rotvec()
+    return vectors
+
+
+def _figures(key: str, errors: FloatArray, covariances: FloatArray) -> dict[str, float]:
+    """Mean NEES, and the share within the 95 % bound."""
+    nees = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0])
+    return {key: float(nees.mean()), f"{key}.within": float(np.mean(nees <= _CHI_SQUARE_95))}

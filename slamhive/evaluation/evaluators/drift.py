@@ -1,0 +1,107 @@
+"""Start-end drift where there is ground truth at both ends only, and errors of scale.
+
+Engel, Usenko, Cremers, "A Photometrically Calibrated Benchmark For Monocular Visual Odometry", arXiv 1607.02555: the
+estimate is aligned once with the ground truth at its start and once with that at its end; the two would be equal if it
+had not drifted. Schubert et al., "The TUM VI Benchmark", IROS 2018, has ground truth of the same kind.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slamhive.domain.protocol import Alignment
+from slamhive.errors import InvalidInput
+from slamhive.evaluation.evaluators.base import Figures, Paired, absent
+from slamhive.evaluation.evaluators.pairs import all_pairs, path_m, rotation_angles_rad
+from slamhive.trajectory.alignment import Similarity, align, align_umeyama
+from slamhive.trajectory.model import FloatArray, Poses
+from slamhive.trajectory.transforms import quats_from_rotations
+
+_SHORTEST = 0.5
+"""A pair whose ends are nearer than this share of its path tells little of the scale."""
+_TOLERANCE = 0.1
+
+
+class StartEndDrift:
+    """What the estimate has drifted from the ground truth's first part to its last."""
+
+    keys = ("drift.alignment", "drift.rotation", "drift.scale", "drift.end")
+
+    def evaluate(self, paired: Paired) -> Figures:
+        """Missing where the ground truth knows no pause longer than the gap threshold."""
+        stamps_s = paired.reference.stamps_s
+        pauses_s = np.diff(stamps_s)
+        longest = int(pauses_s.argmax())
+        if pauses_s[longest] <= paired.protocol.gap_threshold_s:
+            return absent(
+                self.keys, "the ground truth covers the whole run; drift is for ground truth at its ends only"
+            )
+        start = _aligned_part(paired, paired.matched_reference.stamps_s <= stamps_s[longest], "start")
+        end = _aligned_part(paired, paired.matched_reference.stamps_s > stamps_s[longest], "end")
+        moved_m = start.points(paired.estimate.positions_m)
+        apart_m = np.linalg.norm(end.points(paired.estimate.positions_m) - moved_m, axis=1)
+        last_m = start.points(paired.matched_estimate.positions_m[-1:])[0] - paired.matched_reference.positions_m[-1]
+        path = float(np.linalg.norm(np.diff(moved_m, axis=0), axis=1).sum())
+        quats = [quats_from_rotations(part.rotation[None]) for part in (start, end)]
+        values = {
+            "drift.alignment": float(np.sqrt(np.mean(apart_m**2))),
+            "drift.rotation": float(np.rad2deg(rotation_angles_rad(*quats)[0])),
+            "drift.scale": 100.0 * abs(end.scale / start.scale - 1.0),
+            "drift.end": 100.0 * float(np.linalg.norm(last_m)) / path,
+        }
+        return Figures(values)
+
+
+class ScaleErrors:
+    """How far the estimate's scale is off as a whole, and how much it changes along the way."""
+
+    keys = ("scale.error", "scale.drift")
+
+    def evaluate(self, paired: Paired) -> Figures:
+        """The error is taken before alignment; a single camera's estimate has one, of no meaning."""
+        values: dict[str, float] = {}
+        missing: dict[str, str] = {}
+        reference, estimate = paired.matched_reference, paired.matched_estimate
+        try:
+            scale = align_umeyama(estimate.positions_m, reference.positions_m, scaled=True).scale
+            values["scale.error"] = 100.0 * abs(1.0 / scale - 1.0)
+        except InvalidInput as error:
+            missing["scale.error"] = error.message
+        ratios = local_scales(reference, estimate, paired.protocol.rpe_delta_m)
+        if len(ratios) > 0:
+            values["scale.drift"] = 100.0 * float(np.abs(ratios - 1.0).mean())
+        else:
+            delta_m = paired.protocol.rpe_delta_m
+            missing["scale.drift"] = f"no pair of poses {delta_m:g} m of path apart is half as far apart directly"
+        return Figures(values, missing)
+
+
+def local_scales(reference: Poses, estimate: Poses, delta_m: float) -> FloatArray:
+    """Estimated over true distance of poses ``delta_m`` of true path apart, over that of their sums; shape (m,)."""
+    i, j = all_pairs(path_m(reference), delta_m, _TOLERANCE * delta_m)
+    true_m, estimated_m = (
+        np.linalg.norm(poses.positions_m[j] - poses.positions_m[i], axis=1) for poses in (reference, estimate)
+    )
+    kept = true_m >= _SHORTEST * delta_m
+    if not estimated_m[kept].any():
+        return np.empty(0)
+    ratios: FloatArray = estimated_m[kept] / true_m[kept] * (true_m[kept].sum() / estimated_m[kept].sum())
+    return ratios
+
+
+def _aligned_part(paired: Paired, chosen: np.ndarray[tuple[int], np.dtype[np.bool_]], words: str) -> Similarity:
+    """The alignment over the matched poses of one end."""
+    alignment = _ALIGNMENTS.get(paired.protocol.alignment, Alignment.SE3)
+    indices = np.flatnonzero(chosen)
+    try:
+        return align(alignment, paired.matched_estimate.take(indices), paired.matched_reference.take(indices))
+    except InvalidInput as error:
+        raise InvalidInput(f"drift needs an alignment at the {words} of the ground truth: {error.message}") from None
+
+
+_ALIGNMENTS = {
+    Alignment.SIM3: Alignment.SIM3,
+    Alignment.SCALE: Alignment.SIM3,
+    Alignment.YAW_POSITION: Alignment.YAW_POSITION,
+}
+"""How both ends are aligned; SE(3) for the others: unaligned ends would know no drift."""

@@ -1,0 +1,113 @@
+"""ATE and RPE: evo's own code, fed with a pair that is aligned already."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from evo.core import filters
+from evo.core.metrics import PoseRelation, StatisticsType, Unit
+from evo.core.result import Result
+from evo.core.trajectory import PoseTrajectory3D
+from evo.main_ape import ape
+from evo.main_rpe import rpe
+
+from slamhive.domain.protocol import ALIGNMENT_LABELS, Alignment, Protocol, RpePairs
+from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
+from slamhive.trajectory.model import Poses
+from slamhive.trajectory.transforms import rotations_from_quats
+
+REFERENCE_NAME = "groundtruth"
+ESTIMATE_NAME = "estimate"
+
+_BY_UMEYAMA = {Alignment.SE3, Alignment.SIM3}
+
+
+def error_keys(prefix: str) -> tuple[str, ...]:
+    """The metric keys of evo's statistics of one error."""
+    return tuple(f"{prefix}.{statistic.value}" for statistic in StatisticsType)
+
+
+class AbsoluteError:
+    """ATE: the distance between matched positions."""
+
+    keys = error_keys("ate")
+
+    def evaluate(self, paired: Paired) -> Figures:
+        """Needs no orientations."""
+        reference, aligned = evo_pair(paired)
+        result = ape(reference, aligned, PoseRelation.translation_part)
+        result.trajectories.clear()
+        if paired.protocol.alignment is not Alignment.NONE:
+            result.add_np_array("alignment_transformation_sim3", paired.transform.matrix)
+        return error_figures("ate", result, paired.protocol, archive="ape")
+
+
+class RelativeError:
+    """RPE over pairs of poses a given length of estimated path apart: the translation part."""
+
+    keys = error_keys("rpe")
+
+    def evaluate(self, paired: Paired) -> Figures:
+        """Missing where no pair is the delta apart."""
+        if not paired.rotations_known:
+            return absent(self.keys, ROTATIONS_UNKNOWN)
+        protocol = paired.protocol
+        reference, aligned = evo_pair(paired)
+        try:
+            # evo reduces these trajectories to the pairs' ends.
+            result = rpe(
+                reference,
+                aligned,
+                PoseRelation.translation_part,
+                delta=protocol.rpe_delta_m,
+                delta_unit=Unit.meters,
+                all_pairs=protocol.rpe_pairs is RpePairs.ALL,
+            )
+        except filters.FilterException:
+            return absent(self.keys, f"no pair of poses is {protocol.rpe_delta_m:g} m of path apart")
+        return error_figures("rpe", result, protocol, archive="rpe")
+
+
+def error_figures(prefix: str, result: Result, protocol: Protocol, archive: str) -> Figures:
+    """The statistics of evo's ``result`` as figures ``<prefix>.<statistic>``, and the result as an archive."""
+    result.info["title"] = result.info["title"].replace("(not aligned)", _aligned_words(protocol))
+    values = {f"{prefix}.{name}": float(value) for name, value in result.stats.items()}
+    return Figures(values, archives={archive: result})
+
+
+def evo_pair(paired: Paired) -> tuple[PoseTrajectory3D, PoseTrajectory3D]:
+    """The matched ground truth and the aligned estimate as evo has them.
+
+    Each call makes new trajectories, which evo may reduce; the pose matrices, which it may not change, are shared.
+    """
+    reference, aligned = _matrices(paired)
+    return (
+        _to_evo(paired.matched_reference, reference, REFERENCE_NAME),
+        _to_evo(paired.aligned, aligned, ESTIMATE_NAME),
+    )
+
+
+@lru_cache(maxsize=1)
+def _matrices(paired: Paired) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """For the pair that is being evaluated, by its identity."""
+    return _pose_matrices(paired.matched_reference), _pose_matrices(paired.aligned)
+
+
+def _pose_matrices(poses: Poses) -> list[np.ndarray]:
+    matrices = np.zeros((len(poses), 4, 4))
+    matrices[:, :3, :3] = rotations_from_quats(poses.quats_xyzw)
+    matrices[:, :3, 3] = poses.positions_m
+    matrices[:, 3, 3] = 1.0
+    return list(matrices)
+
+
+def _to_evo(poses: Poses, matrices: list[np.ndarray], name: str) -> PoseTrajectory3D:
+    return PoseTrajectory3D(poses.positions_m, poses_se3=matrices, timestamps=poses.stamps_s, name=name)
+
+
+def _aligned_words(protocol: Protocol) -> str:
+    if protocol.alignment is Alignment.NONE:
+        return "(not aligned)"
+    method = " Umeyama" if protocol.alignment in _BY_UMEYAMA else ""
+    return f"(with {ALIGNMENT_LABELS[protocol.alignment]}{method} alignment)"

@@ -1,0 +1,108 @@
+"""The KITTI odometry protocol: mean error over segments of 100 to 800 m.
+
+Geiger, Lenz, Urtasun, "Are we ready for Autonomous Driving? The KITTI Vision Benchmark Suite", CVPR 2012, and the
+odometry devkit (``evaluate_odometry.cpp``), whose path lengths in single precision are kept: they decide where a
+segment ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slamhive.domain.metrics.trajectories import KITTI_LENGTHS_M, KITTI_STEP
+from slamhive.domain.protocol import Association
+from slamhive.errors import InvalidInput
+from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
+from slamhive.evaluation.evaluators.pairs import IndexArray, relative_errors
+from slamhive.trajectory.model import FloatArray, Poses
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KittiSegments:
+    """Every segment: its nominal length in m, its errors as shares of that and in rad/m; shape (m,) each."""
+
+    lengths_m: FloatArray
+    translations: FloatArray
+    rotations_radpm: FloatArray
+
+
+class KittiProtocol:
+    """Percent and degrees per metre, pooled and for each length."""
+
+    keys = (
+        "kitti.translation",
+        "kitti.rotation",
+        *(f"kitti.{part}.{length_m}m" for length_m in KITTI_LENGTHS_M for part in ("translation", "rotation")),
+        "kitti.segments",
+    )
+
+    def evaluate(self, paired: Paired) -> Figures:
+        """Every pose of the ground truth needs one of the estimate, by time or, as in the devkit, by index."""
+        if not paired.rotations_known:
+            return absent(self.keys, ROTATIONS_UNKNOWN)
+        _check_complete(paired)
+        found = kitti_segments(paired.matched_reference, paired.aligned)
+        if len(found.lengths_m) == 0:
+            path_m = paired.matched_reference.path_length_m
+            shortest = f"the path is {path_m:.4g} m, the shortest segment {KITTI_LENGTHS_M[0]} m"
+            return absent(self.keys, shortest)
+        values = {"kitti.segments": float(len(found.lengths_m))}
+        missing: dict[str, str] = {}
+        values |= _means("", found, np.ones(len(found.lengths_m), dtype=bool))
+        for length_m in KITTI_LENGTHS_M:
+            of_length = found.lengths_m == length_m
+            if of_length.any():
+                values |= _means(f".{length_m}m", found, of_length)
+            else:
+                reason = f"no segment is {length_m} m long"
+                missing |= {f"kitti.{part}.{length_m}m": reason for part in ("translation", "rotation")}
+        return Figures(values, missing)
+
+
+def kitti_segments(reference: Poses, estimate: Poses) -> KittiSegments:
+    """The segments from every tenth pose, each to the first pose further along the path than its length.
+
+    ``calcSequenceErrors`` of the devkit: E = (P_f^-1 P_l)^-1 (Q_f^-1 Q_l), |t| / L and angle / L.
+    """
+    firsts, lasts, lengths_m = _segment_ends(reference)
+    errors_m, errors_rad = relative_errors(reference, estimate, (firsts, lasts))
+    return KittiSegments(lengths_m, errors_m / lengths_m, errors_rad / lengths_m)
+
+
+def _segment_ends(reference: Poses) -> tuple[IndexArray, IndexArray, FloatArray]:
+    path_m = _path_m(reference.positions_m)
+    firsts = np.arange(0, len(reference), KITTI_STEP)
+    lengths_m = np.array(KITTI_LENGTHS_M, dtype=np.float32)
+    ends_m = path_m[firsts, None] + lengths_m
+    lasts = np.searchsorted(path_m, ends_m, side="right")
+    kept = lasts < len(reference)
+    all_firsts = np.broadcast_to(firsts[:, None], kept.shape)
+    all_lengths_m = np.broadcast_to(np.array(KITTI_LENGTHS_M, dtype=np.float64), kept.shape)
+    return all_firsts[kept], lasts[kept], all_lengths_m[kept]
+
+
+def _path_m(positions_m: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.float32]]:
+    """Path length to each pose, accumulated in single precision as by ``trajectoryDistances`` of the devkit."""
+    steps_m = np.linalg.norm(np.diff(positions_m, axis=0).astype(np.float32), axis=1)
+    return np.concatenate((np.zeros(1, dtype=np.float32), np.cumsum(steps_m, dtype=np.float32)))
+
+
+def _means(suffix: str, found: KittiSegments, chosen: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> dict[str, float]:
+    return {
+        f"kitti.translation{suffix}": 100.0 * float(found.translations[chosen].mean()),
+        f"kitti.rotation{suffix}": float(np.rad2deg(found.rotations_radpm[chosen].mean())),
+    }
+
+
+def _check_complete(paired: Paired) -> None:
+    frames = len(paired.reference)
+    matched = len(np.unique(paired.matched_reference.stamps_s))
+    if matched == frames:
+        return
+    how = "by index" if paired.protocol.association is Association.INDEX else "by time"
+    raise InvalidInput(
+        f"the KITTI protocol takes a pose for every one of the ground truth: {matched} of {frames} are matched {how}",
+        "compare at the frames' rate, or see the segment errors, which do not need every pose",
+    )

@@ -1,0 +1,140 @@
+"""Errors against relations between poses that people have measured, where there is no ground-truth trajectory.
+
+Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27, 2009, equation (4); the relations
+are those that the Freiburg benchmark publishes beside recordings of 2D lasers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.evaluation.evaluators.base import Figures, Paired, absent
+from slamhive.evaluation.evaluators.pairs import rotation_angles_rad, statistics
+from slamhive.trajectory.model import FloatArray, Trajectory
+from slamhive.trajectory.table import parse_table, read_bounded
+from slamhive.trajectory.transforms import multiply_quats, rotations_from_quats
+
+RELATIONS = "relations"
+LAYOUT = "timestamp1 timestamp2 x y z roll pitch yaw"
+_NAMES = ("mean", "std", "max")
+_INVERSE = np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Relations:
+    """Poses of the robot at one time as seen from itself at another.
+
+    Attributes:
+        from_s: The times seen from, shape (n,).
+        to_s: The times seen, shape (n,).
+        positions_m: Shape (n, 3).
+        quats_xyzw: Shape (n, 4).
+    """
+
+    from_s: FloatArray
+    to_s: FloatArray
+    positions_m: FloatArray
+    quats_xyzw: FloatArray
+
+
+class RelationErrors:
+    """Translational and rotational error of the relations."""
+
+    keys = (
+        *(f"relations.{part}.{name}" for part in ("translation", "rotation") for name in _NAMES),
+        "relations.matched_fraction",
+    )
+
+    def evaluate(self, paired: Paired) -> Figures:
+        """Missing where the dataset has no relations."""
+        path = paired.files.get(RELATIONS)
+        if path is None:
+            return absent(self.keys, "the dataset has no relations")
+        return Figures(relation_figures(read_relations(path), paired.estimate, paired.protocol.gap_threshold_s))
+
+
+def read_relations(path: Path) -> Relations:
+    """Read a file of relations, angles in rad; raises InvalidInput naming the line."""
+    try:
+        data = read_bounded(path)
+    except NotFound:
+        raise InvalidInput(f"the relations {path.name} do not exist", "put the dataset's file back") from None
+    table = parse_table(data, f"relations {path.name}", 8, LAYOUT)
+    finite = np.isfinite(table.values).all(axis=1)
+    if not finite.all():
+        raise table.error(int((~finite).argmax()), "a number is not finite", "leave the relation out")
+    return Relations(
+        table.values[:, 0], table.values[:, 1], table.values[:, 2:5], _quats_from_euler(table.values[:, 5:8])
+    )
+
+
+def relation_figures(relations: Relations, estimate: Trajectory, gap_s: float) -> dict[str, float]:
+    """Mean, spread and maximum of the errors over the relations whose times the estimate covers.
+
+    Args:
+        relations: What was measured.
+        estimate: What was estimated, on the same clock.
+        gap_s: Between poses further apart the estimate is not interpolated.
+
+    Raises:
+        InvalidInput: The estimate covers no relation.
+    """
+    covered = _covers(estimate, relations.from_s, gap_s) & _covers(estimate, relations.to_s, gap_s)
+    if not covered.any():
+        raise InvalidInput(
+            f"the estimate has no poses at the times of any of the {len(covered)} relations",
+            "relations and recording must have one clock",
+        )
+    from_m, from_xyzw = _interpolate(estimate, relations.from_s[covered])
+    to_m, to_xyzw = _interpolate(estimate, relations.to_s[covered])
+    seen_m = np.einsum("nij,ni->nj", rotations_from_quats(from_xyzw), to_m - from_m)
+    seen_xyzw = multiply_quats(from_xyzw * _INVERSE, to_xyzw)
+    errors_m = np.linalg.norm(seen_m - relations.positions_m[covered], axis=1)
+    errors_deg = np.rad2deg(rotation_angles_rad(seen_xyzw, relations.quats_xyzw[covered]))
+    return {
+        **statistics("relations.translation", errors_m, _NAMES),
+        **statistics("relations.rotation", errors_deg, _NAMES),
+        "relations.matched_fraction": float(np.mean(covered)),
+    }
+
+
+def _covers(estimate: Trajectory, stamps_s: FloatArray, gap_s: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Whether there is a pose at each stamp, or poses on both sides no further apart than ``gap_s``."""
+    known_s = estimate.stamps_s
+    after = np.searchsorted(known_s, stamps_s)
+    exact = known_s[np.minimum(after, len(known_s) - 1)] == stamps_s
+    inside = (after > 0) & (after < len(known_s))
+    after = np.clip(after, 1, max(len(known_s) - 1, 1))
+    if len(known_s) == 1:
+        return exact
+    near: np.ndarray[tuple[int], np.dtype[np.bool_]] = known_s[after] - known_s[after - 1] <= gap_s
+    return exact | (inside & near)
+
+
+def _interpolate(estimate: Trajectory, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions, linearly, and orientations, by normalised linear interpolation of quaternions, between poses."""
+    known_s = estimate.stamps_s
+    after = np.clip(np.searchsorted(known_s, stamps_s), 1, len(known_s) - 1)
+    before = after - 1
+    share = ((stamps_s - known_s[before]) / (known_s[after] - known_s[before]))[:, None]
+    first, second = estimate.quats_xyzw[before], estimate.quats_xyzw[after]
+    second = np.where((first * second).sum(axis=1, keepdims=True) < 0, -second, second)
+    quats_xyzw = (1 - share) * first + share * second
+    positions_m = (1 - share) * estimate.positions_m[before] + share * estimate.positions_m[after]
+    return positions_m, quats_xyzw / np.linalg.norm(quats_xyzw, axis=1, keepdims=True)
+
+
+def _quats_from_euler(angles_rad: FloatArray) -> FloatArray:
+    """Quaternions of roll, pitch, yaw, shape (n, 3): R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    half = angles_rad / 2.0
+    axes = []
+    for axis in range(3):
+        quats = np.zeros((len(half), 4))
+        quats[:, axis], quats[:, 3] = np.sin(half[:, axis]), np.cos(half[:, axis])
+        axes.append(quats)
+    roll, pitch, yaw = axes
+    return multiply_quats(yaw, multiply_quats(pitch, roll))

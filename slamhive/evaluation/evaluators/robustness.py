@@ -1,0 +1,53 @@
+"""When tracking began, how often it was lost, and one score that counts what was lost."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slamhive.domain.metrics.trajectories import SCORE_LIMIT_M
+from slamhive.evaluation.evaluators.base import Figures, Paired
+from slamhive.trajectory.model import FloatArray
+
+
+class Robustness:
+    """Time to the first pose, losses of tracking, completeness-aware score."""
+
+    keys = ("time_to_first_pose", "tracking.losses", "completeness.score")
+
+    def evaluate(self, paired: Paired) -> Figures:
+        """All three are always known."""
+        start_s, end_s = float(paired.reference.stamps_s[0]), float(paired.reference.stamps_s[-1])
+        gap_s = paired.protocol.gap_threshold_s
+        errors_m = np.linalg.norm(paired.aligned.positions_m - paired.matched_reference.positions_m, axis=1)
+        covered_s = score_seconds(paired.matched_reference.stamps_s, errors_m, gap_s, SCORE_LIMIT_M)
+        return Figures(
+            {
+                "time_to_first_pose": max(0.0, float(paired.estimate.stamps_s[0]) - start_s),
+                "tracking.losses": float(count_losses(paired.estimate.stamps_s, start_s, end_s, gap_s)),
+                "completeness.score": covered_s / (end_s - start_s),
+            }
+        )
+
+
+def count_losses(stamps_s: FloatArray, start_s: float, end_s: float, gap_s: float) -> int:
+    """Pauses longer than ``gap_s`` between poses inside the span, and one more if the poses end that long before it."""
+    pauses_s = np.diff(np.append(np.clip(stamps_s, start_s, end_s), end_s))
+    return int(np.count_nonzero(pauses_s > gap_s))
+
+
+def score_seconds(stamps_s: FloatArray, errors_m: FloatArray, gap_s: float, limit_m: float) -> float:
+    """Time integral of max(0, 1 - error / limit), which is the area under "time within x" up to the limit, over it.
+
+    For one error e the share within x is a step at e, and the area under it from 0 to the limit is limit - e. Errors
+    are interpolated between matched poses no further apart than ``gap_s``; longer times are left out.
+
+    Args:
+        stamps_s: Of the matched poses, never decreasing, shape (n,).
+        errors_m: Their errors, shape (n,).
+        gap_s: A longer time without a pose is not tracked.
+        limit_m: Larger errors are as bad as no pose.
+    """
+    goodness = np.maximum(0.0, 1.0 - errors_m / limit_m)
+    steps_s = np.diff(stamps_s)
+    steps_s[steps_s > gap_s] = 0.0
+    return float((steps_s * (goodness[:-1] + goodness[1:]) / 2.0).sum())

@@ -1,0 +1,105 @@
+"""From two trajectories and a protocol to a pair: time offset, association, alignment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from slamhive.domain.protocol import Association, Protocol
+from slamhive.errors import InvalidInput
+from slamhive.evaluation.evaluators.base import Paired
+from slamhive.evaluation.references import Reference
+from slamhive.trajectory.alignment import align
+from slamhive.trajectory.association import associate
+from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.offset import search_offset
+
+MINIMUM_MATCHED_POSES = 3
+"""With fewer an alignment is arbitrary, and so is every figure after it."""
+
+SEARCH_STEP_S = 0.02
+SEARCHED_POSES = 1000
+"""An offset is searched with at most so many poses of the estimate, spread over it."""
+
+LONGEST_INTERPOLATED_S = 1.0
+"""While an offset is searched, the ground truth is interpolated over no longer interval than this."""
+
+
+def pair(
+    reference: Reference, estimate: Trajectory, protocol: Protocol, files: Mapping[str, Path] | None = None
+) -> Paired:
+    """Bring ``estimate`` to the clock of the ground truth, match the poses, align them.
+
+    Raises:
+        InvalidInput: Saying which of the steps is not possible, and why.
+    """
+    reference.check(protocol.alignment)
+    truth = reference.trajectory
+    estimate = reference.placed(estimate)
+    if len(truth) < 2:
+        raise InvalidInput("the ground truth has one pose, which spans no time", "use a ground truth of several poses")
+    offset_s = protocol.time_offset_s
+    if protocol.offset_search_s > 0:
+        offset_s = find_offset(reference, estimate, protocol)
+    if offset_s != 0:
+        estimate = _shifted(estimate, offset_s)
+    matched_reference, matched_estimate = associate(truth, estimate, protocol)
+    if len(matched_reference) < MINIMUM_MATCHED_POSES:
+        raise InvalidInput(
+            f"only {len(matched_reference)} of {len(estimate)} estimated poses match the ground truth in time, "
+            f"at least {MINIMUM_MATCHED_POSES} are needed",
+            "the run tracked too little, or the association tolerance is too small",
+        )
+    transform = align(protocol.alignment, matched_estimate, matched_reference, protocol.align_poses)
+    return Paired(
+        protocol=protocol,
+        reference=truth,
+        rotations_known=reference.rotations_known,
+        estimate=estimate,
+        matched_reference=matched_reference,
+        matched_estimate=matched_estimate,
+        aligned=transform.poses(matched_estimate),
+        aligned_estimate=transform.poses(estimate),
+        transform=transform,
+        time_offset_s=offset_s,
+        files=dict(files or {}),
+    )
+
+
+def find_offset(reference: Reference, estimate: Trajectory, protocol: Protocol) -> float:
+    """What to add to the estimate's stamps, in s: where the RMSE of the aligned positions is least.
+
+    The ground truth is interpolated, whatever the protocol's association, so that the error is smooth in the offset.
+
+    Raises:
+        InvalidInput: There is no least error within ``offset_search_s`` of ``time_offset_s``.
+    """
+    smooth = replace(protocol, association=Association.INTERPOLATE, interpolation_interval_s=LONGEST_INTERPOLATED_S)
+    thinned = _thinned(estimate)
+
+    def misfit(offset_s: float) -> tuple[float, int]:
+        try:
+            matched, moved = associate(reference.trajectory, _shifted(thinned, offset_s), smooth)
+            transform = align(protocol.alignment, moved, matched, protocol.align_poses)
+        except InvalidInput:
+            return math.inf, 0
+        distances_m = transform.points(moved.positions_m) - matched.positions_m
+        return math.sqrt(float((distances_m**2).sum(axis=1).mean())), len(matched)
+
+    return search_offset(misfit, protocol.time_offset_s, protocol.offset_search_s, SEARCH_STEP_S)
+
+
+def _thinned(trajectory: Trajectory) -> Trajectory:
+    step = math.ceil(len(trajectory) / SEARCHED_POSES)
+    return Trajectory(trajectory.stamps_s[::step], trajectory.positions_m[::step], trajectory.quats_xyzw[::step])
+
+
+def _shifted(trajectory: Trajectory, offset_s: float) -> Trajectory:
+    stamps_s = trajectory.stamps_s + offset_s
+    if np.any(np.diff(stamps_s) <= 0):
+        raise InvalidInput(f"a time offset of {offset_s:g} s makes stamps fall together", "give a smaller offset")
+    return Trajectory(stamps_s, trajectory.positions_m, trajectory.quats_xyzw)

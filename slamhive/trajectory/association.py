@@ -1,0 +1,150 @@
+"""Association: which pose of the ground truth answers to which pose of the estimate."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from slamhive.domain.protocol import Association, Protocol
+from slamhive.errors import InvalidInput
+from slamhive.trajectory.interpolation import interpolate
+from slamhive.trajectory.model import FloatArray, Poses, Trajectory
+
+Indices = npt.NDArray[np.intp]
+
+
+def associate(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -> tuple[Poses, Poses]:
+    """Matched poses of ground truth and estimate, as many of both, as ``protocol.association`` has it.
+
+    Args:
+        reference: The ground truth.
+        estimate: The estimate, its stamps on the clock of the ground truth.
+        protocol: Says how, and how far apart.
+
+    Raises:
+        InvalidInput: No pose has a match, or, by index, their numbers differ.
+    """
+    how = protocol.association
+    if how is Association.INDEX:
+        return _by_index(reference, estimate)
+    if how is Association.INTERPOLATE:
+        pair = _interpolated(reference, estimate, protocol.interpolation_interval_s)
+    elif how is Association.HOLD:
+        pair = _held(reference, estimate)
+    else:
+        find = match_one_to_one if how is Association.ONE_TO_ONE else match_nearest
+        of_reference, of_estimate = find(reference.stamps_s, estimate.stamps_s, protocol.association_tolerance_s)
+        pair = reference.take(of_reference), estimate.take(of_estimate)
+    if len(pair[0]) == 0:
+        raise _no_match(reference, estimate, protocol)
+    return pair
+
+
+def match_nearest(reference_s: FloatArray, estimate_s: FloatArray, tolerance_s: float) -> tuple[Indices, Indices]:
+    """For each stamp of the shorter list the nearest of the other, if it is within the tolerance.
+
+    The rule of evo (https://github.com/MichaelGrupp/evo, ``evo.core.sync``), ties included: not one to one.
+
+    Args:
+        reference_s: Increasing, shape (m,).
+        estimate_s: Increasing, shape (n,).
+        tolerance_s: Largest gap, itself allowed.
+
+    Returns:
+        The indices of the matched stamps in both lists.
+    """
+    if len(estimate_s) > len(reference_s):
+        of_estimate, of_reference = _nearest(reference_s, estimate_s, tolerance_s)
+        return of_reference, of_estimate
+    return _nearest(estimate_s, reference_s, tolerance_s)
+
+
+def _nearest(short_s: FloatArray, long_s: FloatArray, tolerance_s: float) -> tuple[Indices, Indices]:
+    """Indices into ``long_s`` and ``short_s``; of two that are equally near, the earlier."""
+    upper = np.clip(np.searchsorted(long_s, short_s, side="right"), 0, len(long_s) - 1)
+    lower = np.maximum(upper - 1, 0)
+    above_s = long_s[upper] - short_s  # below 0 behind the end, where `inside` decides
+    below_s = np.where(upper > 0, short_s - long_s[lower], np.inf)
+    best = np.where(above_s < below_s, upper, lower)
+    inside = (short_s >= long_s[0] - tolerance_s) & (short_s <= long_s[-1] + tolerance_s)
+    matched = np.flatnonzero(inside & (np.minimum(above_s, below_s) <= tolerance_s))
+    return best[matched], matched
+
+
+def match_one_to_one(reference_s: FloatArray, estimate_s: FloatArray, tolerance_s: float) -> tuple[Indices, Indices]:
+    """Pairs of stamps less than the tolerance apart, taken by growing gap, each stamp once.
+
+    The rule of the TUM RGB-D benchmark's ``associate.py`` (Sturm et al., IROS 2012). Arguments and result as those of
+    :func:`match_nearest`, but a gap of the tolerance itself is too large.
+    """
+    first = np.searchsorted(reference_s, estimate_s - tolerance_s, side="left")
+    last = np.searchsorted(reference_s, estimate_s + tolerance_s, side="right")
+    counts = last - first
+    of_estimate = np.repeat(np.arange(len(estimate_s)), counts)
+    begins = np.repeat(np.cumsum(counts) - counts, counts)
+    of_reference = np.arange(len(of_estimate)) - begins + np.repeat(first, counts)
+    gaps_s = np.abs(reference_s[of_reference] - estimate_s[of_estimate])
+    near = gaps_s < tolerance_s
+    of_reference, of_estimate, gaps_s = of_reference[near], of_estimate[near], gaps_s[near]
+    free_reference, free_estimate = np.ones(len(reference_s), bool), np.ones(len(estimate_s), bool)
+    taken: list[int] = []
+    for pair in np.lexsort((of_estimate, of_reference, gaps_s)).tolist():
+        i, j = of_reference[pair], of_estimate[pair]
+        if free_reference[i] and free_estimate[j]:
+            free_reference[i] = free_estimate[j] = False
+            taken.append(pair)
+    chosen = np.sort(np.array(taken, dtype=np.intp)) if taken else np.empty(0, dtype=np.intp)
+    return of_reference[chosen], of_estimate[chosen]
+
+
+def _by_index(reference: Trajectory, estimate: Trajectory) -> tuple[Poses, Poses]:
+    if len(reference) != len(estimate):
+        raise InvalidInput(
+            f"poses are matched by index, but the estimate has {len(estimate)} and the ground truth {len(reference)}",
+            "choose an association by time, or a run that tracked every frame",
+        )
+    return reference, estimate
+
+
+def _interpolated(reference: Trajectory, estimate: Trajectory, interval_s: float) -> tuple[Poses, Poses]:
+    """The ground truth at those stamps of the estimate whose neighbours are no further apart than the interval."""
+    stamps_s = estimate.stamps_s
+    after = np.searchsorted(reference.stamps_s, stamps_s, side="left")
+    exact = np.zeros(len(stamps_s), bool)
+    inside = after < len(reference)
+    exact[inside] = reference.stamps_s[after[inside]] == stamps_s[inside]
+    between = inside & (after > 0)
+    close = np.zeros(len(stamps_s), bool)
+    close[between] = reference.stamps_s[after[between]] - reference.stamps_s[after[between] - 1] <= interval_s
+    kept = np.flatnonzero(exact | close)
+    return interpolate(reference, stamps_s[kept]), estimate.take(kept)
+
+
+def _held(reference: Trajectory, estimate: Trajectory) -> tuple[Poses, Poses]:
+    """The estimate at every stamp of the ground truth: between its poses interpolated, beyond its ends held."""
+    if estimate.stamps_s[0] > reference.stamps_s[-1] or estimate.stamps_s[-1] < reference.stamps_s[0]:
+        return reference.take(np.empty(0, np.intp)), estimate.take(np.empty(0, np.intp))
+    return reference, interpolate(estimate, reference.stamps_s)
+
+
+def _no_match(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -> InvalidInput:
+    spans = (
+        f"estimate {estimate.stamps_s[0]:.3f} to {estimate.stamps_s[-1]:.3f} s, "
+        f"ground truth {reference.stamps_s[0]:.3f} to {reference.stamps_s[-1]:.3f} s"
+    )
+    apart = estimate.stamps_s[0] > reference.stamps_s[-1] or estimate.stamps_s[-1] < reference.stamps_s[0]
+    if apart:
+        return InvalidInput(
+            f"estimate and ground truth do not overlap in time: {spans}",
+            "use the same clock for both, or give the protocol a time offset",
+        )
+    if protocol.association is Association.INTERPOLATE:
+        interval_s = protocol.interpolation_interval_s
+        return InvalidInput(
+            f"no estimated pose lies between ground-truth poses at most {interval_s:g} s apart: {spans}",
+            "raise the interpolation interval, or use a denser ground truth",
+        )
+    return InvalidInput(
+        f"no estimated pose is within {protocol.association_tolerance_s:g} s of a ground-truth pose: {spans}",
+        "raise the association tolerance, or use a denser ground truth",
+    )

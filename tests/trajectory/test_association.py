@@ -1,0 +1,99 @@
+"""Which pose answers to which: the rules of evo and of TUM, ground truth between its poses, and estimates held."""
+
+import itertools
+
+import numpy as np
+import pytest
+from evo.core.sync import matching_time_indices
+
+from slamhive.domain.protocol import Alignment, Association, Protocol
+from slamhive.errors import InvalidInput
+from slamhive.trajectory.association import associate, match_nearest, match_one_to_one
+from slamhive.trajectory.interpolation import interpolate
+from slamhive.trajectory.model import Trajectory
+
+HALF = np.sqrt(0.5)
+
+
+def straight(stamps_s: np.ndarray) -> Trajectory:
+    """1 m/s along x, turning about z by 90 degrees in 2 s."""
+    angle = stamps_s * np.pi / 4
+    quats = np.column_stack([0 * angle, 0 * angle, np.sin(angle / 2), np.cos(angle / 2)])
+    return Trajectory(stamps_s, np.column_stack([stamps_s, 0 * stamps_s, 0 * stamps_s]), quats)
+
+
+def protocol(how: Association, **values: float) -> Protocol:
+    return Protocol(Alignment.NONE, association=how, **values)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("many", "few"), [(400, 60), (60, 400), (100, 100)])
+def test_nearest_is_evos_rule(many: int, few: int) -> None:
+    random = np.random.default_rng(many)
+    for _ in range(20):
+        reference_s = np.unique(np.round(random.uniform(0, 5, many), 2))
+        estimate_s = np.unique(np.round(random.uniform(-1, 6, few), 2))
+        of_reference, of_estimate = match_nearest(reference_s, estimate_s, 0.03)
+        if len(estimate_s) > len(reference_s):
+            expected = matching_time_indices(reference_s, estimate_s, 0.03)
+            assert (of_reference.tolist(), of_estimate.tolist()) == expected
+        else:
+            expected = matching_time_indices(estimate_s, reference_s, 0.03)
+            assert (of_estimate.tolist(), of_reference.tolist()) == expected
+
+
+def greedy(reference_s: np.ndarray, estimate_s: np.ndarray, tolerance_s: float) -> list[tuple[int, int]]:
+    """The rule as published: all pairs by growing gap, each stamp once."""
+    pairs = itertools.product(range(len(reference_s)), range(len(estimate_s)))
+    gaps = sorted((abs(reference_s[i] - estimate_s[j]), i, j) for i, j in pairs)
+    taken: list[tuple[int, int]] = []
+    for gap_s, i, j in gaps:
+        if gap_s < tolerance_s and i not in {a for a, _ in taken} and j not in {b for _, b in taken}:
+            taken.append((i, j))
+    return sorted(taken, key=lambda pair: pair[1])
+
+
+def test_one_to_one_is_tums_rule() -> None:
+    random = np.random.default_rng(4)
+    for _ in range(20):
+        reference_s = np.unique(np.round(random.uniform(0, 1, 30), 3))
+        estimate_s = np.unique(np.round(random.uniform(0, 1, 40), 3))
+        of_reference, of_estimate = match_one_to_one(reference_s, estimate_s, 0.02)
+        assert list(zip(of_reference.tolist(), of_estimate.tolist(), strict=True)) == greedy(
+            reference_s, estimate_s, 0.02
+        )
+        assert len(set(of_reference)) == len(of_reference)
+
+
+def test_ground_truth_is_interpolated_between_close_poses_only() -> None:
+    reference = straight(np.array([0.0, 0.5, 1.0, 3.0, 3.5]))
+    estimate = straight(np.array([-0.1, 0.0, 0.25, 0.9, 2.0, 3.0, 3.4, 3.6]))
+    matched, kept = associate(reference, estimate, protocol(Association.INTERPOLATE, interpolation_interval_s=0.6))
+    np.testing.assert_allclose(kept.stamps_s, [0.0, 0.25, 0.9, 3.0, 3.4])
+    np.testing.assert_allclose(matched.positions_m, kept.positions_m, atol=1e-12)
+    np.testing.assert_allclose(matched.quats_xyzw, kept.quats_xyzw, atol=1e-9)
+
+
+def test_a_held_estimate_answers_to_every_stamp() -> None:
+    reference, estimate = straight(np.linspace(0, 4, 9)), straight(np.array([1.0, 2.0]))
+    matched, held = associate(reference, estimate, protocol(Association.HOLD))
+    assert len(matched) == len(held) == 9
+    np.testing.assert_allclose(held.positions_m[:, 0], [1, 1, 1, 1.5, 2, 2, 2, 2, 2])
+
+
+def test_by_index_needs_as_many_poses() -> None:
+    matched, found = associate(straight(np.arange(3.0)), straight(np.arange(3.0) + 50), protocol(Association.INDEX))
+    assert len(matched) == len(found) == 3
+    with pytest.raises(InvalidInput, match="the estimate has 2 and the ground truth 3"):
+        associate(straight(np.arange(3.0)), straight(np.arange(2.0)), protocol(Association.INDEX))
+
+
+@pytest.mark.parametrize("how", [how for how in Association if how is not Association.INDEX])
+def test_no_overlap_in_time_is_named(how: Association) -> None:
+    with pytest.raises(InvalidInput, match=r"do not overlap in time: estimate 100\.000 to 102\.000 s"):
+        associate(straight(np.arange(3.0)), straight(np.arange(3.0) + 100), protocol(how))
+
+
+def test_a_turn_takes_the_shorter_way() -> None:
+    turned = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 3)), np.array([[0, 0, 0, 1], [0, 0, -HALF, -HALF]]))
+    (quat,) = interpolate(turned, np.array([0.5])).quats_xyzw
+    np.testing.assert_allclose(np.abs(quat), [0, 0, np.sin(np.pi / 8), np.cos(np.pi / 8)], atol=1e-12)
