@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from slamhive import strict_yaml
 from slamhive.analysis.analysis_model import AnalysisModel, SetModel
-from slamhive.analysis.forms.base import FORMS, Form, FormOptions
+from slamhive.analysis.forms import FORMS, Form, FormOptions
 from slamhive.analysis.selection import Expression, check_names, in_words, parse_expression, union_of
 from slamhive.analysis.table import FailureRule
 from slamhive.catalogue.validation import first_problem_at

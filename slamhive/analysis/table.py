@@ -217,8 +217,8 @@ def mark_failures(frame: pd.DataFrame, rule: FailureRule) -> pd.DataFrame:
 
 
 def _is_number(entry: object) -> bool:
-    return isinstance(entry, int | float)
+    return isinstance(entry, int | float | np.number)
 
 
 def _as_number(entry: object) -> float:
-    return float(entry) if isinstance(entry, int | float) else float("nan")
+    return float(entry) if isinstance(entry, int | float | np.number) else float("nan")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -25,7 +26,7 @@ class FormOptions(BaseModel):
     text: str = Field(default="", max_length=20_000, description="Markdown above the figure.")
 
 
-OptionsT_contra = TypeVar("OptionsT_contra", bound=FormOptions, contravariant=True)
+OptionsT = TypeVar("OptionsT", bound=FormOptions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +83,7 @@ class FormData:
     progress: Callable[[float], None] = field(default=lambda _: None)
 
 
-class Form(Protocol[OptionsT_contra]):
+class Form(ABC, Generic[OptionsT]):
     """One kind of figure or table.
 
     ``key`` is what analysis files call it; ``options`` is the pydantic model of its part of the file.
@@ -93,9 +94,13 @@ class Form(Protocol[OptionsT_contra]):
     description: ClassVar[str]
     options: ClassVar[type[FormOptions]]
 
-    def build(self, data: FormData, options: OptionsT_contra) -> FormResult:
+    @abstractmethod
+    def needs(self, options: OptionsT) -> frozenset[str]:
+        """The metrics and parameters that ``build`` reads; other metrics need not be in the table."""
+
+    @abstractmethod
+    def build(self, data: FormData, options: OptionsT) -> FormResult:
         """Charts and tables. Raises InvalidInput or NotFound if the data or the options do not fit the form."""
-        ...
 
 
 FORMS: Registry[Form[Any]] = Registry("analysis form", "slamhive.analysis_forms")

@@ -1,0 +1,60 @@
+"""Numbers, words and colours as Plotly's JSON has them."""
+
+from __future__ import annotations
+
+import base64
+import html
+from typing import Any
+
+import numpy as np
+
+from slamhive.analysis.chart import REFERENCE, Array, Axis
+
+THEMED = "theme:groundtruth"
+
+Json = dict[str, Any]
+
+
+def numbers(values: Array) -> Json:
+    """A typed array as Plotly reads it: whole numbers as int32, others in single precision, which a screen shows."""
+    whole = np.issubdtype(values.dtype, np.integer)
+    wanted = np.ascontiguousarray(values, dtype="<i4" if whole else "<f4")
+    content: Json = {"dtype": "i4" if whole else "f4", "bdata": base64.b64encode(wanted.tobytes()).decode()}
+    if values.ndim > 1:
+        content["shape"] = ", ".join(map(str, values.shape))
+    return content
+
+
+def escaped(text: str) -> str:
+    """Words for Plotly, which takes some HTML and ``%{...}`` for its own."""
+    return html.escape(text, quote=False).replace("%{", "%\u200b{")
+
+
+def translucent(colour: str, opacity: float) -> str:
+    """``#0072B2`` as ``rgba(0,114,178,0.2)``."""
+    if not colour.startswith("#"):
+        return f"rgba(128,128,128,{opacity:g})"
+    red, green, blue = (int(colour[place : place + 2], 16) for place in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{opacity:g})"
+
+
+def colour_of_mark(colour: str) -> str:
+    """The colour to draw with; the page replaces that of references."""
+    return "#555555" if colour == REFERENCE else colour
+
+
+def meta_of(colour: str) -> Json:
+    """What tells the page to colour a mark for light or dark."""
+    return {"meta": THEMED} if colour == REFERENCE else {}
+
+
+def drawable(x: Array, axis: Axis) -> Array:
+    """Which places exist on an axis: numbers, positive ones if it is logarithmic."""
+    return np.isfinite(x) & (x > 0) if axis.log else np.isfinite(x)
+
+
+def positions(values: Array, axis: Axis) -> Any:
+    """Categories are given by their positions; Plotly wants their names."""
+    if axis.categories is None:
+        return numbers(values)
+    return [None if not np.isfinite(place) else escaped(axis.categories[int(place)]) for place in values]

@@ -1,0 +1,93 @@
+"""A chart as a printable figure, drawn by matplotlib: PDF, SVG and PNG of one look."""
+
+from __future__ import annotations
+
+import io
+import threading
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from slamhive.analysis.chart import Array, Axis, Chart, FailedRuns
+from slamhive.analysis.print_marks import draw_failed, draw_mark, plain
+
+FORMATS = ("pdf", "svg", "png")
+WIDTH_INCHES, HEIGHT_INCHES = 6.4, 4.2
+DOTS_PER_INCH = 200
+_LEGEND_MOST = 24
+
+_LOOK: Any = {
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.color": "#e3e6ea",
+    "grid.linewidth": 0.6,
+    "axes.edgecolor": "#7b838c",
+    "axes.axisbelow": True,
+    "pdf.fonttype": 42,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "slamhive",
+}
+"""Words stay words in PDF and SVG, so that they can be searched and changed."""
+
+_lock = threading.Lock()
+
+
+def print_chart(chart: Chart, file_format: str) -> bytes:
+    """The figure as the bytes of a PDF, SVG or PNG file; the same chart gives the same bytes."""
+    with _lock, mpl.rc_context(_LOOK):  # matplotlib's settings are global
+        figure = Figure(figsize=(WIDTH_INCHES, HEIGHT_INCHES * chart.height), layout="constrained")
+        FigureCanvasAgg(figure)
+        _draw(figure, chart)
+        buffer = io.BytesIO()
+        metadata = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(file_format)
+        figure.savefig(buffer, format=file_format, dpi=DOTS_PER_INCH, metadata=metadata)
+    return buffer.getvalue()
+
+
+def _draw(figure: Figure, chart: Chart) -> None:
+    failed = [mark for mark in chart.marks if isinstance(mark, FailedRuns)] if chart.z is None else []
+    band = None
+    if any(np.isfinite(mark.x).any() for mark in failed):
+        band, axes = figure.subplots(2, sharex=True, height_ratios=[1, 9])
+    elif chart.z is not None:
+        axes = figure.add_subplot(projection="3d")
+    else:
+        axes = figure.add_subplot()
+    figure.suptitle(plain(chart.title), fontsize=10)
+    for mark in chart.marks:
+        draw_mark(axes, mark, chart)
+    _dress(axes, chart)
+    if band is not None:
+        draw_failed(band, failed)
+    handles, labels = axes.get_legend_handles_labels()
+    if 1 < len(labels) <= _LEGEND_MOST:
+        figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=7, frameon=False)
+
+
+def _dress(axes: Any, chart: Chart) -> None:
+    if chart.bare:
+        axes.set_axis_off()
+        return
+    _dress_axis(axes, "x", chart.x)
+    _dress_axis(axes, "y", chart.y)
+    if chart.z is not None:
+        _dress_axis(axes, "z", chart.z)
+    if chart.equal_aspect:
+        axes.set_aspect("equal", **({} if chart.z is not None else {"adjustable": "datalim"}))
+
+
+def _dress_axis(axes: Any, name: str, axis: Axis) -> None:
+    getattr(axes, f"set_{name}label")(plain(axis.title))
+    if axis.categories is not None:
+        places: Array = np.arange(len(axis.categories))
+        long = name == "x" and sum(map(len, axis.categories)) > 60
+        getattr(axes, f"set_{name}ticks")(
+            places,
+            [plain(category) for category in axis.categories],
+            **({"rotation": 30, "ha": "right"} if long else {}),
+        )
+    elif axis.log:
+        getattr(axes, f"set_{name}scale")("log")

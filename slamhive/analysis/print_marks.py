@@ -1,0 +1,216 @@
+"""The marks of a chart, drawn by matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+
+from slamhive.analysis.chart import (
+    REFERENCE,
+    Array,
+    Bars,
+    Boxes,
+    Cells,
+    Chart,
+    FailedRuns,
+    Labels,
+    Line,
+    Mark,
+    Parallel,
+    Points,
+    Segments,
+)
+from slamhive.analysis.density import bin_points
+
+DENSITY_FROM = 20_000
+"""A printed page shows the density of more points; a file with each of them would be huge."""
+
+_REFERENCE_COLOUR = "#3d4247"
+_FAILED_ROWS = 7
+_MARKERS = {
+    "circle": "o", "square": "s", "triangle-up": "^", "diamond": "D",
+    "cross": "P", "star": "*", "triangle-down": "v", "pentagon": "p",
+}  # fmt: skip
+
+
+def draw_mark(axes: Any, mark: Mark, chart: Chart) -> None:
+    """Draw one mark into matplotlib axes; failed runs have axes of their own, see :func:`draw_failed`."""
+    drawn_by = _DRAWN_BY.get(type(mark))
+    if drawn_by is not None:
+        drawn_by(axes, mark, chart)
+
+
+def draw_failed(axes: Any, marks: list[FailedRuns]) -> None:
+    """Crosses in a tinted band above the plot."""
+    axes.set_facecolor("#fbeee5")
+    for mark in marks:
+        rows = (np.arange(len(mark.x)) % _FAILED_ROWS + 0.5) / _FAILED_ROWS
+        axes.plot(mark.x, rows, "x", color=mark.colour, markersize=3, markeredgewidth=0.7)
+    axes.set_ylim(0, 1)
+    axes.set_yticks([0.5], ["failed"])
+    axes.grid(visible=False)
+    axes.tick_params(axis="x", length=0, labelbottom=False)
+
+
+def plain(text: str) -> str:
+    """Words for titles and labels: no line breaks or control characters, and no formulas by accident."""
+    return "".join(letter if letter.isprintable() else " " for letter in text).replace("$", r"\$")
+
+
+def _points(axes: Any, mark: Points, chart: Chart) -> None:
+    if len(mark.x) > DENSITY_FROM and mark.z is None:
+        _density(axes, mark, chart)
+        return
+    places = (mark.x, mark.y) if mark.z is None else (mark.x, mark.y, mark.z)
+    look: dict[str, Any] = {"s": 14, "marker": _MARKERS.get(mark.marker, "o"), "linewidths": 0, "alpha": 0.85}
+    if mark.shades is None:
+        axes.scatter(*places, color=_colour(mark.colour), label=plain(mark.name), **look)
+    else:
+        shaded = axes.scatter(*places, c=mark.shades, cmap="viridis", label=plain(mark.name), **look)
+        axes.figure.colorbar(shaded, ax=axes, label=plain(mark.shade_label))
+    if mark.low is not None and mark.high is not None and mark.z is None:
+        reach = np.stack([mark.y - mark.low, mark.high - mark.y])
+        axes.errorbar(mark.x, mark.y, np.maximum(reach, 0), fmt="none", ecolor=_colour(mark.colour), elinewidth=0.9)
+
+
+def _density(axes: Any, mark: Points, chart: Chart) -> None:
+    density = bin_points(mark.x, mark.y, log_x=chart.x.log, log_y=chart.y.log)
+    counts = np.where(density.counts > 0, density.counts, np.nan)
+    look = {"cmap": "viridis", "norm": mpl.colors.LogNorm(), "shading": "nearest", "rasterized": True}
+    cells = axes.pcolormesh(density.x_centres, density.y_centres, counts, **look)
+    axes.figure.colorbar(cells, ax=axes, label="runs")
+
+
+def _line(axes: Any, mark: Line, _chart: Chart) -> None:
+    places = (mark.x, mark.y) if mark.z is None else (mark.x, mark.y, mark.z)
+    look: dict[str, Any] = {"color": _colour(mark.colour), "label": plain(mark.name), "linewidth": 1.3}
+    look |= {"linestyle": "--"} if mark.dashed else {}
+    look |= {"drawstyle": "steps-post"} if mark.steps else {}
+    axes.plot(*places, **look)
+    if mark.low is not None and mark.high is not None and mark.z is None:
+        axes.fill_between(mark.x, mark.low, mark.high, color=_colour(mark.colour), alpha=0.2, linewidth=0)
+
+
+def _bars(axes: Any, mark: Bars, chart: Chart) -> None:
+    width, offset = _share(chart, mark)
+    x = np.arange(len(mark.heights)) + offset
+    look: dict[str, Any] = {"width": width, "label": plain(mark.name)}
+    if mark.striped:
+        look |= {"facecolor": "white", "edgecolor": _colour(mark.colour), "hatch": "////", "linewidth": 0.8}
+    else:
+        look |= {"color": _colour(mark.colour)}
+    if mark.low is not None and mark.high is not None:
+        reach = np.stack([mark.heights - mark.low, mark.high - mark.heights])
+        look |= {"yerr": np.where(np.isfinite(reach), np.maximum(reach, 0), 0), "error_kw": {"elinewidth": 0.9}}
+    axes.bar(x, mark.heights, **look)
+    for place, height, text in zip(x, mark.heights, mark.texts or (), strict=False):
+        if np.isfinite(height):
+            axes.annotate(plain(text), (place, height), ha="center", va="bottom", fontsize=6)
+
+
+def _boxes(axes: Any, mark: Boxes, chart: Chart) -> None:
+    names = list(chart.x.categories or ())
+    width, offset = _share(chart, mark)
+    places = np.array([names.index(category) for category in mark.categories], dtype=int)
+    colour = _colour(mark.colour)
+    labelled = False
+    for place in np.unique(places):
+        values = mark.values[(places == place) & np.isfinite(mark.values)]
+        if not len(values):
+            continue
+        at = place + offset
+        axes.boxplot(
+            [values], positions=[at], widths=width * 0.8, manage_ticks=False, showfliers=False,
+            boxprops={"color": colour}, whiskerprops={"color": colour}, capprops={"color": colour},
+            medianprops={"color": colour},
+        )  # fmt: skip
+        spread = at + (np.arange(len(values)) % 5 - 2) * width * 0.08
+        name = {} if labelled else {"label": plain(mark.name)}
+        axes.plot(spread, values, "o", color=colour, markersize=2, alpha=0.6, **name)
+        labelled = True
+
+
+def _share(chart: Chart, mark: Mark) -> tuple[float, float]:
+    """Width and offset of one of several groups of bars or boxes that share a category."""
+    groups = [other for other in chart.marks if isinstance(other, type(mark))]
+    place = next(place for place, other in enumerate(groups) if other is mark)
+    width = 0.8 / len(groups)
+    return width, (place - (len(groups) - 1) / 2) * width
+
+
+def _cells(axes: Any, mark: Cells, _chart: Chart) -> None:
+    norm = mpl.colors.LogNorm() if mark.log and np.nanmin(mark.values, initial=np.inf) > 0 else None
+    colours = "viridis_r" if mark.lower_is_better else "viridis"
+    image = axes.imshow(mark.values, cmap=colours, norm=norm, aspect="auto", origin="lower")
+    label = f"{mark.label} [{mark.unit}]" if mark.unit else mark.label
+    axes.figure.colorbar(image, ax=axes, label=plain(label))
+    axes.grid(visible=False)
+    for row, texts in enumerate(mark.texts):
+        for column, text in enumerate(texts):
+            value = mark.values[row, column]
+            dark = bool(np.isfinite(value) and np.mean(image.cmap(image.norm(value))[:3]) < 0.5)
+            axes.text(
+                column, row, plain(text), ha="center", va="center", fontsize=6, color="white" if dark else "black"
+            )
+
+
+def _segments(axes: Any, mark: Segments, _chart: Chart) -> None:
+    label = {"label": plain(mark.name)} if mark.name else {}
+    style = {"linestyle": "--"} if mark.dashed else {}
+    for x0, y0, x1, y1 in zip(mark.x0, mark.y0, mark.x1, mark.y1, strict=True):
+        axes.plot([x0, x1], [y0, y1], color=_colour(mark.colour), linewidth=mark.width, **style, **label)
+        label = {}
+
+
+def _labels(axes: Any, mark: Labels, _chart: Chart) -> None:
+    side = {"left": "left", "right": "right", "centre": "center"}[mark.anchor]
+    vertical = "bottom" if mark.anchor == "centre" else "center"
+    for x, y, text in zip(mark.x, mark.y, mark.texts, strict=True):
+        axes.text(x, y, plain(text), ha=side, va=vertical, fontsize=7)
+
+
+def _parallel(axes: Any, mark: Parallel, _chart: Chart) -> None:
+    places = np.arange(len(mark.dimensions))
+    rows = np.stack([_unit(dimension.values) for dimension in mark.dimensions], axis=1)
+    shades = mpl.colors.Normalize(np.nanmin(mark.shades, initial=0), np.nanmax(mark.shades, initial=1))
+    colours = mpl.colormaps["viridis"]
+    for row, shade in zip(rows, mark.shades, strict=True):
+        axes.plot(places, row, color=colours(shades(shade)), linewidth=0.6, alpha=0.6)
+    axes.set_xticks(places, [plain(dimension.axis.title) for dimension in mark.dimensions], rotation=20, ha="right")
+    axes.set_yticks([])
+    for place, dimension in zip(places, mark.dimensions, strict=True):
+        for height, text in _ends(dimension.values, dimension.axis.categories):
+            axes.text(place, height, f" {text}", fontsize=6)
+    axes.figure.colorbar(mpl.cm.ScalarMappable(shades, colours), ax=axes, label=plain(mark.shade_axis.title))
+
+
+def _unit(values: Array) -> Array:
+    low, high = np.nanmin(values), np.nanmax(values)
+    return (values - low) / (high - low) if high > low else np.full(len(values), 0.5)
+
+
+def _ends(values: Array, categories: tuple[str, ...] | None) -> list[tuple[float, str]]:
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    if categories is not None:
+        span = (high - low) or 1.0
+        return [((place - low) / span, plain(name)) for place, name in enumerate(categories) if low <= place <= high]
+    return [(0.0, f"{low:.3g}"), (1.0, f"{high:.3g}")] if high > low else [(0.5, f"{low:.3g}")]
+
+
+def _colour(colour: str) -> str:
+    return _REFERENCE_COLOUR if colour == REFERENCE else colour
+
+
+_DRAWN_BY: dict[type[Any], Callable[[Any, Any, Chart], None]] = {
+    Points: _points,
+    Line: _line,
+    Bars: _bars,
+    Boxes: _boxes,
+    Cells: _cells,
+    Segments: _segments,
+    Labels: _labels,
+    Parallel: _parallel,
+}
