@@ -97,11 +97,6 @@ class CatalogueRepository:
         return known[name]
 
 
-def protocol_from_definition(definition: dict[str, Any]) -> domain.Protocol:
-    """The protocol that was stored as JSON."""
-    return domain.protocol_from_content(definition)
-
-
 def _dataset(row: Row[Any]) -> DatasetRecord:
     return DatasetRecord(
         id=row.id,

@@ -13,7 +13,7 @@ from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, NotFound
 from slamhive.evaluation.job import Artefacts, EvaluationResult
-from slamhive.store.catalogue import CatalogueRepository, protocol_from_definition
+from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.models import Evaluation, Protocol, Run
 from slamhive.store.records import EvaluationRecord, EvaluationState, LeaseLost
@@ -178,7 +178,7 @@ def _record(row: Row[Any]) -> EvaluationRecord:
     return EvaluationRecord(
         id=row.id,
         run_id=row.run_id,
-        protocol=protocol_from_definition(row.definition),
+        protocol=domain.protocol_from_content(row.definition),
         state=row.state,
         reason=row.reason,
         artefacts=row.artefacts,

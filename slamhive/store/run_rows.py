@@ -10,9 +10,9 @@ from sqlalchemy.orm import Session
 
 from slamhive.domain.configuration import Playback
 from slamhive.domain.parameters import Value
+from slamhive.domain.protocol import protocol_from_content
 from slamhive.domain.stop_when import stop_when_from_json
 from slamhive.domain.variant import variant_from_json
-from slamhive.store.catalogue import protocol_from_definition
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.models import Algorithm, AlgorithmVersion, Configuration, Dataset, Experiment, Host, Protocol, Run
@@ -105,7 +105,7 @@ def _record(row: Row[Any], parameters: dict[str, Value], metrics: dict[str, floa
         parameters=parameters,
         playback=Playback(row.playback_mode, row.playback_rate),
         variant=variant_from_json(row.variant or ()),
-        protocol_override=None if override is None else protocol_from_definition(override),
+        protocol_override=None if override is None else protocol_from_content(override),
         protocol=None if fingerprint is None else ProtocolLabel(fingerprint, row.protocol_label),
         version=None if row.identity is None else VersionRecord(row.identity, row.package_hash, row.version),
         host=None

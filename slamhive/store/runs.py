@@ -231,7 +231,7 @@ class RunRepository:
 
 def _new_row(request: RunRequest, now: datetime) -> dict[str, Any]:
     values = {name: getattr(request, name) for name in _AS_ASKED}
-    values["protocol_override"] = None if request.protocol is None else asdict(request.protocol)
+    values["protocol_override"] = None if request.protocol is None else request.protocol.content
     values["stop_when"] = stop_when_to_json(request.stop_when) or None
     return {**values, "state": RunState.QUEUED, "created_at": now, "attempt": 0, "cancel_requested": False}
 
