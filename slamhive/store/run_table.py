@@ -1,0 +1,172 @@
+"""Runs column by column, for analyses: whole columns in few statements, no object for each run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import ColumnElement, Select, and_, or_, select
+from sqlalchemy.orm import Session
+
+from slamhive.errors import unknown
+from slamhive.store.models import (
+    MEASURED_PROTOCOL_ID,
+    Algorithm,
+    Configuration,
+    ConfigurationValue,
+    Dataset,
+    Experiment,
+    Host,
+    Metric,
+    MetricValue,
+    Parameter,
+    Protocol,
+    Run,
+)
+from slamhive.store.rows import chunks
+
+SCANNED_FROM = 2_000
+"""For more runs a column is read as a whole between the first and the last id, instead of naming each run."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProtocolValue:
+    """One figure under one protocol."""
+
+    run_id: int
+    fingerprint: str
+    label: str
+    metric: str
+    value: float
+
+
+class RunTableRepository:
+    """Columns of runs by run id; a run that has no value is not in the column."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def facts(self, run_ids: Sequence[int]) -> dict[str, list[Any]]:
+        """The columns that every run has, by name, in the order of the ids; runs that do not exist are left out."""
+        names = ("run_id", "configuration_id", "algorithm", "dataset", "state", "reason", "seed", "executor")
+        more = ("variant", "experiment", "host", "protocol", "protocol_label")
+        columns: dict[str, list[Any]] = {name: [] for name in (*names, *more)}
+        for row in self._rows(_facts(), Run.id, run_ids):
+            for name, value in zip(columns, row, strict=True):
+                columns[name].append(value)
+        return columns
+
+    def parameters(self, configuration_ids: Iterable[int]) -> dict[str, dict[int, Any]]:
+        """{key or general name: {configuration: value}}; a general name stands beside the package's own key."""
+        query = select(
+            ConfigurationValue.configuration_id, Parameter.key, Parameter.general, ConfigurationValue.value
+        ).join(Parameter, Parameter.id == ConfigurationValue.parameter_id)
+        found: dict[str, dict[int, Any]] = {}
+        wanted = sorted(set(configuration_ids))
+        for configuration_id, key, general, value in self._rows(query, ConfigurationValue.configuration_id, wanted):
+            found.setdefault(key, {})[configuration_id] = value
+            if general is not None and general != key:
+                found.setdefault(general, {})[configuration_id] = value
+        return found
+
+    def metric(self, key: str, run_ids: Sequence[int], fingerprint: str | None = None) -> dict[int, float]:
+        """The values of one metric: measured, or under each run's current protocol, or that of ``fingerprint``."""
+        metric_id = self._session.execute(select(Metric.id).where(Metric.key == key)).scalar_one_or_none()
+        if metric_id is None:
+            return {}
+        chosen: ColumnElement[bool]
+        if fingerprint is None:
+            chosen = MetricValue.protocol_id == Run.current_protocol_id
+        else:
+            chosen = MetricValue.protocol_id == self.protocol_id(fingerprint)
+        query = select(MetricValue.run_id, MetricValue.value).where(
+            MetricValue.metric_id == metric_id, or_(MetricValue.protocol_id == MEASURED_PROTOCOL_ID, chosen)
+        )
+        if fingerprint is None:
+            query = query.join(Run, Run.id == MetricValue.run_id)
+        return {run_id: value for run_id, value in self._rows(query, MetricValue.run_id, run_ids)}  # noqa: C416
+
+    def every_protocol(self, keys: Iterable[str], run_ids: Sequence[int]) -> list[ProtocolValue]:
+        """The values of metrics under all protocols that the runs were evaluated under."""
+        query = (
+            select(MetricValue.run_id, Protocol.fingerprint, Protocol.label, Metric.key, MetricValue.value)
+            .join(Metric, Metric.id == MetricValue.metric_id)
+            .join(Protocol, Protocol.id == MetricValue.protocol_id)
+            .where(Metric.key.in_(sorted(keys)), MetricValue.protocol_id != MEASURED_PROTOCOL_ID)
+        )
+        return [ProtocolValue(*row) for row in self._rows(query, MetricValue.run_id, run_ids)]
+
+    def stored_metrics(self) -> list[str]:
+        """The keys of the metrics that any run has a value of."""
+        return sorted(self._session.execute(select(Metric.key)).scalars())
+
+    def protocol_id(self, fingerprint: str) -> int:
+        """The row of a protocol; raises NotFound naming those that exist."""
+        table = Protocol.__table__
+        rows = self._session.execute(select(table.c.id, table.c.fingerprint).where(table.c.id != MEASURED_PROTOCOL_ID))
+        known: Mapping[str, int] = {row.fingerprint: row.id for row in rows}
+        if fingerprint not in known:
+            raise unknown("protocol", fingerprint, list(known))
+        return known[fingerprint]
+
+    def protocol_label(self, fingerprint: str) -> str:
+        """A protocol in words; raises NotFound."""
+        lookup = select(Protocol.label).where(Protocol.id == self.protocol_id(fingerprint))
+        return str(self._session.execute(lookup).scalar_one())
+
+    def existing(self, run_ids: Sequence[int]) -> set[int]:
+        """Those of these runs that exist."""
+        return {row[0] for row in self._rows(select(Run.id), Run.id, run_ids)}
+
+    def runs_of_experiment(self, name: str) -> list[int]:
+        """The runs of an experiment; raises NotFound."""
+        table = Experiment.__table__
+        found = self._session.execute(select(table.c.id).where(table.c.name == name)).scalar_one_or_none()
+        if found is None:
+            raise unknown("experiment", name, list(self._session.execute(select(table.c.name)).scalars()))
+        return list(self._session.execute(select(Run.id).where(Run.experiment_id == found)).scalars())
+
+    def runs_of_configurations(self, configuration_ids: Sequence[int]) -> list[int]:
+        """The runs of configurations."""
+        query = select(Run.id)
+        return [row[0] for row in self._rows(query, Run.configuration_id, sorted(set(configuration_ids)))]
+
+    def _rows(self, query: Any, key: Any, ids: Sequence[int]) -> Iterator[Any]:
+        """The rows whose ``key`` is among ``ids``, by run or configuration."""
+        wanted = sorted(set(ids))
+        if len(wanted) < SCANNED_FROM:
+            for part in chunks(wanted):
+                yield from self._session.execute(query.where(key.in_(part)).order_by(key))
+            return
+        chosen = set(wanted)
+        scanned = query.add_columns(key.label("scanned")).where(and_(key >= wanted[0], key <= wanted[-1]))
+        for row in self._session.execute(scanned.order_by(key).execution_options(yield_per=10_000)):
+            if row[-1] in chosen:
+                yield row[:-1]
+
+
+def _facts() -> Select[Any]:
+    return (
+        select(
+            Run.id,
+            Run.configuration_id,
+            Algorithm.name.label("algorithm"),
+            Dataset.name.label("dataset"),
+            Run.state,
+            Run.reason,
+            Run.seed,
+            Run.executor,
+            Configuration.variant,
+            Experiment.name.label("experiment"),
+            Host.cpu_model.label("host"),
+            Protocol.fingerprint.label("protocol"),
+            Protocol.label.label("protocol_label"),
+        )
+        .join(Configuration, Configuration.id == Run.configuration_id)
+        .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
+        .join(Dataset, Dataset.id == Configuration.dataset_id)
+        .outerjoin(Experiment, Experiment.id == Run.experiment_id)
+        .outerjoin(Host, Host.id == Run.host_id)
+        .outerjoin(Protocol, Protocol.id == Run.current_protocol_id)
+    )
