@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from flask import Blueprint, render_template
 
-from slamhive.store.records import RunFilter, RunSort
 from slamhive.analysis.colours import algorithm_colours
+from slamhive.store.records import RunFilter, RunSort
 from slamhive.web.context import hive
 from slamhive.web.presenters.catalogue import dataset_choices
 

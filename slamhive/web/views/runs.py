@@ -9,13 +9,13 @@ from collections.abc import Iterable
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, send_file
 from flask import url_for as address
 
+from slamhive.analysis.colours import colour_of
 from slamhive.domain.protocol import ALIGNMENT_LABELS
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.executors.registry import EXECUTORS
 from slamhive.services.downloads import list_downloads, open_download
 from slamhive.store.records import EvaluationRecord, EvaluationState
-from slamhive.analysis.colours import colour_of
 from slamhive.web.columns import all_columns
 from slamhive.web.context import hive, now
 from slamhive.web.figures import best_plane, captions, figure_table, run_figures
