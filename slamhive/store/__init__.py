@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+from slamhive.store.configuration_records import (
+    ConfigurationFilter,
+    ConfigurationPage,
+    ConfigurationRecord,
+    ParameterCondition,
+    StoredParameter,
+)
 from slamhive.store.records import (
     AlgorithmRecord,
     AlgorithmVersion,
@@ -25,12 +32,16 @@ from slamhive.store.store import Store, Transaction, open_store
 __all__ = [
     "AlgorithmRecord",
     "AlgorithmVersion",
+    "ConfigurationFilter",
+    "ConfigurationPage",
+    "ConfigurationRecord",
     "DatasetRecord",
     "EvaluationRecord",
     "EvaluationState",
     "Host",
     "LeaseLost",
     "Page",
+    "ParameterCondition",
     "ProtocolLabel",
     "RunFields",
     "RunFilter",
@@ -39,6 +50,7 @@ __all__ = [
     "RunSnapshot",
     "RunSort",
     "Store",
+    "StoredParameter",
     "Transaction",
     "UsageSummary",
     "open_store",

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import insert, select
+from sqlalchemy import insert, select, update
 from sqlalchemy.orm import Session
 
 from slamhive.domain import configuration as domain
@@ -110,23 +110,41 @@ class ConfigurationRepository:
     def _parameter_ids(
         self, algorithm_id: int, values: Mapping[str, Value], definitions: Sequence[Definition]
     ) -> dict[str, int]:
-        """The rows of ``parameters`` for the keys of ``values``; all modes of a package share theirs."""
+        """The rows of ``parameters`` for the keys of ``values``; all modes of a package share theirs.
+
+        A general name is an alias: the rows of a key have the one that its newest definition gives it.
+        """
         scope = self._session.execute(select(Algorithm.package).where(Algorithm.id == algorithm_id)).scalar_one()
-        rows = self._session.execute(select(Parameter.key, Parameter.id).where(Parameter.scope == scope))
-        known = {row.key: row.id for row in rows}
+        table = Parameter.__table__
+        rows = self._session.execute(select(table).where(table.c.scope == scope))
+        known = {(row.key, row.type, row.unit): row for row in rows}
         defined = {definition.key: definition for definition in definitions}
+        ids: dict[str, int] = {}
         for key, value in values.items():
-            if key not in known:
-                keys = {"scope": scope, "key": key}
-                known[key], _ = get_or_insert(self._session, Parameter, keys, _description(defined.get(key), value))
-        return {key: known[key] for key in values}
+            kind, unit, general = _description(defined.get(key), value)
+            row = known.get((key, kind, unit))
+            if row is None:
+                keys = {"scope": scope, "key": key, "type": kind, "unit": unit}
+                ids[key], _ = get_or_insert(self._session, Parameter, keys, {"general": general})
+            else:
+                ids[key] = row.id
+        renamed = {
+            row.key: defined[row.key].general
+            for row in known.values()
+            if row.key in defined and row.general != defined[row.key].general
+        }
+        for key, general in renamed.items():
+            same = (table.c.scope == scope, table.c.key == key)
+            self._session.execute(update(table).where(*same).values(general=general))
+        return ids
 
 
-def _description(definition: Definition | None, value: Value) -> dict[str, Any]:
+def _description(definition: Definition | None, value: Value) -> tuple[str, str, str | None]:
+    """Type, unit and general name."""
     if definition is not None:
-        return {"type": definition.type.value, "unit": definition.unit, "general": definition.general}
+        return definition.type.value, definition.unit, definition.general
     types = {bool: ParameterType.BOOL, int: ParameterType.INT, float: ParameterType.FLOAT, str: ParameterType.STRING}
-    return {"type": types.get(type(value), ParameterType.MATRIX).value, "unit": "", "general": None}
+    return types.get(type(value), ParameterType.MATRIX).value, "", None
 
 
 def _columns(value: Value) -> dict[str, Any]:

@@ -33,9 +33,15 @@ def upgrade(engine: Engine, revision: str = "head") -> None:
 
 
 def downgrade(engine: Engine, revision: str = "base") -> None:
-    """Take the tables back to ``revision``; ``base`` removes them and all that they hold."""
-    with _locked(engine) as connection:
-        command.downgrade(_config(connection), revision)
+    """Take the tables back to ``revision``; ``base`` removes them and all that they hold.
+
+    A version that refuses stops it. SQLite is then as before; MySQL, where changing a table ends the transaction, has
+    gone back to the version that refused.
+    """
+    steps = [revision] if engine.dialect.name == "sqlite" else _downwards(current(engine), revision)
+    for step in steps:
+        with _locked(engine) as connection:
+            command.downgrade(_config(connection), step)
 
 
 def current(engine: Engine) -> str | None:
@@ -64,6 +70,12 @@ def check_current(engine: Engine) -> None:
 def _revisions() -> tuple[str, ...]:
     """All revisions of the package, newest first."""
     return tuple(script.revision for script in ScriptDirectory.from_config(_config(None)).walk_revisions())
+
+
+def _downwards(found: str | None, revision: str) -> list[str]:
+    """The revisions from the one below ``found`` down to ``revision``."""
+    below = [*_revisions(), "base"]
+    return below[below.index(found or "base") + 1 : below.index(revision) + 1]
 
 
 def _check_not_newer(engine: Engine, found: str | None) -> None:

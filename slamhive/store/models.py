@@ -87,10 +87,13 @@ class Dataset(Base):
 
 
 class Parameter(Base):
-    """A parameter of a package (``scope``), under its own key and the name shared across packages (``general``)."""
+    """A parameter of a package (``scope``), under its own key and the name shared across packages (``general``).
+
+    Type and unit say what the stored values mean: one whose definition was edited in them is a row of its own.
+    """
 
     __tablename__ = "parameters"
-    __table_args__ = (UniqueConstraint("scope", "key"), TABLE_OPTIONS)
+    __table_args__ = (UniqueConstraint("scope", "key", "type", "unit"), TABLE_OPTIONS)
     id: Mapped[int] = mapped_column(primary_key=True)
     scope: Mapped[str] = mapped_column(String(NAME_LENGTH))
     key: Mapped[str] = mapped_column(String(190))

@@ -15,6 +15,7 @@ from sqlalchemy.orm import Session
 
 from slamhive.store import migrate
 from slamhive.store.catalogue import CatalogueRepository
+from slamhive.store.configuration_book import ConfigurationBook
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.engine import WRITES, database_label, make_engine
 from slamhive.store.evaluations import EvaluationRepository
@@ -45,6 +46,11 @@ class Transaction:
     def configurations(self) -> ConfigurationRepository:
         """Configurations and their values."""
         return ConfigurationRepository(self.session)
+
+    @cached_property
+    def configuration_book(self) -> ConfigurationBook:
+        """Lists of configurations, their names, notes and groups; deletion."""
+        return ConfigurationBook(self.session)
 
     @cached_property
     def runs(self) -> RunRepository:

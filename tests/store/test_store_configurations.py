@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import UTC, datetime
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -14,7 +16,7 @@ from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.parameters import Parameter, ParameterType, Value
 from slamhive.domain.variant import VariantStep
 from slamhive.errors import NotFound
-from slamhive.store import Store, open_store
+from slamhive.store import ConfigurationFilter, ParameterCondition, Store, StoredParameter, open_store
 from tests.store.store_samples import Samples, dataset
 
 pytestmark = pytest.mark.integration
@@ -85,6 +87,11 @@ def test_steps_their_order_and_their_absence_are_different_configurations(store:
     assert rows == 1
 
 
+def listed(store: Store, **wanted: Any) -> list[int]:
+    page = store.read(lambda tx: tx.configuration_book.page(ConfigurationFilter(**wanted), None, 50))
+    return [record.id for record in page.records]
+
+
 value_strategy = st.one_of(
     st.integers(),
     st.floats(allow_nan=False, allow_infinity=False),
@@ -130,6 +137,32 @@ def test_definitions_describe_the_parameters(store: Store) -> None:
         ("voxel", "float", "m", "voxel_size"),
         ("other", "int", "", None),
     ]
+
+
+def test_an_edited_definition_leaves_what_is_stored_alone(store: Store) -> None:
+    """Type and unit are part of what a value means: the edited parameter is another; a general name is an alias."""
+    metres = Parameter("voxel", ParameterType.FLOAT, 1.0, "Voxel", unit="m")
+    old = Configuration("a", "room", {"voxel": 1.0, "n": 3})
+    old_id, _ = create(store, old, (metres,))
+    edited = replace(metres, unit="cm", general="voxel_size")
+    new_id, created = create(store, Configuration("a", "room", {"voxel": 150.0, "n": 3}), (edited,))
+    assert created
+    stored = store.read(lambda tx: tx.configuration_book.get(old_id))
+    assert stored.configuration == old
+    assert stored.configuration.content_hash == old.content_hash
+    assert stored.parameters["voxel"] == StoredParameter("float", "m", "voxel_size")
+    assert store.read(lambda tx: tx.configuration_book.get(new_id)).parameters["voxel"].unit == "cm"
+    assert create(store, old, (edited,)) == (old_id, False)
+    (found,) = listed(store, conditions=(ParameterCondition("voxel_size", ">", "100"),))
+    assert found == new_id
+
+
+def test_a_type_that_was_edited_is_found_by_both_types(store: Store) -> None:
+    number = Parameter("mode", ParameterType.INT, 1, "")
+    first, _ = create(store, Configuration("a", "room", {"mode": 2}), (number,))
+    word = replace(number, type=ParameterType.STRING, default="2")
+    second, _ = create(store, Configuration("a", "room", {"mode": "2"}), (word,))
+    assert listed(store, conditions=(ParameterCondition("mode", "=", "2"),)) == [second, first]
 
 
 def test_numbers_and_text_are_where_searches_look(store: Store) -> None:

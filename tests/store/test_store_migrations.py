@@ -96,7 +96,7 @@ def test_going_back_is_refused_where_runs_would_be_told_wrongly(engine: Engine) 
         connection.exec_driver_sql("UPDATE configurations SET variant='[]'")
     with pytest.raises(Conflict, match="1 configurations use variants"):
         migrate.downgrade(engine, "0001")
-    assert migrate.current(engine) == migrate.head()
+    assert_whole_at(engine, "0002")
 
 
 def test_runs_of_the_second_version_belong_to_no_experiment_and_wait_for_nothing(engine: Engine) -> None:
@@ -125,7 +125,7 @@ def test_going_back_is_refused_where_experiments_would_be_lost(engine: Engine) -
         )
     with pytest.raises(Conflict, match="1 experiments are stored"):
         migrate.downgrade(engine, "0002")
-    assert migrate.current(engine) == migrate.head()
+    assert_whole_at(engine, "0003")
 
 
 def _add_run(engine: Engine) -> None:
@@ -134,6 +134,30 @@ def _add_run(engine: Engine) -> None:
             "INSERT INTO runs (uid, configuration_id, executor, seed, priority, evaluate, created_at, state, attempt, "
             "cancel_requested) VALUES ('u', 1, 'docker', 0, 0, 0, '2026-05-04 03:02:01', 'queued', 0, 0)"
         )
+
+
+def test_parameters_under_two_definitions_keep_the_older_schema_away(engine: Engine) -> None:
+    migrate.upgrade(engine, "0003")
+    add = f"INSERT INTO parameters (scope, {_key(engine)}, type, unit) VALUES ('p', 'voxel', 'float', '{{}}')"
+    with engine.begin() as connection:
+        connection.exec_driver_sql(add.format("m"))
+    migrate.upgrade(engine)
+    migrate.downgrade(engine, "0003")
+    migrate.upgrade(engine)
+    with engine.begin() as connection:
+        connection.exec_driver_sql(add.format("cm"))
+        assert connection.exec_driver_sql("SELECT count(*) FROM parameters").scalar() == 2
+    with pytest.raises(Conflict, match="1 parameters were stored under several definitions"):
+        migrate.downgrade(engine, "0003")
+    assert_whole_at(engine, "0004")
+
+
+def assert_whole_at(engine: Engine, refused: str) -> None:
+    """A refusal leaves tables that are what their version says: the newest on SQLite, the one that refused on MySQL."""
+    assert migrate.current(engine) == (migrate.head() if engine.dialect.name == "sqlite" else refused)
+    migrate.upgrade(engine)
+    with engine.connect() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
 
 
 def _add_configuration(engine: Engine) -> None:
@@ -183,7 +207,7 @@ def test_tables_of_a_newer_software_are_left_alone(engine: Engine) -> None:
     with engine.begin() as connection:
         connection.exec_driver_sql("UPDATE alembic_version SET version_num='9999'")
     for work in (migrate.upgrade, migrate.check_current):
-        with pytest.raises(Unavailable, match=r"is at schema 9999, which is newer than this software \(0003\)"):
+        with pytest.raises(Unavailable, match=r"is at schema 9999, which is newer than this software \(0004\)"):
             work(engine)
     assert tables(engine) == set(Base.metadata.tables)
 

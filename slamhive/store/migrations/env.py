@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from alembic import context
 
-from slamhive.store.models import Base
+from slamhive.store.configuration_models import ConfigurationLabel
 
 context.configure(
     connection=context.config.attributes["connection"],
-    target_metadata=Base.metadata,
+    target_metadata=ConfigurationLabel.metadata,
     render_as_batch=True,
 )
 with context.begin_transaction():

@@ -1,0 +1,80 @@
+"""Configurations as lists and pages show them: frozen values, never rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import datetime
+
+from slamhive.domain.configuration import Configuration
+
+
+@dataclass(frozen=True, slots=True)
+class StoredParameter:
+    """How a parameter was defined when the configuration was stored; the definition may have been edited since.
+
+    ``general`` is the name shared across algorithms as the newest definition has it: it is how a value is found, and
+    no part of what the value means.
+    """
+
+    type: str
+    unit: str
+    general: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigurationRecord:
+    """A configuration with what users say about it, and what depends on it.
+
+    ``parameters``: {key: definition}. ``runs`` counts its runs, ``experiments`` names those that hold it.
+    """
+
+    id: int
+    configuration: Configuration
+    created_at: datetime
+    name: str | None = None
+    note: str = ""
+    groups: tuple[str, ...] = ()
+    runs: int = 0
+    experiments: tuple[str, ...] = ()
+    parameters: dict[str, StoredParameter] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """``configuration 12`` or ``configuration 12 (half rate)``."""
+        return f"configuration {self.id}" + (f" ({self.name})" if self.name else "")
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterCondition:
+    """``name`` (own key or general name) compared by ``operator`` (``=``, ``<``, ``<=``, ``>``, ``>=``) with a text."""
+
+    name: str
+    operator: str
+    value: str
+
+    def __str__(self) -> str:
+        return f"{self.name}{self.operator}{self.value}"
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigurationFilter:
+    """Which configurations to list; an empty tuple, an empty text or None does not restrict.
+
+    ``text`` is looked for in names and notes, in small and capital letters alike. ``used``: with or without runs.
+    """
+
+    algorithms: tuple[str, ...] = ()
+    datasets: tuple[str, ...] = ()
+    group: str = ""
+    text: str = ""
+    used: bool | None = None
+    conditions: tuple[ParameterCondition, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigurationPage:
+    """One page, newest first. ``total`` counts all that match; ``next_key`` leads on, None at the end."""
+
+    records: tuple[ConfigurationRecord, ...]
+    total: int
+    next_key: str | None
