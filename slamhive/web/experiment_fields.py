@@ -1,0 +1,292 @@
+"""The fields of the experiment builder: filled from YAML, and written as YAML, which alone is the truth."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from werkzeug.datastructures import MultiDict
+
+from slamhive import strict_yaml
+from slamhive.errors import InvalidInput
+from slamhive.sweep.values import as_scalar, parse_values
+from slamhive.web.formatting import value_text
+
+KeyPath = tuple[str | int, ...]
+
+SOURCE = "experiment.yaml"
+"""What messages call the text of the form."""
+
+MOST_STEPS = 50
+
+_WORDS = ("name", "description", "executor")
+"""Fields whose text is taken as it stands."""
+
+_VALUES = ("seeds", "repeats", "priority")
+_SECTIONS = {
+    "playback": ("mode", "rate"),
+    "stop_when": ("lost_tracking_s", "memory_mb", "time_s", "failures_of_configuration"),
+    "limits": ("cpu_cores", "memory_mb", "timeout_s"),
+}
+_SETS = ("linked", "tied")
+_PARAMETERS = "parameters/"
+_STEP = re.compile(r"steps/(\d{1,3})/([\w.-]{1,64})")
+_STEP_OWN = ("name", "step", "sensors")
+_NAME_LINE = re.compile(r"name:(?:[ \t].*)?")
+_LINE = re.compile(rf"{re.escape(SOURCE)} line (\d+)")
+
+
+@dataclass(frozen=True, slots=True)
+class StepFields:
+    """One pre-processing step as typed."""
+
+    name: str
+    kind: str
+    sensors: str
+    options: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentFields:
+    """What the builder holds: text by field name, which is the path of the key in the YAML (``limits/memory_mb``)."""
+
+    values: Mapping[str, str] = field(default_factory=dict)
+    algorithms: tuple[str, ...] = ()
+    datasets: tuple[str, ...] = ()
+    steps: tuple[StepFields, ...] = ()
+
+    def value(self, name: str) -> str:
+        """The text of a field; empty if nothing was typed."""
+        return self.values.get(name, "")
+
+    @property
+    def has_limits(self) -> bool:
+        """Whether any limit or rule to stop by is typed."""
+        return any(text for name, text in self.values.items() if name.startswith(("limits/", "stop_when/")))
+
+    def with_step(self, step: StepFields) -> ExperimentFields:
+        """One more step, at the end, under a name that is still free."""
+        taken = {entry.name for entry in self.steps}
+        names = [step.name, *(f"{step.name}_{number}" for number in range(2, len(taken) + 3))]
+        free = next(name for name in names if name not in taken)
+        return replace(self, steps=(*self.steps, replace(step, name=free)))
+
+    def without_step(self, index: int) -> ExperimentFields:
+        """Without the step at ``index``."""
+        return replace(self, steps=self.steps[:index] + self.steps[index + 1 :])
+
+    def with_step_earlier(self, index: int) -> ExperimentFields:
+        """The step at ``index`` changes places with the one before."""
+        if not 0 < index < len(self.steps):
+            return self
+        before, step = self.steps[index - 1 : index + 1]
+        return replace(self, steps=(*self.steps[: index - 1], step, before, *self.steps[index + 1 :]))
+
+
+def fields_from_form(form: MultiDict[str, str]) -> ExperimentFields:
+    """What was typed into the builder."""
+    steps: dict[int, dict[str, str]] = {}
+    values: dict[str, str] = {}
+    for name, text in form.items():
+        if match := _STEP.fullmatch(name):
+            if int(match[1]) < MOST_STEPS:
+                steps.setdefault(int(match[1]), {})[match[2]] = text
+        elif name in _NAMES or name.startswith(_PARAMETERS):
+            values[name] = text
+    return ExperimentFields(
+        values,
+        tuple(dict.fromkeys(form.getlist("algorithms"))),
+        tuple(dict.fromkeys(form.getlist("datasets"))),
+        tuple(_step_from_form(steps[number]) for number in sorted(steps)),
+    )
+
+
+def fields_from_yaml(text: str) -> ExperimentFields:
+    """What the builder shows of an experiment; raises InvalidInput where ``text`` is no mapping in YAML.
+
+    What has another form than the builder knows is left out: the check of the experiment says what is wrong with it.
+    """
+    content = strict_yaml.parse(text, SOURCE)
+    values = {name: _text(content[name]) for name in (*_WORDS, *_VALUES) if name in content}
+    for section, keys in _SECTIONS.items():
+        found = _mapping(content.get(section))
+        values |= {f"{section}/{key}": _text(found[key]) for key in keys if key in found}
+    values |= {name: "\n".join(_texts(content[name])) for name in ("where",) if name in content}
+    for name in _SETS:
+        entries = content.get(name)
+        if isinstance(entries, list):
+            values[name] = "\n".join(", ".join(_texts(entry)) for entry in entries)
+    values |= _evaluation_texts(content.get("evaluate"))
+    for key, entry in _mapping(content.get("parameters")).items():
+        if isinstance(entry, dict):
+            values |= {f"{_PARAMETERS}{key}/{own}": _text(value) for own, value in entry.items()}
+        else:
+            values[f"{_PARAMETERS}{key}"] = _text(entry)
+    return ExperimentFields(
+        values,
+        tuple(_words(content.get("algorithms"))),
+        tuple(_words(content.get("datasets"))),
+        tuple(_step_from_yaml(name, _mapping(step)) for name, step in _mapping(content.get("steps")).items()),
+    )
+
+
+def yaml_from_fields(fields: ExperimentFields) -> str:
+    """The experiment that the fields state; empty fields are left to their defaults."""
+    content: dict[str, Any] = {name: fields.value(name).strip() for name in _WORDS[:2]}
+    content["algorithms"] = _one_or_list(fields.algorithms)
+    content["datasets"] = _one_or_list(fields.datasets)
+    content["steps"] = {step.name.strip(): _step_content(step) for step in fields.steps}
+    content["parameters"] = _parameter_content(fields)
+    for name in _SETS:
+        content[name] = [[word.strip() for word in line.split(",")] for line in _lines(fields.value(name))]
+    content["where"] = _one_or_list(_lines(fields.value("where")))
+    content |= {name: _value(fields.value(name)) for name in _VALUES[:2]}
+    for section, keys in _SECTIONS.items():
+        content[section] = {key: _value(fields.value(f"{section}/{key}")) for key in keys}
+    content["evaluate"] = _evaluation_content(fields)
+    content["executor"] = fields.value("executor").strip()
+    content["priority"] = _value(fields.value("priority"))
+    return strict_yaml.dump(_without_empty(content) or {"name": ""})
+
+
+def renamed(text: str, name: str) -> str:
+    """The same experiment under another name; comments and layout stay where the name has a line of its own."""
+    _, lines = strict_yaml.parse_with_lines(text, SOURCE)
+    written = text.splitlines()
+    place = lines.get(("name",), 0) - 1
+    if place >= 0 and _NAME_LINE.fullmatch(written[place]):
+        written[place] = f"name: {name}"
+        return "\n".join(written) + "\n"
+    fields = fields_from_yaml(text)
+    return yaml_from_fields(replace(fields, values={**fields.values, "name": name}))
+
+
+def line_of(message: str) -> int | None:
+    """The line that a message about the text names, None if it names none."""
+    match = _LINE.match(message)
+    return None if match is None else int(match[1])
+
+
+def field_at(text: str, line: int, fields: ExperimentFields) -> str | None:
+    """The field that ``line`` of the YAML belongs to, None if there is none or the text cannot be read."""
+    try:
+        _, lines = strict_yaml.parse_with_lines(text, SOURCE)
+    except InvalidInput:
+        return None
+    return next((_field_name(path, fields) for path in reversed(lines) if lines[path] == line), None)
+
+
+def _field_name(path: KeyPath, fields: ExperimentFields) -> str | None:
+    if path[0] == "steps":
+        number = next((number for number, step in enumerate(fields.steps) if path[1:2] == (step.name,)), None)
+        return None if number is None else "/".join(["steps", str(number), *map(str, path[2:3] or ("name",))])
+    if path[0] in (*_SETS, "where", "algorithms", "datasets"):
+        return str(path[0])
+    return "/".join(map(str, path[:3]))
+
+
+def _step_from_form(texts: Mapping[str, str]) -> StepFields:
+    options = {key: text for key, text in texts.items() if key not in _STEP_OWN}
+    name, kind, sensors = (texts.get(key, "") for key in _STEP_OWN)
+    return StepFields(name, kind, sensors, options)
+
+
+def _step_from_yaml(name: str, content: Mapping[str, Any]) -> StepFields:
+    options = {key: _text(value) for key, value in content.items() if key not in _STEP_OWN}
+    sensors = ", ".join(_words(content.get("sensors")))
+    return StepFields(name, _text(content.get("step", "")), sensors, options)
+
+
+def _step_content(step: StepFields) -> dict[str, Any]:
+    options = {key: _value(text) for key, text in step.options.items() if text.strip()}
+    sensors = [word.strip() for word in re.split(r"[,|]", step.sensors) if word.strip()]
+    return {"step": step.kind.strip(), "sensors": _one_or_list(sensors), **options}
+
+
+def _parameter_content(fields: ExperimentFields) -> dict[str, Any]:
+    """Shared ones first, then those of one algorithm."""
+    content: dict[str, Any] = {}
+    for name, text in fields.values.items():
+        if not name.startswith(_PARAMETERS) or not text.strip():
+            continue
+        owner, slash, key = name.removeprefix(_PARAMETERS).partition("/")
+        if slash:
+            section = content.setdefault(owner, {})
+            if isinstance(section, dict):
+                section[key] = _value(text)
+        else:
+            content[owner] = _value(text)
+    return dict(sorted(content.items(), key=lambda entry: isinstance(entry[1], dict)))
+
+
+def _evaluation_texts(raw: object) -> dict[str, str]:
+    if isinstance(raw, dict):
+        return {"evaluate/alignment": _text(raw.get("alignment", ""))}
+    return {"evaluate": "no"} if raw is False else {}
+
+
+def _evaluation_content(fields: ExperimentFields) -> object:
+    if fields.value("evaluate") == "no":
+        return False
+    return {"alignment": fields.value("evaluate/alignment").strip()}
+
+
+def _without_empty(content: Mapping[str, Any]) -> dict[str, Any]:
+    kept = {key: _without_empty(value) if isinstance(value, dict) else value for key, value in content.items()}
+    return {key: value for key, value in kept.items() if value not in ("", {}, [])}
+
+
+def _value(text: str) -> object:
+    """What a field stands for: a list in brackets, a number or word, or an expression for later."""
+    text = text.strip()
+    if text.startswith("["):
+        try:
+            return strict_yaml.parse(f"value: {text}", SOURCE)["value"]
+        except InvalidInput:
+            return text
+    return as_scalar(text)
+
+
+def _text(raw: object) -> str:
+    """The text of a field that :func:`_value` reads as the same values."""
+    if not isinstance(raw, list):
+        return "" if raw is None else value_text(raw)
+    if all(isinstance(item, str | int | float) for item in raw):
+        text = " | ".join(map(value_text, raw))
+        try:
+            if parse_values(text) == parse_values(raw):
+                return text
+        except InvalidInput:
+            pass
+    return json.dumps(raw, ensure_ascii=False)
+
+
+def _words(raw: object) -> list[str]:
+    if isinstance(raw, str):
+        return [word.strip() for word in raw.split("|") if word.strip()]
+    return _texts(raw) if isinstance(raw, list) else []
+
+
+def _texts(raw: object) -> list[str]:
+    return [_text(item) for item in raw] if isinstance(raw, list) else [_text(raw)]
+
+
+def _lines(text: str) -> list[str]:
+    return [line.strip() for line in text.splitlines() if line.strip()]
+
+
+def _one_or_list(items: Sequence[str]) -> object:
+    return items[0] if len(items) == 1 else list(items)
+
+
+def _mapping(raw: object) -> dict[str, Any]:
+    return {str(key): value for key, value in raw.items()} if isinstance(raw, dict) else {}
+
+
+_NAMES = frozenset([
+    *_WORDS, *_VALUES, *_SETS, "where", "evaluate", "evaluate/alignment",
+    *(f"{section}/{key}" for section, keys in _SECTIONS.items() for key in keys),
+])  # fmt: skip

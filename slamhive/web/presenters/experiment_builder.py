@@ -1,0 +1,209 @@
+"""What the experiment builder offers: algorithms by set-up, datasets, parameters of the chosen ones, kinds of steps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+from slamhive.bags.variants.rules import OptionInfo, describe_options, describe_step
+from slamhive.bags.variants.steps import STEPS
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.parameters import Parameter
+from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
+from slamhive.errors import NotFound
+from slamhive.web.experiment_fields import ExperimentFields, StepFields
+from slamhive.web.formatting import value_text
+from slamhive.web.presenters.catalogue import lacking
+
+ANY_SENSOR = "any sensor"
+_AXIS_PREFIX = {SensorKind.CAMERA: "image", SensorKind.DEPTH: "image", SensorKind.LIDAR: "lidar", SensorKind.IMU: "imu"}
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Something to tick. ``note`` says more, ``warning`` what speaks against it."""
+
+    name: str
+    title: str
+    chosen: bool
+    note: str = ""
+    warning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterField:
+    """One parameter to give values for; ``name`` is the field's, ``owners`` the algorithms that know it."""
+
+    name: str
+    label: str
+    unit: str
+    default: str
+    hint: str
+    help: str
+    owners: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StepRow:
+    """One step of the experiment with every option of its kind, and options that the kind does not have."""
+
+    fields: StepFields
+    summary: str
+    options: tuple[OptionInfo, ...]
+    strange: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Builder:
+    """The builder as a whole.
+
+    ``own`` are the parameters of each algorithm alone; ``strange`` the fields of parameters that none of the chosen
+    algorithms has.
+    """
+
+    fields: ExperimentFields
+    algorithms: Mapping[str, list[Choice]]
+    datasets: list[Choice]
+    shared: list[ParameterField]
+    own: Mapping[str, list[ParameterField]]
+    strange: list[str]
+    steps: list[StepRow]
+    kinds: Mapping[str, list[tuple[str, str]]]
+
+    def typed(self, entries: Iterable[ParameterField]) -> bool:
+        """Whether a value is given for any of these."""
+        return any(self.fields.value(entry.name) for entry in entries)
+
+
+def builder(fields: ExperimentFields, algorithms: Sequence[Algorithm], datasets: Sequence[Dataset]) -> Builder:
+    """The builder for ``fields`` in an installation with these algorithms and datasets."""
+    chosen = [algorithm for algorithm in algorithms if algorithm.name in fields.algorithms]
+    shared = shared_parameters(chosen)
+    own = {algorithm.name: own_parameters(algorithm) for algorithm in chosen}
+    if len(chosen) == 1 and not any(name.startswith(f"parameters/{chosen[0].name}/") for name in fields.values):
+        own = {}
+    known = {entry.name for entries in (shared, *own.values()) for entry in entries}
+    return Builder(
+        fields=fields,
+        algorithms=_algorithm_choices(fields, algorithms),
+        datasets=_dataset_choices(fields, chosen, datasets),
+        shared=shared,
+        own=own,
+        strange=[name for name in fields.values if name.startswith("parameters/") and name not in known],
+        steps=[_step_row(step) for step in fields.steps],
+        kinds=kinds_by_sensor(),
+    )
+
+
+def shared_parameters(algorithms: Iterable[Algorithm]) -> list[ParameterField]:
+    """Each parameter once, under its general name where it has one, for all algorithms that know it."""
+    found: dict[str, list[tuple[str, Parameter]]] = {}
+    for algorithm in algorithms:
+        for parameter in algorithm.parameters:
+            found.setdefault(parameter.general or parameter.key, []).append((algorithm.name, parameter))
+    return [_shared_field(label, entries) for label, entries in found.items()]
+
+
+def own_parameters(algorithm: Algorithm) -> list[ParameterField]:
+    """The parameters of one algorithm, for values that hold for it alone."""
+    return [
+        _field(f"parameters/{algorithm.name}/{parameter.key}", parameter.key, [(algorithm.name, parameter)])
+        for parameter in algorithm.parameters
+    ]
+
+
+def new_step(kind: str) -> StepFields:
+    """A step of ``kind`` to begin with: the sensors that it is mostly used on, its required options to be filled in.
+
+    Raises NotFound for an unknown kind.
+    """
+    kinds = _sensor_kinds(kind)
+    sensor = kinds[0]
+    everything = len(kinds) == len(SensorKind)
+    shared = kind in ("rate", "resolution")
+    sensors = "image" if {SensorKind.CAMERA, SensorKind.DEPTH} == set(kinds) else sensor.value
+    options = {option.name: "" for option in describe_options(kind)}
+    return StepFields(
+        f"{_AXIS_PREFIX[sensor]}_{kind}" if shared else kind, kind, "camera" if everything else sensors, options
+    )
+
+
+@cache
+def kinds_by_sensor() -> dict[str, list[tuple[str, str]]]:
+    """The kinds of steps and what they do, under the kinds of sensors that they treat."""
+    found: dict[str, list[tuple[str, str]]] = {ANY_SENSOR: []}
+    for kind in STEPS.names():
+        kinds = _sensor_kinds(kind)
+        group = ANY_SENSOR if len(kinds) == len(SensorKind) else " and ".join(entry.value for entry in kinds)
+        found.setdefault(group, []).append((kind, describe_step(kind)))
+    return found
+
+
+def _sensor_kinds(kind: str) -> list[SensorKind]:
+    step = STEPS.get(kind).model_construct()
+    return [entry for entry in SensorKind if step.applies_to(Sensor("", entry, "", 1.0))]
+
+
+def _algorithm_choices(fields: ExperimentFields, algorithms: Iterable[Algorithm]) -> dict[str, list[Choice]]:
+    groups: dict[str, list[Choice]] = {}
+    by_setup = sorted(algorithms, key=lambda algorithm: list(SensorSetup).index(algorithm.setup))
+    for algorithm in by_setup:
+        choice = Choice(algorithm.name, algorithm.title, algorithm.name in fields.algorithms)
+        groups.setdefault(algorithm.setup.value, []).append(choice)
+    known = {algorithm.name for algorithm in by_setup}
+    unknown = [Choice(name, "", True, warning="not in this installation") for name in fields.algorithms]
+    if missing := [choice for choice in unknown if choice.name not in known]:
+        groups["unknown"] = missing
+    return groups
+
+
+def _dataset_choices(
+    fields: ExperimentFields, chosen: Sequence[Algorithm], datasets: Iterable[Dataset]
+) -> list[Choice]:
+    choices = []
+    for dataset in datasets:
+        unfit = [algorithm.name for algorithm in chosen if lacking(algorithm, dataset) is not None]
+        warning = f"lacks sensors for {', '.join(unfit)}" if unfit else ""
+        kinds = ", ".join(dict.fromkeys(sensor.kind.value for sensor in dataset.sensors))
+        note = f"{dataset.duration_s:.0f} s; {kinds or 'no sensors'}"
+        choices.append(Choice(dataset.name, "", dataset.name in fields.datasets, note, warning))
+    known = {choice.name for choice in choices}
+    choices += [
+        Choice(name, "", chosen=True, warning="not in this installation")
+        for name in fields.datasets
+        if name not in known
+    ]
+    return choices
+
+
+def _shared_field(label: str, entries: Sequence[tuple[str, Parameter]]) -> ParameterField:
+    return _field(f"parameters/{label}", label, entries)
+
+
+def _field(name: str, label: str, entries: Sequence[tuple[str, Parameter]]) -> ParameterField:
+    """What the definitions agree on, and that they differ where they do."""
+    definitions = [parameter for _, parameter in entries]
+    return ParameterField(
+        name=name,
+        label=label,
+        unit=_agreed([parameter.unit for parameter in definitions], "unit differs"),
+        default=_agreed([value_text(parameter.default) or "empty" for parameter in definitions], "differs"),
+        hint=_agreed([parameter.expectation for parameter in definitions], "range differs by algorithm"),
+        help=definitions[0].help,
+        owners=tuple(owner for owner, _ in entries),
+    )
+
+
+def _agreed(texts: Sequence[str], otherwise: str) -> str:
+    return texts[0] if len(set(texts)) == 1 else otherwise
+
+
+def _step_row(step: StepFields) -> StepRow:
+    try:
+        options, summary = describe_options(step.kind), describe_step(step.kind)
+    except NotFound as error:
+        options, summary = (), str(error)
+    known = {option.name for option in options}
+    return StepRow(step, summary, options, tuple(name for name in step.options if name not in known))
