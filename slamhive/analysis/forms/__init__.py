@@ -1,6 +1,6 @@
 """The forms of analysis: one module each, behind :data:`FORMS`. Importing this package registers those that ship."""
 
 from slamhive.analysis.forms import scatter
-from slamhive.analysis.forms.base import FORMS, Form, FormData, FormOptions
+from slamhive.analysis.forms.base import FORMS, Form, FormData, FormOptions, RunFiles, RunTrack, RunUsage
 
-__all__ = ["FORMS", "Form", "FormData", "FormOptions", "scatter"]
+__all__ = ["FORMS", "Form", "FormData", "FormOptions", "RunFiles", "RunTrack", "RunUsage", "scatter"]

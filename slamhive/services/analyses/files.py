@@ -1,0 +1,57 @@
+"""What analyses read from run folders: evaluated trajectories and sampled usage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from slamhive.analysis.forms import RunTrack, RunUsage
+from slamhive.runs.folder import RunFolder
+from slamhive.runs.untrusted import read_numeric_columns
+from slamhive.services.series import LIMIT_BYTES, read_track
+
+
+class StoredRunFiles:
+    """Reads the folders of runs; see :class:`slamhive.analysis.forms.base.RunFiles`.
+
+    Args:
+        runs_folder: Where run folders lie.
+        protocols: The fingerprint of the evaluation that each run is shown with.
+    """
+
+    def __init__(self, runs_folder: Path, protocols: dict[int, str | None]) -> None:
+        self._runs_folder = runs_folder
+        self._protocols = protocols
+
+    def track(self, run_id: int) -> RunTrack | None:
+        """The evaluated trajectory of a run; None if its evaluation left no files."""
+        fingerprint = self._protocols.get(run_id)
+        if fingerprint is None:
+            return None
+        evaluation = self._folder(run_id).evaluation(fingerprint)
+        estimate, reference = read_track(evaluation / "traj.tum"), read_track(evaluation / "groundtruth.tum")
+        if estimate is None or reference is None:
+            return None
+        errors = read_numeric_columns(evaluation / "errors.csv", ("timestamp", "ape_m"), LIMIT_BYTES)
+        errors = errors[np.isfinite(errors).all(axis=1)]
+        errors_m = np.full(len(estimate.times_s), np.nan)
+        if len(errors):
+            errors_m = np.interp(estimate.times_s, errors[:, 0], errors[:, 1])
+        return RunTrack(
+            run_id=run_id,
+            stamps_s=estimate.times_s,
+            positions_m=estimate.positions_m,
+            errors_m=errors_m,
+            reference_stamps_s=reference.times_s,
+            reference_positions_m=reference.positions_m,
+        )
+
+    def usage(self, run_id: int) -> RunUsage | None:
+        """The sampled usage of a run; None if it was not sampled."""
+        rows = read_numeric_columns(self._folder(run_id).profiling, ("time", "cpu_usage", "memory_usage"), LIMIT_BYTES)
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        return RunUsage(run_id, rows[:, 0], rows[:, 1], rows[:, 2]) if len(rows) else None
+
+    def _folder(self, run_id: int) -> RunFolder:
+        return RunFolder(self._runs_folder / str(run_id))

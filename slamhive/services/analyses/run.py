@@ -1,0 +1,114 @@
+"""One analysis from file to result: runs selected, their table loaded once, each form built."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from slamhive.analysis.analysis_file import Analysis, FormRequest
+from slamhive.analysis.forms import FormData
+from slamhive.analysis.result import FormResult
+from slamhive.analysis.table import RunTable
+from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.services.analyses.files import StoredRunFiles
+from slamhive.services.analyses.selection import Find, select_runs
+from slamhive.services.analyses.table import TableRequest, check_size, load_every_protocol, load_table
+from slamhive.settings import Settings
+from slamhive.store.store import Store
+
+
+@dataclass(frozen=True, slots=True)
+class AnalysisLimits:
+    """What one analysis may take."""
+
+    runs: int
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class AnalysisSources:
+    """Where an analysis finds things: filters, saved searches, the sensors of algorithms."""
+
+    settings: Settings
+    store: Store
+    find: Find
+    saved_search: Callable[[str], str]
+    sensors_of: Callable[[str], str | None]
+
+
+@dataclass(frozen=True, slots=True)
+class FormOutcome:
+    """What became of one form: a result, or why it could not be made, in one line."""
+
+    request: FormRequest
+    result: FormResult | None
+    error: str | None
+
+    @property
+    def title(self) -> str:
+        """The title that the file gives, or the form's own."""
+        return self.request.options.title or self.request.form.title
+
+
+@dataclass(frozen=True, slots=True)
+class AnalysisOutcome:
+    """What became of an analysis."""
+
+    analysis: Analysis
+    table: RunTable
+    forms: tuple[FormOutcome, ...]
+
+    @property
+    def failed_runs(self) -> int:
+        """How many of the selected runs count as failed."""
+        return len(self.table.failed())
+
+    @property
+    def complete(self) -> bool:
+        """Every form could be made."""
+        return all(form.error is None for form in self.forms)
+
+
+def run_analysis(
+    analysis: Analysis,
+    sources: AnalysisSources,
+    limits: AnalysisLimits,
+    progress: Callable[[float, str], None] = lambda _fraction, _doing: None,
+) -> AnalysisOutcome:
+    """Select, load, build. A form that does not fit the data says so and leaves the others alone.
+
+    Raises:
+        InvalidInput, NotFound: for a selection that is empty, too large or names what does not exist.
+    """
+    deadline_s = time.monotonic() + limits.time_s
+    progress(0.0, "selecting runs")
+    run_ids = select_runs(analysis, sources.store, sources.find, sources.saved_search)
+    check_size(run_ids, limits.runs)
+    progress(0.05, f"reading {len(run_ids)} runs")
+    keys = {key for request in analysis.forms for key in request.form.needs(request.options)}
+    asked = TableRequest(run_ids, keys, analysis.protocol, analysis.rule)
+    table = load_table(sources.store, asked, sources.sensors_of)
+    every = load_every_protocol(sources.store, keys, run_ids)
+    protocols = dict(zip(table.frame["run_id"].tolist(), table.frame["protocol"].tolist(), strict=True))
+    files = StoredRunFiles(sources.settings.runs_folder, protocols)
+    outcomes = []
+    for place, request in enumerate(analysis.forms):
+        share = 0.9 / len(analysis.forms)
+
+        def tell(fraction: float, place: int = place, request: FormRequest = request, share: float = share) -> None:
+            if time.monotonic() > deadline_s:
+                raise InvalidInput(f"the analysis takes longer than {limits.time_s:g} s", "select fewer runs")
+            progress(0.1 + share * (place + fraction), request.form.title)
+
+        outcomes.append(_build(request, FormData(table, every, files, tell)))
+    progress(1.0, "done")
+    return AnalysisOutcome(analysis, table, tuple(outcomes))
+
+
+def _build(request: FormRequest, data: FormData) -> FormOutcome:
+    try:
+        data.progress(0.0)
+        return FormOutcome(request, request.form.build(data, request.options), None)
+    except SlamHiveError as error:
+        return FormOutcome(request, None, f"{request.place}: {error}")

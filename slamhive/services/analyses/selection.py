@@ -1,0 +1,58 @@
+"""The runs that an analysis is about: each set looked up in the store, then the expression over them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from slamhive.analysis.analysis_file import Analysis, set_words
+from slamhive.analysis.analysis_model import SetModel
+from slamhive.analysis.selection import evaluate, names_in
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.store.store import Store, Transaction
+
+Find = Callable[[str], Sequence[int]]
+"""The runs that a filter finds."""
+
+
+def select_runs(analysis: Analysis, store: Store, find: Find, saved: Callable[[str], str]) -> tuple[int, ...]:
+    """The ids of the selected runs, in order.
+
+    Args:
+        analysis: What is selected.
+        store: Where experiments, groups and configurations are looked up.
+        find: Runs of a filter.
+        saved: The filter of a saved search by its name.
+
+    Raises:
+        InvalidInput: for a filter that is none, and if nothing is selected.
+        NotFound: for an experiment, saved search or group that does not exist, and for runs that do not.
+    """
+    sets = {name: frozenset(_members(analysis.sets[name], store, find, saved)) for name in names_in(analysis.use)}
+    chosen = evaluate(analysis.use, lambda name: sets[name])
+    if not chosen:
+        sizes = ", ".join(f"{name} holds {len(sets[name])} ({set_words(analysis.sets[name])})" for name in sorted(sets))
+        raise InvalidInput(f"the selection holds no run: {sizes}", "widen it, or run and evaluate first")
+    return tuple(sorted(chosen))
+
+
+def _members(chosen: SetModel, store: Store, find: Find, saved: Callable[[str], str]) -> Sequence[int]:
+    if chosen.where is not None:
+        return find(chosen.where)
+    if chosen.search is not None:
+        return find(saved(chosen.search))
+    return store.read(lambda transaction: _listed(chosen, transaction))
+
+
+def _listed(chosen: SetModel, transaction: Transaction) -> Sequence[int]:
+    if chosen.experiment is not None:
+        return transaction.run_table.runs_of_experiment(chosen.experiment)
+    if chosen.group is not None:
+        return transaction.run_table.runs_of_group(chosen.group)
+    if chosen.configurations is not None:
+        return transaction.run_table.runs_of_configurations(chosen.configurations)
+    wanted = chosen.runs or []
+    missing = set(wanted) - transaction.run_table.existing(wanted)
+    if missing:
+        shown = ", ".join(map(str, sorted(missing)[:8])) + (", ..." if len(missing) > 8 else "")
+        raise NotFound(f"unknown runs {shown}", "list runs that exist")
+    return wanted

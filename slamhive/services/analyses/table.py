@@ -1,0 +1,111 @@
+"""The table of an analysis out of the store: facts, parameters, variants, and the metrics that are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from slamhive.analysis.table import FailureRule, RunTable, make_table
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.variant import variant_from_json
+from slamhive.errors import InvalidInput
+from slamhive.search.fields import VARIANT_PREFIX
+from slamhive.store.store import Store
+
+RULE_METRICS = ("ate.rmse", "tracked_fraction")
+"""Every table holds what the rule of failures looks at."""
+
+
+@dataclass(frozen=True, slots=True)
+class TableRequest:
+    """Which runs and metrics; ``protocol`` is a fingerprint, None for each run's current protocol."""
+
+    run_ids: Sequence[int]
+    keys: Collection[str]
+    protocol: str | None
+    rule: FailureRule
+
+
+def load_table(store: Store, request: TableRequest, sensors_of: Callable[[str], str | None]) -> RunTable:
+    """The table of the requested runs.
+
+    Args:
+        store: Where the runs are.
+        request: Which runs and figures.
+        sensors_of: The sensor set-up of an algorithm by its name; None if it is not known.
+
+    Raises:
+        NotFound: for a protocol that nothing was evaluated under.
+    """
+    metrics = sorted({key for key in request.keys if key in CATALOGUE} | set(RULE_METRICS))
+
+    def work(transaction: Any) -> tuple[dict[str, list[Any]], dict[str, dict[int, Any]], dict[str, dict[int, float]]]:
+        source = transaction.run_table
+        facts = source.facts(request.run_ids)
+        parameters = source.parameters(facts["configuration_id"])
+        figures = {key: source.metric(key, facts["run_id"], request.protocol) for key in metrics}
+        if request.protocol is not None:
+            count = len(facts["run_id"])
+            facts["protocol"] = [request.protocol] * count
+            facts["protocol_label"] = [source.protocol_label(request.protocol)] * count
+        return facts, parameters, figures
+
+    facts, parameters, figures = store.read(work)
+    variants = facts.pop("variant")
+    facts["variant"] = [_variant_words(variant) for variant in variants]
+    facts["sensors"] = _looked_up(facts["algorithm"], sensors_of)
+    columns = _by_configuration(parameters, facts["configuration_id"]) | _variant_columns(variants)
+    return make_table(
+        facts,
+        columns,
+        {key: [values.get(run_id) for run_id in facts["run_id"]] for key, values in figures.items()},
+        request.rule,
+    )
+
+
+def load_every_protocol(store: Store, keys: Collection[str], run_ids: Sequence[int]) -> pd.DataFrame:
+    """Long form: run_id, protocol, protocol_label, metric, value."""
+    wanted = {key for key in keys if key in CATALOGUE and CATALOGUE[key].needs_protocol}
+    values = store.read(lambda t: t.run_table.every_protocol(wanted, run_ids)) if wanted else []
+    names = ["run_id", "protocol", "protocol_label", "metric", "value"]
+    rows = [(entry.run_id, entry.fingerprint, entry.label, entry.metric, entry.value) for entry in values]
+    return pd.DataFrame(rows, columns=names)
+
+
+def check_size(run_ids: Sequence[int], limit: int) -> None:
+    """Raise InvalidInput for more runs than an analysis may have."""
+    if len(run_ids) > limit:
+        raise InvalidInput(f"the selection holds {len(run_ids)} runs, {limit} are allowed", "narrow it")
+
+
+def _looked_up(names: Sequence[str], lookup: Callable[[str], str | None]) -> list[str | None]:
+    known = {name: lookup(name) for name in set(names)}
+    return [known[name] for name in names]
+
+
+def _by_configuration(parameters: Mapping[str, Mapping[int, Any]], ids: Sequence[int]) -> dict[str, list[Any]]:
+    return {key: [values.get(configuration_id) for configuration_id in ids] for key, values in parameters.items()}
+
+
+def _variant_columns(variants: Sequence[Any]) -> dict[str, list[Any]]:
+    """One column for each option of each kind of step, named as filters name it; None where a run has no such step."""
+    names = {
+        f"{VARIANT_PREFIX}{step['kind']}.{option}"
+        for variant in variants
+        for step in variant or ()
+        for option in step["options"]
+    }
+    columns: dict[str, list[Any]] = {name: [None] * len(variants) for name in sorted(names)}
+    for row, variant in enumerate(variants):
+        for step in variant or ():
+            for option, value in step["options"].items():
+                columns[f"{VARIANT_PREFIX}{step['kind']}.{option}"][row] = value
+    return columns
+
+
+def _variant_words(variant: Any) -> str | None:
+    """The steps in words; None for the recording as it is."""
+    return "; ".join(map(str, variant_from_json(variant))) if variant else None

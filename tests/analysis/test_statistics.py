@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from slamhive.analysis.statistics import bootstrap_mean, compare_means, rank_test, summarise
+from slamhive.errors import InvalidInput
+
+
+def test_nemenyi_s_critical_difference():
+    """Demsar (2006), section 3.2.2: four classifiers on fourteen datasets, q = 2.569, CD = 1.25."""
+    result = rank_test(np.random.default_rng(2).random((14, 4)))
+    assert result.critical_difference == pytest.approx(2.569 * np.sqrt(4 * 5 / (6 * 14)), abs=1e-3)
+
+
+def test_ties_share_their_ranks():
+    result = rank_test(np.array([[1.0, 2.0, 2.0], [3.0, 1.0, 2.0]]))
+    assert result.mean_ranks.tolist() == [2.0, 1.75, 2.25]
+
+
+def test_friedman_agrees_with_scipy():
+    scores = np.random.default_rng(3).random((9, 5)).round(1)
+    assert rank_test(scores).p_value == pytest.approx(stats.friedmanchisquare(*scores.T).pvalue)
+
+
+def test_holm_s_correction_never_falls():
+    scores = np.random.default_rng(1).random((20, 4)) + np.array([0, 0.0, 0.5, 1.0])
+    result = rank_test(scores, "wilcoxon-holm")
+    assert not result.same(0, 3)
+    assert result.same(0, 1)
+    assert result.critical_difference is None
+    assert (0, 1) in [tuple(sorted(clique)) for clique in result.cliques()]
+
+
+def test_equal_scores_are_all_one_clique():
+    result = rank_test(np.ones((5, 3)))
+    assert result.p_value == 1.0
+    assert [sorted(clique) for clique in result.cliques()] == [[0, 1, 2]]
+
+
+@pytest.mark.parametrize("shape", [(5, 2), (1, 4)])
+def test_too_little_to_rank(shape):
+    with pytest.raises(InvalidInput, match="Friedman"):
+        rank_test(np.ones(shape))
+
+
+def test_bootstrap_is_repeatable_and_covers():
+    values = np.random.default_rng(0).normal(10, 2, 50)
+    interval = bootstrap_mean(values)
+    assert interval == bootstrap_mean(values)
+    assert interval.low < values.mean() < interval.high
+    assert interval.high - interval.low == pytest.approx(2 * 1.96 * values.std() / np.sqrt(50), rel=0.15)
+
+
+def test_one_value_has_no_spread():
+    summary = summarise(np.array([2.0, np.nan]))
+    assert (summary.count, summary.mean, summary.std, summary.interval) == (1, 2.0, None, None)
+    assert summarise(np.array([np.nan])) is None
+
+
+def test_repeats_that_would_decide():
+    draws = np.random.default_rng(5)
+    first, second = draws.normal(1.0, 0.3, 4), draws.normal(1.15, 0.3, 4)
+    comparison = compare_means(first, second)
+    assert not comparison.decided
+    assert comparison.repeats_to_decide > 4
+    many = compare_means(np.tile(first, 200), np.tile(second, 200))
+    assert many.decided
+    assert many.difference == pytest.approx(comparison.difference)
+
+
+def test_welch_agrees_with_scipy():
+    draws = np.random.default_rng(7)
+    first, second = draws.normal(0, 1, 12), draws.normal(0.5, 3, 7)
+    expected = stats.ttest_ind(first, second, equal_var=False).confidence_interval(0.95)
+    found = compare_means(first, second).interval
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
+
+
+def test_comparing_needs_repeats():
+    with pytest.raises(InvalidInput, match="two runs of each, found 1 and 2"):
+        compare_means(np.ones(1), np.ones(2))
