@@ -153,6 +153,7 @@ class EvaluationRepository:
         MetricRepository(self._session).replace(run_id, result.fingerprint, result.metrics)
         current = update(Run.__table__).where(Run.__table__.c.id == run_id).values(current_protocol_id=protocol_id)
         self._session.execute(current)
+        MetricRepository(self._session).follow_protocols([run_id])
 
     def _check_succeeded(self, run_ids: list[int]) -> None:
         states: dict[int, RunState] = {}

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
-from sqlalchemy import delete, insert, or_, select
+from sqlalchemy import case, delete, func, insert, or_, select, update
 from sqlalchemy.orm import Session
 
 from slamhive.errors import InvalidInput, NotFound
@@ -34,11 +34,12 @@ class MetricRepository:
         """The same, and figures of this run and protocol that ``values`` does not name are removed."""
         self._write(run_id, self._protocol_id(fingerprint), values, replace_all=True)
 
-    def for_runs(self, run_ids: Iterable[int]) -> dict[int, dict[str, float]]:
+    def for_runs(self, run_ids: Iterable[int], keys: Sequence[str] | None = None) -> dict[int, dict[str, float]]:
         """{run: {metric key: value}}: measured figures, and those of each run's current protocol.
 
-        One query for each few hundred runs.
+        ``keys`` restricts them to these metrics. One query for each few hundred runs.
         """
+        among = [] if keys is None else [Metric.key.in_(keys)]
         wanted = sorted(set(run_ids))
         found: dict[int, dict[str, float]] = {run_id: {} for run_id in wanted}
         for part in chunks(wanted):
@@ -52,12 +53,22 @@ class MetricRepository:
                         MetricValue.protocol_id == MEASURED_PROTOCOL_ID,
                         MetricValue.protocol_id == Run.current_protocol_id,
                     ),
+                    *among,
                 )
                 .order_by(MetricValue.run_id, MetricValue.metric_id)
             )
             for run_id, key, value in rows:
                 found[run_id][key] = value
         return found
+
+    def follow_protocols(self, run_ids: Iterable[int]) -> None:
+        """Mark the figures that count now; to be called whenever a run's current protocol has changed."""
+        runs, figures = Run.__table__, MetricValue.__table__
+        current = select(runs.c.current_protocol_id).where(runs.c.id == figures.c.run_id).scalar_subquery()
+        mark = case((figures.c.protocol_id == func.coalesce(current, 0), 1), else_=0)
+        for part in chunks(sorted(set(run_ids))):
+            changing = [figures.c.run_id.in_(part), figures.c.protocol_id != MEASURED_PROTOCOL_ID]
+            self._session.execute(update(figures).where(*changing).values(is_current=mark))
 
     def by_protocol(self, run_id: int) -> dict[str | None, dict[str, float]]:
         """All figures of one run: {protocol fingerprint, None for measured: {metric key: value}}."""
@@ -115,8 +126,16 @@ class MetricRepository:
             outdated = outdated.where(MetricValue.metric_id.in_(list(metric_ids.values())))
         self._session.execute(outdated)
         rows = [
-            {"run_id": run_id, "metric_id": metric_ids[key], "protocol_id": protocol_id, "value": float(value)}
+            {
+                "run_id": run_id,
+                "metric_id": metric_ids[key],
+                "protocol_id": protocol_id,
+                "value": float(value),
+                "is_current": int(protocol_id == MEASURED_PROTOCOL_ID),
+            }
             for key, value in values.items()
         ]
         if rows:
             self._session.execute(insert(MetricValue.__table__), rows)
+        if protocol_id != MEASURED_PROTOCOL_ID:
+            self.follow_protocols([run_id])

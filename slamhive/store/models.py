@@ -198,6 +198,7 @@ class Run(Base):
         Index("ix_runs_queue", "state", "held", "priority", "id"),
         Index("ix_runs_affinity", "state", "held", "priority", "affinity", "id"),
         Index("ix_runs_experiment", "experiment_id", "cell", "state", "reason"),
+        Index("ix_runs_current_protocol_id_state", "current_protocol_id", "state"),
         {**TABLE_OPTIONS, "sqlite_autoincrement": True},
     )
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -206,16 +207,16 @@ class Run(Base):
     algorithm_version_id: Mapped[int | None] = mapped_column(ForeignKey("algorithm_versions.id"))
     host_id: Mapped[int | None] = mapped_column(ForeignKey("hosts.id"))
     dataset_checksum: Mapped[str | None] = mapped_column(String(80))
-    executor: Mapped[str] = mapped_column(String(32))
+    executor: Mapped[str] = mapped_column(String(32), index=True)
     state: Mapped[RunState]
-    reason: Mapped[FailureReason | None]
+    reason: Mapped[FailureReason | None] = mapped_column(index=True)
     detail: Mapped[str | None] = mapped_column(LongText)
     seed: Mapped[int] = mapped_column(BigInteger)
     priority: Mapped[int]
     evaluate: Mapped[bool]
     created_at: Mapped[datetime] = mapped_column(index=True)
-    started_at: Mapped[datetime | None]
-    ended_at: Mapped[datetime | None]
+    started_at: Mapped[datetime | None] = mapped_column(index=True)
+    ended_at: Mapped[datetime | None] = mapped_column(index=True)
     exit_code: Mapped[int | None]
     poses: Mapped[int | None]
     cpu_cores: Mapped[float | None]
@@ -282,14 +283,52 @@ class Metric(Base):
 
 
 class MetricValue(Base):
-    """One figure of one run under one protocol. The second key serves "runs with metric between a and b"."""
+    """One figure of one run under one protocol, filed metric by metric: searches look through few metrics of many runs.
+
+    ``is_current`` is 1 for measured figures and for those of the run's current protocol, else 0; the second key serves
+    "runs with metric between a and b". There is no reference to the protocol: it would cost an index of its own, and
+    protocols are never deleted.
+    """
 
     __tablename__ = "metric_values"
     __table_args__ = (
-        Index("ix_metric_values_search", "metric_id", "protocol_id", "value", "run_id"),
+        Index("ix_metric_values_search", "metric_id", "is_current", "value", "run_id"),
         {**TABLE_OPTIONS, "sqlite_with_rowid": False},
     )
-    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), primary_key=True)
     metric_id: Mapped[int] = mapped_column(ForeignKey("metrics.id"), primary_key=True)
-    protocol_id: Mapped[int] = mapped_column(ForeignKey("protocols.id"), primary_key=True)
+    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), primary_key=True, index=True)
+    protocol_id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     value: Mapped[float]
+    is_current: Mapped[int] = mapped_column(SmallInteger)
+
+
+class VariantOption(Base):
+    """An option of the pre-processing steps of a configuration, where all its steps of a kind agree on it.
+
+    ``name`` is ``KIND.OPTION``, and ``KIND.OPTION@SENSOR`` for each sensor.
+    """
+
+    __tablename__ = "variant_options"
+    __table_args__ = (
+        Index("ix_variant_options_number", "name", "number_value", "configuration_id"),
+        Index("ix_variant_options_text", "name", "text_value", "configuration_id"),
+        {**TABLE_OPTIONS, "sqlite_with_rowid": False},
+    )
+    configuration_id: Mapped[int] = mapped_column(ForeignKey("configurations.id"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(190), primary_key=True)
+    number_value: Mapped[float | None]
+    text_value: Mapped[str | None] = mapped_column(String(TEXT_VALUE_LENGTH))
+
+
+class SavedSearch(Base):
+    """A search with a name: filter, columns and order of the page of runs."""
+
+    __tablename__ = "saved_searches"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(NAME_LENGTH), unique=True)
+    filter_text: Mapped[str] = mapped_column(LongText)
+    shown_columns: Mapped[Any] = mapped_column(JsonText)
+    sort: Mapped[str] = mapped_column(String(190))
+    descending: Mapped[bool]
+    grouped: Mapped[bool]
+    created_at: Mapped[datetime]

@@ -152,6 +152,51 @@ def test_parameters_under_two_definitions_keep_the_older_schema_away(engine: Eng
     assert_whole_at(engine, "0004")
 
 
+def test_figures_keep_their_values_and_learn_which_count(engine: Engine) -> None:
+    migrate.upgrade(engine, "0004")
+    _add_configuration(engine)
+    now = "'2026-05-04 03:02:01'"
+    with engine.begin() as connection:
+        for number, fingerprint in ((2, "a"), (3, "b")):
+            connection.exec_driver_sql(
+                f"INSERT INTO protocols (id, fingerprint, label, definition) VALUES ({number}, '{fingerprint}', '', '{{}}')"
+            )
+        connection.exec_driver_sql(f"INSERT INTO metrics (id, {_key(engine)}) VALUES (1, 'ate.rmse')")
+        connection.exec_driver_sql(
+            "INSERT INTO runs (id, uid, configuration_id, executor, seed, priority, evaluate, created_at, state, attempt, "
+            f"cancel_requested, current_protocol_id) VALUES (1, 'u', 1, 'docker', 0, 0, 0, {now}, 'succeeded', 0, 0, 3)"
+        )
+        for protocol in (1, 2, 3):
+            connection.exec_driver_sql(f"INSERT INTO metric_values VALUES (1, 1, {protocol}, 0.{protocol})")
+        variant = '[{"kind":"rate","sensors":["cam0","imu"],"options":{"keep":0.5}}]'
+        connection.exec_driver_sql(f"UPDATE configurations SET variant='{variant}'")
+    migrate.upgrade(engine)
+    figures = "SELECT run_id, metric_id, protocol_id, value, is_current FROM metric_values ORDER BY protocol_id"
+    with engine.connect() as connection:
+        assert connection.exec_driver_sql(figures).all() == [(1, 1, 1, 0.1, 1), (1, 1, 2, 0.2, 0), (1, 1, 3, 0.3, 1)]
+        options = connection.exec_driver_sql("SELECT name, number_value FROM variant_options ORDER BY name").all()
+        assert options == [("rate.keep", 0.5), ("rate.keep@cam0", 0.5), ("rate.keep@imu", 0.5)]
+    migrate.downgrade(engine, "0004")
+    with engine.connect() as connection:
+        assert connection.exec_driver_sql("SELECT value FROM metric_values ORDER BY value").all() == [
+            (0.1,),
+            (0.2,),
+            (0.3,),
+        ]
+
+
+def test_saved_searches_keep_the_older_schema_away(engine: Engine) -> None:
+    migrate.upgrade(engine)
+    with engine.begin() as connection:
+        connection.exec_driver_sql(
+            "INSERT INTO saved_searches (name, filter_text, shown_columns, sort, descending, grouped, created_at) "
+            "VALUES ('n', '', '[]', 'id', 1, 0, '2026-05-04 03:02:01')"
+        )
+    with pytest.raises(Conflict, match="1 searches are saved"):
+        migrate.downgrade(engine, "0004")
+    assert_whole_at(engine, "0005")
+
+
 def assert_whole_at(engine: Engine, refused: str) -> None:
     """A refusal leaves tables that are what their version says: the newest on SQLite, the one that refused on MySQL."""
     assert migrate.current(engine) == (migrate.head() if engine.dialect.name == "sqlite" else refused)
@@ -207,7 +252,7 @@ def test_tables_of_a_newer_software_are_left_alone(engine: Engine) -> None:
     with engine.begin() as connection:
         connection.exec_driver_sql("UPDATE alembic_version SET version_num='9999'")
     for work in (migrate.upgrade, migrate.check_current):
-        with pytest.raises(Unavailable, match=r"is at schema 9999, which is newer than this software \(0004\)"):
+        with pytest.raises(Unavailable, match=r"is at schema 9999, which is newer than this software \(0005\)"):
             work(engine)
     assert tables(engine) == set(Base.metadata.tables)
 
