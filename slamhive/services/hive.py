@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import uuid
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from slamhive.executors.registry import AUTO, ExecutorContext, choose_executor, 
 from slamhive.project import project_root
 from slamhive.runs.folder import RunFolder
 from slamhive.services.catalogue import Catalogue, check_writable
+from slamhive.services.configurations import Configurations
 from slamhive.services.driver_context import utc_now
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.lock import WorkerLock
@@ -61,6 +61,7 @@ class Hive:
         self.catalogue = catalogue
         self._executors: dict[str, Executor] = {}
         self.variants = Variants(settings, store)
+        self.configurations = Configurations(settings, store, catalogue, self.variants)
         self.evaluations_service = Evaluations(settings, store, catalogue, self._evaluation_runner)
 
     # -- asking for runs -------------------------------------------------------------------------------------------
@@ -71,13 +72,8 @@ class Hive:
         Repeats get the seeds ``seed``, ``seed + 1``, ... and share one configuration.
         """
         self.check_writable()
-        submission.check()
-        algorithm = self.catalogue.algorithm(submission.algorithm)
-        dataset = self.catalogue.dataset(submission.dataset)
-        configuration = submission.configuration(algorithm)
-        configuration = replace(configuration, variant=self.variants.resolve(dataset, configuration.variant))
-        self.variants.check(dataset, configuration.variant)
-        algorithm.assign(dataset)
+        checked = self.configurations.check(submission)
+        algorithm, dataset, configuration = checked.algorithm, checked.dataset, checked.configuration
         check_recording(dataset, algorithm)
         check_disk(self.settings)
         executor = self.executor_name(submission.executor)
@@ -119,11 +115,15 @@ class Hive:
         return self.store.read(lambda t: t.runs.get_many(run_ids))
 
     def retry(self, run_id: int) -> RunRecord:
-        """Queue a new run with the configuration of one that has ended."""
+        """Queue a new run with the configuration of one that has ended.
+
+        Raises InvalidInput if the algorithm, as it is defined now, no longer takes the values that are stored.
+        """
         self.check_writable()
         old = self.run(run_id)
         if not old.state.ended:
             raise Conflict(f"run {run_id} is {old.state}", "only a run that has ended can be tried again")
+        self.configurations.check_runnable(old.configuration_id)
         request = RunRequest(
             uid=uuid.uuid4().hex,
             configuration_id=old.configuration_id,

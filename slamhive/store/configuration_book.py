@@ -41,6 +41,13 @@ class ConfigurationBook:
         query = select(_LABELS.c.configuration_id).where(_LABELS.c.name == name)
         return self._session.execute(query).scalar_one_or_none()
 
+    def with_content(self, content_hash: str) -> int | None:
+        """The number of the configuration with this content."""
+        table = Configuration.__table__
+        return self._session.execute(
+            select(table.c.id).where(table.c.content_hash == content_hash)
+        ).scalar_one_or_none()
+
     def describe(self, configuration_id: int, name: str | None, note: str) -> None:
         """Set name and note; raises NotFound, or Conflict if another configuration has the name."""
         self.get(configuration_id)

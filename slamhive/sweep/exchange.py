@@ -28,11 +28,16 @@ PUBLISHED_KEY = "slam-hive-algorithm"
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """A configuration that came in. ``notes`` tell, one line each, what of the text was not taken over, and why."""
+    """A configuration that came in. ``notes`` tell, one line each, what of the text was not taken over, and why.
+
+    ``name`` and ``note`` are what its owner said about it, None where the text says nothing.
+    """
 
     configuration: Configuration
     seed: int = 0
     notes: tuple[str, ...] = ()
+    name: str | None = None
+    note: str | None = None
 
 
 class _StepModel(BaseModel):
@@ -51,6 +56,8 @@ class _PlaybackModel(BaseModel):
 class _ConfigurationModel(BaseModel):
     model_config = ConfigDict(extra="forbid")
     format: Literal[1] = 1
+    name: str | None = None
+    note: str | None = None
     algorithm: str
     dataset: str
     parameters: dict[str, bool | int | float | str | list[float]] = Field(default_factory=dict)
@@ -58,11 +65,13 @@ class _ConfigurationModel(BaseModel):
     playback: _PlaybackModel = Field(default_factory=_PlaybackModel)
 
 
-def configuration_to_yaml(configuration: Configuration) -> str:
-    """The text that :func:`configuration_from_yaml` reads back to an equal configuration."""
+def configuration_to_yaml(configuration: Configuration, name: str | None = None, note: str = "") -> str:
+    """The text that :func:`configuration_from_yaml` reads back to an equal configuration, with its name and note."""
+    said = {key: text for key, text in (("name", name), ("note", note)) if text}
     return strict_yaml.dump(
         {
             "format": FORMAT,
+            **said,
             "algorithm": configuration.algorithm,
             "dataset": configuration.dataset,
             "parameters": {
@@ -109,7 +118,9 @@ def _exported(content: Mapping[str, Any], view: CatalogueView) -> Imported:
             parameters=parse_settings(algorithm.name, algorithm.parameters, model.parameters),
             playback=Playback(model.playback.mode, model.playback.rate),
             variant=resolve_variant(view.steps, dataset, steps),
-        )
+        ),
+        name=model.name,
+        note=model.note,
     )
 
 
