@@ -197,10 +197,11 @@ def _drift_and_scale() -> list[Metric]:
             "Scale drift",
             "%",
             group,
-            "Mean |r / r0 - 1| over all pairs of matched poses the RPE delta (1 m) of ground-truth path apart, r being "
-            "the distance between the two estimated positions over that of the true ones and r0 the same for the sums "
-            "of all pairs, so that a constant scale error is no drift; pairs that end near their start (under half of "
-            "the delta) are left out. rpg_trajectory_evaluation intends this but takes distances from the origin.",
+            "Mean |r / r0 - 1| over all pairs of a matched pose and the first one at least the RPE delta (1 m) of "
+            "ground-truth path further on, r being the distance between the two estimated positions over that of the "
+            "true ones and r0 the same for the sums of all pairs, so that a constant scale error is no drift; pairs "
+            "that end near their start (under half of the delta) are left out. rpg_trajectory_evaluation intends this "
+            "but takes distances from the origin.",
             f"{_ZHANG} (intent)",
         ),
         neutral(

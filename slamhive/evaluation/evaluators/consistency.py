@@ -14,9 +14,10 @@ import numpy as np
 
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
+from slamhive.evaluation.evaluators.pairs import inverse_quats
 from slamhive.trajectory.model import FloatArray
 from slamhive.trajectory.table import parse_table, read_bounded
-from slamhive.trajectory.transforms import rotations_from_quats
+from slamhive.trajectory.transforms import multiply_quats, quats_from_rotations
 
 COVARIANCES = "covariances"
 LAYOUT = "timestamp and 21 numbers: the upper triangle, row by row, of the 6x6 covariance of x y z rx ry rz"
@@ -127,13 +128,15 @@ def _position_errors_m(paired: Paired) -> FloatArray:
 
 def _rotation_errors_rad(paired: Paired, *, in_body: bool) -> FloatArray:
     """Rotation vectors from the estimated to the true orientations, in the world of the estimate, (n, 3)."""
-    true = paired.transform.rotation.T @ rotations_from_quats(paired.matched_reference.quats_xyzw)
-    estimated = rotations_from_quats(paired.matched_estimate.quats_xyzw)
-    turned = estimated.transpose(0, 2, 1) @ true if in_body else true @ estimated.transpose(0, 2, 1)
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - slow to load, and few runs give covariances
-
-    vectors: FloatArray = Rotation.from_matrix(turned).as_rotvec()
-    return vectors
+    to_estimate = inverse_quats(quats_from_rotations(paired.transform.rotation[None]))
+    true = multiply_quats(to_estimate, paired.matched_reference.quats_xyzw)
+    back = inverse_quats(paired.matched_estimate.quats_xyzw)
+    turned = multiply_quats(back, true) if in_body else multiply_quats(true, back)
+    turned *= np.where(turned[:, 3:] < 0, -1.0, 1.0)
+    lengths = np.linalg.norm(turned[:, :3], axis=1, keepdims=True)
+    # Of a rotation by almost nothing the vector part is half the rotation vector.
+    factors = np.where(lengths > 0, 2.0 * np.arctan2(lengths, turned[:, 3:]) / np.maximum(lengths, 1e-300), 2.0)
+    return np.asarray(factors * turned[:, :3])
 
 
 def _figures(key: str, errors: FloatArray, covariances: FloatArray) -> dict[str, float]:

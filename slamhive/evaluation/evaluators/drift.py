@@ -12,14 +12,13 @@ import numpy as np
 from slamhive.domain.protocol import Alignment
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.base import Figures, Paired, absent
-from slamhive.evaluation.evaluators.pairs import all_pairs, path_m, rotation_angles_rad
+from slamhive.evaluation.evaluators.pairs import path_m, rotation_angles_rad
 from slamhive.trajectory.alignment import Similarity, align, align_umeyama
 from slamhive.trajectory.model import FloatArray, Poses
 from slamhive.trajectory.transforms import quats_from_rotations
 
 _SHORTEST = 0.5
 """A pair whose ends are nearer than this share of its path tells little of the scale."""
-_TOLERANCE = 0.1
 
 
 class StartEndDrift:
@@ -72,13 +71,19 @@ class ScaleErrors:
             values["scale.drift"] = 100.0 * float(np.abs(ratios - 1.0).mean())
         else:
             delta_m = paired.protocol.rpe_delta_m
-            missing["scale.drift"] = f"no pair of poses {delta_m:g} m of path apart is half as far apart directly"
+            missing["scale.drift"] = f"no two poses {delta_m:g} m of path apart are half as far apart directly"
         return Figures(values, missing)
 
 
 def local_scales(reference: Poses, estimate: Poses, delta_m: float) -> FloatArray:
-    """Estimated over true distance of poses ``delta_m`` of true path apart, over that of their sums; shape (m,)."""
-    i, j = all_pairs(path_m(reference), delta_m, _TOLERANCE * delta_m)
+    """Estimated over true distance of poses ``delta_m`` of true path apart, over that of their sums; shape (m,).
+
+    A pair is a pose and the first one that is at least so much further on.
+    """
+    path = path_m(reference)
+    j = np.searchsorted(path, path + delta_m)
+    i = np.flatnonzero(j < len(path))
+    j = j[i]
     true_m, estimated_m = (
         np.linalg.norm(poses.positions_m[j] - poses.positions_m[i], axis=1) for poses in (reference, estimate)
     )

@@ -1,8 +1,8 @@
 """The KITTI odometry protocol: mean error over segments of 100 to 800 m.
 
 Geiger, Lenz, Urtasun, "Are we ready for Autonomous Driving? The KITTI Vision Benchmark Suite", CVPR 2012, and the
-odometry devkit (``evaluate_odometry.cpp``), whose path lengths in single precision are kept: they decide where a
-segment ends.
+odometry devkit (``evaluate_odometry.cpp``). Its single precision is kept: that of path lengths decides where a segment
+ends, that of the arc cosine shows in the sixth digit of the rotation error.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from slamhive.domain.metrics.trajectories import KITTI_LENGTHS_M, KITTI_STEP
 from slamhive.domain.protocol import Association
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
-from slamhive.evaluation.evaluators.pairs import IndexArray, relative_errors
+from slamhive.evaluation.evaluators.pairs import IndexArray
 from slamhive.trajectory.model import FloatArray, Poses
+from slamhive.trajectory.transforms import rotations_from_quats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +44,7 @@ class KittiProtocol:
         if not paired.rotations_known:
             return absent(self.keys, ROTATIONS_UNKNOWN)
         _check_complete(paired)
-        found = kitti_segments(paired.matched_reference, paired.aligned)
+        found = kitti_segments(_matrices(paired.matched_reference), _matrices(paired.aligned))
         if len(found.lengths_m) == 0:
             path_m = paired.matched_reference.path_length_m
             shortest = f"the path is {path_m:.4g} m, the shortest segment {KITTI_LENGTHS_M[0]} m"
@@ -61,23 +62,34 @@ class KittiProtocol:
         return Figures(values, missing)
 
 
-def kitti_segments(reference: Poses, estimate: Poses) -> KittiSegments:
+def kitti_segments(T_reference: FloatArray, T_estimate: FloatArray) -> KittiSegments:
     """The segments from every tenth pose, each to the first pose further along the path than its length.
 
-    ``calcSequenceErrors`` of the devkit: E = (P_f^-1 P_l)^-1 (Q_f^-1 Q_l), |t| / L and angle / L.
+    ``calcSequenceErrors`` of the devkit: E = (P_f^-1 P_l)^-1 (Q_f^-1 Q_l), |t| / L and acos((tr R - 1) / 2) / L.
+    Matrices that are not quite orthonormal, as those of KITTI's files with their seven digits, are taken as they are.
+
+    Args:
+        T_reference: Poses Q, shape (n, 4, 4).
+        T_estimate: Poses P, one for each of them.
     """
-    firsts, lasts, lengths_m = _segment_ends(reference)
-    errors_m, errors_rad = relative_errors(reference, estimate, (firsts, lasts))
-    return KittiSegments(lengths_m, errors_m / lengths_m, errors_rad / lengths_m)
+    firsts, lasts, lengths_m = _segment_ends(T_reference[:, :3, 3])
+    true = np.linalg.inv(T_reference[firsts]) @ T_reference[lasts]
+    estimated = np.linalg.inv(T_estimate[firsts]) @ T_estimate[lasts]
+    errors = (np.linalg.inv(estimated) @ true).astype(np.float32)
+    translations_m = np.linalg.norm(errors[:, :3, 3], axis=1)
+    traces = errors[:, 0, 0] + errors[:, 1, 1] + errors[:, 2, 2]
+    cosines = np.clip((0.5 * (traces.astype(np.float64) - 1.0)).astype(np.float32), -1.0, 1.0)
+    angles_rad = np.arccos(cosines).astype(np.float64)
+    return KittiSegments(lengths_m, translations_m.astype(np.float64) / lengths_m, angles_rad / lengths_m)
 
 
-def _segment_ends(reference: Poses) -> tuple[IndexArray, IndexArray, FloatArray]:
-    path_m = _path_m(reference.positions_m)
-    firsts = np.arange(0, len(reference), KITTI_STEP)
+def _segment_ends(positions_m: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
+    path_m = _path_m(positions_m)
+    firsts = np.arange(0, len(positions_m), KITTI_STEP)
     lengths_m = np.array(KITTI_LENGTHS_M, dtype=np.float32)
     ends_m = path_m[firsts, None] + lengths_m
     lasts = np.searchsorted(path_m, ends_m, side="right")
-    kept = lasts < len(reference)
+    kept = lasts < len(positions_m)
     all_firsts = np.broadcast_to(firsts[:, None], kept.shape)
     all_lengths_m = np.broadcast_to(np.array(KITTI_LENGTHS_M, dtype=np.float64), kept.shape)
     return all_firsts[kept], lasts[kept], all_lengths_m[kept]
@@ -87,6 +99,13 @@ def _path_m(positions_m: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.float
     """Path length to each pose, accumulated in single precision as by ``trajectoryDistances`` of the devkit."""
     steps_m = np.linalg.norm(np.diff(positions_m, axis=0).astype(np.float32), axis=1)
     return np.concatenate((np.zeros(1, dtype=np.float32), np.cumsum(steps_m, dtype=np.float32)))
+
+
+def _matrices(poses: Poses) -> FloatArray:
+    matrices = np.tile(np.eye(4), (len(poses), 1, 1))
+    matrices[:, :3, :3] = rotations_from_quats(poses.quats_xyzw)
+    matrices[:, :3, 3] = poses.positions_m
+    return matrices
 
 
 def _means(suffix: str, found: KittiSegments, chosen: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> dict[str, float]:

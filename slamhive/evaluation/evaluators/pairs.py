@@ -16,12 +16,17 @@ Pairs = tuple[IndexArray, IndexArray]
 """The first and the second pose of each pair, shape (m,) each."""
 
 
+def inverse_quats(quats_xyzw: FloatArray) -> FloatArray:
+    """The quaternions of the inverse rotations, shape (n, 4)."""
+    return np.asarray(quats_xyzw * np.array([-1.0, -1.0, -1.0, 1.0]))
+
+
 def rotation_angles_rad(first_xyzw: FloatArray, second_xyzw: FloatArray) -> FloatArray:
     """Angle of the rotation from each of ``first`` to each of ``second``, unit quaternions (n, 4); shape (n,), 0 to pi.
 
     2 atan2(|v|, |w|) of the quaternion between them, which is exact for small angles as acos is not.
     """
-    between = multiply_quats(first_xyzw * [-1.0, -1.0, -1.0, 1.0], second_xyzw)
+    between = multiply_quats(inverse_quats(first_xyzw), second_xyzw)
     angles: FloatArray = 2.0 * np.arctan2(np.linalg.norm(between[:, :3], axis=1), np.abs(between[:, 3]))
     return angles
 
@@ -105,7 +110,7 @@ def _steps_m(poses: Poses, i: IndexArray, j: IndexArray) -> FloatArray:
 
 def _turns(poses: Poses, i: IndexArray, j: IndexArray) -> FloatArray:
     """Orientations at j as seen from those at i, quaternions (m, 4)."""
-    return multiply_quats(poses.quats_xyzw[i] * [-1.0, -1.0, -1.0, 1.0], poses.quats_xyzw[j])
+    return multiply_quats(inverse_quats(poses.quats_xyzw[i]), poses.quats_xyzw[j])
 
 
 def _accumulated(steps: FloatArray) -> FloatArray:

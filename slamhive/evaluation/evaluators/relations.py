@@ -1,7 +1,7 @@
 """Errors against relations between poses that people have measured, where there is no ground-truth trajectory.
 
-Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27, 2009, equation (4); the relations
-are those that the Freiburg benchmark publishes beside recordings of 2D lasers.
+Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27, 2009, equation (4); the
+relations are those that the Freiburg benchmark publishes beside recordings of 2D lasers.
 """
 
 from __future__ import annotations
@@ -10,18 +10,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.evaluators.base import Figures, Paired, absent
-from slamhive.evaluation.evaluators.pairs import rotation_angles_rad, statistics
+from slamhive.evaluation.evaluators.pairs import inverse_quats, rotation_angles_rad, statistics
+from slamhive.trajectory.interpolation import interpolate
 from slamhive.trajectory.model import FloatArray, Trajectory
 from slamhive.trajectory.table import parse_table, read_bounded
 from slamhive.trajectory.transforms import multiply_quats, rotations_from_quats
 
+BoolArray = npt.NDArray[np.bool_]
+
 RELATIONS = "relations"
 LAYOUT = "timestamp1 timestamp2 x y z roll pitch yaw"
 _NAMES = ("mean", "std", "max")
-_INVERSE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,10 +92,9 @@ def relation_figures(relations: Relations, estimate: Trajectory, gap_s: float) -
             f"the estimate has no poses at the times of any of the {len(covered)} relations",
             "relations and recording must have one clock",
         )
-    from_m, from_xyzw = _interpolate(estimate, relations.from_s[covered])
-    to_m, to_xyzw = _interpolate(estimate, relations.to_s[covered])
-    seen_m = np.einsum("nij,ni->nj", rotations_from_quats(from_xyzw), to_m - from_m)
-    seen_xyzw = multiply_quats(from_xyzw * _INVERSE, to_xyzw)
+    begin, end = (interpolate(estimate, stamps_s[covered]) for stamps_s in (relations.from_s, relations.to_s))
+    seen_m = np.einsum("nij,ni->nj", rotations_from_quats(begin.quats_xyzw), end.positions_m - begin.positions_m)
+    seen_xyzw = multiply_quats(inverse_quats(begin.quats_xyzw), end.quats_xyzw)
     errors_m = np.linalg.norm(seen_m - relations.positions_m[covered], axis=1)
     errors_deg = np.rad2deg(rotation_angles_rad(seen_xyzw, relations.quats_xyzw[covered]))
     return {
@@ -102,30 +104,14 @@ def relation_figures(relations: Relations, estimate: Trajectory, gap_s: float) -
     }
 
 
-def _covers(estimate: Trajectory, stamps_s: FloatArray, gap_s: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _covers(estimate: Trajectory, stamps_s: FloatArray, gap_s: float) -> BoolArray:
     """Whether there is a pose at each stamp, or poses on both sides no further apart than ``gap_s``."""
-    known_s = estimate.stamps_s
-    after = np.searchsorted(known_s, stamps_s)
-    exact = known_s[np.minimum(after, len(known_s) - 1)] == stamps_s
-    inside = (after > 0) & (after < len(known_s))
-    after = np.clip(after, 1, max(len(known_s) - 1, 1))
-    if len(known_s) == 1:
-        return exact
-    near: np.ndarray[tuple[int], np.dtype[np.bool_]] = known_s[after] - known_s[after - 1] <= gap_s
-    return exact | (inside & near)
-
-
-def _interpolate(estimate: Trajectory, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions, linearly, and orientations, by normalised linear interpolation of quaternions, between poses."""
-    known_s = estimate.stamps_s
-    after = np.clip(np.searchsorted(known_s, stamps_s), 1, len(known_s) - 1)
-    before = after - 1
-    share = ((stamps_s - known_s[before]) / (known_s[after] - known_s[before]))[:, None]
-    first, second = estimate.quats_xyzw[before], estimate.quats_xyzw[after]
-    second = np.where((first * second).sum(axis=1, keepdims=True) < 0, -second, second)
-    quats_xyzw = (1 - share) * first + share * second
-    positions_m = (1 - share) * estimate.positions_m[before] + share * estimate.positions_m[after]
-    return positions_m, quats_xyzw / np.linalg.norm(quats_xyzw, axis=1, keepdims=True)
+    if len(estimate) == 1:
+        return np.asarray(stamps_s == estimate.stamps_s[0])
+    after = np.clip(np.searchsorted(estimate.stamps_s, stamps_s), 1, len(estimate) - 1)
+    before_s, after_s = estimate.stamps_s[after - 1], estimate.stamps_s[after]
+    inside = (before_s <= stamps_s) & (stamps_s <= after_s) & (after_s - before_s <= gap_s)
+    return np.asarray(inside | (stamps_s == before_s) | (stamps_s == after_s))
 
 
 def _quats_from_euler(angles_rad: FloatArray) -> FloatArray:
