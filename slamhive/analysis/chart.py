@@ -6,6 +6,7 @@ A form states marks and axes; :mod:`slamhive.analysis.plotly_chart` makes the in
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +18,9 @@ Array = np.ndarray[Any, np.dtype[Any]]
 
 REFERENCE = "reference"
 """The colour of ground truth: dark grey on white, light grey on black."""
+
+BARE_MARGIN = 0.45
+"""Room left and right of a chart without axes, for the words there, as a share of its width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +58,7 @@ class Points:
     texts: tuple[str, ...] | None = None
     shades: Array | None = None
     shade_label: str = ""
+    in_legend: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +176,9 @@ Mark = Points | FailedRuns | Line | Bars | Boxes | Cells | Segments | Labels | P
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """One figure. ``caption`` tells n, failures and protocol in words; ``key`` names its files.
+    """One figure. ``caption`` tells n, failures and protocol in words.
+
+    ``key`` names its files: only letters, digits, ``_``, ``.`` and ``-`` are kept of it.
 
     ``equal_aspect`` gives both (all three) axes one scale, as trajectories need. ``bare`` leaves the axes out.
     """
@@ -188,3 +195,6 @@ class Chart:
     height: float = 1.0
     """Relative to the usual height."""
     notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "key", re.sub(r"[^A-Za-z0-9_.-]+", "_", self.key)[:100])

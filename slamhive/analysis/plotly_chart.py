@@ -6,7 +6,9 @@ Colours that depend on light or dark are left to the page: marks of :data:`~slam
 
 from __future__ import annotations
 
-from slamhive.analysis.chart import Axis, Boxes, Chart, FailedRuns
+import numpy as np
+
+from slamhive.analysis.chart import BARE_MARGIN, Axis, Boxes, Chart, FailedRuns, Segments
 from slamhive.analysis.plotly_marks import traces_of
 from slamhive.analysis.plotly_values import Json, drawable, escaped
 
@@ -52,11 +54,18 @@ def _layout(chart: Chart) -> Json:
         x |= {"constrain": "domain"}
         y |= {"constrain": "domain"}
     if chart.bare:
-        x |= {"visible": False}
+        x |= {"visible": False, "range": _bare_range(chart)}
         y |= {"visible": False}
     if any(isinstance(mark, Boxes) for mark in chart.marks):
         layout["boxmode"] = "group"
     return layout | {"xaxis": x, "yaxis": y}
+
+
+def _bare_range(chart: Chart) -> list[float]:
+    ends = [part for mark in chart.marks if isinstance(mark, Segments) for part in (mark.x0, mark.x1)]
+    places = np.concatenate(ends) if ends else np.zeros(1)
+    room = BARE_MARGIN * float(np.ptp(places))
+    return [float(places.min()) - room, float(places.max()) + room]
 
 
 def _axis(axis: Axis) -> Json:

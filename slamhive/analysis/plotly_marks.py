@@ -20,7 +20,7 @@ from slamhive.analysis.chart import (
     Points,
     Segments,
 )
-from slamhive.analysis.density import bin_points
+from slamhive.analysis.density import bin_points, failed_rows
 from slamhive.analysis.plotly_values import (
     Json,
     colour_of_mark,
@@ -39,7 +39,6 @@ BINNED_FROM = 150_000
 """Of more points than a screen can tell apart, their density is shown."""
 
 SCALE = "Viridis"
-_FAILED_ROWS = 7
 
 
 def traces_of(mark: Mark, chart: Chart) -> list[Json]:
@@ -68,6 +67,8 @@ def _points(mark: Points, chart: Chart) -> list[Json]:
         "x": positions(mark.x, chart.x),
         "y": positions(mark.y, chart.y),
         "marker": marker,
+        "showlegend": mark.in_legend,
+        "legendgroup": escaped(mark.name),
         **meta_of(mark.colour),
     }
     if mark.z is not None and chart.z is not None:
@@ -129,7 +130,7 @@ def _failed(mark: FailedRuns, chart: Chart) -> list[Json]:
             "mode": "markers",
             "name": f"{escaped(mark.name)} ({len(mark.x)})",
             "x": positions(x, chart.x),
-            "y": numbers((np.arange(len(x)) % _FAILED_ROWS + 0.5) / _FAILED_ROWS),
+            "y": numbers(failed_rows(mark, chart)[known]),
             "yaxis": "y2",
             "marker": {"symbol": "x-thin-open", "size": 6, "color": mark.colour},
             "customdata": numbers(runs),

@@ -27,7 +27,7 @@ def numbers(values: Array) -> Json:
 
 def escaped(text: str) -> str:
     """Words for Plotly, which takes some HTML and ``%{...}`` for its own."""
-    return html.escape(text, quote=False).replace("%{", "%\u200b{")
+    return html.escape(text, quote=False).replace("%{", "%\u200b{").replace("\n", "<br>")
 
 
 def translucent(colour: str, opacity: float) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from slamhive.analysis.chart import Array, Axis, Chart, FailedRuns
+from slamhive.analysis.chart import BARE_MARGIN, Array, Axis, Chart, FailedRuns
 from slamhive.analysis.print_marks import draw_failed, draw_mark, plain
 
 FORMATS = ("pdf", "svg", "png")
@@ -61,7 +61,7 @@ def _draw(figure: Figure, chart: Chart) -> None:
         draw_mark(axes, mark, chart)
     _dress(axes, chart)
     if band is not None:
-        draw_failed(band, failed)
+        draw_failed(band, chart)
     handles, labels = axes.get_legend_handles_labels()
     if 1 < len(labels) <= _LEGEND_MOST:
         figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=7, frameon=False)
@@ -70,6 +70,7 @@ def _draw(figure: Figure, chart: Chart) -> None:
 def _dress(axes: Any, chart: Chart) -> None:
     if chart.bare:
         axes.set_axis_off()
+        axes.margins(x=BARE_MARGIN)  # the words beside the strokes
         return
     _dress_axis(axes, "x", chart.x)
     _dress_axis(axes, "y", chart.y)

@@ -23,13 +23,12 @@ from slamhive.analysis.chart import (
     Points,
     Segments,
 )
-from slamhive.analysis.density import bin_points
+from slamhive.analysis.density import bin_points, failed_rows
 
 DENSITY_FROM = 20_000
 """A printed page shows the density of more points; a file with each of them would be huge."""
 
 _REFERENCE_COLOUR = "#3d4247"
-_FAILED_ROWS = 7
 _MARKERS = {
     "circle": "o", "square": "s", "triangle-up": "^", "diamond": "D",
     "cross": "P", "star": "*", "triangle-down": "v", "pentagon": "p",
@@ -43,12 +42,11 @@ def draw_mark(axes: Any, mark: Mark, chart: Chart) -> None:
         drawn_by(axes, mark, chart)
 
 
-def draw_failed(axes: Any, marks: list[FailedRuns]) -> None:
+def draw_failed(axes: Any, chart: Chart) -> None:
     """Crosses in a tinted band above the plot."""
     axes.set_facecolor("#fbeee5")
-    for mark in marks:
-        rows = (np.arange(len(mark.x)) % _FAILED_ROWS + 0.5) / _FAILED_ROWS
-        axes.plot(mark.x, rows, "x", color=mark.colour, markersize=3, markeredgewidth=0.7)
+    for mark in (mark for mark in chart.marks if isinstance(mark, FailedRuns)):
+        axes.plot(mark.x, failed_rows(mark, chart), "x", color=mark.colour, markersize=3, markeredgewidth=0.7)
     axes.set_ylim(0, 1)
     axes.set_yticks([0.5], ["failed"])
     axes.grid(visible=False)
@@ -67,7 +65,8 @@ def _points(axes: Any, mark: Points, chart: Chart) -> None:
     places = (mark.x, mark.y) if mark.z is None else (mark.x, mark.y, mark.z)
     look: dict[str, Any] = {"s": 14, "marker": _MARKERS.get(mark.marker, "o"), "linewidths": 0, "alpha": 0.85}
     if mark.shades is None:
-        axes.scatter(*places, color=_colour(mark.colour), label=plain(mark.name), **look)
+        label = plain(mark.name) if mark.in_legend else None
+        axes.scatter(*places, color=_colour(mark.colour), label=label, **look)
     else:
         shaded = axes.scatter(*places, c=mark.shades, cmap="viridis", label=plain(mark.name), **look)
         axes.figure.colorbar(shaded, ax=axes, label=plain(mark.shade_label))
@@ -153,7 +152,13 @@ def _cells(axes: Any, mark: Cells, _chart: Chart) -> None:
             value = mark.values[row, column]
             dark = bool(np.isfinite(value) and np.mean(image.cmap(image.norm(value))[:3]) < 0.5)
             axes.text(
-                column, row, plain(text), ha="center", va="center", fontsize=6, color="white" if dark else "black"
+                column,
+                row,
+                "\n".join(map(plain, text.split("\n"))),
+                ha="center",
+                va="center",
+                fontsize=6,
+                color="white" if dark else "black",
             )
 
 
@@ -169,7 +174,7 @@ def _labels(axes: Any, mark: Labels, _chart: Chart) -> None:
     side = {"left": "left", "right": "right", "centre": "center"}[mark.anchor]
     vertical = "bottom" if mark.anchor == "centre" else "center"
     for x, y, text in zip(mark.x, mark.y, mark.texts, strict=True):
-        axes.text(x, y, plain(text), ha=side, va=vertical, fontsize=7)
+        axes.text(x, y, plain(text), ha=side, va=vertical, fontsize=7, in_layout=False)
 
 
 def _parallel(axes: Any, mark: Parallel, _chart: Chart) -> None:

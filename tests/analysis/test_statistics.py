@@ -7,6 +7,8 @@ from scipy import stats
 from slamhive.analysis.statistics import bootstrap_mean, compare_means, rank_test, summarise
 from slamhive.errors import InvalidInput
 
+pytestmark = pytest.mark.integration  # scipy takes a second to load
+
 
 def test_nemenyi_s_critical_difference():
     """Demsar (2006), section 3.2.2: four classifiers on fourteen datasets, q = 2.569, CD = 1.25."""
@@ -55,6 +57,7 @@ def test_bootstrap_is_repeatable_and_covers():
 
 def test_one_value_has_no_spread():
     summary = summarise(np.array([2.0, np.nan]))
+    assert summary is not None
     assert (summary.count, summary.mean, summary.std, summary.interval) == (1, 2.0, None, None)
     assert summarise(np.array([np.nan])) is None
 
@@ -64,6 +67,7 @@ def test_repeats_that_would_decide():
     first, second = draws.normal(1.0, 0.3, 4), draws.normal(1.15, 0.3, 4)
     comparison = compare_means(first, second)
     assert not comparison.decided
+    assert comparison.repeats_to_decide is not None
     assert comparison.repeats_to_decide > 4
     many = compare_means(np.tile(first, 200), np.tile(second, 200))
     assert many.decided

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slamhive.analysis.chart import Array, Axis
 from slamhive.analysis.result import Cell, Exclusion, FormResult, ResultTable, TableColumn
+from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, Column, RunTable
 from slamhive.errors import InvalidInput
 from slamhive.registry import Registry
@@ -135,6 +136,11 @@ def spans_decades(values: Array) -> bool:
     return bool(len(finite) > 1 and finite.min() > 0 and finite.max() > 100 * finite.min())
 
 
+def number_column(rows: pd.DataFrame, key: str) -> Array:
+    """A column of numbers as an array; NaN where a run has none."""
+    return np.asarray(rows[key], dtype=float)
+
+
 def caption(table: RunTable, shown: int, protocol: str | None, *more: str) -> str:
     """What every figure says of itself: n, failures by the one rule, protocol."""
     failed = int(table.frame[FAILED].notna().sum())
@@ -165,6 +171,39 @@ def raw_table(key: str, table: RunTable, keys: Sequence[str], title: str = "Raw 
         for row in table.frame[[*chosen, FAILED]].itertuples(index=False, name=None)
     )
     return ResultTable(key, title, tuple(columns), rows, raw=True)
+
+
+def summary_table(key: str, table: RunTable, metrics: Sequence[str], by: Sequence[str]) -> ResultTable:
+    """One row for each group of runs: how many, how many failed, and each metric's mean, spread and interval.
+
+    Failed runs have no part in a mean; their number stands beside it.
+    """
+    columns = [_table_column(table.column(name)) for name in by]
+    columns += [TableColumn("runs", "Runs"), TableColumn("failed", "Failed")]
+    for metric in metrics:
+        column = table.column(metric)
+        for part, label in _SUMMARY.items():
+            columns.append(TableColumn(f"{metric}.{part}", f"{column.label} {label}", column.unit))
+    rows = []
+    for names, group in table.frame.groupby(list(by), sort=True, dropna=False):
+        failed = int(group[FAILED].notna().sum())
+        good = group[group[FAILED].isna()]
+        cells: list[Cell] = [*(plain_cell(name) for name in names), len(group), failed]
+        for metric in metrics:
+            cells += _summary_cells(summarise(number_column(good, metric)))
+        rows.append(tuple(cells))
+    return ResultTable(key, "Summary", tuple(columns), tuple(rows), caption=f"{table.rule.words} {_INTERVAL}")
+
+
+_SUMMARY = {"mean": "mean", "std": "std", "median": "median", "low": "95 % from", "high": "95 % to"}
+_INTERVAL = "95 %: bootstrap interval of the mean over runs; std with divisor n - 1."
+
+
+def _summary_cells(summary: Summary | None) -> list[Cell]:
+    if summary is None:
+        return [None] * len(_SUMMARY)
+    ends = (None, None) if summary.interval is None else (summary.interval.low, summary.interval.high)
+    return [summary.mean, summary.std, summary.median, *ends]
 
 
 def plain_cell(value: object) -> Cell:

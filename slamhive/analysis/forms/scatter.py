@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from slamhive.analysis.chart import Array, Axis, Chart, FailedRuns, Mark, Points
+from slamhive.analysis.chart import Axis, Chart, Mark, Points
 from slamhive.analysis.colours import algorithm_colours, dataset_markers
 from slamhive.analysis.forms.base import (
     FORMS,
@@ -18,10 +17,12 @@ from slamhive.analysis.forms.base import (
     axis_of,
     caption,
     excluded_without,
+    number_column,
     raw_table,
     require_runs,
     spans_decades,
 )
+from slamhive.analysis.forms.places import failed_marks, places_on
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
@@ -57,14 +58,14 @@ class Scatter(Form[ScatterOptions]):
         good = table.good()
         shown = good.dropna(subset=[x.key, y.key])
         x_axis = axis_of(
-            x, log=x.numeric and spans_decades(shown[x.key].to_numpy()), values=table.frame[x.key].dropna()
+            x, log=x.numeric and spans_decades(number_column(shown, x.key)), values=table.frame[x.key].dropna()
         )
         chart = Chart(
             key=f"scatter_{x.key}_{y.key}",
             title=options.title or f"{y.label} over {x.label}",
             x=x_axis,
-            y=axis_of(y, log=spans_decades(shown[y.key].to_numpy())),
-            marks=(*_points(shown, x_axis, x.key, y.key, table), *_failed(table, x_axis, x.key)),
+            y=axis_of(y, log=spans_decades(number_column(shown, y.key))),
+            marks=(*_points(shown, x_axis, x.key, y.key, table), *failed_marks(table, x_axis, x.key)),
             caption=caption(table, len(shown), protocol),
         )
         return FormResult(
@@ -84,31 +85,11 @@ def _points(shown: pd.DataFrame, axis: Axis, x: str, y: str, table: RunTable) ->
         yield Points(
             name=f"{algorithm} on {dataset}",
             x=places_on(axis, rows[x]),
-            y=rows[y].to_numpy(dtype=float),
+            y=number_column(rows, y),
             colour=colours[algorithm],
             marker=markers[dataset],
             runs=rows["run_id"].to_numpy(dtype=int),
         )
-
-
-def _failed(table: RunTable, axis: Axis, x: str) -> Iterator[Mark]:
-    """Failed runs at their place on x if they have one: a parameter they do have, a metric they do not."""
-    colours = algorithm_colours(table.frame["algorithm"])
-    for algorithm, rows in table.failed().groupby("algorithm", sort=True):
-        yield FailedRuns(
-            x=places_on(axis, rows[x]),
-            runs=rows["run_id"].to_numpy(dtype=int),
-            colour=colours[algorithm],
-            name=f"{algorithm}, failed",
-        )
-
-
-def places_on(axis: Axis, values: pd.Series) -> Array:
-    """Values as numbers; of categories, their positions (NaN where there is none)."""
-    if axis.categories is None:
-        return np.asarray(values, dtype=float)
-    position = {name: float(place) for place, name in enumerate(axis.categories)}
-    return np.array([position.get(str(value), np.nan) for value in values], dtype=float)
 
 
 FORMS.register(Scatter.key, Scatter())

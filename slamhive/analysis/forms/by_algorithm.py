@@ -1,0 +1,172 @@
+"""Accuracy by algorithm and dataset: mean and spread over all repeats, failures beside it, the best configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from slamhive.analysis.chart import Axis, Bars, Chart
+from slamhive.analysis.colours import algorithm_colours
+from slamhive.analysis.forms.base import (
+    FORMS,
+    Form,
+    FormData,
+    FormOptions,
+    caption,
+    number_column,
+    raw_table,
+    require_runs,
+    summary_table,
+)
+from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
+from slamhive.analysis.statistics import Summary, summarise
+from slamhive.analysis.table import FAILED, RunTable
+from slamhive.domain.metrics import Direction
+
+
+class ByAlgorithmOptions(FormOptions):
+    """``of`` chooses whether all runs count, or those of the configuration that is best on each dataset."""
+
+    metric: str = Field(default="ate.rmse", description="What is compared.")
+    of: Literal["average", "best"] = Field(
+        default="average", description="All configurations, or for each algorithm and dataset the best of them."
+    )
+
+
+class ByAlgorithm(Form[ByAlgorithmOptions]):
+    """The form ``by_algorithm``."""
+
+    key = "by_algorithm"
+    title = "By algorithm and dataset"
+    description = "Mean, spread and failures for each algorithm on each dataset; the table of the best."
+    options = ByAlgorithmOptions
+
+    def needs(self, options: ByAlgorithmOptions) -> frozenset[str]:
+        """The metric."""
+        return frozenset({options.metric})
+
+    def build(self, data: FormData, options: ByAlgorithmOptions) -> FormResult:
+        """Bars of means with spread, bars of failure rates, the table of best configurations."""
+        everything = data.table
+        require_runs(everything)
+        column = everything.numeric(options.metric, "a mean")
+        protocol = everything.one_protocol([options.metric])
+        chosen = best_configurations(everything, options.metric)
+        table = everything if options.of == "average" else everything.with_rows(_only(everything.frame, chosen))
+        x = Axis("Dataset", categories=tuple(sorted(everything.frame["dataset"].unique())))
+        shown = len(table.good().dropna(subset=[options.metric]))
+        which = "all configurations" if options.of == "average" else "the best configuration of each"
+        means = Chart(
+            key=f"by_algorithm_{options.metric}",
+            title=options.title or f"{column.label}, {which}",
+            x=x,
+            y=Axis(f"{column.label}, mean", column.unit),
+            marks=tuple(_means(table, options.metric, x)),
+            caption=caption(table, shown, protocol, "Bars: mean over runs; whiskers: one standard deviation."),
+        )
+        failures = Chart(
+            key="failure_rate",
+            title="Failed runs",
+            x=x,
+            y=Axis("Failed runs", "%"),
+            marks=tuple(_failure_rates(table, x)),
+            caption=caption(table, len(table.frame), protocol),
+        )
+        return FormResult(
+            charts=(means, failures),
+            tables=(
+                summary_table("by_algorithm", table, [options.metric], ["algorithm", "dataset"]),
+                _best_table(everything, options.metric, chosen),
+                raw_table("by_algorithm_raw", table, [options.metric]),
+            ),
+            runs=len(table.frame),
+            failed=len(table.failed()),
+            protocol=protocol,
+        )
+
+
+def best_configurations(table: RunTable, metric: str) -> dict[tuple[str, str], int]:
+    """{(algorithm, dataset): configuration} with the best mean; those with fewer failures come first.
+
+    A configuration that fails more often is not better, however well its other runs went.
+    """
+    sign = -1.0 if table.column(metric).direction is Direction.HIGHER else 1.0
+    best: dict[tuple[str, str], int] = {}
+    scores: dict[tuple[str, str], tuple[float, float]] = {}
+    grouped = table.frame.groupby(["algorithm", "dataset", "configuration_id"], sort=True)
+    for (algorithm, dataset, configuration), rows in grouped:
+        values = number_column(rows[rows[FAILED].isna()], metric)
+        values = values[np.isfinite(values)]
+        if not len(values):
+            continue
+        score = (float(rows[FAILED].notna().mean()), sign * float(values.mean()))
+        key = (str(algorithm), str(dataset))
+        if key not in scores or score < scores[key]:
+            scores[key], best[key] = score, int(configuration)
+    return best
+
+
+def _only(frame: pd.DataFrame, chosen: dict[tuple[str, str], int]) -> pd.DataFrame:
+    kept = [
+        chosen.get((row.algorithm, row.dataset)) == row.configuration_id
+        for row in frame[["algorithm", "dataset", "configuration_id"]].itertuples(index=False)
+    ]
+    return frame[kept]
+
+
+def _means(table: RunTable, metric: str, x: Axis) -> Iterator[Bars]:
+    colours = algorithm_colours(table.frame["algorithm"])
+    for algorithm, rows in table.frame.groupby("algorithm", sort=True):
+        found = [_summary(rows, name, metric) for name in x.categories or ()]
+        heights = np.array([np.nan if entry is None else entry.mean for entry in found])
+        spread = np.array([0.0 if entry is None or entry.std is None else entry.std for entry in found])
+        yield Bars(
+            name=str(algorithm),
+            heights=heights,
+            low=np.maximum(heights - spread, 0.0),
+            high=heights + spread,
+            colour=colours[str(algorithm)],
+            texts=tuple("" if entry is None else f"n = {entry.count}" for entry in found),
+        )
+
+
+def _summary(rows: pd.DataFrame, dataset: str, metric: str) -> Summary | None:
+    return summarise(number_column(rows[(rows["dataset"] == dataset) & rows[FAILED].isna()], metric))
+
+
+def _failure_rates(table: RunTable, x: Axis) -> Iterator[Bars]:
+    colours = algorithm_colours(table.frame["algorithm"])
+    for algorithm, rows in table.frame.groupby("algorithm", sort=True):
+        groups = [rows[rows["dataset"] == name] for name in x.categories or ()]
+        rates = [100 * float(group[FAILED].notna().mean()) if len(group) else np.nan for group in groups]
+        texts = [f"{group[FAILED].notna().sum()} of {len(group)}" if len(group) else "" for group in groups]
+        yield Bars(str(algorithm), np.array(rates), colour=colours[str(algorithm)], striped=True, texts=tuple(texts))
+
+
+def _best_table(table: RunTable, metric: str, chosen: dict[tuple[str, str], int]) -> ResultTable:
+    column = table.column(metric)
+    columns = (
+        TableColumn("algorithm", "Algorithm"),
+        TableColumn("dataset", "Dataset"),
+        TableColumn("configuration_id", "Best configuration"),
+        TableColumn("mean", f"{column.label} mean", column.unit),
+        TableColumn("std", f"{column.label} std", column.unit),
+        TableColumn("runs", "Runs"),
+        TableColumn("failed", "Failed"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for (algorithm, dataset), configuration in sorted(chosen.items()):
+        group = table.frame[(table.frame["configuration_id"] == configuration) & (table.frame["dataset"] == dataset)]
+        summary = summarise(number_column(group[group[FAILED].isna()], metric))
+        mean, std = (None, None) if summary is None else (summary.mean, summary.std)
+        failed = int(group[FAILED].notna().sum())
+        rows.append((algorithm, dataset, configuration, mean, std, len(group), failed))
+    note = "The configuration with the fewest failures on the dataset; of several, that with the best mean."
+    return ResultTable("best", "Best configurations", columns, tuple(rows), note)
+
+
+FORMS.register(ByAlgorithm.key, ByAlgorithm())

@@ -1,0 +1,190 @@
+"""Critical-difference diagram: mean ranks of competitors over datasets, and which cannot be told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from slamhive.analysis.chart import REFERENCE, Array, Axis, Chart, Labels, Mark, Segments
+from slamhive.analysis.forms.base import (
+    FORMS,
+    Form,
+    FormData,
+    FormOptions,
+    caption,
+    number_column,
+    raw_table,
+    require_runs,
+)
+from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
+from slamhive.analysis.statistics import RankTest, compare_means, rank_test
+from slamhive.analysis.table import FAILED, RunTable
+from slamhive.domain.metrics import Direction
+from slamhive.errors import InvalidInput
+
+_ROW = 0.32
+
+
+class CriticalDifferenceOptions(FormOptions):
+    """``of`` are the competitors, each dataset is one block."""
+
+    metric: str = Field(default="ate.rmse", description="What is ranked.")
+    of: Literal["algorithm", "configuration_id"] = Field(default="algorithm", description="Who competes.")
+    test: Literal["nemenyi", "wilcoxon-holm"] = Field(default="nemenyi", description="Test of pairs after Friedman's.")
+    significance: float = Field(default=0.05, gt=0, lt=0.5, description="Level of the tests.")
+
+
+class CriticalDifference(Form[CriticalDifferenceOptions]):
+    """The form ``critical_difference``."""
+
+    key = "critical_difference"
+    title = "Critical differences"
+    description = "Friedman's test over datasets, mean ranks, who cannot be told apart, and the repeats that would."
+    options = CriticalDifferenceOptions
+
+    def needs(self, options: CriticalDifferenceOptions) -> frozenset[str]:
+        """The metric."""
+        return frozenset({options.metric})
+
+    def build(self, data: FormData, options: CriticalDifferenceOptions) -> FormResult:
+        """The diagram, the table of pairs with the repeats that would decide, the raw data."""
+        table = data.table
+        require_runs(table)
+        column = table.numeric(options.metric, "a rank")
+        if column.direction is Direction.NEUTRAL:
+            raise InvalidInput(f"{column.key!r} has no better end", "choose a metric of which less or more is better")
+        protocol = table.one_protocol([column.key])
+        names, blocks, scores = _scores(table, options.metric, options.of)
+        test = rank_test(scores, options.test, options.significance)
+        words = "Nemenyi" if options.test == "nemenyi" else "Wilcoxon-Holm"
+        chart = Chart(
+            key=f"critical_difference_{column.key}",
+            title=options.title or f"Ranks by {column.label} over {len(blocks)} datasets",
+            x=Axis("mean rank (1 is best)"),
+            y=Axis(""),
+            marks=tuple(_diagram(names, test)),
+            caption=caption(
+                table,
+                len(table.frame),
+                protocol,
+                f"Friedman p = {test.p_value:.3g} over {len(blocks)} datasets; bars join those that {words} does not "
+                f"tell apart at {options.significance:g}. All repeats of a dataset count by their mean; a competitor "
+                "none of whose runs was good on a dataset has the last rank there.",
+            ),
+            bare=True,
+            height=0.5 + 0.07 * len(names),
+        )
+        return FormResult(
+            charts=(chart,),
+            tables=(
+                _pairs(names, test, table, options),
+                raw_table("critical_difference_raw", table, [column.key]),
+            ),
+            runs=len(table.frame),
+            failed=len(table.failed()),
+            protocol=protocol,
+        )
+
+
+def _scores(table: RunTable, metric: str, of: str) -> tuple[list[str], list[str], Array]:
+    """Competitors, datasets, and the costs (datasets, competitors): means of good runs, worse than all if none was.
+
+    Only datasets on which every competitor was run take part.
+    """
+    sign = -1.0 if table.column(metric).direction is Direction.HIGHER else 1.0
+    runs = table.frame.pivot_table(index="dataset", columns=of, values="run_id", aggfunc="size")
+    runs = runs.dropna(axis=0)
+    if runs.empty:
+        raise InvalidInput(f"no dataset was run by every {of} of the selection", "narrow the selection to a full grid")
+    good = table.good()
+    means = good.pivot_table(index="dataset", columns=of, values=metric, aggfunc="mean")
+    means = sign * means.reindex(index=runs.index, columns=runs.columns)
+    worst = means.max(axis=1).fillna(0.0) + 1.0
+    filled = means.apply(lambda values: values.fillna(worst), axis=0)
+    return [str(name) for name in filled.columns], [str(name) for name in filled.index], filled.to_numpy(dtype=float)
+
+
+def _diagram(names: list[str], test: RankTest) -> Iterator[Mark]:
+    """After Demsar (2006), figure 1: the better half labelled on the left, the others on the right."""
+    order = np.argsort(test.mean_ranks, kind="stable")
+    count = len(names)
+    ticks = np.arange(1, count + 1, dtype=float)
+    yield _strokes([1.0], [0.0], [float(count)], [0.0])
+    yield _strokes(ticks, np.zeros(count), ticks, np.full(count, 0.12))
+    yield Labels(ticks, np.full(count, 0.15), tuple(f"{tick:g}" for tick in ticks), anchor="centre")
+    half = (count + 1) // 2
+    cliques = test.cliques()
+    below = -_ROW * (len(cliques) * 0.5 + 0.6)
+    for place, competitor in enumerate(order):
+        rank = float(test.mean_ranks[competitor])
+        left = place < half
+        row = place if left else count - 1 - place
+        height = below - _ROW * row
+        end = 0.7 if left else count + 0.3
+        yield _strokes([rank, rank], [0.0, height], [rank, end], [height, height])
+        text = f"{names[competitor]} ({rank:.2f})"
+        yield Labels(np.array([end]), np.array([height]), (text,), anchor="right" if left else "left")
+    for level, clique in enumerate(cliques):
+        ranks = test.mean_ranks[list(clique)]
+        height = -_ROW * 0.5 * (level + 0.7)
+        yield _strokes([ranks.min() - 0.03], [height], [ranks.max() + 0.03], [height], width=4.0)
+    if test.critical_difference is not None:
+        yield _strokes([1.0], [0.55], [1.0 + test.critical_difference], [0.55], width=2.5)
+        middle = np.array([1.0 + test.critical_difference / 2])
+        yield Labels(middle, np.array([0.6]), (f"critical difference {test.critical_difference:.2f}",), "centre")
+
+
+def _strokes(x0: object, y0: object, x1: object, y1: object, width: float = 1.2) -> Segments:
+    from_x, from_y, to_x, to_y = (np.asarray(part, dtype=float) for part in (x0, y0, x1, y1))
+    return Segments(from_x, from_y, to_x, to_y, colour=REFERENCE, width=width)
+
+
+def _pairs(names: list[str], test: RankTest, table: RunTable, options: CriticalDifferenceOptions) -> ResultTable:
+    """Each pair: whether the ranks tell them apart, and on how many datasets repeats do or how many more would."""
+    columns = (
+        TableColumn("first", "First"),
+        TableColumn("second", "Second"),
+        TableColumn("p", "p, corrected"),
+        TableColumn("told_apart", "Told apart by ranks"),
+        TableColumn("decided", "Datasets decided by repeats"),
+        TableColumn("undecided", "Datasets undecided"),
+        TableColumn("repeats", "Repeats that would decide all"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for (first, second), p_value in sorted(test.pairs.items()):
+        decided, undecided, repeats = _repeats(table, options, names[first], names[second])
+        apart = "no" if test.same(first, second) else "yes"
+        rows.append((names[first], names[second], p_value, apart, decided, undecided, repeats))
+    note = "Repeats: Welch's 95 % interval of the difference of means on each dataset, at the spread seen so far."
+    return ResultTable("pairs", "Pairs", columns, tuple(rows), note)
+
+
+def _repeats(
+    table: RunTable, options: CriticalDifferenceOptions, first: str, second: str
+) -> tuple[int, int, int | None]:
+    decided = undecided = 0
+    most: int | None = None
+    good = table.frame[table.frame[FAILED].isna()]
+    for _, rows in good.groupby("dataset", sort=True):
+        groups = [_values(rows, options, name) for name in (first, second)]
+        if min(map(len, groups)) < 2:
+            undecided += 1
+            continue
+        comparison = compare_means(groups[0], groups[1])
+        decided += comparison.decided
+        undecided += not comparison.decided
+        if comparison.repeats_to_decide is not None:
+            most = max(most or 0, comparison.repeats_to_decide)
+    return decided, undecided, most
+
+
+def _values(rows: pd.DataFrame, options: CriticalDifferenceOptions, name: str) -> Array:
+    values = number_column(rows[rows[options.of].astype(str) == name], options.metric)
+    return values[np.isfinite(values)]
+
+
+FORMS.register(CriticalDifference.key, CriticalDifference())

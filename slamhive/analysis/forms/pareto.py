@@ -1,0 +1,189 @@
+"""The Pareto front: configurations that no other beats in all of several metrics at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+from pydantic import Field, model_validator
+
+from slamhive.analysis.chart import REFERENCE, Array, Chart, Line, Points
+from slamhive.analysis.colours import algorithm_colours, dataset_markers
+from slamhive.analysis.forms.base import (
+    FORMS,
+    Form,
+    FormData,
+    FormOptions,
+    axis_of,
+    caption,
+    number_column,
+    plain_cell,
+    raw_table,
+    require_runs,
+    spans_decades,
+)
+from slamhive.analysis.result import FormResult, ResultTable, TableColumn
+from slamhive.analysis.table import FAILED, RunTable
+from slamhive.catalogue.validation import explained
+from slamhive.domain.metrics import Direction
+from slamhive.errors import InvalidInput
+
+
+class ParetoOptions(FormOptions):
+    """Two metrics give the figure; more may take part in what beats what."""
+
+    metrics: list[str] = Field(
+        default_factory=lambda: ["cpu.mean", "ate.rmse"],
+        min_length=2,
+        max_length=6,
+        description="What is traded off: the first is the x axis, the second the y axis, all count.",
+    )
+
+    @model_validator(mode="after")
+    def _distinct(self) -> ParetoOptions:
+        if len(set(self.metrics)) < len(self.metrics):
+            raise explained(InvalidInput(f"a metric is named twice in {self.metrics}"))
+        return self
+
+
+class Pareto(Form[ParetoOptions]):
+    """The form ``pareto``."""
+
+    key = "pareto"
+    title = "Pareto front"
+    description = "Accuracy against CPU, memory or latency: the configurations that nothing beats in all of them."
+    options = ParetoOptions
+
+    def needs(self, options: ParetoOptions) -> frozenset[str]:
+        """The metrics."""
+        return frozenset(options.metrics)
+
+    def build(self, data: FormData, options: ParetoOptions) -> FormResult:
+        """The scatter of configurations with the front as a line, the table of the front, the raw data."""
+        table = data.table
+        require_runs(table)
+        columns = [table.numeric(key, "a trade-off") for key in options.metrics]
+        neutral = [column.key for column in columns if column.direction is Direction.NEUTRAL]
+        if neutral:
+            raise InvalidInput(f"{neutral[0]!r} has no better end", "choose metrics of which less or more is better")
+        protocol = table.one_protocol(options.metrics)
+        means = configuration_means(table, options.metrics)
+        if means.empty:
+            raise InvalidInput(
+                f"no selected run has all of {', '.join(options.metrics)}", "choose metrics that were measured"
+            )
+        signs = np.array([-1.0 if column.direction is Direction.HIGHER else 1.0 for column in columns])
+        front = fronts_by_dataset(means, options.metrics, signs)
+        x, y = columns[0], columns[1]
+        chart = Chart(
+            key=f"pareto_{'_'.join(options.metrics)}",
+            title=options.title or f"{y.label} against {x.label}",
+            x=axis_of(x, log=spans_decades(number_column(means, x.key))),
+            y=axis_of(y, log=spans_decades(number_column(means, y.key))),
+            marks=(*_points(means, options.metrics, table), *_front(means[front], x.key, y.key, len(options.metrics))),
+            caption=caption(
+                table,
+                int(means["good"].sum()),
+                protocol,
+                f"One point for each of {len(means)} configurations and datasets (mean over its good runs); "
+                f"{int(front.sum())} are beaten by none of their dataset in "
+                f"{', '.join(column.label for column in columns)}.",
+            ),
+        )
+        return FormResult(
+            charts=(chart,),
+            tables=(
+                _front_table(means[front], table, options.metrics),
+                raw_table("pareto_raw", table, options.metrics),
+            ),
+            runs=len(table.frame),
+            failed=len(table.failed()),
+            protocol=protocol,
+        )
+
+
+def configuration_means(table: RunTable, metrics: list[str]) -> pd.DataFrame:
+    """One row for each configuration and dataset with all metrics: means over its good runs, runs, failures."""
+    keys = ["algorithm", "dataset", "configuration_id"]
+    good = table.good().dropna(subset=metrics)
+    means = good.groupby(keys, sort=True)[metrics].mean()
+    means["good"] = good.groupby(keys, sort=True).size()
+    counts = table.frame.groupby(keys, sort=True)[FAILED].agg(["size", "count"])
+    joined = means.join(counts.rename(columns={"size": "runs", "count": "failed"}))
+    return joined.reset_index()
+
+
+def pareto_front(costs: Array) -> Array:
+    """Which rows no other row beats: (n,) bool.
+
+    A row beats another if it is nowhere worse and somewhere better (V. Pareto; dominance as in K. Deb, 2001).
+
+    Args:
+        costs: (n, metrics), lower is better, finite.
+    """
+    order = np.lexsort(costs.T[::-1])
+    front = np.zeros(len(costs), dtype=bool)
+    kept = np.empty((0, costs.shape[1]))
+    for place in order:
+        row = costs[place]
+        beaten = np.any(np.all(kept <= row, axis=1) & np.any(kept < row, axis=1))
+        if not beaten:
+            front[place] = True
+            kept = np.vstack([kept, row])
+    return front
+
+
+def fronts_by_dataset(means: pd.DataFrame, metrics: list[str], signs: Array) -> Array:
+    """Which rows are on the front of their dataset: an easy sequence says nothing about who is better on a hard one."""
+    front = np.zeros(len(means), dtype=bool)
+    datasets = means["dataset"].to_numpy()
+    costs = means[metrics].to_numpy(dtype=float) * signs
+    for dataset in set(datasets):
+        rows = np.flatnonzero(datasets == dataset)
+        front[rows[pareto_front(costs[rows])]] = True
+    return front
+
+
+def _points(means: pd.DataFrame, metrics: list[str], table: RunTable) -> Iterator[Points]:
+    colours = algorithm_colours(table.frame["algorithm"])
+    markers = dataset_markers(table.frame["dataset"])
+    for (algorithm, dataset), rows in means.groupby(["algorithm", "dataset"], sort=True):
+        yield Points(
+            name=f"{algorithm} on {dataset}",
+            x=number_column(rows, metrics[0]),
+            y=number_column(rows, metrics[1]),
+            colour=colours[str(algorithm)],
+            marker=markers[str(dataset)],
+            texts=tuple(
+                f"configuration {row.configuration_id}: {row.good} good of {row.runs} runs"
+                for row in rows.itertuples(index=False)
+            ),
+        )
+
+
+def _front(front: pd.DataFrame, x: str, y: str, metrics: int) -> Iterator[Line]:
+    """The front of each dataset as a line; with a third metric its points do not lie on one, and none is drawn."""
+    if metrics > 2:
+        return
+    for dataset, rows in front.groupby("dataset", sort=True):
+        ordered = rows.sort_values(x)
+        places = number_column(ordered, x), number_column(ordered, y)
+        yield Line(f"front on {dataset}", *places, colour=REFERENCE, dashed=True)
+
+
+def _front_table(front: pd.DataFrame, table: RunTable, metrics: list[str]) -> ResultTable:
+    columns = [
+        TableColumn("algorithm", "Algorithm"),
+        TableColumn("dataset", "Dataset"),
+        TableColumn("configuration_id", "Configuration"),
+        *(TableColumn(key, f"{table.column(key).label} mean", table.column(key).unit) for key in metrics),
+        TableColumn("runs", "Runs"),
+        TableColumn("failed", "Failed"),
+    ]
+    chosen = front[[column.key for column in columns]].sort_values(metrics[0])
+    rows = tuple(tuple(map(plain_cell, row)) for row in chosen.itertuples(index=False, name=None))
+    return ResultTable("pareto", "Configurations on the front", tuple(columns), rows)
+
+
+FORMS.register(Pareto.key, Pareto())

@@ -1,0 +1,149 @@
+"""Every form over the table of a sweep: it draws on screen and paper, counts failures, refuses what does not fit."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from slamhive.analysis.analysis_file import parse_analysis
+from slamhive.analysis.chart import Bars, Cells, FailedRuns, Line
+from slamhive.analysis.forms.pareto import pareto_front
+from slamhive.analysis.plotly_chart import plotly_figure
+from slamhive.analysis.print_chart import FORMATS, print_chart
+from slamhive.analysis.result import FormResult
+from slamhive.analysis.table import FailureRule
+from slamhive.errors import InvalidInput, NotFound
+from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, REPEATS, SCALES, data_of, sweep_table
+
+pytestmark = pytest.mark.integration
+
+RUNS = len(ALGORITHMS) * len(DATASETS) * len(RATES) * len(SCALES) * REPEATS
+FAILED = len(DATASETS) * len(SCALES) * REPEATS
+
+FORMS = {
+    "scatter": "x: image_rate, y: ate.rmse",
+    "scatter_3d": "x: image_rate, y: scale, z: ate.rmse",
+    "distributions": "metrics: [ate.rmse, cpu.mean]",
+    "by_algorithm": "of: best",
+    "heatmap": "x: image_rate, y: scale",
+    "line": "x: image_rate",
+    "pareto": "metrics: [cpu.mean, ate.rmse]",
+    "critical_difference": "test: nemenyi",
+}
+
+
+def build(options: str, **table) -> FormResult:
+    """The form that ``form: NAME, ...`` states, over the sweep."""
+    analysis = parse_analysis(f"name: t\nselect: {{a: {{runs: [1]}}}}\nforms:\n- {{{options}}}\n")
+    (request,) = analysis.forms
+    return request.form.build(data_of(sweep_table(**table)), request.options)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_draws_and_counts(form):
+    result = build(f"form: {form}, {FORMS[form]}")
+    assert result.charts
+    assert result.failed <= FAILED
+    for chart in result.charts:
+        assert "A run counts as failed if" in chart.caption
+        figure = json.loads(json.dumps(plotly_figure(chart), allow_nan=False))
+        assert figure["data"]
+    for file_format in FORMATS:
+        assert len(print_chart(result.charts[0], file_format)) > 1000
+    assert any(table.raw and len(table.rows) for table in result.tables)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_an_empty_selection_is_told(form):
+    analysis = parse_analysis(f"name: t\nselect: {{a: {{runs: [1]}}}}\nforms:\n- {{form: {form}, {FORMS[form]}}}\n")
+    (request,) = analysis.forms
+    table = sweep_table()
+    empty = data_of(table.with_rows(table.frame.iloc[:0]))
+    with pytest.raises(InvalidInput, match="holds no run"):
+        request.form.build(empty, request.options)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ("form: scatter, x: image_rat, y: ate.rmse", NotFound, "did you mean 'image_rate'"),
+        ("form: scatter, x: image_rate, y: algorithm", InvalidInput, "the y axis needs numbers, 'algorithm' holds"),
+        ("form: scatter, x: scale, y: scale", InvalidInput, "x and y are both 'scale'"),
+        ("form: heatmap, x: run_id, y: scale", InvalidInput, "'run_id' has 360 values"),
+        ("form: pareto, metrics: [ate.rmse, image_rate]", InvalidInput, "'image_rate' has no better end"),
+        ("form: pareto, metrics: [ate.rmse, ate.rmse]", InvalidInput, "named twice"),
+        ("form: line, x: dataset", InvalidInput, "the x axis needs numbers"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(options, error, words):
+    with pytest.raises(error, match=words) as refusal:
+        build(options)
+    assert "\n" not in str(refusal.value)
+
+
+def test_protocols_are_never_mixed():
+    labels = ["SE(3)", "Sim(3)"] * (RUNS // 2)
+    fingerprints = ["aaaaaaaaaaaa", "bbbbbbbbbbbb"] * (RUNS // 2)
+    with pytest.raises(InvalidInput, match="2 protocols, which are never mixed"):
+        build("form: line, x: image_rate", protocol=fingerprints, protocol_label=labels)
+    mixed = build("form: line, x: image_rate, metric: cpu.mean", protocol=fingerprints, protocol_label=labels)
+    assert mixed.protocol is None
+
+
+def test_the_same_chart_gives_the_same_file():
+    (chart,) = build("form: line, x: image_rate").charts
+    assert print_chart(chart, "svg") == print_chart(chart, "svg")
+
+
+def test_failed_runs_are_drawn_apart_at_their_place():
+    (chart,) = build("form: scatter, x: image_rate, y: ate.rmse").charts
+    (failed,) = [mark for mark in chart.marks if isinstance(mark, FailedRuns)]
+    assert set(failed.x) == {1.0}
+    assert len(failed.x) == FAILED
+    assert f"n = {RUNS - FAILED} of {RUNS} runs, {FAILED} failed." in chart.caption
+
+
+def test_the_rule_of_failures_is_one_and_stated():
+    strict = build("form: scatter, x: image_rate, y: ate.rmse", rule=FailureRule(ate_rmse_above_m=0.1))
+    assert strict.failed > FAILED
+    assert "ATE RMSE above 0.1 m" in strict.charts[0].caption
+
+
+def test_all_repeats_count():
+    (chart,) = build("form: line, x: image_rate, metric: cpu.mean").charts
+    line = next(mark for mark in chart.marks if isinstance(mark, Line))
+    table = sweep_table().good()
+    rows = table[(table["algorithm"] == "kiss-icp") & (table["dataset"] == "kitti_06")]
+    expected = rows.groupby("image_rate")["cpu.mean"].mean()
+    assert line.x.tolist() == expected.index.tolist()
+    assert line.y.tolist() == pytest.approx(expected.tolist())
+
+
+def test_cells_without_a_good_run_are_empty_and_say_so():
+    result = build("form: heatmap, x: image_rate, y: scale")
+    chart = next(chart for chart in result.charts if "orb" in chart.title)
+    (cells,) = (mark for mark in chart.marks if isinstance(mark, Cells))
+    assert np.isnan(cells.values[:, 0]).all()
+    assert {text for row in cells.texts for text in row[:1]} == {"6 of 6 failed"}
+
+
+def test_failure_rates_stand_beside_the_means():
+    result = build("form: by_algorithm")
+    rates = {mark.name: mark.heights for mark in result.charts[1].marks if isinstance(mark, Bars)}
+    assert rates["orb-slam3-stereo"].tolist() == pytest.approx([20.0] * len(DATASETS))
+    assert rates["kiss-icp"].tolist() == [0.0] * len(DATASETS)
+
+
+def test_the_front_is_what_nothing_beats():
+    costs = np.array([[1.0, 5.0], [2.0, 3.0], [2.0, 3.0], [3.0, 4.0], [4.0, 1.0], [1.0, 6.0]])
+    assert pareto_front(costs).tolist() == [True, True, True, False, True, False]
+
+
+def test_hostile_names_are_escaped():
+    names = ["<img src=x onerror=alert(1)>%{x}"] * RUNS
+    result = build("form: scatter, x: image_rate, y: ate.rmse", dataset=names)
+    text = json.dumps(plotly_figure(result.charts[0]))
+    assert "<img" not in text
+    assert b"<img" not in print_chart(result.charts[0], "svg")
