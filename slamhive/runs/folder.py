@@ -14,6 +14,8 @@ from typing import Any
 from slamhive.errors import InvalidInput, NotFound, Unavailable
 from slamhive.files import write_aside
 
+_FINGERPRINT_CHARACTERS = 32
+
 
 @dataclass(frozen=True, slots=True)
 class RunFolder:
@@ -100,6 +102,11 @@ class RunFolder:
         """The folder of the evaluation under the protocol with this fingerprint."""
         return self.root / "evaluations" / fingerprint
 
+    @property
+    def current_protocol(self) -> Path:
+        """``evaluations/current``: the fingerprint of the protocol whose figures are shown for the run."""
+        return self.root / "evaluations" / "current"
+
     def create(self) -> None:
         """Make the folders; fine if they exist. Raises Unavailable if the disk refuses."""
         try:
@@ -111,6 +118,17 @@ class RunFolder:
     def write_record(self, record: dict[str, Any]) -> None:
         """Replace ``run.json`` in one step."""
         write_aside(self.record, json.dumps(record, indent=1, allow_nan=False) + "\n")
+
+    def write_current_protocol(self, fingerprint: str) -> None:
+        """Replace ``evaluations/current`` in one step."""
+        write_aside(self.current_protocol, fingerprint + "\n")
+
+    def read_current_protocol(self) -> str | None:
+        """The fingerprint in ``evaluations/current``; None if there is none that can be read."""
+        try:
+            return self.current_protocol.read_text(encoding="utf-8")[:_FINGERPRINT_CHARACTERS].strip()
+        except (OSError, UnicodeDecodeError):
+            return None
 
     def read_record(self) -> dict[str, Any]:
         """The content of ``run.json``; raises NotFound or InvalidInput."""

@@ -11,15 +11,16 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 
 from slamhive.domain.protocol import Protocol
+from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.domain.sensors import Matrix4
-from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask, failed_result
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.services.catalogue import Catalogue
 from slamhive.services.driver_context import utc_now
-from slamhive.services.request import protocol_for
+from slamhive.services.protocols import fitting_protocol, reference_path
 from slamhive.settings import Settings
 from slamhive.store.records import EvaluationRecord, LeaseLost, RunRecord
 from slamhive.store.store import Store
@@ -57,19 +58,19 @@ class Evaluations:
     def queue(
         self,
         run_ids: Iterable[int],
-        alignment: str | None = None,
+        asked: ProtocolRequest | None = None,
         artefacts: Artefacts = Artefacts.FILES,
     ) -> list[int]:
         """Queue an evaluation of each run; their ids.
 
-        ``alignment`` None means the one that the run was submitted with, or else the one its sensors deserve.
+        ``asked`` None means the protocol that the run was submitted with, or else the one its sensors deserve.
         Raises NotFound for an unknown run or algorithm, Conflict for a run that did not succeed; nothing is queued
         then.
         """
         runs = self._store.read(lambda t: t.runs.get_many(run_ids))
         by_protocol: dict[Protocol, list[int]] = defaultdict(list)
         for run in runs:
-            by_protocol[self.protocol_of(run, alignment)].append(run.id)
+            by_protocol[self.protocol_of(run, asked)].append(run.id)
         now = utc_now()
         return self._store.write(
             lambda t: [
@@ -132,7 +133,9 @@ class Evaluations:
             entry = by_id[result.id]
             now = utc_now()
             try:
-                self._store.write(lambda t: t.evaluations.finish(entry.id, owner, result, now))
+                first = self._store.write(lambda t: t.evaluations.finish(entry.id, owner, result, now))
+                if first:
+                    self._folder(entry.run_id).write_current_protocol(result.fingerprint)
             except LeaseLost as error:
                 logger.warning("%s", error)
             if result.reason is not None:
@@ -189,10 +192,8 @@ class Evaluations:
 
     def _task(self, entry: EvaluationRecord, run: RunRecord) -> EvaluationTask:
         dataset = self._catalogue.dataset(run.dataset)
-        reference = dataset.groundtruth_path
-        if reference is None:
-            raise InvalidInput(f"dataset {dataset.name} has no ground truth", "its trajectory is in the run folder")
-        folder = RunFolder(self._settings.runs_folder / str(run.id))
+        reference = reference_path(dataset, entry.protocol)
+        folder = self._folder(run.id)
         output = folder.evaluation(entry.protocol.fingerprint)
         try:
             output.mkdir(parents=True, exist_ok=True)
@@ -207,19 +208,23 @@ class Evaluations:
             protocol=entry.protocol,
             T_body_sensor=self._trajectory_frame(run),
             artefacts=entry.artefacts,
+            positions_only=dataset.groundtruth is not None and dataset.groundtruth.positions_only,
         )
+
+    def _folder(self, run_id: int) -> RunFolder:
+        return RunFolder(self._settings.runs_folder / str(run_id))
 
     def _trajectory_frame(self, run: RunRecord) -> Matrix4:
         """The pose, in the body frame, of the sensor whose poses the trajectory holds."""
         algorithm = self._catalogue.algorithm(run.algorithm)
         return algorithm.assign(self._catalogue.dataset(run.dataset))[algorithm.trajectory_role].T_body_sensor
 
-    def protocol_of(self, run: RunRecord, alignment: str | None = None) -> Protocol:
+    def protocol_of(self, run: RunRecord, asked: ProtocolRequest | None = None) -> Protocol:
         """The protocol to evaluate ``run`` under: as asked for, as submitted, or as its sensors deserve."""
-        if alignment is None and run.protocol_override is not None:
+        if asked is None and run.protocol_override is not None:
             return run.protocol_override
         algorithm = self._catalogue.algorithm(run.algorithm)
-        return protocol_for(algorithm, self._catalogue.dataset(run.dataset), self._settings, alignment)
+        return fitting_protocol(algorithm, self._catalogue.dataset(run.dataset), self._settings, asked)
 
     def _heartbeat(self, owner: str, evaluation_ids: list[int], ends: threading.Event) -> None:
         while not ends.wait(self._settings.lease_s / 3):

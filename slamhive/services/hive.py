@@ -17,12 +17,15 @@ from slamhive.executors.registry import AUTO, ExecutorContext, choose_executor, 
 from slamhive.project import project_root
 from slamhive.runs.folder import RunFolder
 from slamhive.services.catalogue import Catalogue, check_writable
+from slamhive.services.comparisons import Comparisons
 from slamhive.services.configurations import Configurations
+from slamhive.services.current_protocols import CurrentProtocols
 from slamhive.services.driver_context import utc_now
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.lock import WorkerLock
 from slamhive.services.preparation import check_disk, check_recording
 from slamhive.services.progress import RunProgress, run_progress
+from slamhive.services.protocols import Protocols
 from slamhive.services.record import handle_from_json
 from slamhive.services.request import Submission, protocol_for
 from slamhive.services.series import RunSeries, run_series
@@ -62,6 +65,7 @@ class Hive:
         self._executors: dict[str, Executor] = {}
         self.variants = Variants(settings, store)
         self.configurations = Configurations(settings, store, catalogue, self.variants)
+        self.protocols = Protocols(store)
         self.evaluations_service = Evaluations(settings, store, catalogue, self._evaluation_runner)
 
     # -- asking for runs -------------------------------------------------------------------------------------------
@@ -212,17 +216,31 @@ class Hive:
     def queue_evaluations(
         self,
         run_ids: Sequence[int] | None = None,
-        alignment: str | None = None,
+        protocol: str | None = None,
         artefacts: Artefacts = Artefacts.FILES,
     ) -> int:
-        """Queue evaluations of these runs, or of all that have none; how many."""
+        """Queue evaluations of these runs, or of all that have none; how many.
+
+        ``protocol`` is the name of one, None for that of the runs.
+        """
         self.check_writable()
+        asked = None if protocol is None else self.protocols.named(protocol)
         wanted = self.evaluations_service.unevaluated() if run_ids is None else run_ids
-        return len(self.evaluations_service.queue(wanted, alignment, artefacts))
+        return len(self.evaluations_service.queue(wanted, asked, artefacts))
 
     def unevaluated(self) -> int:
         """How many runs succeeded and have no evaluation yet."""
         return len(self.evaluations_service.unevaluated())
+
+    @property
+    def current_protocols(self) -> CurrentProtocols:
+        """Which protocol's figures are shown."""
+        return CurrentProtocols(self.store, self.evaluations_service, self.settings.runs_folder)
+
+    @property
+    def comparisons(self) -> Comparisons:
+        """Runs the way published tools count."""
+        return Comparisons(self.store, self.evaluations_service, self.settings.runs_folder)
 
     # -- machinery -------------------------------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -88,6 +88,9 @@ def _file_run(hive: Hive, folder: RunFolder) -> int:
     def write_evaluations(transaction: Transaction) -> None:
         for protocol, result, at in evaluations:
             transaction.evaluations.record(int(record["id"]), protocol, result, at, Artefacts.FILES)
+        current = _current(folder, [result for _, result, _ in evaluations])
+        if current is not None:
+            transaction.evaluations.use([int(record["id"])], current)
 
     try:
         hive.store.write(lambda t: _write(t, hive, record, filed))
@@ -162,6 +165,15 @@ def _evaluations(folder: RunFolder) -> list[tuple[Protocol, EvaluationResult, da
             continue
         found.append((protocol, result, _modified(path)))
     return found
+
+
+def _current(folder: RunFolder, results: Iterable[EvaluationResult]) -> str | None:
+    """The protocol that was chosen for the run, or, in folders that do not say, the latest that has figures."""
+    succeeded = [result.fingerprint for result in results if result.succeeded]
+    chosen = folder.read_current_protocol()
+    if chosen in succeeded:
+        return chosen
+    return succeeded[-1] if succeeded else None
 
 
 def _modified(path: Path) -> datetime:

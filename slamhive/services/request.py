@@ -9,9 +9,11 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import parse_settings
-from slamhive.domain.protocol import Alignment, Protocol, default_alignment
+from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput
+from slamhive.services.protocols import fitting_protocol
 from slamhive.settings import Settings
 
 
@@ -100,16 +102,6 @@ class Submission:
 
 
 def protocol_for(algorithm: Algorithm, dataset: Dataset, settings: Settings, alignment: str | None) -> Protocol:
-    """The protocol a run is evaluated under: the alignment asked for, or the one that the sensors deserve."""
-    gravity_aligned = dataset.groundtruth is not None and dataset.groundtruth.gravity_aligned
-    chosen = Alignment(alignment) if alignment else default_alignment(algorithm.setup, gravity_aligned=gravity_aligned)
-    if chosen is Alignment.YAW_POSITION and not gravity_aligned:
-        raise InvalidInput(
-            f"yaw + position alignment needs a ground truth whose z axis points up; that of {dataset.name} does not",
-            "use se3",
-        )
-    return Protocol(
-        alignment=chosen,
-        association_tolerance_s=settings.association_tolerance_s,
-        gap_threshold_s=settings.gap_threshold_s,
-    )
+    """The protocol that runs are submitted with: the alignment asked for, or the one that the sensors deserve."""
+    asked = None if alignment is None else ProtocolRequest({"alignment": alignment})
+    return fitting_protocol(algorithm, dataset, settings, asked)

@@ -15,7 +15,7 @@ from slamhive.errors import Conflict, NotFound
 from slamhive.evaluation.job import Artefacts, EvaluationResult
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.metrics import MetricRepository
-from slamhive.store.models import Evaluation, Protocol, Run
+from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, Protocol, Run
 from slamhive.store.records import EvaluationRecord, EvaluationState, LeaseLost
 from slamhive.store.rows import changed, chunks, cut, get_or_insert, lease
 
@@ -95,21 +95,60 @@ class EvaluationRepository:
         held = [_TABLE.c.lease_owner == owner, _TABLE.c.state == EvaluationState.RUNNING]
         self._session.execute(update(_TABLE).where(*held).values(values))
 
-    def finish(self, evaluation_id: int, owner: str, result: EvaluationResult, now: datetime) -> None:
-        """File what came out. Success stores the figures and makes the protocol the run's current one.
+    def finish(self, evaluation_id: int, owner: str, result: EvaluationResult, now: datetime) -> bool:
+        """File what came out; success stores the figures.
 
-        The same call again is fine. Raises LeaseLost if another worker holds the evaluation by now.
+        Returns whether the protocol has become the run's current one: that of its first success, until another is
+        chosen with :meth:`use`. The same call again is fine. Raises LeaseLost if another worker holds the evaluation
+        by now.
         """
         row = self._session.execute(select(_TABLE).where(_TABLE.c.id == evaluation_id)).one_or_none()
         if row is None:
             raise NotFound(f"unknown evaluation {evaluation_id}")
         if row.ended_at == now and row.open is None:
-            return
+            return False
         held = [_TABLE.c.id == evaluation_id, _TABLE.c.state == EvaluationState.RUNNING, _TABLE.c.lease_owner == owner]
         if changed(self._session, update(_TABLE).where(*held).values(_ending(result, now))) != 1:
             raise LeaseLost(f"evaluation {evaluation_id} is {row.state}, held by {row.lease_owner or 'nobody'}")
-        if result.succeeded:
-            self._store_figures(row.run_id, row.protocol_id, result)
+        return result.succeeded and self._store_figures(row.run_id, row.protocol_id, result)
+
+    def use(self, run_ids: Iterable[int], fingerprint: str) -> None:
+        """Make a protocol the current one of these runs: the one whose figures lists, searches and pages show.
+
+        Raises NotFound for an unknown protocol or run, Conflict for a run without figures under it.
+        """
+        protocol_id = self._session.execute(
+            select(Protocol.id).where(Protocol.fingerprint == fingerprint, Protocol.id != MEASURED_PROTOCOL_ID)
+        ).scalar_one_or_none()
+        if protocol_id is None:
+            raise NotFound(f"unknown protocol {fingerprint!r}", "slamhive protocol list shows them")
+        wanted = list(dict.fromkeys(run_ids))
+        for part in chunks(wanted):
+            done = select(_TABLE.c.run_id).where(
+                _TABLE.c.run_id.in_(part),
+                _TABLE.c.protocol_id == protocol_id,
+                _TABLE.c.state == EvaluationState.SUCCEEDED,
+            )
+            found = set(self._session.execute(done).scalars())
+            lacking = next((run_id for run_id in part if run_id not in found), None)
+            if lacking is not None:
+                raise Conflict(f"run {lacking} has no figures under protocol {fingerprint}", "evaluate it first")
+            runs = Run.__table__
+            self._session.execute(update(runs).where(runs.c.id.in_(part)).values(current_protocol_id=protocol_id))
+            MetricRepository(self._session).follow_protocols(part)
+
+    def protocols(self) -> list[tuple[domain.Protocol, int]]:
+        """The protocols that runs have figures under, and of how many runs; the most used first."""
+        count = func.count(_TABLE.c.run_id.distinct())
+        query = (
+            select(Protocol.definition, count)
+            .join(_TABLE, _TABLE.c.protocol_id == Protocol.id)
+            .where(_TABLE.c.state == EvaluationState.SUCCEEDED)
+            .group_by(Protocol.id)
+            .order_by(count.desc(), Protocol.id)
+        )
+        rows = self._session.execute(query)
+        return [(domain.protocol_from_content(definition), runs) for definition, runs in rows]
 
     def record(
         self, run_id: int, protocol: domain.Protocol, result: EvaluationResult, at: datetime, artefacts: Artefacts
@@ -149,11 +188,14 @@ class EvaluationRepository:
         """All evaluations of one run, oldest first."""
         return self._records(_TABLE.c.run_id == run_id)
 
-    def _store_figures(self, run_id: int, protocol_id: int, result: EvaluationResult) -> None:
+    def _store_figures(self, run_id: int, protocol_id: int, result: EvaluationResult) -> bool:
+        """Whether the protocol has become the run's current one: only where it had none."""
         MetricRepository(self._session).replace(run_id, result.fingerprint, result.metrics)
-        current = update(Run.__table__).where(Run.__table__.c.id == run_id).values(current_protocol_id=protocol_id)
-        self._session.execute(current)
+        runs = Run.__table__
+        first = update(runs).where(runs.c.id == run_id, runs.c.current_protocol_id.is_(None))
+        became_current = changed(self._session, first.values(current_protocol_id=protocol_id)) == 1
         MetricRepository(self._session).follow_protocols([run_id])
+        return became_current
 
     def _check_succeeded(self, run_ids: list[int]) -> None:
         states: dict[int, RunState] = {}

@@ -61,15 +61,32 @@ def test_a_failed_evaluation_leaves_the_run_and_older_figures_alone(store: Store
     assert history[1].reason == "the ground truth does not overlap"
 
 
-def test_another_protocol_becomes_current_and_keeps_both_sets(store: Store, samples: Samples) -> None:
+def test_another_protocol_is_shown_only_once_it_is_chosen_and_both_sets_are_kept(
+    store: Store, samples: Samples
+) -> None:
     run_id = samples.run_in(RunState.SUCCEEDED)
     evaluate(store, run_id, result(ate_rmse=0.07))
     evaluate(store, run_id, result(SIM3, ate_rmse=0.05), SIM3)
+    assert store.read(lambda tx: tx.metrics.for_runs([run_id])) == {run_id: {"ate.rmse": 0.07}}
+    store.write(lambda tx: tx.evaluations.use([run_id], SIM3.fingerprint))
     assert store.read(lambda tx: tx.metrics.for_runs([run_id])) == {run_id: {"ate.rmse": 0.05}}
     assert store.read(lambda tx: tx.metrics.by_protocol(run_id)) == {
         SE3.fingerprint: {"ate.rmse": 0.07},
         SIM3.fingerprint: {"ate.rmse": 0.05},
     }
+
+
+def test_a_protocol_without_figures_cannot_be_chosen(store: Store, samples: Samples) -> None:
+    done, other = samples.run_in(RunState.SUCCEEDED), samples.run_in(RunState.SUCCEEDED)
+    evaluate(store, done, result(ate_rmse=0.07))
+    evaluate(store, done, result(SIM3, ate_rmse=0.05), SIM3)
+    evaluate(store, other, result(ate_rmse=0.09))
+    with pytest.raises(Conflict, match=f"run {other} has no figures under protocol"):
+        store.write(lambda tx: tx.evaluations.use([done, other], SIM3.fingerprint))
+    assert store.read(lambda tx: tx.metrics.for_runs([done])) == {done: {"ate.rmse": 0.07}}
+    with pytest.raises(NotFound, match="unknown protocol 'measured'"):
+        store.write(lambda tx: tx.evaluations.use([done], "measured"))
+    assert store.read(lambda tx: tx.evaluations.protocols()) == [(SE3, 2), (SIM3, 1)]
 
 
 def test_evaluating_again_replaces_the_figures_of_that_protocol(store: Store, samples: Samples) -> None:

@@ -114,9 +114,9 @@ def test_cancel_and_retry(web: Web):
 
 def test_evaluate_one_some_and_all(web: Web):
     bare, done = web.runs["bare"], web.runs["done"]
-    assert send(web, f"/runs/{done}/evaluate", alignment="sim3").status_code == 303
+    assert send(web, f"/runs/{done}/evaluate", protocol="sim3").status_code == 303
     assert [entry.protocol.alignment for entry in web.hive.evaluations(done)][-1] == "sim3"
-    assert send(web, f"/runs/{done}/evaluate", alignment="magic").status_code == 400
+    assert send(web, f"/runs/{done}/evaluate", protocol="magic").status_code == 404
     assert send(web, "/runs/evaluate", all="1").status_code == 303
     assert [entry.state for entry in web.hive.evaluations(bare)] == ["queued"]
     assert "The evaluation is under way." in web.client.get(f"/runs/{bare}").text

@@ -7,6 +7,7 @@ from typing import Annotated
 from flask import Blueprint, Response, request, url_for
 from pydantic import BaseModel, ConfigDict, Field
 
+from slamhive.errors import InvalidInput
 from slamhive.services.catalogue_json import algorithm_to_json, dataset_to_json
 from slamhive.services.request import Submission
 from slamhive.services.run_json import evaluation_to_json, run_to_json
@@ -47,13 +48,15 @@ class _EvaluateBody(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
     runs: list[Annotated[int, Field(ge=1, le=2**53 - 1)]] | None = None
     alignment: str | None = None
+    protocol: str | None = None
 
 
 @blueprint.get("/runs")
 def runs() -> Response:
     """A page of runs; the arguments are those of the runs page, ``next`` leads to the page after."""
-    query = RunQuery.from_args(request.args, EXPORT_LIMIT)
-    page = hive().runs(query.filter, query.sort, query.after, query.limit)
+    services = hive()
+    query = RunQuery.from_args(request.args, services.searches.vocabulary(), EXPORT_LIMIT)
+    page = services.runs(query.search, query.sort, query.after, query.limit)
     following = None if page.next_key is None else url_for("api.runs", **query.at(page.next_key).args())
     return answer({"runs": [run_to_json(run) for run in page.records], "total": page.total, "next": following})
 
@@ -100,7 +103,10 @@ def retry(run_id: int) -> Response:
 def evaluate() -> Response:
     """Queue evaluations."""
     body = read_body(_EvaluateBody)
-    return answer({"queued": hive().queue_evaluations(body.runs, checked_alignment(body.alignment))}, 202)
+    if body.alignment is not None and body.protocol is not None:
+        raise InvalidInput("alignment and protocol exclude each other", "give one of them")
+    name = body.protocol or checked_alignment(body.alignment)
+    return answer({"queued": hive().queue_evaluations(body.runs, name)}, 202)
 
 
 @blueprint.get("/algorithms")

@@ -10,19 +10,19 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 from flask import url_for as address
 
 from slamhive.analysis.colours import colour_of
-from slamhive.domain.protocol import ALIGNMENT_LABELS
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.executors.registry import EXECUTORS
+from slamhive.services.current_protocols import missing_figures
 from slamhive.services.downloads import list_downloads, open_download
 from slamhive.store.records import EvaluationRecord, EvaluationState
 from slamhive.web.columns import all_columns
 from slamhive.web.context import hive, now
 from slamhive.web.figures import best_plane, captions, figure_table, run_figures
 from slamhive.web.formatting import plural
+from slamhive.web.presenters import protocols
 from slamhive.web.presenters import runs as presenter
 from slamhive.web.presenters.live import progress_json
-from slamhive.web.run_form import checked_alignment
 from slamhive.web.run_query import RunQuery, summary
 
 blueprint = Blueprint("runs", __name__, url_prefix="/runs")
@@ -36,8 +36,9 @@ RUN_ID = "<int(max=9007199254740991):run_id>"
 def index() -> str:
     """The runs that the address asks for."""
     services = hive()
-    query = RunQuery.from_args(request.args)
-    page = services.runs(query.filter, query.sort, query.after, query.limit)
+    vocabulary = services.searches.vocabulary()
+    query = RunQuery.from_args(request.args, vocabulary)
+    page = services.runs(query.search, query.sort, query.after, query.limit)
     columns = all_columns()
     shown = [columns[key] for key in query.columns]
     algorithms = services.catalogue.algorithms()
@@ -67,6 +68,9 @@ def show(run_id: int) -> str:
     run = services.run(run_id)
     evaluations = services.evaluations(run_id)
     algorithm = next((entry for entry in services.catalogue.algorithms() if entry.name == run.algorithm), None)
+    choices = protocols.protocol_choices(run, evaluations, request.args.get("protocol"))
+    chosen = next((entry for entry in choices if entry.chosen), None)
+    tools = services.comparisons.of(run_id) if run.state is RunState.SUCCEEDED else []
     return render_template(
         "runs/show.html",
         run=run,
@@ -75,7 +79,12 @@ def show(run_id: int) -> str:
         wall_time_s=presenter.wall_time_s(run, now()),
         progress=progress_json(services.progress(run_id)) if run.state.active else None,
         parameters=presenter.parameter_rows(run, algorithm),
-        accuracy=presenter.metric_rows(run, needs_protocol=True),
+        protocols=choices,
+        chosen=chosen,
+        accuracy=protocols.accuracy_rows(run, choices, services.current_protocols.figures(run_id)),
+        missing={} if chosen is None else missing_figures(services.folder(run_id), chosen.fingerprint),
+        tools=protocols.tool_rows(tools),
+        tools_waiting=protocols.waiting(tools),
         measured=presenter.metric_rows(run, needs_protocol=False),
         provenance=presenter.flatten(services.record(run_id)),
         events=services.events(run_id),
@@ -83,7 +92,7 @@ def show(run_id: int) -> str:
         evaluating=any(entry.state in (EvaluationState.QUEUED, EvaluationState.RUNNING) for entry in evaluations),
         log=services.log(run_id, max_bytes=LOG_TAIL_BYTES),
         downloads=list_downloads(services.folder(run_id), _fingerprints(evaluations)),
-        alignments={alignment.value: label for alignment, label in ALIGNMENT_LABELS.items()},
+        protocol_groups=protocols.protocol_groups(),
     )
 
 
@@ -150,9 +159,29 @@ def retry(run_id: int) -> Response:
 
 @blueprint.post(f"/{RUN_ID}/evaluate")
 def evaluate(run_id: int) -> Response:
-    """Evaluate one run, under the sensor's alignment or the one that was chosen."""
-    queued = hive().queue_evaluations([run_id], checked_alignment(request.form.get("alignment") or None))
+    """Evaluate one run, under the protocol of its sensors or the one that was chosen."""
+    queued = hive().queue_evaluations([run_id], request.form.get("protocol") or None)
     flash("The evaluation is queued." if queued else "This evaluation is queued or done already.", "info")
+    return _to_run(run_id)
+
+
+@blueprint.post(f"/{RUN_ID}/compare")
+def compare(run_id: int) -> Response:
+    """Evaluate one run the way each published tool counts."""
+    services = hive()
+    services.check_writable()
+    queued = len(services.comparisons.queue(run_id))
+    flash(f"{plural(queued, 'evaluation')} queued." if queued else "Every tool's figures are there already.", "info")
+    return _to_run(run_id)
+
+
+@blueprint.post(f"/{RUN_ID}/protocol")
+def use_protocol(run_id: int) -> Response:
+    """Show the figures of another protocol in lists and searches."""
+    services = hive()
+    services.check_writable()
+    services.current_protocols.use([run_id], request.form.get("fingerprint", ""))
+    flash(f"Lists show run {run_id} under this protocol now.", "success")
     return _to_run(run_id)
 
 

@@ -1,0 +1,141 @@
+"""``slamhive protocol``: what a figure depends on besides the trajectories, by name; figures side by side."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
+from slamhive.cli.evaluate import work_until_ended
+from slamhive.cli.output import print_json, print_table
+from slamhive.domain.metrics import metric
+from slamhive.errors import Conflict
+from slamhive.services.comparisons import ToolFigures
+from slamhive.services.protocols import UsedProtocol, presets
+from slamhive.settings import Mode
+from slamhive.strict_yaml import dump
+
+
+@click.group("protocol")
+def protocol() -> None:
+    """Evaluation protocols: the presets, and those that runs were evaluated under."""
+
+
+@protocol.command("list")
+@json_option
+@pass_cli
+def list_protocols(cli: CliContext, as_json: bool) -> None:
+    """List protocols by name, and those in use by fingerprint."""
+    used = cli.hive().protocols.used()
+    if as_json:
+        print_json({"presets": [_preset_json(name) for name, _ in presets()], "used": [_used_json(e) for e in used]})
+        return
+    runs = {entry.protocol.fingerprint: entry.runs for entry in used}
+    rows: list[tuple[str | None, str, int, str]] = [
+        (name, preset.protocol.fingerprint, runs.pop(preset.protocol.fingerprint, 0), preset.title)
+        for name, preset in presets()
+    ]
+    rows += [
+        (None, entry.protocol.fingerprint, entry.runs, entry.protocol.label)
+        for entry in used
+        if entry.protocol.fingerprint in runs
+    ]
+    print_table(("name", "fingerprint", "runs", "what it is"), rows, right=("runs",))
+
+
+@protocol.command("show")
+@click.argument("name", metavar="NAME|FILE")
+@json_option
+@pass_cli
+def show(cli: CliContext, name: str, as_json: bool) -> None:
+    """Show a protocol as a file would have it: a preset, a fingerprint, or a file."""
+    request = cli.hive().protocols.find(name)
+    preset = dict(presets()).get(name)
+    if as_json:
+        print_json({"name": name, "values": dict(request.values)} if preset is None else _preset_json(name))
+        return
+    if preset is not None:
+        click.echo(f"# {preset.title}\n# {preset.differs}\n# {preset.source}")
+        click.echo(f"# prints {', '.join(preset.figures)}; fingerprint {preset.protocol.fingerprint}")
+    values = {key: list(value) if isinstance(value, tuple) else value for key, value in request.values.items()}
+    click.echo(dump({key: str(v) if isinstance(v, str) else v for key, v in values.items() if v is not None}), nl=False)
+
+
+@protocol.command("use")
+@click.argument("name", metavar="PROTOCOL")
+@click.argument("run_ids", type=run_number, nargs=-1, required=True)
+@pass_cli
+def use(cli: CliContext, name: str, run_ids: tuple[int, ...]) -> None:
+    """Show the figures of PROTOCOL (a name, fingerprint or file) for runs RUN_IDS, in lists and on pages.
+
+    The runs must have been evaluated under it. The figures of their other protocols stay.
+    """
+    hive = cli.hive()
+    hive.check_writable()
+    hive.current_protocols.use_asked(run_ids, hive.protocols.find(name))
+    click.echo(f"{len(set(run_ids))} run{'s' if len(set(run_ids)) > 1 else ''} changed")
+
+
+@protocol.command("compare")
+@click.argument("run_id", type=run_number)
+@json_option
+@pass_cli
+def compare(cli: CliContext, run_id: int, as_json: bool) -> None:
+    """Evaluate run RUN_ID the way each published tool counts, and show the figures side by side."""
+    hive = cli.hive()
+    if not hive.run(run_id).state.ended:
+        raise Conflict(f"run {run_id} has not ended", "wait for it")
+    if hive.settings.mode is not Mode.VIEW_ONLY:
+        evaluation_ids = hive.comparisons.queue(run_id)
+        if evaluation_ids:
+            work_until_ended(hive.evaluations_service, evaluation_ids, frozenset({run_id}))
+    rows = hive.comparisons.of(run_id)
+    if as_json:
+        print_json([_tool_json(row) for row in rows])
+        return
+    print_table(("tool", "protocol", "figures", "note"), [_tool_row(row) for row in rows])
+    for row in rows:
+        click.echo(f"{row.name}: {row.preset.differs}")
+
+
+def _tool_row(row: ToolFigures) -> tuple[Any, ...]:
+    figures = [f"{key} {value:.6g} {metric(key).unit}".rstrip() for key, value in row.figures.items()]
+    return (row.name, None if row.protocol is None else row.protocol.fingerprint, "\n".join(figures) or None, row.note)
+
+
+def _tool_json(row: ToolFigures) -> dict[str, Any]:
+    return {
+        "name": row.name,
+        "title": row.preset.title,
+        "protocol": None if row.protocol is None else row.protocol.content,
+        "fingerprint": None if row.protocol is None else row.protocol.fingerprint,
+        "figures": {key: {"value": value, "unit": metric(key).unit} for key, value in row.figures.items()},
+        "note": row.note,
+        "differs": row.preset.differs,
+    }
+
+
+def _preset_json(name: str) -> dict[str, Any]:
+    preset = dict(presets())[name]
+    return {
+        "name": name,
+        "title": preset.title,
+        "fingerprint": preset.protocol.fingerprint,
+        "values": preset.protocol.content,
+        "figures": list(preset.figures),
+        "differs": preset.differs,
+        "source": preset.source,
+    }
+
+
+def _used_json(entry: UsedProtocol) -> dict[str, Any]:
+    return {
+        "fingerprint": entry.protocol.fingerprint,
+        "label": entry.protocol.label,
+        "values": entry.protocol.content,
+        "runs": entry.runs,
+    }
+
+
+COMMANDS = (protocol,)

@@ -1,0 +1,126 @@
+"""Which protocol a run is evaluated under: as asked for, by name or file, or as its sensors deserve."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from slamhive.catalogue.protocol_file import load_protocol
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.protocol import Alignment, Protocol, default_alignment
+from slamhive.domain.protocol_request import ProtocolRequest, exactly
+from slamhive.errors import InvalidInput, NotFound, unknown
+from slamhive.evaluation.presets import PRESETS, Preset
+from slamhive.settings import Settings
+from slamhive.store.store import Store
+
+BY_SENSORS = "default"
+"""The name of the protocol that the sensors deserve."""
+
+_FINGERPRINT = re.compile(r"[0-9a-f]{12}")
+_SHOWN = 60
+_FILE_ENDINGS = (".yaml", ".yml")
+
+
+@dataclass(frozen=True, slots=True)
+class UsedProtocol:
+    """A protocol that runs have figures under, and of how many runs."""
+
+    protocol: Protocol
+    runs: int
+
+
+def fitting_protocol(
+    algorithm: Algorithm, dataset: Dataset, settings: Settings, asked: ProtocolRequest | None = None
+) -> Protocol:
+    """The protocol for runs of ``algorithm`` on ``dataset``: as the sensors deserve, but for what is asked.
+
+    Raises InvalidInput for one that does not fit the dataset.
+    """
+    truth = dataset.groundtruth
+    gravity_aligned = truth is not None and truth.gravity_aligned
+    default = Protocol(
+        alignment=default_alignment(algorithm.setup, gravity_aligned=gravity_aligned),
+        association_tolerance_s=settings.association_tolerance_s,
+        gap_threshold_s=settings.gap_threshold_s,
+    )
+    protocol = default if asked is None else asked.on(default)
+    if protocol.alignment is Alignment.YAW_POSITION and not gravity_aligned:
+        raise InvalidInput(
+            f"yaw + position alignment needs a ground truth whose z axis points up; that of {dataset.name} does not",
+            "use se3",
+        )
+    if protocol.alignment is Alignment.FIRST_POSE and truth is not None and truth.positions_only:
+        raise InvalidInput(
+            f"alignment of the first pose needs orientations; the ground truth of {dataset.name} holds positions only",
+            "use se3, sim3 or none",
+        )
+    if protocol.reference is not None:
+        reference_path(dataset, protocol)
+    return protocol
+
+
+def reference_path(dataset: Dataset, protocol: Protocol) -> Path:
+    """The file to compare with; raises InvalidInput if there is none, naming what the protocol asks for."""
+    if protocol.reference is None:
+        path = dataset.groundtruth_path
+        if path is None:
+            raise InvalidInput(f"dataset {dataset.name} has no ground truth", "its trajectory is in the run folder")
+        return path
+    path = dataset.folder / protocol.reference
+    if path.parent != dataset.folder or not path.is_file():
+        raise InvalidInput(
+            f"dataset {dataset.name} has no file {protocol.reference!r} to compare with",
+            "put it into the dataset's folder, or leave out 'reference'",
+        )
+    return path
+
+
+class Protocols:
+    """Protocols by name: presets, and those that runs have figures under."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    def used(self) -> list[UsedProtocol]:
+        """Those that runs have figures under, the most used first."""
+        return [
+            UsedProtocol(protocol, runs) for protocol, runs in self._store.read(lambda t: t.evaluations.protocols())
+        ]
+
+    def named(self, name: str) -> ProtocolRequest:
+        """The one called ``name``: ``default``, an alignment, a preset, or a fingerprint in use.
+
+        An alignment alone leaves the rest as the default has it. Raises NotFound with the nearest name.
+        """
+        if name == BY_SENSORS:
+            return ProtocolRequest(name=name)
+        if name in set(Alignment):
+            return ProtocolRequest({"alignment": name}, name)
+        if name in PRESETS.names():
+            return exactly(PRESETS.get(name).protocol, name)
+        if _FINGERPRINT.fullmatch(name):
+            for entry in self.used():
+                if entry.protocol.fingerprint == name:
+                    return exactly(entry.protocol, name)
+        known = [BY_SENSORS, *Alignment, *PRESETS.names()]
+        raise unknown("protocol", name[:_SHOWN], known, "slamhive protocol list shows them")
+
+    def find(self, text: str) -> ProtocolRequest:
+        """The one called ``text``, or in the file ``text``."""
+        if text.endswith(_FILE_ENDINGS) or "/" in text:
+            return load_protocol(Path(text))
+        try:
+            return self.named(text)
+        except NotFound:
+            if Path(text).is_file():
+                return load_protocol(Path(text))
+            raise
+
+
+def presets() -> Sequence[tuple[str, Preset]]:
+    """The presets, by name."""
+    return list(PRESETS)

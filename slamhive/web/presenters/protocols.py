@@ -1,0 +1,80 @@
+"""A run's figures by protocol, and the way published tools count, as its page shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.protocol import ALIGNMENT_LABELS
+from slamhive.services.comparisons import NOT_EVALUATED, ToolFigures
+from slamhive.services.protocols import presets
+from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
+from slamhive.web.formatting import display_unit, metric_cell
+from slamhive.web.presenters.runs import MetricRow, metric_rows
+
+
+@dataclass(frozen=True, slots=True)
+class ProtocolChoice:
+    """One protocol that a run has figures under. ``current``: lists show it; ``chosen``: this page does."""
+
+    fingerprint: str
+    label: str
+    current: bool
+    chosen: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ToolRow:
+    """What one tool would print."""
+
+    tool: ToolFigures
+    figures: tuple[MetricRow, ...]
+
+
+def protocol_choices(
+    run: RunRecord, evaluations: Iterable[EvaluationRecord], asked: str | None
+) -> list[ProtocolChoice]:
+    """The protocols that the run has figures under, oldest first; the one asked for is chosen, else the current."""
+    succeeded = (entry.protocol for entry in evaluations if entry.state is EvaluationState.SUCCEEDED)
+    labels = {protocol.fingerprint: protocol.label for protocol in succeeded}
+    current = None if run.protocol is None else run.protocol.fingerprint
+    chosen = asked if asked in labels else current
+    return [ProtocolChoice(key, label, key == current, key == chosen) for key, label in labels.items()]
+
+
+def accuracy_rows(
+    run: RunRecord, choices: Iterable[ProtocolChoice], figures: Mapping[str, dict[str, float]]
+) -> list[MetricRow]:
+    """The figures of the chosen protocol."""
+    chosen = next((entry.fingerprint for entry in choices if entry.chosen), None)
+    if chosen is None:
+        return []
+    return metric_rows(replace(run, metrics=figures.get(chosen, {})), needs_protocol=True)
+
+
+def tool_rows(tools: Iterable[ToolFigures]) -> list[ToolRow]:
+    """The figures of each tool, in the units of the pages."""
+    return [
+        ToolRow(
+            tool,
+            tuple(
+                MetricRow(CATALOGUE[key], metric_cell(CATALOGUE[key], value), display_unit(CATALOGUE[key]).unit)
+                for key, value in tool.figures.items()
+            ),
+        )
+        for tool in tools
+    ]
+
+
+def waiting(tools: Iterable[ToolFigures]) -> int:
+    """How many of the tools' protocols have not been tried on the run."""
+    return sum(tool.note == NOT_EVALUATED for tool in tools)
+
+
+def protocol_groups() -> dict[str, dict[str, str]]:
+    """What a run can be evaluated under: {group: {name: label}}."""
+    return {
+        "alignment, the rest by default": {alignment.value: label for alignment, label in ALIGNMENT_LABELS.items()},
+        "as a published tool counts": {name: preset.title for name, preset in presets()},
+    }
