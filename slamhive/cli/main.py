@@ -8,7 +8,17 @@ from pathlib import Path
 import click
 
 from slamhive import __version__
-from slamhive.cli import algorithms, datasets, evaluate, maintenance, protocols, runs, serving, variants
+from slamhive.cli import (
+    algorithms,
+    configurations,
+    datasets,
+    evaluate,
+    maintenance,
+    protocols,
+    runs,
+    serving,
+    variants,
+)
 from slamhive.cli.context import CliContext
 from slamhive.cli.output import OneLineErrors
 
@@ -32,6 +42,6 @@ def main(context: click.Context, data: Path | None, database_url: str | None, ve
     context.call_on_close(context.obj.close)
 
 
-for module in (datasets, variants, algorithms, runs, evaluate, protocols, serving, maintenance):
+for module in (datasets, variants, algorithms, configurations, runs, evaluate, protocols, serving, maintenance):
     for command in module.COMMANDS:
         main.add_command(command)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from slamhive.bags.variants.rules import RegisteredSteps
@@ -10,10 +10,10 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import check_stored, find_parameter
-from slamhive.domain.variant import Variant
 from slamhive.errors import NotFound, unknown
 from slamhive.services.catalogue import Catalogue, check_writable
-from slamhive.services.configuration_words import check_label, check_note
+from slamhive.services.configuration_changes import NO_LABEL, Changes, Label, Stored
+from slamhive.services.configuration_words import check_label
 from slamhive.services.driver_context import utc_now
 from slamhive.services.request import Submission
 from slamhive.services.variants import Variants
@@ -32,48 +32,6 @@ class Checked:
     algorithm: Algorithm
     dataset: Dataset
     configuration: Configuration
-
-
-@dataclass(frozen=True, slots=True)
-class Changes:
-    """What a copy has instead of the original's; None leaves it. ``parameters`` are set beside the original's."""
-
-    algorithm: str | None = None
-    dataset: str | None = None
-    parameters: Mapping[str, object] | None = None
-    variant: Variant | None = None
-    playback_mode: str | None = None
-    playback_rate: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Label:
-    """What users say about a configuration; None leaves what is there, an empty text removes it."""
-
-    name: str | None = None
-    note: str | None = None
-    group: str | None = None
-
-
-NO_LABEL = Label()
-
-
-@dataclass(frozen=True, slots=True)
-class Stored:
-    """A configuration after an attempt to store it. ``notes`` tell, one line each, what did not come over and why.
-
-    ``created`` is false where it was there already: identical configurations are one. ``seed`` is an import's.
-    """
-
-    record: ConfigurationRecord
-    created: bool
-    notes: tuple[str, ...] = ()
-    seed: int = 0
-
-    @property
-    def words(self) -> str:
-        """``configuration 12 is new``, or ``the same as configuration 12 (half rate)``."""
-        return f"{self.record.label} is new" if self.created else f"the same as {self.record.label}"
 
 
 class Configurations:
@@ -198,13 +156,14 @@ class Configurations:
     def create(self, submission: Submission, label: Label = NO_LABEL) -> Stored:
         """Store the configuration of ``submission``, or find the one that is the same."""
         self._check_writable()
-        return self._put(self.check(submission), label)
+        return self._put(self.check(submission), label.checked())
 
     def copy(self, configuration_id: int, changes: Changes, label: Label = NO_LABEL) -> Stored:
         """Store a copy with ``changes``; the original stays, and keeps its name, note and groups."""
         self._check_writable()
         submission, notes = self.submission(configuration_id, changes)
-        return replace(self._put(self.check(submission), label), notes=notes)
+        stored = self._put(self.check(submission), label.checked())
+        return replace(stored, notes=(*notes, *stored.notes))
 
     def modify(self, configuration_id: int, changes: Changes, label: Label = NO_LABEL) -> Stored:
         """A configuration with ``changes`` in place of the old one, which goes if nothing depends on it.
@@ -215,7 +174,7 @@ class Configurations:
         """
         self._check_writable()
         submission, notes = self.submission(configuration_id, changes)
-        checked = self.check(submission)
+        checked, label = self.check(submission), label.checked()
 
         def work(t: Transaction) -> Stored:
             old = t.configuration_book.get(configuration_id)
@@ -255,7 +214,7 @@ class Configurations:
         own = Label(imported.name if label.name is None else label.name, imported.note, label.group)
         if label.note is not None:
             own = replace(own, note=label.note)
-        stored = self._put(self.check(submission), own)
+        stored = self._put(self.check(submission), own.checked())
         return replace(stored, notes=(*stored.notes, *imported.notes), seed=imported.seed)
 
     def read_yaml(self, text: str, source: str) -> Imported:
@@ -277,6 +236,7 @@ class Configurations:
     def describe(self, configuration_id: int, label: Label) -> ConfigurationRecord:
         """Set name, note or group; raises Conflict if the name belongs to another configuration."""
         self._check_writable()
+        label = label.checked()
 
         def work(t: Transaction) -> ConfigurationRecord:
             self._describe(t, t.configuration_book.get(configuration_id), label)
@@ -318,21 +278,21 @@ class Configurations:
             checked.algorithm.parameters,
         )
         record, notes = t.configuration_book.get(configuration_id), []
-        if not created and record.name and label.name and label.name != record.name:
-            notes.append(f"it keeps the name {record.name!r}")
-            label = replace(label, name=None)
-        if not created and record.note and label.note:
-            label = replace(label, note=None)
+        if not created:
+            if record.name and label.name and label.name != record.name:
+                notes.append(f"it keeps the name {record.name!r}")
+            name = None if record.name else label.name or None
+            label = replace(label, name=name, note=None if record.note else label.note or None)
         self._describe(t, record, label)
         return Stored(t.configuration_book.get(configuration_id), created, tuple(notes))
 
     def _describe(self, t: Transaction, record: ConfigurationRecord, label: Label) -> None:
-        name = record.name if label.name is None else check_label("configuration", label.name, empty=True) or None
-        note = record.note if label.note is None else check_note(label.note)
+        name = record.name if label.name is None else label.name or None
+        note = record.note if label.note is None else label.note
         if (name, note) != (record.name, record.note):
             t.configuration_book.describe(record.id, name, note)
         if label.group:
-            t.configuration_book.add_to_group(check_label("group", label.group), [record.id])
+            t.configuration_book.add_to_group(label.group, [record.id])
 
     def _check_writable(self) -> None:
         check_writable(self._settings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import uuid
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +145,15 @@ class Hive:
         now = utc_now()
         (new_id,) = self.store.write(lambda t: t.runs.add_runs([request], now))
         return self.run(new_id)
+
+    def run_configuration(self, configuration_id: int, **fields: Any) -> tuple[RunRecord, ...]:
+        """Queue runs of a stored configuration; ``fields`` are those of a :class:`Submission` that say how to run it.
+
+        Raises InvalidInput as :meth:`retry`.
+        """
+        self.configurations.check_runnable(configuration_id)
+        submission, _ = self.configurations.submission(configuration_id)
+        return self.submit(replace(submission, **fields))
 
     def cancel(self, run_id: int) -> RunRecord:
         """Cancel a queued run at once; ask the worker to end an active one."""

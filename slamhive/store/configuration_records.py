@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 
 from slamhive.domain.configuration import Configuration
+from slamhive.domain.parameters import Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +43,13 @@ class ConfigurationRecord:
     def label(self) -> str:
         """``configuration 12`` or ``configuration 12 (half rate)``."""
         return f"configuration {self.id}" + (f" ({self.name})" if self.name else "")
+
+    def value(self, name: str) -> Value | None:
+        """The value of the parameter whose key or general name is ``name`` (the key wins), None if there is none."""
+        values = self.configuration.parameters
+        if name in values:
+            return values[name]
+        return next((values[key] for key, definition in self.parameters.items() if definition.general == name), None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ from slamhive.domain.variant import parse_step
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError
 from slamhive.runtime import config as run_config
 from slamhive.services import worker as worker_module
+from slamhive.services.configuration_changes import Changes, Label
 from slamhive.services.configuration_words import configuration_to_json, parse_conditions
-from slamhive.services.configurations import Changes, Label
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.request import Submission
 from slamhive.settings import Mode
