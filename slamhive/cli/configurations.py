@@ -21,7 +21,7 @@ from slamhive.files import write_aside
 from slamhive.services.configuration_changes import Changes, Label, Stored
 from slamhive.services.configuration_words import configuration_to_json, parse_conditions
 from slamhive.services.request import Submission
-from slamhive.store import ConfigurationFilter, ConfigurationRecord, RunFilter, RunSort
+from slamhive.store import ConfigurationFilter, ConfigurationRecord
 
 RUNS_SHOWN = 10
 SPARE = ("groups", "runs", "name", "variant")
@@ -124,7 +124,7 @@ def show(cli: CliContext, reference: str, as_json: bool) -> None:
     """Show one configuration with its latest runs."""
     hive = cli.hive()
     record = hive.configurations.find(reference)
-    runs = hive.runs(RunFilter(configuration_id=record.id), RunSort(), limit=RUNS_SHOWN).records
+    runs = hive.configurations.latest_runs(record.id, RUNS_SHOWN)
     if as_json:
         print_json({**configuration_to_json(record), "latest_runs": [run.id for run in runs]})
         return

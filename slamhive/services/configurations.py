@@ -18,7 +18,7 @@ from slamhive.services.driver_context import utc_now
 from slamhive.services.request import Submission
 from slamhive.services.variants import Variants
 from slamhive.settings import Settings
-from slamhive.store import ConfigurationFilter, ConfigurationPage, ConfigurationRecord, Store, Transaction
+from slamhive.store import ConfigurationFilter, ConfigurationPage, ConfigurationRecord, RunRecord, Store, Transaction
 from slamhive.sweep.exchange import Imported, configuration_from_yaml, configuration_to_yaml
 from slamhive.sweep.view import CatalogueView
 
@@ -72,6 +72,14 @@ class Configurations:
         if found is None:
             raise NotFound(f"unknown configuration {reference!r}", "slamhive configuration list shows all")
         return self.get(found)
+
+    def latest_runs(self, configuration_id: int, limit: int) -> tuple[RunRecord, ...]:
+        """Its newest runs with their figures, newest first."""
+
+        def work(t: Transaction) -> tuple[RunRecord, ...]:
+            return t.runs.get_many(t.configuration_book.latest_runs(configuration_id, limit), with_metrics=True)
+
+        return self._store.read(work)
 
     def groups(self) -> dict[str, int]:
         """All groups, and how many configurations each has."""

@@ -12,7 +12,7 @@ from slamhive.errors import Conflict, NotFound
 from slamhive.store.configuration_listing import configuration_records, list_configurations
 from slamhive.store.configuration_models import ConfigurationGroup, ConfigurationLabel
 from slamhive.store.configuration_records import ConfigurationFilter, ConfigurationPage, ConfigurationRecord
-from slamhive.store.models import Configuration, ConfigurationValue
+from slamhive.store.models import Configuration, ConfigurationValue, Run
 from slamhive.store.rows import changed
 
 _LABELS = ConfigurationLabel.__table__
@@ -35,6 +35,11 @@ class ConfigurationBook:
         if not found:
             raise NotFound(f"unknown configuration {configuration_id}", "slamhive configuration list shows all")
         return found[0]
+
+    def latest_runs(self, configuration_id: int, limit: int) -> list[int]:
+        """The numbers of its newest runs, newest first."""
+        query = select(Run.__table__.c.id).where(Run.__table__.c.configuration_id == configuration_id)
+        return list(self._session.execute(query.order_by(Run.__table__.c.id.desc()).limit(limit)).scalars())
 
     def named(self, name: str) -> int | None:
         """The number of the configuration called ``name``."""
