@@ -4,7 +4,11 @@ Every comparison is made in pairs within one run, in alternating order, on a bag
 medians of the pairs' ratios, because the machine is shared and absolute times wander. The plain loop is what one would
 write with rosbags: read, decode, resize, encode, write, in one thread.
 
-    python benchmarks/variants.py [--megabytes 867] [--pairs 5] [--json]
+    python benchmarks/variants.py [--megabytes 867] [--pairs 5] [--seconds 60] [--realtime] [--json]
+
+Beside the ratio of wall times stands that of CPU times (user + system of this process), and how many cores others used
+meanwhile: what gains by a second core cannot be seen while others have it. ``--realtime`` (root) takes the cores for
+the few seconds of each measurement. A comparison ends after ``--seconds`` if it has three pairs by then.
 
 Bags lie in a temporary folder and are removed; three times the size given must be free there.
 """
@@ -13,8 +17,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import resource
 import shutil
 import statistics
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -42,7 +49,8 @@ NS = 1_000_000_000
 SHARES = {"raw": 1.0, "lidar": 1.0, "lz4": 1.0, "jpeg": 0.5, "png": 0.25, "bz2": 0.1}
 """Of the size asked for, counted in pixels before compression: the plain loop would need minutes for all of it."""
 PAUSE_S = 3.0
-"""Before each measurement that is about writing: see :func:`timed`."""
+"""Before each measurement: see :func:`timed`."""
+FEWEST_PAIRS = 3
 
 
 @dataclass(frozen=True)
@@ -57,14 +65,26 @@ class Case:
 
 
 @dataclass(frozen=True)
+class Times:
+    """One measurement in s: of the clock, of this process's CPU use, and of the CPU use of all others meanwhile."""
+
+    wall_s: float
+    cpu_s: float
+    others_s: float
+
+
+@dataclass(frozen=True)
 class Result:
-    """Medians of one comparison; times in s, ``ratio`` is ours over the rival's."""
+    """Medians of one comparison; times in s, ratios are ours over the rival's, ``others`` cores in use elsewhere."""
 
     name: str
     rival: str
+    pairs: int
     ours_s: float
     rival_s: float
     ratio: float
+    cpu_ratio: float
+    others: float
     bound: float
 
     @property
@@ -100,18 +120,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--megabytes", type=float, default=867.0, help="size of the raw bags")
     parser.add_argument("--pairs", type=int, default=5, help="at least 3")
+    parser.add_argument("--seconds", type=float, default=60.0, help="for one comparison, once it has 3 pairs")
+    parser.add_argument("--realtime", action="store_true", help="before other processes on all cores; needs root")
     parser.add_argument("--only", help="cases whose name contains this")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
+    if arguments.realtime:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+    pairs = max(FEWEST_PAIRS, arguments.pairs)
     cases = [case for case in CASES if arguments.only is None or arguments.only in case.name]
     results: list[Result] = []
     limits: dict[str, float] = {}
     with tempfile.TemporaryDirectory(prefix="slamhive-variants-") as scratch:
         for kind in dict.fromkeys(case.bag for case in cases):
+            say(f"generating the bag {kind}")
             dataset = make_dataset(Path(scratch) / kind, kind, arguments.megabytes)
-            results += [compare(dataset, case, max(3, arguments.pairs)) for case in cases if case.bag == kind]
+            results += [compare(dataset, case, pairs, arguments.seconds) for case in cases if case.bag == kind]
             if kind == "raw":
-                limits = limit(dataset, max(3, arguments.pairs))
+                limits = limit(dataset, pairs)
             shutil.rmtree(dataset.folder)
     if arguments.json:
         table = [{**asdict(result), "held": result.held} for result in results]
@@ -120,7 +146,7 @@ def main() -> None:
         show(results, limits)
 
 
-def compare(dataset: Dataset, case: Case, pairs: int) -> Result:
+def compare(dataset: Dataset, case: Case, pairs: int, seconds: float) -> Result:
     """Ours and the rival in turn, the order changing from pair to pair, after one round to warm up."""
 
     def ours(target: Path) -> None:
@@ -132,37 +158,63 @@ def compare(dataset: Dataset, case: Case, pairs: int) -> Result:
         else:
             plain_loop(dataset, target / dataset.bag, rates=case.variant is HALF_BOTH)
 
-    times: list[tuple[float, float]] = []
+    ends = time.monotonic() + seconds
+    times: list[tuple[Times, Times]] = []
     for number in range(pairs + 1):
+        if number > FEWEST_PAIRS and time.monotonic() > ends:
+            break
         first, second = (ours, rival) if number % 2 else (rival, ours)
-        first_s, second_s = timed(dataset, first), timed(dataset, second)
-        times.append((first_s, second_s) if number % 2 else (second_s, first_s))
+        measured = timed(dataset, first), timed(dataset, second)
+        times.append(measured if number % 2 else (measured[1], measured[0]))
+        say(f"{case.name}: round {number} of {pairs}, {times[-1][0].wall_s:.2f} s to {times[-1][1].wall_s:.2f} s")
     times = times[1:]
     return Result(
-        case.name,
-        {"copy": "copy of the file", "loop": "plain loop"}[case.rival],
-        statistics.median(pair[0] for pair in times),
-        statistics.median(pair[1] for pair in times),
-        statistics.median(pair[0] / pair[1] for pair in times),
-        case.bound,
+        name=case.name,
+        rival={"copy": "copy of the file", "loop": "plain loop"}[case.rival],
+        pairs=len(times),
+        ours_s=statistics.median(pair[0].wall_s for pair in times),
+        rival_s=statistics.median(pair[1].wall_s for pair in times),
+        ratio=statistics.median(pair[0].wall_s / pair[1].wall_s for pair in times),
+        cpu_ratio=statistics.median(pair[0].cpu_s / pair[1].cpu_s for pair in times),
+        others=statistics.median(pair[0].others_s / pair[0].wall_s for pair in times),
+        bound=case.bound,
     )
 
 
-def timed(dataset: Dataset, work: Callable[[Path], None]) -> float:
-    """Wall time in s of ``work`` on an empty folder, which is removed.
+def timed(dataset: Dataset, work: Callable[[Path], None]) -> Times:
+    """``work`` on an empty folder, which is removed.
 
-    On virtual machines, pages of a file just removed are still backed by the host and three times as fast to fill again
-    as others. Nobody who makes a variant has just removed one of its size: so wait until they are given back.
+    On virtual machines, pages of a file just removed are still backed by the host and several times as fast to fill as
+    others. Nobody who makes a variant has just removed one of its size: so wait until they are given back.
     """
     target = dataset.folder.parent / "target"
     target.mkdir()
     time.sleep(PAUSE_S)
     try:
-        began = time.perf_counter()
+        wall_s, cpu_s, busy_s = time.perf_counter(), own_cpu_s(), all_cpu_s()
         work(target)
-        return time.perf_counter() - began
+        wall_s, cpu_s = time.perf_counter() - wall_s, own_cpu_s() - cpu_s
+        return Times(wall_s, cpu_s, max(0.0, all_cpu_s() - busy_s - cpu_s))
     finally:
         shutil.rmtree(target)
+
+
+def own_cpu_s() -> float:
+    """CPU time of this process, user and system."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_utime + usage.ru_stime
+
+
+def all_cpu_s() -> float:
+    """CPU time of everything on this machine, from ``/proc/stat`` (proc(5)): all but idle, iowait and guest."""
+    fields = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()[1:9]
+    ticks = [int(value) for value in fields]
+    return (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK")
+
+
+def say(text: str) -> None:
+    """Progress, beside the result."""
+    print(text, file=sys.stderr, flush=True)
 
 
 def limit(dataset: Dataset, pairs: int) -> dict[str, float]:
@@ -356,11 +408,12 @@ def _cloud(data: Any, stamp_ns: int) -> Any:
 
 def show(results: list[Result], limits: dict[str, float]) -> None:
     """The table."""
-    print(f"{'variant':36s}  {'compared with':16s}   ours s  rival s   ratio   bound")
+    print(f"{'variant':36s}  {'compared with':16s}   ours s  rival s   ratio    CPU   bound          others' cores")
     for result in results:
         print(
             f"{result.name:36s}  {result.rival:16s}  {result.ours_s:7.3f}  {result.rival_s:7.3f}  {result.ratio:6.3f}"
-            f"  {result.bound:6.3f}  {'held' if result.held else 'NOT held'}"
+            f"  {result.cpu_ratio:5.2f}  {result.bound:6.3f}  {'held' if result.held else 'NOT held':8s}"
+            f"  {result.others:5.2f}"
         )
     if limits:
         print(

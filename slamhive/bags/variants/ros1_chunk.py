@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import bz2
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import lz4.frame
@@ -43,7 +44,8 @@ def new_chunk(compression: str, parts: list[Buffer | range], size_bytes: int, en
     if compression != NO_COMPRESSION:
         parts = [_compress(b"".join(part for part in parts if not isinstance(part, range)), compression)]
     head = chunk_header(compression, size_bytes, sum(len(part) for part in parts))
-    return NewChunks([head, *parts, *_index_records(entries)], [summarise(0, entries)])
+    summary = summarise(0, entries)
+    return NewChunks([head, *parts, *_index_records(entries, summary.counts)], [summary])
 
 
 def _compress(data: bytes, compression: str) -> bytes:
@@ -58,20 +60,21 @@ def _compress(data: bytes, compression: str) -> bytes:
 
 def summarise(position: int, entries: Array) -> ChunkSummary:
     """The summary of a chunk at ``position`` with ``entries``."""
-    ids, counts = np.unique(entries["connection"], return_counts=True)
     times_ns = entries["time_ns"]
-    return ChunkSummary(
-        position, int(times_ns.min()), int(times_ns.max()), dict(zip(ids.tolist(), counts.tolist(), strict=True))
-    )
+    counts = dict(sorted(Counter(entries["connection"].tolist()).items()))
+    return ChunkSummary(position, int(times_ns.min()), int(times_ns.max()), counts)
 
 
-def _index_records(entries: Array) -> Iterator[bytes]:
-    for connection in np.unique(entries["connection"]).tolist():
-        own = entries[entries["connection"] == connection]
-        raw = np.empty(len(own), INDEX_ENTRY)
-        raw["s"], raw["ns"] = np.divmod(own["time_ns"], 1_000_000_000)
-        raw["offset"] = own["offset"]
-        yield index_header(connection, len(own)) + raw.tobytes()
+def _index_records(entries: Array, counts: Mapping[int, int]) -> Iterator[bytes]:
+    """One record for each connection; ``counts`` by connection, in the order wanted."""
+    raw = np.empty(len(entries), INDEX_ENTRY)
+    raw["s"], raw["ns"] = np.divmod(entries["time_ns"], 1_000_000_000)
+    raw["offset"] = entries["offset"]
+    raw = raw[np.argsort(entries["connection"], kind="stable")]
+    start = 0
+    for connection, count in counts.items():
+        yield index_header(connection, count) + raw[start : start + count].tobytes()
+        start += count
 
 
 def index_header(connection: int, count: int) -> bytes:

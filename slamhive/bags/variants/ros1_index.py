@@ -8,6 +8,7 @@ file. Positions and sizes are bytes; times are nanoseconds.
 from __future__ import annotations
 
 import bz2
+import errno
 import io
 import os
 import struct
@@ -32,6 +33,9 @@ ENTRY = np.dtype([("time_ns", "<i8"), ("offset", "<u4"), ("connection", "<u4")])
 """One message in a chunk; ``offset`` counts from the start of the chunk's uncompressed data."""
 INDEX_ENTRY = np.dtype([("s", "<u4"), ("ns", "<u4"), ("offset", "<u4")])
 """The same as an index record holds it."""
+
+_NO_RANGE_COPY = {errno.EXDEV, errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP}
+"""What ``copy_file_range`` answers between file systems that do not know it of each other."""
 
 Fields = dict[bytes, bytes]
 
@@ -77,6 +81,7 @@ class Ros1File:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._descriptor = os.open(path, os.O_RDONLY)
+        self._copies_ranges = True
 
     def __enter__(self) -> Self:
         return self
@@ -87,20 +92,34 @@ class Ros1File:
     def read(self, position: int, size: int) -> bytes:
         """Exactly ``size`` bytes at ``position``; raises InvalidInput where the file ends before."""
         data = os.pread(self._descriptor, size, position)
-        if len(data) == size:
-            return data
-        whole = bytearray(size)
-        self.read_into(memoryview(whole), position)
-        return bytes(whole)
+        while len(data) < size:
+            more = os.pread(self._descriptor, size - len(data), position + len(data))
+            if not more:
+                raise damaged(self.path, EOFError(f"{size - len(data)} bytes are missing at byte {position}"))
+            data += more
+        return data
 
-    def read_into(self, target: memoryview, position: int) -> None:
-        """Fill ``target`` with the bytes at ``position``; raises InvalidInput where the file ends before."""
-        read = 0
-        while read < len(target):
-            count = os.preadv(self._descriptor, [target[read:]], position + read)
+    def copy_to(self, descriptor: int, extent: range) -> None:
+        """Append the bytes of ``extent`` to another file without taking them into this process.
+
+        Raises InvalidInput where the file ends before, OSError where the other cannot be written.
+        """
+        position = extent.start
+        while position < extent.stop:
+            count = self._copy(descriptor, position, extent.stop - position)
             if count == 0:
-                raise damaged(self.path, EOFError(f"{len(target) - read} bytes are missing at byte {position + read}"))
-            read += count
+                raise damaged(self.path, EOFError(f"{extent.stop - position} bytes are missing at byte {position}"))
+            position += count
+
+    def _copy(self, descriptor: int, position: int, size: int) -> int:
+        if self._copies_ranges:
+            try:
+                return os.copy_file_range(self._descriptor, descriptor, size, position)
+            except OSError as error:
+                if error.errno not in _NO_RANGE_COPY:
+                    raise
+                self._copies_ranges = False
+        return os.sendfile(descriptor, self._descriptor, position, size)
 
     def chunk_data(self, chunk: Chunk) -> bytes:
         """The uncompressed data of a chunk; raises InvalidInput if it is not what the chunk's header says."""
@@ -181,43 +200,37 @@ class _IndexReader:
 
     def _chunks(self, positions: list[tuple[int, int]]) -> tuple[list[Chunk], Array]:
         chunks: list[Chunk] = []
-        parts: list[Array] = [np.empty(0, ENTRY)]
+        records: list[tuple[int, int, bytes]] = []
         row = 0
-        for position, connections in positions:
-            chunk, entries = self._chunk(position, connections, row)
-            chunks.append(chunk)
-            parts.append(entries)
-            row += len(entries)
-        return chunks, np.concatenate(parts)
+        for number, (position, connections) in enumerate(positions):
+            fields, data_position, data_bytes = self._chunk_head(position)
+            self._stream.seek(data_position + data_bytes)
+            own = [(number, *self._index_record()) for _ in range(connections)]
+            records += own
+            rows = range(row, row + sum(len(raw) for _, _, raw in own) // INDEX_ENTRY.itemsize)
+            row = rows.stop
+            size_bytes, compression = _u32(fields, b"size"), fields[b"compression"].decode()
+            chunks.append(
+                Chunk(position, data_position, data_bytes, size_bytes, compression, self._stream.tell(), rows)
+            )
+        return chunks, _sorted_entries(chunks, records)
 
-    def _chunk(self, position: int, connections: int, row: int) -> tuple[Chunk, Array]:
+    def _chunk_head(self, position: int) -> tuple[Fields, int, int]:
+        """The header's fields of a chunk, and where its data is."""
         self._stream.seek(position)
         fields = self._fields(OP_CHUNK)
-        compression = fields[b"compression"].decode()
-        if compression not in DECOMPRESS:
-            raise ValueError(f"compression {compression!r} is not known")
-        size_bytes, data_bytes = _u32(fields, b"size"), self._u32()
-        data_position = self._stream.tell()
-        self._stream.seek(data_position + data_bytes)
-        parts = [self._index_record() for _ in range(connections)]
-        entries = np.concatenate(parts) if parts else np.empty(0, ENTRY)
-        entries = entries[np.argsort(entries["offset"], kind="stable")]
-        if len(entries) and int(entries["offset"][-1]) >= size_bytes:
-            raise ValueError(f"a message behind the end of the chunk at byte {position}")
-        rows = range(row, row + len(entries))
-        end = self._stream.tell()
-        return Chunk(position, data_position, data_bytes, size_bytes, compression, end, rows), entries
+        if fields[b"compression"].decode() not in DECOMPRESS:
+            raise ValueError(f"compression {fields[b'compression'].decode()!r} is not known")
+        data_bytes = self._u32()
+        return fields, self._stream.tell(), data_bytes
 
-    def _index_record(self) -> Array:
+    def _index_record(self) -> tuple[int, bytes]:
+        """A connection, and its entries in a chunk as they stand in the file."""
         fields = self._fields(OP_INDEX)
-        raw = np.frombuffer(self._take(self._u32()), INDEX_ENTRY)
-        if len(raw) != _u32(fields, b"count"):
+        raw = self._take(self._u32())
+        if len(raw) != _u32(fields, b"count") * INDEX_ENTRY.itemsize:
             raise ValueError("an index record of the wrong length")
-        entries = np.empty(len(raw), ENTRY)
-        entries["time_ns"] = raw["s"].astype(np.int64) * 1_000_000_000 + raw["ns"]
-        entries["offset"] = raw["offset"]
-        entries["connection"] = _u32(fields, b"conn")
-        return entries
+        return _u32(fields, b"conn"), raw
 
     def _connection(self) -> Ros1Connection:
         start = self._stream.tell()
@@ -256,6 +269,23 @@ class _IndexReader:
         if position + size > self._size:
             raise EOFError(f"{size} bytes are missing at byte {position}")
         return self._stream.read(size)
+
+
+def _sorted_entries(chunks: list[Chunk], records: list[tuple[int, int, bytes]]) -> Array:
+    """Index records, each with its chunk and connection, as one array of :data:`ENTRY` by chunk and then by offset."""
+    raw = np.frombuffer(b"".join(data for _, _, data in records), INDEX_ENTRY)
+    counts = [len(data) // INDEX_ENTRY.itemsize for _, _, data in records]
+    entries = np.empty(len(raw), ENTRY)
+    entries["time_ns"] = raw["s"].astype(np.int64) * 1_000_000_000 + raw["ns"]
+    entries["offset"] = raw["offset"]
+    entries["connection"] = np.repeat(np.array([connection for _, connection, _ in records], np.uint32), counts)
+    numbers = np.repeat(np.array([number for number, _, _ in records], np.int64), counts)
+    order = np.lexsort((entries["offset"], numbers))
+    ends = np.array([chunk.size_bytes for chunk in chunks], np.int64)
+    behind = numbers[entries["offset"] >= ends[numbers]] if len(raw) else numbers
+    if len(behind):
+        raise ValueError(f"a message behind the end of the chunk at byte {chunks[int(behind[0])].position}")
+    return entries[order]
 
 
 def normalise_topic(topic: str) -> str:

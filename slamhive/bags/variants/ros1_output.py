@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import struct
-from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -19,9 +19,12 @@ from slamhive.bags.variants.ros1_index import MAGIC, OP_BAG, OP_CHUNK_INFO, U32,
 
 _HEADER_BYTES = 4096
 """The bag header's record, padded so that it can be written again when the numbers in it are known."""
-_BLOCK_BYTES = 1 << 20
-_BLOCKS = 4
-"""One is filled, the others may wait for the checksum."""
+_BLOCK_BYTES = 1 << 18
+"""Written and hashed at a time: little enough to stay in the processor's cache."""
+_PARTS = 512
+"""Most that are written at a time; the kernel takes 1024 (IOV_MAX)."""
+_COPY_BYTES = 1 << 14
+"""From this size on it is cheaper to let the kernel copy than to read and write."""
 _TIME = struct.Struct("<LL")
 
 
@@ -53,7 +56,7 @@ class Ros1Output:
         self._connections = connections
         self._summaries: list[ChunkSummary] = []
         self._position = 0
-        self._blocks = _BlockWriter(path, digest=chunks_bytes is not None)
+        self._file = _HashedFile(path, digest=chunks_bytes is not None)
         self._header = self._bag_header(len(MAGIC) + _HEADER_BYTES + (chunks_bytes or 0), chunks)
         self._put(self._header)
 
@@ -63,14 +66,14 @@ class Ros1Output:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._blocks.close()
+        self._file.close()
 
     def write(self, chunks: NewChunks, source: Ros1File) -> None:
-        """Append chunks; what they take from ``source`` is read here, block by block."""
+        """Append chunks; what they take from ``source`` is copied by the kernel."""
         self._summaries += [replace(entry, position=self._position + entry.position) for entry in chunks.summaries]
         for part in chunks.parts:
             if isinstance(part, range):
-                self._blocks.copy(source, part)
+                self._file.copy(source, part)
                 self._position += len(part)
             else:
                 self._put(part)
@@ -84,7 +87,7 @@ class Ros1Output:
             min((summary.start_ns for summary in self._summaries), default=None),
             max((summary.end_ns for summary in self._summaries), default=None),
         )
-        digest = self._blocks.finish()
+        digest = self._file.finish()
         if digest is not None and header == self._header:
             return digest, extent
         with self._path.open("r+b") as stream:
@@ -92,7 +95,7 @@ class Ros1Output:
         return checksum(self._path), extent
 
     def _put(self, data: Buffer) -> None:
-        self._blocks.add(data)
+        self._file.add(data)
         self._position += len(data)
 
     def _bag_header(self, index_position: int, chunks: int) -> bytes:
@@ -106,64 +109,80 @@ class Ros1Output:
         return MAGIC + head + U32.pack(padding) + b" " * padding
 
 
-class _BlockWriter:
-    """Writes in blocks of one size out of a few buffers, which are used again and again; a thread hashes them."""
+class _HashedFile:
+    """A file written from its start to its end; a thread hashes what is written, reading it again from memory.
+
+    Bytes are gathered and written many at a time. What comes from another file is copied by the kernel.
+    """
 
     def __init__(self, path: Path, *, digest: bool) -> None:
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+        self._waiting: list[Buffer] = []
+        self._waiting_bytes = 0
+        self._written = 0
         self._hash = hashlib.sha256() if digest else None
+        self._hashed = 0
+        self._block = memoryview(bytearray(_BLOCK_BYTES))
         self._pool = ThreadPoolExecutor(1, "checksum")
-        self._blocks = deque(memoryview(bytearray(_BLOCK_BYTES)) for _ in range(_BLOCKS))
-        self._hashing: deque[Future[None]] = deque()
-        self._filled = 0
+        self._hashing: Future[None] | None = None
 
     def add(self, data: Buffer) -> None:
         """Append bytes."""
-        source = memoryview(data).cast("B")
-        while len(source):
-            target = self._room(len(source))
-            target[:] = source[: len(target)]
-            source = source[len(target) :]
+        self._waiting.append(data)
+        self._waiting_bytes += len(data)
+        if self._waiting_bytes >= _BLOCK_BYTES or len(self._waiting) >= _PARTS:
+            self._flush()
 
     def copy(self, file: Ros1File, extent: range) -> None:
         """Append an extent of another file."""
-        position = extent.start
-        while position < extent.stop:
-            target = self._room(extent.stop - position)
-            file.read_into(target, position)
-            position += len(target)
+        if len(extent) < _COPY_BYTES:
+            self.add(file.read(extent.start, len(extent)))
+            return
+        self._flush()
+        file.copy_to(self._descriptor, extent)
+        self._grown(len(extent))
 
     def finish(self) -> str | None:
         """Write what is left; ``sha256:<hex>`` of everything, if that was asked for."""
         self._flush()
-        while self._hashing:
-            self._hashing.popleft().result()
-        return None if self._hash is None else f"sha256:{self._hash.hexdigest()}"
+        if self._hash is None:
+            return None
+        if self._hashing is not None:
+            self._hashing.result()
+        self._hash_to(self._written)
+        return f"sha256:{self._hash.hexdigest()}"
 
     def close(self) -> None:
         """Let go of the file and the thread."""
         self._pool.shutdown(cancel_futures=True)
         os.close(self._descriptor)
 
-    def _room(self, wanted_bytes: int) -> memoryview:
-        """Up to that much of the present block, counted as filled."""
-        if self._filled == _BLOCK_BYTES:
-            self._flush()
-        start = self._filled
-        self._filled = min(_BLOCK_BYTES, start + wanted_bytes)
-        return self._blocks[0][start : self._filled]
-
     def _flush(self) -> None:
-        block = self._blocks[0][: self._filled]
-        written = 0
-        while written < len(block):
-            written += os.write(self._descriptor, block[written:])
-        if self._hash is not None:
-            self._hashing.append(self._pool.submit(self._hash.update, block))
-            if len(self._hashing) == _BLOCKS:
-                self._hashing.popleft().result()
-        self._blocks.rotate(-1)
-        self._filled = 0
+        parts, size_bytes = self._waiting, self._waiting_bytes
+        self._waiting, self._waiting_bytes = [], 0
+        written = os.writev(self._descriptor, parts) if parts else 0
+        if written < size_bytes:
+            rest = memoryview(b"".join(parts))[written:]
+            while len(rest):
+                rest = rest[os.write(self._descriptor, rest) :]
+        self._grown(size_bytes)
+
+    def _grown(self, size_bytes: int) -> None:
+        self._written += size_bytes
+        if self._hash is not None and (self._hashing is None or self._hashing.done()):
+            if self._hashing is not None:
+                self._hashing.result()
+            self._hashing = self._pool.submit(self._hash_to, self._written)
+
+    def _hash_to(self, position: int) -> None:
+        assert self._hash is not None, "called only where there is a hash"
+        while self._hashed < position:
+            block = self._block[: min(_BLOCK_BYTES, position - self._hashed)]
+            count = os.preadv(self._descriptor, [block], self._hashed)
+            if count == 0:
+                raise OSError(errno.EIO, "what was written is not there")
+            self._hash.update(block[:count])
+            self._hashed += count
 
 
 def _chunk_info(summary: ChunkSummary) -> bytes:

@@ -219,7 +219,7 @@ class Rewriter:
     def _spans(self, piece: RewritePiece) -> Iterator[tuple[int, int]]:
         """Runs of kept rows that are untouched, and kept rows that change one by one."""
         rows = slice(piece.rows.start, piece.rows.stop)
-        kinds = np.where(self._decisions.kept[rows], 1 + self._decisions.changed[rows], 0)
+        kinds = np.where(self._decisions.kept[rows], 1 + self._decisions.changed[rows], 0).tolist()
         start = 0
         for stop in range(1, len(kinds) + 1):
             if stop < len(kinds) and kinds[stop] == kinds[start] == 1:

@@ -20,7 +20,7 @@ from slamhive.bags.variants.ros1_output import BagExtent, Ros1Output
 from slamhive.bags.variants.ros1_rewrite import CopyPiece, Piece, RewritePiece, Rewriter, cut
 from slamhive.bags.variants.streams import Treatment
 
-_IN_FLIGHT_BYTES = 48 << 20
+_IN_FLIGHT_BYTES = 12 << 20
 """Of source data being worked on; what is made of it takes about as much again."""
 
 TopicChoice = Callable[[dict[str, str]], dict[str, Treatment]]
