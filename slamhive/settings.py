@@ -87,6 +87,11 @@ class Settings:
         return self.data / "variants"
 
     @property
+    def experiments_folder(self) -> Path:
+        """Where the files of experiments lie."""
+        return self.data / "experiments"
+
+    @property
     def runs_folder(self) -> Path:
         """Where run folders lie."""
         return self.data / "runs"

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.domain.run import RunEvent, RunState
-from slamhive.errors import Conflict, InvalidInput, SlamHiveError, Unavailable
+from slamhive.errors import Conflict, SlamHiveError, Unavailable
 from slamhive.evaluation.job import Artefacts
 from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
-from slamhive.executors.base import Executor, ImageMissing
+from slamhive.executors.base import Executor
 from slamhive.executors.registry import AUTO, ExecutorContext, choose_executor, installation_id, open_executor
 from slamhive.project import project_root
 from slamhive.runs.folder import RunFolder
@@ -23,12 +23,15 @@ from slamhive.services.configurations import Configurations
 from slamhive.services.current_protocols import CurrentProtocols
 from slamhive.services.driver_context import utc_now
 from slamhive.services.evaluations import Evaluations
+from slamhive.services.experiments.context import ExperimentContext
+from slamhive.services.experiments.service import Experiments
 from slamhive.services.lock import WorkerLock
-from slamhive.services.preparation import check_disk, check_recording
+from slamhive.services.preparation import check_disk, check_package, check_recorded, recorded_topics
 from slamhive.services.progress import RunProgress, run_progress
 from slamhive.services.protocols import Protocols
 from slamhive.services.record import handle_from_json
 from slamhive.services.request import Submission, protocol_for
+from slamhive.services.retrying import retry_request
 from slamhive.services.series import RunSeries, run_series
 from slamhive.services.variants import Variants
 from slamhive.services.worker import Worker
@@ -67,6 +70,9 @@ class Hive:
         self.variants = Variants(settings, store)
         self.configurations = Configurations(settings, store, catalogue, self.variants)
         self.protocols = Protocols(store)
+        self.experiments = Experiments(
+            ExperimentContext(settings, store, catalogue, self.variants, self.executor, self.executor_name)
+        )
         self.evaluations_service = Evaluations(settings, store, catalogue, self._evaluation_runner)
 
     # -- asking for runs -------------------------------------------------------------------------------------------
@@ -79,14 +85,10 @@ class Hive:
         self.check_writable()
         checked = self.configurations.check(submission)
         algorithm, dataset, configuration = checked.algorithm, checked.dataset, checked.configuration
-        check_recording(dataset, algorithm)
+        check_recorded(dataset, algorithm, recorded_topics(dataset))
         check_disk(self.settings)
         executor = self.executor_name(submission.executor)
-        if executor == "process":
-            try:
-                self.executor(executor).identity(algorithm.package)
-            except ImageMissing as error:  # a package that runs in a container only
-                raise InvalidInput(error.message, error.remedy) from None
+        check_package(executor, self.executor, algorithm.package)
         protocol = None
         if submission.alignment is not None:
             protocol = protocol_for(algorithm, dataset, self.settings, submission.alignment)
@@ -129,21 +131,8 @@ class Hive:
         if not old.state.ended:
             raise Conflict(f"run {run_id} is {old.state}", "only a run that has ended can be tried again")
         self.configurations.check_runnable(old.configuration_id)
-        request = RunRequest(
-            uid=uuid.uuid4().hex,
-            configuration_id=old.configuration_id,
-            executor=old.executor,
-            seed=old.seed,
-            priority=old.priority,
-            evaluate=old.evaluate,
-            cpu_cores=old.cpu_cores,
-            memory_mb=old.memory_mb,
-            timeout_s=old.timeout_s,
-            retry_of=old.id,
-            protocol=old.protocol_override,
-        )
-        now = utc_now()
-        (new_id,) = self.store.write(lambda t: t.runs.add_runs([request], now))
+        uid, now = uuid.uuid4().hex, utc_now()
+        (new_id,) = self.store.write(lambda t: t.runs.add_runs([retry_request(t, old, uid)], now))
         return self.run(new_id)
 
     def run_configuration(self, configuration_id: int, **fields: Any) -> tuple[RunRecord, ...]:

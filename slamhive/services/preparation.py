@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,11 @@ from slamhive import __version__
 from slamhive.bags.reader import inspect_bag
 from slamhive.catalogue.algorithm_file import package_hash
 from slamhive.catalogue.run_config import build_run_config
-from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput, Unavailable
-from slamhive.executors.base import Limits, Mount, RunSpec
+from slamhive.executors.base import Executor, ImageMissing, Limits, Mount, RunSpec
 from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.runtime.config import to_yaml
@@ -75,19 +76,30 @@ def check_dataset_files(dataset: Dataset) -> None:
         raise InvalidInput(f"dataset {dataset.name} lacks its recording {dataset.bag_path}", "import it again")
 
 
-def check_recording(dataset: Dataset, algorithm: Algorithm) -> None:
-    """Raise InvalidInput if the recording is missing, damaged, or lacks a topic that ``algorithm`` needs.
-
-    Only the recording's index is read, none of its messages.
-    """
+def recorded_topics(dataset: Dataset) -> dict[str, int]:
+    """{topic: messages} of the recording; raises InvalidInput if it is missing or damaged. Only its index is read."""
     check_dataset_files(dataset)
-    recorded = {entry.topic: entry.count for entry in inspect_bag(dataset.bag_path).topics}
+    return {entry.topic: entry.count for entry in inspect_bag(dataset.bag_path).topics}
+
+
+def check_recorded(dataset: Dataset, algorithm: Algorithm, recorded: Mapping[str, int]) -> None:
+    """Raise InvalidInput if the recording lacks a topic that ``algorithm`` needs; see :func:`recorded_topics`."""
     for role, sensor in algorithm.assign(dataset).items():
         if not recorded.get(sensor.topic):
             raise InvalidInput(
                 f"{dataset.bag_path} holds no messages on {sensor.topic}, which {algorithm.name} needs as {role}",
                 f"correct the topic of {sensor.name} in dataset.yaml; recorded: {', '.join(sorted(recorded))}",
             )
+
+
+def check_package(executor: str, executors: Callable[[str], Executor], package: AlgorithmPackage) -> None:
+    """Raise InvalidInput if the package can never run on ``executor``: it has no environment, only an image."""
+    if executor != "process":
+        return
+    try:
+        executors(executor).identity(package)
+    except ImageMissing as error:
+        raise InvalidInput(error.message, error.remedy) from None
 
 
 def write_config(job: Job, folder: RunFolder) -> None:

@@ -7,6 +7,7 @@ from datetime import datetime
 from typing import Any
 
 from sqlalchemy import insert, select, update
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from slamhive.domain import configuration as domain
@@ -14,6 +15,7 @@ from slamhive.domain.parameters import Parameter as Definition
 from slamhive.domain.parameters import ParameterType, Value
 from slamhive.domain.variant import variant_from_json, variant_to_json
 from slamhive.errors import NotFound
+from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.models import (
     TEXT_VALUE_LENGTH,
     Algorithm,
@@ -23,6 +25,10 @@ from slamhive.store.models import (
     Parameter,
 )
 from slamhive.store.rows import chunks, get_or_insert
+
+ROWS_OF_A_STATEMENT = 100
+"""Few enough for PyMySQL to send as one INSERT, which happens whole or not at all if another transaction inserts the
+same. SQLite has one writer at a time."""
 
 
 class ConfigurationRepository:
@@ -48,24 +54,19 @@ class ConfigurationRepository:
             now: When it was created, if it is new.
             definitions: The algorithm's parameters; a key without one is filed under its value's own type.
         """
-        values = {
-            "algorithm_id": algorithm_id,
-            "dataset_id": dataset_id,
-            "playback_mode": configuration.playback.mode,
-            "playback_rate": configuration.playback.rate,
-            "variant": variant_to_json(configuration.variant) or None,
-            "created_at": now,
-        }
-        keys = {"content_hash": configuration.content_hash}
-        configuration_id, created = get_or_insert(self._session, Configuration, keys, values)
-        if created and configuration.parameters:
-            known = self._parameter_ids(algorithm_id, configuration.parameters, definitions)
-            rows = [
-                {"configuration_id": configuration_id, "parameter_id": known[key], **_columns(value)}
-                for key, value in configuration.parameters.items()
-            ]
-            self._session.execute(insert(ConfigurationValue.__table__), rows)
-        return configuration_id, created
+        entry = NewConfiguration(configuration, configuration.content_hash, algorithm_id, dataset_id, definitions)
+        return self.get_or_create_many([entry], now)[0]
+
+    def get_or_create_many(self, entries: Sequence[NewConfiguration], now: datetime) -> list[tuple[int, bool]]:
+        """The same for some hundreds at a time, in a few statements; in the order of ``entries``."""
+        known = self._ids_by_hash([entry.content_hash for entry in entries])
+        missing = {entry.content_hash: entry for entry in entries if entry.content_hash not in known}
+        ours: set[str] = set()
+        if missing:
+            ours = self._insert(missing, now)
+            known.update(self._ids_by_hash(list(missing)))
+            self._insert_values({known[content_hash]: missing[content_hash] for content_hash in ours})
+        return [(known[entry.content_hash], entry.content_hash in ours) for entry in entries]
 
     def get(self, configuration_id: int) -> domain.Configuration:
         """The configuration with this id; raises NotFound."""
@@ -107,6 +108,44 @@ class ConfigurationRepository:
                 found[configuration_id][key] = tuple(value) if isinstance(value, list) else value
         return found
 
+    def _ids_by_hash(self, hashes: Sequence[str]) -> dict[str, int]:
+        found: dict[str, int] = {}
+        for part in chunks(hashes):
+            query = select(Configuration.content_hash, Configuration.id).where(Configuration.content_hash.in_(part))
+            found.update((row.content_hash, row.id) for row in self._session.execute(query))
+        return found
+
+    def _insert(self, missing: Mapping[str, NewConfiguration], now: datetime) -> set[str]:
+        """Insert the rows of ``missing``; the hashes of those that no other transaction has inserted meanwhile."""
+        inserted: set[str] = set()
+        for part in chunks(list(missing), ROWS_OF_A_STATEMENT):
+            rows = [{**_row(missing[content_hash]), "created_at": now} for content_hash in part]
+            try:
+                self._session.execute(insert(Configuration.__table__), rows)
+            except IntegrityError:
+                for row in rows:
+                    keys = {"content_hash": row.pop("content_hash")}
+                    if get_or_insert(self._session, Configuration, keys, row)[1]:
+                        inserted.add(keys["content_hash"])
+            else:
+                inserted.update(part)
+        return inserted
+
+    def _insert_values(self, entries: Mapping[int, NewConfiguration]) -> None:
+        """The parameters of configurations that are new, by id."""
+        ids: dict[tuple[object, ...], dict[str, int]] = {}
+        rows: list[dict[str, Any]] = []
+        for configuration_id, entry in entries.items():
+            values = entry.configuration.parameters
+            signature = (entry.algorithm_id, *((key, type(value)) for key, value in values.items()))
+            if signature not in ids:
+                ids[signature] = self._parameter_ids(entry.algorithm_id, values, entry.definitions)
+            for key, value in values.items():
+                columns = {"configuration_id": configuration_id, "parameter_id": ids[signature][key]}
+                rows.append({**columns, **_columns(value)})
+        if rows:
+            self._session.execute(insert(ConfigurationValue.__table__), rows)
+
     def _parameter_ids(
         self, algorithm_id: int, values: Mapping[str, Value], definitions: Sequence[Definition]
     ) -> dict[str, int]:
@@ -137,6 +176,18 @@ class ConfigurationRepository:
             same = (table.c.scope == scope, table.c.key == key)
             self._session.execute(update(table).where(*same).values(general=general))
         return ids
+
+
+def _row(entry: NewConfiguration) -> dict[str, Any]:
+    configuration = entry.configuration
+    return {
+        "content_hash": entry.content_hash,
+        "algorithm_id": entry.algorithm_id,
+        "dataset_id": entry.dataset_id,
+        "playback_mode": configuration.playback.mode,
+        "playback_rate": configuration.playback.rate,
+        "variant": variant_to_json(configuration.variant) or None,
+    }
 
 
 def _description(definition: Definition | None, value: Value) -> tuple[str, str, str | None]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 
 from slamhive.domain.configuration import Configuration
-from slamhive.domain.parameters import Value
+from slamhive.domain.parameters import Parameter, Value
 from slamhive.domain.run import FailureReason, RunState
 
 
@@ -90,9 +90,22 @@ class StateCount:
 
 @dataclass(frozen=True, slots=True)
 class NewConfiguration:
-    """A configuration to file under rows that exist; ``content_hash`` is that of ``configuration``."""
+    """A configuration to file under rows that exist; ``content_hash`` is that of ``configuration``.
+
+    ``definitions``: the algorithm's parameters; a key without one is filed under its value's own type.
+    """
 
     configuration: Configuration
     content_hash: str
     algorithm_id: int
     dataset_id: int
+    definitions: Sequence[Parameter] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class KnownConfiguration:
+    """How often a stored configuration was asked for, and how long its runs took on average, None if none is known."""
+
+    runs: int
+    measured_runs: int
+    duration_s: float | None

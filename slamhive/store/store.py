@@ -17,8 +17,10 @@ from slamhive.store import migrate
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.configuration_book import ConfigurationBook
 from slamhive.store.configurations import ConfigurationRepository
+from slamhive.store.durations import DurationRepository
 from slamhive.store.engine import WRITES, database_label, make_engine
 from slamhive.store.evaluations import EvaluationRepository
+from slamhive.store.experiments import ExperimentRepository
 from slamhive.store.failures import explained, gave_up, is_transient, short
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.queue import QueueRepository
@@ -61,6 +63,16 @@ class Transaction:
     def queue(self) -> QueueRepository:
         """Who works on which run: claims, leases, heartbeats."""
         return QueueRepository(self.session)
+
+    @cached_property
+    def experiments(self) -> ExperimentRepository:
+        """Experiments and their cells."""
+        return ExperimentRepository(self.session)
+
+    @cached_property
+    def durations(self) -> DurationRepository:
+        """How long runs took."""
+        return DurationRepository(self.session)
 
     @cached_property
     def evaluations(self) -> EvaluationRepository:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.parameters import Value
+from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput
 from slamhive.sweep.binding import Pair, Row
 from slamhive.sweep.check import Filter, bind_all
@@ -37,11 +38,13 @@ class Size:
 class PlannedRun:
     """One run to come.
 
-    ``number`` counts runs and ``repeat`` repeats from 1, ``name`` belongs to the configuration (``paper-euroc-0007``).
+    ``number`` counts runs, ``cell`` configurations and ``repeat`` repeats from 1; ``name`` belongs to the configuration
+    (``paper-euroc-0007``).
     ``values`` holds the value of each axis that applies, by axis name, after ``algorithm`` and ``dataset``.
     """
 
     number: int
+    cell: int
     name: str
     configuration: Configuration
     content_hash: str
@@ -66,11 +69,15 @@ class Expansion(Iterator[PlannedRun]):
 
     Attributes:
         size: As counted beforehand.
+        pairs: The algorithms on the datasets that configurations remain for.
+        variants: The variants of each dataset that they need; {dataset name: variants}, without the dataset as it is.
         merged: How many configurations were identical to an earlier one so far, and therefore left out.
     """
 
     def __init__(self, experiment: Experiment, view: CatalogueView, limit: int = MAX_COMBINATIONS) -> None:
         self.size, pairs, conditions = _checked(experiment, view, limit)
+        self.pairs = tuple((pair.algorithm, pair.dataset) for pair in pairs)
+        self.variants = _variants(pairs)
         self.merged = 0
         self._runs = self._plan(experiment, pairs, conditions)
 
@@ -96,7 +103,7 @@ class Expansion(Iterator[PlannedRun]):
                 for seed in experiment.seeds:
                     for repeat in range(1, experiment.repeats + 1):
                         number += 1
-                        yield PlannedRun(number, name, configuration, content_hash, values, seed, repeat)
+                        yield PlannedRun(number, len(seen), name, configuration, content_hash, values, seed, repeat)
 
 
 def expand(experiment: Experiment, view: CatalogueView, limit: int = MAX_COMBINATIONS) -> Expansion:
@@ -107,7 +114,9 @@ def expand(experiment: Experiment, view: CatalogueView, limit: int = MAX_COMBINA
 def _checked(experiment: Experiment, view: CatalogueView, limit: int) -> tuple[Size, list[Pair], Filter]:
     pairs, conditions = bind_all(experiment, view)
     combinations = _check_size(experiment, pairs, limit)
-    configurations = sum(1 for pair in pairs for _ in _rows(pair, conditions))
+    remaining = {id(pair): sum(1 for _ in _rows(pair, conditions)) for pair in pairs}
+    pairs = [pair for pair in pairs if remaining[id(pair)]]
+    configurations = sum(remaining.values())
     if configurations == 0:
         text = " and ".join(f"({where.text})" for where in experiment.where)
         raise InvalidInput(f"{experiment.where[0].place}: the condition {text} removes every combination", "loosen it")
@@ -118,8 +127,16 @@ def _checked(experiment: Experiment, view: CatalogueView, limit: int) -> tuple[S
             f"{experiment.repeats} repeats are {runs:,} runs, more than the limit of {limit:,}",
             "vary less at once",
         )
-    variants = {(pair.dataset.name, variant) for pair in pairs for variant in pair.variants.values() if variant}
-    return Size(combinations, configurations, runs, len(variants), _axis_sizes(experiment, pairs)), pairs, conditions
+    variants = sum(map(len, _variants(pairs).values()))
+    return Size(combinations, configurations, runs, variants, _axis_sizes(experiment, pairs)), pairs, conditions
+
+
+def _variants(pairs: list[Pair]) -> dict[str, frozenset[Variant]]:
+    needed: dict[str, frozenset[Variant]] = {}
+    for pair in pairs:
+        found = frozenset(variant for variant in pair.variants.values() if variant)
+        needed[pair.dataset.name] = needed.get(pair.dataset.name, frozenset()) | found
+    return needed
 
 
 def _rows(pair: Pair, conditions: Filter) -> Iterator[Row]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import hashlib
+import json
+from dataclasses import dataclass, field, fields, is_dataclass
 
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.parameters import Value
@@ -130,3 +132,20 @@ class Experiment:
     evaluation: Evaluation = field(default_factory=Evaluation)
     executor: str | None = None
     priority: int = 0
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 over what is stated: places and comments in the file do not count, the order of axes does."""
+        return hashlib.sha256(json.dumps(_content(self), allow_nan=False).encode()).hexdigest()
+
+
+def _content(value: object) -> object:
+    """``value`` as JSON without the places; numbers keep their type, since 1 and 1.0 are two values."""
+    if isinstance(value, Where):
+        return value.text
+    if is_dataclass(value):
+        parts = ((entry.name, getattr(value, entry.name)) for entry in fields(value))
+        return {name: _content(part) for name, part in parts if not isinstance(part, Place)}
+    if isinstance(value, tuple):
+        return [_content(part) for part in value]
+    return value if value is None else [type(value).__name__, str(value)]

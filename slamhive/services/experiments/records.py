@@ -91,7 +91,7 @@ class ExperimentPreview:
     another), ``runs`` with seeds and repeats. ``known_cells`` configurations are stored already, with ``known_runs``
     runs. ``time_s`` is the estimated time of all runs on this machine's slots, ``measured_runs`` how many of them it
     knows from earlier runs; the others are taken to last as long as their recording plays. ``run_bytes`` is the room
-    that run folders will take, None if none has been measured yet. ``refusals`` would keep it from being started.
+    that run folders will take, by the size of earlier ones. ``refusals`` would keep it from being started.
     ``standing``: of the experiment if it is stored already.
     """
 
@@ -110,7 +110,7 @@ class ExperimentPreview:
     slots: int
     variants: tuple[VariantNeed, ...]
     variant_bytes: int
-    run_bytes: int | None
+    run_bytes: int
     free_bytes: int
     warnings: tuple[str, ...]
     refusals: tuple[str, ...]

@@ -1,0 +1,74 @@
+"""What is done to an experiment as a whole once it is stored: paused, resumed, cancelled, its failures tried again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import datetime
+
+from slamhive.errors import Conflict
+from slamhive.services.driver_context import utc_now
+from slamhive.services.experiments.context import ExperimentContext
+from slamhive.services.experiments.folder import ExperimentStamp
+from slamhive.services.experiments.storing import run_uid
+from slamhive.services.retrying import retry_request
+from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
+from slamhive.store.store import Transaction
+
+WHY_CANCELLED = "cancelled with its experiment"
+_AT_ONCE = 500
+
+
+@contextmanager
+def changing(context: ExperimentContext, name: str) -> Iterator[ExperimentRecord]:
+    """The experiment, changed by nobody else on this machine meanwhile; raises NotFound, Conflict if cancelled."""
+    context.store.read(lambda t: t.experiments.get(name))
+    with context.folder(name).locked():
+        record = context.store.read(lambda t: t.experiments.get(name))
+        if record.state is ExperimentState.CANCELLED:
+            raise Conflict(f"experiment {name} was cancelled", "start its file under another name to run it again")
+        yield record
+
+
+def stamp_of(record: ExperimentRecord) -> ExperimentStamp:
+    """What the experiment's folder says of it."""
+    return ExperimentStamp(**{name: getattr(record, name) for name in ExperimentStamp.__dataclass_fields__})
+
+
+def write_stamp(context: ExperimentContext, record: ExperimentRecord) -> None:
+    """Write down what is wanted of the experiment: the folder is the truth, the database its index."""
+    folder = context.folder(record.name)
+    known = folder.read() is not None
+    folder.write(stamp_of(record), None if known else record.source)
+
+
+def put_state(context: ExperimentContext, name: str, state: ExperimentState) -> None:
+    """Pause, resume or cancel; the same state again is fine."""
+    with changing(context, name) as record:
+        write_stamp(context, replace(record, state=state))
+        now = utc_now()
+
+        def work(t: Transaction) -> None:
+            t.experiments.change(record.id, state=state)
+            if state is ExperimentState.CANCELLED:
+                t.experiments.cancel(record.id, now, WHY_CANCELLED)
+            else:
+                t.experiments.hold(record.id, held=state is ExperimentState.PAUSED)
+
+        context.store.write(work)
+
+
+def retry_failed(context: ExperimentContext, name: str) -> int:
+    """Queue a run in the place of each failed one; how many."""
+    with changing(context, name) as record:
+        failed = context.store.read(lambda t: t.experiments.failed(record.id))
+        for begin in range(0, len(failed), _AT_ONCE):
+            part, now = failed[begin : begin + _AT_ONCE], utc_now()
+            context.store.write(lambda t, part=part, now=now: _retry(t, part, now))  # type: ignore[misc]
+    return len(failed)
+
+
+def _retry(t: Transaction, run_ids: Sequence[int], now: datetime) -> None:
+    requests = [retry_request(t, run, run_uid(run.uid, "retry")) for run in t.runs.get_many(run_ids)]
+    t.runs.add_runs(requests, now)

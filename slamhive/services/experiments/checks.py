@@ -1,0 +1,140 @@
+"""What would keep an experiment from running, found before anything of it is stored."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from heapq import nlargest
+
+from slamhive.domain.protocol import Protocol
+from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.services.experiments.context import ExperimentContext
+from slamhive.services.experiments.records import VariantNeed
+from slamhive.services.preparation import check_disk, check_package, check_recorded, recorded_topics
+from slamhive.services.request import protocol_for
+from slamhive.sweep.binding import at
+from slamhive.sweep.expand import Expansion
+from slamhive.sweep.experiment import Experiment
+
+UNMEASURED_RUN_BYTES = 500_000
+"""Of a run folder while none has been measured: log, samples, trajectory and plots of a run of a minute."""
+
+_MEASURED_RUNS = 20
+Pair = tuple[str, str]
+"""Names of algorithm and dataset."""
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """Disk that an experiment needs and that there is, in bytes."""
+
+    variants: tuple[VariantNeed, ...]
+    run_bytes: int
+    free_bytes: int
+    unused_bytes: int
+    cache_bytes: int
+
+    @property
+    def variant_bytes(self) -> int:
+        """Of all variants that are still to be made."""
+        return sum(need.needed_bytes for need in self.variants if not need.made)
+
+
+def pair_problems(
+    context: ExperimentContext, experiment: Experiment, expansion: Expansion, executor: str
+) -> Iterator[SlamHiveError]:
+    """What is wrong with recordings, packages and alignment, each told once with its place."""
+    recorded: dict[str, Mapping[str, int] | None] = {}
+    packages: set[str] = set()
+    for algorithm, dataset in expansion.pairs:
+        if dataset.name not in recorded:
+            try:
+                recorded[dataset.name] = recorded_topics(dataset)
+            except SlamHiveError as error:
+                recorded[dataset.name] = None
+                yield at(experiment.datasets.place, error)
+        topics = recorded[dataset.name]
+        try:
+            if topics is not None:
+                check_recorded(dataset, algorithm, topics)
+            if algorithm.package.name not in packages:
+                packages.add(algorithm.package.name)
+                check_package(executor, context.executors, algorithm.package)
+            protocol_of_pair(context, experiment, expansion, (algorithm.name, dataset.name))
+        except SlamHiveError as error:
+            yield at(experiment.datasets.place, error)
+
+
+def protocol_of_pair(
+    context: ExperimentContext, experiment: Experiment, expansion: Expansion, pair: Pair
+) -> Protocol | None:
+    """The protocol that the experiment asks for, None for the one that the sensors deserve."""
+    if experiment.evaluation.alignment is None:
+        return None
+    algorithm, dataset = next((a, d) for a, d in expansion.pairs if (a.name, d.name) == pair)
+    return protocol_for(algorithm, dataset, context.settings, experiment.evaluation.alignment)
+
+
+def find_room(context: ExperimentContext, expansion: Expansion) -> Room:
+    """Which variants are needed, and how much disk there is for them and for run folders."""
+    entries = context.variants.entries()
+    made = {entry.key for entry in entries}
+    datasets = {dataset.name: dataset for _, dataset in expansion.pairs}
+    needs: list[VariantNeed] = []
+    for name, variants in expansion.variants.items():
+        for variant in sorted(variants, key=str):
+            plan = context.variants.plan(datasets[name], variant)
+            if plan is not None:
+                needs.append(VariantNeed(name, variant, plan.key, plan.needed_bytes, plan.key in made))
+    return Room(
+        variants=tuple(needs),
+        run_bytes=expansion.size.runs * _bytes_of_a_run(context),
+        free_bytes=shutil.disk_usage(context.settings.data).free,
+        unused_bytes=sum(entry.size_bytes for entry in entries if not entry.in_use),
+        cache_bytes=context.settings.variant_cache_bytes,
+    )
+
+
+def room_problems(context: ExperimentContext, experiment: Experiment, room: Room) -> Iterator[SlamHiveError]:
+    """What does not fit, even with every unused variant removed; runs on the same variant follow each other."""
+    try:
+        check_disk(context.settings)
+    except Unavailable as error:
+        yield error
+    largest = max((need.needed_bytes for need in room.variants if not need.made), default=0)
+    if largest > room.cache_bytes:
+        yield InvalidInput(
+            f"{experiment.place}: a variant takes {_mb(largest)}, the cache holds {_mb(room.cache_bytes)}",
+            "raise VARIANT_CACHE_BYTES",
+        )
+    kept = context.settings.min_free_disk_mb * 1_000_000
+    needed = largest + room.run_bytes + kept
+    if needed > room.free_bytes + room.unused_bytes:
+        yield Unavailable(
+            f"{experiment.place}: the experiment needs {_mb(needed)} (largest variant {_mb(largest)}, run folders "
+            f"{_mb(room.run_bytes)}, kept free {_mb(kept)}), {context.settings.data} has {_mb(room.free_bytes)} free",
+            "make room, or vary less at once",
+        )
+
+
+def warnings(room: Room) -> Sequence[str]:
+    """What works, but costs."""
+    total = sum(need.needed_bytes for need in room.variants)
+    limit = min(room.cache_bytes, room.free_bytes + sum(need.needed_bytes for need in room.variants if need.made))
+    if total <= limit:
+        return ()
+    takes = f"its variants take up to {_mb(total)}, there is room for {_mb(limit)}"
+    return (f"{takes}: those used longest ago are removed, and made again if a run needs them",)
+
+
+def _bytes_of_a_run(context: ExperimentContext) -> int:
+    """The mean size of the latest run folders."""
+    numbered = (entry for entry in context.settings.runs_folder.iterdir() if entry.name.isdigit())
+    latest = nlargest(_MEASURED_RUNS, numbered, key=lambda entry: int(entry.name))
+    sizes = [sum(path.lstat().st_size for path in folder.rglob("*") if path.is_file()) for folder in latest]
+    return sum(sizes) // len(sizes) if sizes else UNMEASURED_RUN_BYTES
+
+
+def _mb(count: int) -> str:
+    return f"{count / 1e6:,.0f} MB"

@@ -1,0 +1,76 @@
+"""What the parts of the experiment service share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from slamhive.bags.variants.rules import RegisteredSteps
+from slamhive.domain.configuration import Playback, PlaybackMode
+from slamhive.errors import InvalidInput
+from slamhive.executors.base import Executor
+from slamhive.services.catalogue import Catalogue
+from slamhive.services.experiments.folder import ExperimentFolder
+from slamhive.services.variants import Variants
+from slamhive.settings import Settings
+from slamhive.store.durations import Pairing
+from slamhive.store.store import Store
+from slamhive.sweep.binding import at
+from slamhive.sweep.expand import Expansion, expand
+from slamhive.sweep.experiment import Experiment
+from slamhive.sweep.view import CatalogueView
+
+Progress = Callable[[int, int], None]
+"""Called with how many of how many are done."""
+
+
+def silent(_done: int, _total: int) -> None:
+    """Progress that nobody watches."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentContext:
+    """One installation, as far as experiments need it."""
+
+    settings: Settings
+    store: Store
+    catalogue: Catalogue
+    variants: Variants
+    executors: Callable[[str], Executor]
+    executor_name: Callable[[str | None], str]
+
+    def folder(self, name: str) -> ExperimentFolder:
+        """Where the experiment called ``name`` is kept."""
+        return ExperimentFolder(self.settings.experiments_folder / name)
+
+    def expand(self, experiment: Experiment) -> Expansion:
+        """Everything that ``experiment`` asks for, checked against the catalogue as it is now.
+
+        Raises NotFound or InvalidInput naming file and line; a folder that cannot be read is told with its reason.
+        """
+        self._explain_broken(experiment)
+        view = CatalogueView(
+            {algorithm.name: algorithm for algorithm in self.catalogue.algorithms()},
+            {dataset.name: dataset for dataset in self.catalogue.datasets()},
+            RegisteredSteps(),
+        )
+        return expand(experiment, view)
+
+    def _explain_broken(self, experiment: Experiment) -> None:
+        broken = {entry.folder.name for entry in self.catalogue.broken()}
+        for axis, look_up in (
+            (experiment.algorithms, self.catalogue.algorithm),
+            (experiment.datasets, self.catalogue.dataset),
+        ):
+            for name in map(str, axis.values):
+                if any(name == folder or name.startswith(f"{folder}-") for folder in broken):
+                    try:
+                        look_up(name)
+                    except InvalidInput as error:
+                        raise at(axis.place, error) from None
+
+
+def guessed_duration_s(pairing: Pairing, recording_s: float) -> float:
+    """How long a run lasts of which nothing is known: as long as its recording plays."""
+    playback = Playback(PlaybackMode(pairing[2]), pairing[3])
+    return recording_s / playback.rate if playback.mode is PlaybackMode.REALTIME else recording_s

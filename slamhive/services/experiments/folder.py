@@ -1,0 +1,108 @@
+"""``experiments/<name>/``: what an experiment is rebuilt from when the database is lost."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+
+from slamhive.errors import Conflict, InvalidInput, Unavailable
+from slamhive.files import write_aside
+from slamhive.store.experiment_records import ExperimentState
+
+SOURCE = "experiment.yaml"
+RECORD = "experiment.json"
+LOCK = ".lock"
+FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentStamp:
+    """What is known of an experiment besides its source: who it is, and what was last wanted of it."""
+
+    uid: str
+    name: str
+    content_hash: str
+    state: ExperimentState
+    executor: str
+    repeats: int
+    created_at: datetime
+
+
+class ExperimentFolder:
+    """The folder of one experiment.
+
+    Args:
+        root: Where it lies; it bears the experiment's name.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Nobody else on this machine changes the experiment meanwhile; raises Conflict if somebody does.
+
+        The kernel lets go of the lock when its process dies, however it dies.
+        """
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(self.root / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise Unavailable(f"{self.root} cannot be used: {error.strerror}", "check space and rights") from None
+        try:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise Conflict(
+                    f"experiment {self.root.name} is being changed by another process", "wait until it is done"
+                ) from None
+            yield
+        finally:
+            os.close(descriptor)
+
+    def write(self, stamp: ExperimentStamp, source: str | None = None) -> None:
+        """Write the stamp, and the source with a new experiment; the source first, so that a stamp always has one."""
+        if source is not None:
+            write_aside(self.root / SOURCE, source)
+        content = {**asdict(stamp), "format": FORMAT, "created_at": stamp.created_at.isoformat()}
+        write_aside(self.root / RECORD, json.dumps(content, indent=1) + "\n")
+
+    def read(self) -> ExperimentStamp | None:
+        """The stamp, None if nothing was ever stored here; raises InvalidInput if it cannot be read."""
+        path = self.root / RECORD
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            return ExperimentStamp(
+                uid=str(content["uid"]),
+                name=str(content["name"]),
+                content_hash=str(content["content_hash"]),
+                state=ExperimentState(content["state"]),
+                executor=str(content["executor"]),
+                repeats=int(content["repeats"]),
+                created_at=datetime.fromisoformat(content["created_at"]),
+            )
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InvalidInput(f"{path} cannot be read: {error}", "restore it, or remove the folder") from None
+
+    def source(self) -> str:
+        """The experiment file as it was given; raises InvalidInput."""
+        path = self.root / SOURCE
+        try:
+            return path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InvalidInput(f"{path} cannot be read: {error}", "restore it, or remove the folder") from None
+
+
+def experiment_folders(root: Path) -> list[ExperimentFolder]:
+    """All folders that an experiment was stored in, by name."""
+    if not root.is_dir():
+        return []
+    return [ExperimentFolder(path.parent) for path in sorted(root.glob(f"*/{RECORD}"))]

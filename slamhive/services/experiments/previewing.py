@@ -1,0 +1,135 @@
+"""What starting an experiment would do: how much, how long, how much room. Nothing is stored."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+
+from slamhive.services.experiments.checks import find_room, pair_problems, room_problems, warnings
+from slamhive.services.experiments.context import ExperimentContext, Progress, guessed_duration_s
+from slamhive.services.experiments.records import ExperimentPreview, PreviewRow, Standing
+from slamhive.store.durations import Pairing
+from slamhive.store.experiment_records import KnownConfiguration
+from slamhive.sweep.expand import Expansion, PlannedRun
+from slamhive.sweep.experiment import Experiment
+
+ROWS = 20
+CHUNK = 1000
+
+
+def cells_of(expansion: Iterable[PlannedRun]) -> Iterator[list[PlannedRun]]:
+    """The planned runs of one cell after the other."""
+    for _, runs in groupby(expansion, key=lambda run: run.cell):
+        yield list(runs)
+
+
+def chunks_of(expansion: Iterable[PlannedRun], size: int) -> Iterator[list[list[PlannedRun]]]:
+    """The cells in chunks of at most ``size`` runs, and of one cell at least."""
+    chunk: list[list[PlannedRun]] = []
+    runs = 0
+    for cell in cells_of(expansion):
+        if chunk and runs + len(cell) > size:
+            yield chunk
+            chunk, runs = [], 0
+        chunk.append(cell)
+        runs += len(cell)
+    if chunk:
+        yield chunk
+
+
+@dataclass(slots=True)
+class _Sums:
+    cells: int = 0
+    runs: int = 0
+    known_cells: int = 0
+    known_runs: int = 0
+    measured_runs: int = 0
+    time_s: float = 0.0
+    rows: list[PreviewRow] = field(default_factory=list)
+
+
+def preview(
+    context: ExperimentContext,
+    experiment: Experiment,
+    executor: str | None,
+    standing: Standing | None,
+    progress: Progress,
+) -> ExperimentPreview:
+    """Count, estimate and check; raises what makes no plan at all, see :meth:`ExperimentContext.expand`.
+
+    ``executor`` None: none can be used, which the caller has told among the refusals.
+    """
+    expansion = context.expand(experiment)
+    room = find_room(context, expansion)
+    refusals = [str(error) for error in room_problems(context, experiment, room)]
+    if executor is not None:
+        refusals += [str(error) for error in pair_problems(context, experiment, expansion, executor)]
+    sums = _sum_up(context, expansion, progress)
+    slots = context.settings.worker_slots
+    return ExperimentPreview(
+        name=experiment.name,
+        description=experiment.description,
+        combinations=expansion.size.combinations,
+        cells=sums.cells,
+        merged=expansion.merged,
+        runs=sums.runs,
+        axes=expansion.size.axes,
+        rows=tuple(sums.rows),
+        known_cells=sums.known_cells,
+        known_runs=sums.known_runs,
+        time_s=sums.time_s / slots,
+        measured_runs=sums.measured_runs,
+        slots=slots,
+        variants=room.variants,
+        variant_bytes=room.variant_bytes,
+        run_bytes=room.run_bytes,
+        free_bytes=room.free_bytes,
+        warnings=tuple(warnings(room)),
+        refusals=tuple(refusals),
+        standing=standing,
+    )
+
+
+def _sum_up(context: ExperimentContext, expansion: Expansion, progress: Progress) -> _Sums:
+    recordings_s = {dataset.name: dataset.duration_s for _, dataset in expansion.pairs}
+    means_s = context.store.read(lambda t: t.durations.of_pairings())
+    sums = _Sums()
+    for chunk in chunks_of(expansion, CHUNK):
+        hashes = [cell[0].content_hash for cell in chunk]
+        known = context.store.read(lambda t, hashes=hashes: t.durations.of_configurations(hashes))  # type: ignore[misc]
+        for cell in chunk:
+            _add(sums, cell, known.get(cell[0].content_hash), means_s, recordings_s)
+        progress(sums.runs, expansion.size.runs)
+    return sums
+
+
+def _add(
+    sums: _Sums,
+    cell: Sequence[PlannedRun],
+    known: KnownConfiguration | None,
+    means_s: dict[Pairing, float],
+    recordings_s: dict[str, float],
+) -> None:
+    first = cell[0]
+    configuration = first.configuration
+    pairing = (
+        configuration.algorithm,
+        configuration.dataset,
+        configuration.playback.mode,
+        configuration.playback.rate,
+    )
+    measured_s = known.duration_s if known is not None and known.measured_runs else means_s.get(pairing)
+    if measured_s is not None:
+        sums.measured_runs += len(cell)
+    else:
+        measured_s = guessed_duration_s(pairing, recordings_s[configuration.dataset])
+    sums.time_s += len(cell) * measured_s
+    sums.cells += 1
+    sums.runs += len(cell)
+    if known is not None:
+        sums.known_cells += 1
+        sums.known_runs += known.runs
+    if len(sums.rows) < ROWS:
+        runs = 0 if known is None else known.runs
+        sums.rows.append(PreviewRow(first.cell, first.name, dict(first.values), known is not None, runs))

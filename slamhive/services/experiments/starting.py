@@ -1,0 +1,115 @@
+"""Starting an experiment, going on with an interrupted start, and asking for more repeats: check, then store."""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import replace
+
+from slamhive.errors import Conflict, InvalidInput
+from slamhive.services.driver_context import utc_now
+from slamhive.services.experiments.changing import changing, stamp_of, write_stamp
+from slamhive.services.experiments.checks import find_room, pair_problems, room_problems
+from slamhive.services.experiments.context import ExperimentContext, Progress
+from slamhive.services.experiments.folder import ExperimentFolder, ExperimentStamp
+from slamhive.services.experiments.records import ExperimentSource
+from slamhive.services.experiments.storing import fill, put_experiment
+from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
+from slamhive.sweep.expand import Expansion
+from slamhive.sweep.experiment import Experiment
+from slamhive.sweep.experiment_file import parse_experiment
+from slamhive.sweep.experiment_model import MAX_REPEATS
+
+
+def start(context: ExperimentContext, source: ExperimentSource, executor: str | None, progress: Progress) -> str:
+    """Store everything that ``source`` asks for, unless it is stored already; the experiment's name."""
+    experiment = parse_experiment(source.text, source.name)
+    record = context.store.read(lambda t: t.experiments.find(experiment.name))
+    if record is not None:
+        check_same(context, record, experiment, executor)
+        if record.complete:
+            return record.name
+    folder = context.folder(experiment.name)
+    stamp = folder.read() if record is None else stamp_of(record)
+    if stamp is None:
+        chosen = context.executor_name(executor or experiment.executor)
+        stamp = _new_stamp(experiment, chosen)
+    elif stamp.content_hash != experiment.content_hash:
+        raise Conflict(
+            f"{folder.root} holds another experiment of this name, which the database does not know",
+            "slamhive reindex files it; or choose another name",
+        )
+    repeated = replace(experiment, repeats=stamp.repeats)
+    expansion = _checked(context, repeated, stamp.executor)
+    with folder.locked():
+        stamp = _settled(folder, stamp, source)
+        stored = put_experiment(context, stamp, source.text, repeated, expansion.size)
+        fill(context, stored, repeated, expansion, progress)
+    return experiment.name
+
+
+def check_same(
+    context: ExperimentContext, record: ExperimentRecord, experiment: Experiment, executor: str | None
+) -> None:
+    """Raise Conflict unless the experiment that is stored is the one that the file states, and may go on."""
+    if record.content_hash != experiment.content_hash:
+        raise Conflict(
+            f"{experiment.place}: an experiment called {record.name} is there already and states something else",
+            "choose another name; add-repeats runs the same one more often",
+        )
+    if record.state is ExperimentState.CANCELLED:
+        raise Conflict(f"experiment {record.name} was cancelled", "give the file another name to run it again")
+    if executor is not None and context.executor_name(executor) != record.executor:
+        raise Conflict(
+            f"experiment {record.name} runs with executor {record.executor}, not {executor}",
+            "choose another name to run it there",
+        )
+
+
+def add_repeats(context: ExperimentContext, name: str, count: int, progress: Progress) -> None:
+    """Run each cell ``count`` times more with each seed, as if the file had asked for so many at once."""
+    with changing(context, name) as record:
+        if not record.complete:
+            raise Conflict(f"experiment {name} is not stored completely", "start its file again first")
+        if not 1 <= count <= MAX_REPEATS - record.repeats:
+            raise InvalidInput(
+                f"{count} more repeats are not allowed, {name} has {record.repeats}", f"at most {MAX_REPEATS} in all"
+            )
+        experiment = parse_experiment(record.source, f"experiment {name}")
+        experiment = replace(experiment, repeats=record.repeats + count)
+        expansion = _checked(context, experiment, record.executor)
+        grown = replace(record, repeats=experiment.repeats, runs=expansion.size.runs, complete=False)
+        write_stamp(context, grown)
+        values = {"repeats": grown.repeats, "runs": grown.runs, "complete": False}
+        context.store.write(lambda t: t.experiments.change(record.id, **values))
+        fill(context, grown, experiment, expansion, progress)
+
+
+def _checked(context: ExperimentContext, experiment: Experiment, executor: str) -> Expansion:
+    """All that the experiment asks for; raises the first thing that would keep it from running."""
+    expansion = context.expand(experiment)
+    for error in room_problems(context, experiment, find_room(context, expansion)):
+        raise error
+    for error in pair_problems(context, experiment, expansion, executor):
+        raise error
+    return expansion
+
+
+def _new_stamp(experiment: Experiment, executor: str) -> ExperimentStamp:
+    return ExperimentStamp(
+        uid=uuid.uuid4().hex,
+        name=experiment.name,
+        content_hash=experiment.content_hash,
+        state=ExperimentState.ACTIVE,
+        executor=executor,
+        repeats=experiment.repeats,
+        created_at=utc_now(),
+    )
+
+
+def _settled(folder: ExperimentFolder, stamp: ExperimentStamp, source: ExperimentSource) -> ExperimentStamp:
+    """The stamp on disk, which another process may have written meanwhile, or ``stamp`` once it is there."""
+    found = folder.read()
+    if found is not None and found.content_hash == stamp.content_hash:
+        return found
+    folder.write(stamp, source.text)
+    return stamp

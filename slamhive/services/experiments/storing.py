@@ -1,0 +1,179 @@
+"""Storing an experiment: thousands of cells and runs in chunks, each a transaction; done again, it completes."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from slamhive.domain.affinity import run_affinity
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.protocol import Protocol
+from slamhive.errors import Conflict
+from slamhive.services.driver_context import utc_now
+from slamhive.services.experiments.checks import Pair, protocol_of_pair
+from slamhive.services.experiments.context import ExperimentContext, Progress
+from slamhive.services.experiments.folder import ExperimentStamp
+from slamhive.services.experiments.previewing import chunks_of
+from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
+from slamhive.store.records import RunRequest
+from slamhive.store.store import Transaction
+from slamhive.sweep.expand import Expansion, PlannedRun, Size
+from slamhive.sweep.experiment import Experiment
+
+logger = logging.getLogger(__name__)
+
+CHUNK = 2000
+"""Runs of one transaction: a second at most, in which a worker of the same SQLite file may have to wait."""
+
+
+def run_uid(experiment_uid: str, *parts: object) -> str:
+    """The uid of a run, always the same for its place in the experiment: what is stored is not stored again."""
+    text = "/".join(map(str, (experiment_uid, *parts)))
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def put_experiment(
+    context: ExperimentContext, stamp: ExperimentStamp, source: str, experiment: Experiment, size: Size
+) -> ExperimentRecord:
+    """The row of an experiment of which nothing, or not all, is stored yet."""
+    values = {
+        "description": experiment.description,
+        "content_hash": stamp.content_hash,
+        "source": source,
+        "state": stamp.state,
+        "executor": stamp.executor,
+        "priority": experiment.priority,
+        "repeats": stamp.repeats,
+        "cells": size.configurations,
+        "runs": size.runs,
+        "complete": False,
+        "created_at": stamp.created_at,
+    }
+    return context.store.write(lambda t: t.experiments.get_or_create(stamp.uid, stamp.name, **values))
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Ids that configurations refer to, and the protocol of each pair."""
+
+    algorithms: Mapping[str, tuple[int, Algorithm]]
+    datasets: Mapping[str, int]
+    protocols: Mapping[Pair, Protocol | None]
+
+
+def fill(
+    context: ExperimentContext,
+    record: ExperimentRecord,
+    experiment: Experiment,
+    expansion: Expansion,
+    progress: Progress,
+) -> None:
+    """Store every cell and run of ``expansion`` that is not stored yet, and mark the experiment as complete.
+
+    Raises Conflict if cells that are stored differ, because the catalogue has changed, or if the experiment is
+    cancelled meanwhile.
+    """
+    rows = _prepare(context, experiment, expansion)
+    cells = runs = 0
+    for chunk in chunks_of(expansion, CHUNK):
+        now = utc_now()
+        context.store.write(lambda t, chunk=chunk, now=now: _store(t, record, experiment, rows, chunk, now))  # type: ignore[misc]
+        cells += len(chunk)
+        runs += sum(map(len, chunk))
+        progress(runs, expansion.size.runs)
+    context.store.write(lambda t: t.experiments.change(record.id, cells=cells, runs=runs, complete=True))
+    logger.info("experiment %s: %d cells, %d runs", record.name, cells, runs)
+
+
+def _prepare(context: ExperimentContext, experiment: Experiment, expansion: Expansion) -> _Rows:
+    algorithms = {algorithm.name: algorithm for algorithm, _ in expansion.pairs}
+    datasets = {dataset.name: dataset for _, dataset in expansion.pairs}
+    pairs = [(algorithm.name, dataset.name) for algorithm, dataset in expansion.pairs]
+    now = utc_now()
+
+    def work(transaction: Transaction) -> _Rows:
+        return _Rows(
+            {name: (transaction.catalogue.put_algorithm(entry), entry) for name, entry in algorithms.items()},
+            {name: transaction.catalogue.put_dataset(dataset, now) for name, dataset in datasets.items()},
+            {pair: protocol_of_pair(context, experiment, expansion, pair) for pair in pairs},
+        )
+
+    return context.store.write(work)
+
+
+def _store(
+    t: Transaction,
+    record: ExperimentRecord,
+    experiment: Experiment,
+    rows: _Rows,
+    chunk: Sequence[Sequence[PlannedRun]],
+    now: datetime,
+) -> None:
+    current = t.experiments.locked(record.name)
+    if current.state is ExperimentState.CANCELLED:
+        raise Conflict(f"experiment {record.name} was cancelled while it was being stored")
+    heads = [cell[0] for cell in chunk]
+    stored = t.experiments.cell_hashes(record.id, heads[0].cell, heads[-1].cell)
+    for head in heads:
+        if stored.get(head.cell, head.content_hash) != head.content_hash:
+            raise Conflict(
+                f"experiment {record.name}: {head.name} is another configuration now than the one stored",
+                "algorithm.yaml or dataset.yaml has changed since; start the file under another name",
+            )
+    ids = [found for found, _ in t.configurations.get_or_create_many([_new(head, rows) for head in heads], now)]
+    t.experiments.add_cells(
+        record.id,
+        [
+            NewCell(head.cell, head.name, configuration_id, head.values)
+            for head, configuration_id in zip(heads, ids, strict=True)
+            if head.cell not in stored
+        ],
+    )
+    held = current.state is ExperimentState.PAUSED
+    requests = [
+        request
+        for cell, configuration_id in zip(chunk, ids, strict=True)
+        for request in _requests(record, experiment, rows, cell, configuration_id, held=held)
+    ]
+    t.runs.add_runs(requests, now)
+
+
+def _new(head: PlannedRun, rows: _Rows) -> NewConfiguration:
+    algorithm_id, algorithm = rows.algorithms[head.configuration.algorithm]
+    dataset_id = rows.datasets[head.configuration.dataset]
+    return NewConfiguration(head.configuration, head.content_hash, algorithm_id, dataset_id, algorithm.parameters)
+
+
+def _requests(
+    record: ExperimentRecord,
+    experiment: Experiment,
+    rows: _Rows,
+    cell: Sequence[PlannedRun],
+    configuration_id: int,
+    *,
+    held: bool,
+) -> Iterator[RunRequest]:
+    configuration = cell[0].configuration
+    package = rows.algorithms[configuration.algorithm][1].package.name
+    affinity = run_affinity(configuration.dataset, configuration.variant, package)
+    for run in cell:
+        yield RunRequest(
+            uid=run_uid(record.uid, run.cell, run.seed, run.repeat),
+            configuration_id=configuration_id,
+            executor=record.executor,
+            seed=run.seed,
+            priority=record.priority,
+            evaluate=experiment.evaluation.enabled,
+            cpu_cores=experiment.limits.cpu_cores,
+            memory_mb=experiment.limits.memory_mb,
+            timeout_s=experiment.limits.timeout_s,
+            protocol=rows.protocols[configuration.algorithm, configuration.dataset],
+            experiment_id=record.id,
+            cell=run.cell,
+            held=held,
+            affinity=affinity,
+            stop_when=experiment.stop_when,
+        )

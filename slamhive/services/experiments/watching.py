@@ -1,0 +1,231 @@
+"""How far experiments are: counts, time left, cells, and the grid of two axes."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from statistics import fmean, stdev
+
+from slamhive.domain.parameters import Value
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.errors import InvalidInput, unknown
+from slamhive.services.experiments.context import ExperimentContext, guessed_duration_s
+from slamhive.services.experiments.records import (
+    Cell,
+    CellFigures,
+    CellPage,
+    ExperimentStatus,
+    Grid,
+    GridCell,
+    Phase,
+    Spread,
+    Standing,
+)
+from slamhive.store.experiment_records import CellRecord, CellRun, ExperimentRecord, ExperimentState, StateCount
+from slamhive.store.store import Transaction
+
+METRICS = ("ate.rmse", "tracked_fraction", "cpu.mean", "ram.max", "duration")
+"""The figures of cells and reports."""
+
+LARGEST_PAGE = 1000
+_MANY = 500
+_STANDINGS = {ExperimentState.PAUSED: Standing.PAUSED, ExperimentState.ACTIVE: Standing.ACTIVE}
+
+
+def all_statuses(t: Transaction) -> tuple[ExperimentStatus, ...]:
+    """Every experiment, the newest first, without the time left."""
+    counts = t.experiments.all_counts()
+    return tuple(status_of(record, counts.get(record.id, [])) for record in t.experiments.all())
+
+
+def status(context: ExperimentContext, t: Transaction, name: str) -> ExperimentStatus:
+    """The experiment called ``name``; raises NotFound."""
+    record = t.experiments.get(name)
+    counts = t.experiments.all_counts(record.id).get(record.id, [])
+    return status_of(record, counts, _left_s(context, t, record))
+
+
+def status_of(record: ExperimentRecord, found: Sequence[StateCount], left_s: float | None = None) -> ExperimentStatus:
+    """The status that these counts amount to."""
+    counts: Counter[Phase] = Counter()
+    failures: Counter[FailureReason] = Counter()
+    retried = 0
+    for entry in found:
+        if entry.retried:
+            retried += entry.count
+            continue
+        counts[Phase.of(entry.state)] += entry.count
+        if entry.state is RunState.FAILED and entry.reason is not None:
+            failures[entry.reason] += entry.count
+    return ExperimentStatus(
+        id=record.id,
+        name=record.name,
+        description=record.description,
+        standing=standing_of(record, counts),
+        executor=record.executor,
+        priority=record.priority,
+        repeats=record.repeats,
+        created_at=record.created_at,
+        cells=record.cells,
+        runs=record.runs,
+        missing=0 if record.complete else max(0, record.runs - sum(counts.values())),
+        counts={phase: counts[phase] for phase in Phase},
+        retried=retried,
+        failures=dict(failures),
+        left_s=left_s,
+    )
+
+
+def standing_of(record: ExperimentRecord, counts: Mapping[Phase, int]) -> Standing:
+    """Where an experiment with these runs stands."""
+    if record.state is ExperimentState.CANCELLED:
+        return Standing.CANCELLED
+    if not record.complete:
+        return Standing.STORING
+    if not counts.get(Phase.QUEUED) and not counts.get(Phase.RUNNING):
+        return Standing.FINISHED
+    return _STANDINGS[record.state]
+
+
+def _left_s(context: ExperimentContext, t: Transaction, record: ExperimentRecord) -> float | None:
+    """Time for what has not ended, by the runs of the experiment itself, or by those of others, or by recordings."""
+    waiting = t.durations.unfinished(record.id)
+    if not waiting:
+        return 0.0
+    own, others = t.durations.of_pairings(record.id), t.durations.of_pairings()
+    recordings_s = {dataset.name: dataset.duration_s for dataset in t.catalogue.datasets()}
+    total_s = 0.0
+    for pairing, count in waiting.items():
+        mean_s = own.get(pairing, others.get(pairing))
+        total_s += count * (guessed_duration_s(pairing, recordings_s[pairing[1]]) if mean_s is None else mean_s)
+    return total_s / context.settings.worker_slots
+
+
+# -- cells -----------------------------------------------------------------------------------------------------------
+
+
+def cell_page(t: Transaction, name: str, after: int, limit: int) -> CellPage:
+    """The next ``limit`` cells after number ``after``; raises NotFound and InvalidInput."""
+    if not 1 <= limit <= LARGEST_PAGE:
+        raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
+    record = t.experiments.get(name)
+    found = t.experiments.cells(record.id, after, limit + 1)
+    shown = found[:limit]
+    more = shown[-1].number if len(found) > limit else None
+    return CellPage(tuple(_with_runs(t, record.id, shown)), record.cells, more)
+
+
+def all_cells(context: ExperimentContext, name: str) -> Iterator[Cell]:
+    """Every cell in order; few are in memory at a time."""
+    after: int | None = 0
+    while after is not None:
+        page = context.store.read(lambda t, after=after: cell_page(t, name, after, _MANY))  # type: ignore[misc]
+        yield from page.cells
+        after = page.next_number
+
+
+def _with_runs(t: Transaction, experiment_id: int, cells: Sequence[CellRecord]) -> Iterator[Cell]:
+    if not cells:
+        return
+    runs: dict[int, list[CellRun]] = defaultdict(list)
+    for run in t.experiments.cell_runs(experiment_id, cells[0].number, cells[-1].number, METRICS):
+        runs[run.cell].append(run)
+    for cell in cells:
+        yield _cell(cell, runs[cell.number])
+
+
+def _cell(cell: CellRecord, runs: Sequence[CellRun]) -> Cell:
+    counts = Counter(Phase.of(run.state) for run in runs if not run.retried)
+    failures = Counter(run.reason for run in runs if run.reason is not None)
+    return Cell(
+        number=cell.number,
+        name=cell.name,
+        configuration_id=cell.configuration_id,
+        values=cell.values,
+        runs=tuple(runs),
+        counts={phase: counts[phase] for phase in Phase},
+        failures=dict(failures),
+        figures=tuple(_figures(runs)),
+    )
+
+
+def _figures(runs: Sequence[CellRun]) -> Iterator[CellFigures]:
+    """Figures of the good runs, those of each protocol by themselves."""
+    groups: dict[str | None, list[CellRun]] = defaultdict(list)
+    for run in runs:
+        if run.state is RunState.SUCCEEDED:
+            groups[run.protocol].append(run)
+    for protocol in sorted(groups, key=str):
+        values: dict[str, list[float]] = defaultdict(list)
+        for run in groups[protocol]:
+            for key, value in run.metrics.items():
+                values[key].append(value)
+        spreads = {key: spread(values[key]) for key in METRICS if key in values}
+        yield CellFigures(protocol, len(groups[protocol]), spreads)
+
+
+def spread(values: Sequence[float]) -> Spread:
+    """Mean and sample standard deviation of at least one value."""
+    return Spread(len(values), fmean(values), stdev(values) if len(values) > 1 else None)
+
+
+# -- the grid --------------------------------------------------------------------------------------------------------
+
+
+def axes(t: Transaction, name: str) -> dict[str, tuple[Value, ...]]:
+    """The axes that cells have values on, in the order of the file, with all values of each in theirs."""
+    return _axes(_all_values(t, t.experiments.get(name).id))
+
+
+def grid(t: Transaction, name: str, row_axis: str, column_axis: str) -> Grid:
+    """Runs by phase over two axes; raises NotFound for an experiment or an axis that there is not."""
+    experiment_id = t.experiments.get(name).id
+    cells = _all_values(t, experiment_id)
+    known = _axes(cells)
+    for axis in (row_axis, column_axis):
+        if axis not in known:
+            raise unknown(f"axis of experiment {name}", axis, list(known))
+    states = t.experiments.cell_counts(experiment_id)
+    rows, columns = (_places(cells, axis) for axis in (row_axis, column_axis))
+    members: dict[tuple[int, int], list[int]] = defaultdict(list)
+    for number, values in cells.items():
+        members[rows[_key(values.get(row_axis))], columns[_key(values.get(column_axis))]].append(number)
+    return Grid(
+        row_axis=row_axis,
+        column_axis=column_axis,
+        rows=tuple(value for _, value in rows),
+        columns=tuple(value for _, value in columns),
+        cells={place: _grid_cell(numbers, states) for place, numbers in members.items()},
+    )
+
+
+def _grid_cell(numbers: Sequence[int], states: Mapping[int, Mapping[RunState, int]]) -> GridCell:
+    counts: Counter[Phase] = Counter()
+    for number in numbers:
+        for state, count in states.get(number, {}).items():
+            counts[Phase.of(state)] += count
+    return GridCell(len(numbers), numbers[0], {phase: counts[phase] for phase in Phase})
+
+
+def _all_values(t: Transaction, experiment_id: int) -> dict[int, dict[str, Value]]:
+    return {cell.number: cell.values for cell in t.experiments.cells(experiment_id, 0, None)}
+
+
+def _axes(cells: Mapping[int, Mapping[str, Value]]) -> dict[str, tuple[Value, ...]]:
+    found: dict[str, dict[tuple[str, Value | None], Value]] = {}
+    for values in cells.values():
+        for axis, value in values.items():
+            found.setdefault(axis, {}).setdefault(_key(value), value)
+    return {axis: tuple(values.values()) for axis, values in found.items()}
+
+
+def _places(cells: Mapping[int, Mapping[str, Value]], axis: str) -> dict[tuple[str, Value | None], int]:
+    """The values of an axis in the order in which they appear, those without one last: {value: index}."""
+    keys = dict.fromkeys(_key(values.get(axis)) for values in cells.values())
+    ordered = sorted(keys, key=lambda key: key[1] is None)
+    return {key: index for index, key in enumerate(ordered)}
+
+
+def _key(value: Value | None) -> tuple[str, Value | None]:
+    """1, 1.0 and True are three values."""
+    return type(value).__name__, value

@@ -1,0 +1,30 @@
+"""A run again: what a new run takes over from the one whose place it takes."""
+
+from __future__ import annotations
+
+from slamhive.store.experiment_records import ExperimentState
+from slamhive.store.records import RunRecord, RunRequest
+from slamhive.store.store import Transaction
+
+
+def retry_request(t: Transaction, old: RunRecord, uid: str) -> RunRequest:
+    """The request for a new run with all that was asked for with ``old``; on hold if its experiment is paused."""
+    experiment = None if old.experiment is None else t.experiments.locked(old.experiment)
+    return RunRequest(
+        uid=uid,
+        configuration_id=old.configuration_id,
+        executor=old.executor,
+        seed=old.seed,
+        priority=old.priority,
+        evaluate=old.evaluate,
+        cpu_cores=old.cpu_cores,
+        memory_mb=old.memory_mb,
+        timeout_s=old.timeout_s,
+        retry_of=old.id,
+        protocol=old.protocol_override,
+        experiment_id=old.experiment_id,
+        cell=old.cell,
+        held=experiment is not None and experiment.state is ExperimentState.PAUSED,
+        affinity=old.affinity,
+        stop_when=old.stop_when,
+    )

@@ -1,0 +1,218 @@
+"""Experiments: stored with their cells, counted by state, put on hold and cancelled as a whole."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import ColumnElement, and_, case, func, insert, select, update
+from sqlalchemy.orm import Session
+
+from slamhive.domain.run import RunState
+from slamhive.errors import unknown
+from slamhive.store.experiment_records import (
+    CellRecord,
+    CellRun,
+    ExperimentRecord,
+    NewCell,
+    StateCount,
+)
+from slamhive.store.metrics import MetricRepository
+from slamhive.store.models import Configuration, Experiment, ExperimentCell, Protocol, Run
+from slamhive.store.models import RunEvent as EventRow
+from slamhive.store.rows import changed, chunks, get_or_insert
+
+_EXPERIMENTS = Experiment.__table__
+_CELLS = ExperimentCell.__table__
+_RUNS = Run.__table__
+_ENDED = tuple(state for state in RunState if state.ended)
+_REPLACEABLE = (RunState.FAILED, RunState.CANCELLED)
+_RECORD = tuple(ExperimentRecord.__dataclass_fields__)
+
+
+class ExperimentRepository:
+    """An experiment is one row; its cells and runs refer to it."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def get_or_create(self, uid: str, name: str, **values: Any) -> ExperimentRecord:
+        """The experiment called ``name``, stored with ``uid`` and ``values`` (its other fields) if there is none."""
+        get_or_insert(self._session, Experiment, {"name": name}, {"uid": uid, **values})
+        return self.get(name)
+
+    def find(self, name: str) -> ExperimentRecord | None:
+        """The experiment called ``name``, None if there is none."""
+        row = self._session.execute(select(_EXPERIMENTS).where(_EXPERIMENTS.c.name == name)).one_or_none()
+        return None if row is None else _record(row)
+
+    def get(self, name: str) -> ExperimentRecord:
+        """The experiment called ``name``; raises NotFound."""
+        found = self.find(name)
+        if found is None:
+            names = list(self._session.execute(select(_EXPERIMENTS.c.name)).scalars())
+            raise unknown("experiment", name, names, "slamhive experiment list shows all")
+        return found
+
+    def locked(self, name: str) -> ExperimentRecord:
+        """The same, and nobody else changes its row before this transaction has ended."""
+        self._session.execute(select(_EXPERIMENTS.c.id).where(_EXPERIMENTS.c.name == name).with_for_update())
+        return self.get(name)
+
+    def all(self) -> list[ExperimentRecord]:
+        """All experiments, the newest first."""
+        return [_record(row) for row in self._session.execute(select(_EXPERIMENTS).order_by(_EXPERIMENTS.c.id.desc()))]
+
+    def change(self, experiment_id: int, **values: Any) -> None:
+        """Write these fields."""
+        self._session.execute(update(_EXPERIMENTS).where(_EXPERIMENTS.c.id == experiment_id).values(values))
+
+    # -- cells -----------------------------------------------------------------------------------------------------
+
+    def add_cells(self, experiment_id: int, cells: Sequence[NewCell]) -> None:
+        """Store cells that are not stored yet."""
+        rows = [
+            {
+                "experiment_id": experiment_id,
+                "number": cell.number,
+                "configuration_id": cell.configuration_id,
+                "name": cell.name,
+                "axis_values": dict(cell.values),
+            }
+            for cell in cells
+        ]
+        if rows:
+            self._session.execute(insert(_CELLS), rows)
+
+    def cell_hashes(self, experiment_id: int, first: int, last: int) -> dict[int, str]:
+        """{number: content hash of the configuration} of the stored cells from ``first`` to ``last``."""
+        query = (
+            select(_CELLS.c.number, Configuration.content_hash)
+            .join(Configuration, Configuration.id == _CELLS.c.configuration_id)
+            .where(*_between(_CELLS.c.number, experiment_id, first, last))
+        )
+        return {row.number: row.content_hash for row in self._session.execute(query)}
+
+    def cells(self, experiment_id: int, after: int, limit: int | None) -> list[CellRecord]:
+        """The next cells after number ``after``, or all of them."""
+        query = (
+            select(_CELLS)
+            .where(_CELLS.c.experiment_id == experiment_id, _CELLS.c.number > after)
+            .order_by(_CELLS.c.number)
+            .limit(limit)
+        )
+        return [
+            CellRecord(row.number, row.name, row.configuration_id, _values(row.axis_values))
+            for row in self._session.execute(query)
+        ]
+
+    def cell_runs(self, experiment_id: int, first: int, last: int, metrics: Sequence[str]) -> list[CellRun]:
+        """The runs of the cells from ``first`` to ``last``, by cell and id, with these figures of each."""
+        query = (
+            select(
+                *(_RUNS.c[name] for name in ("id", "cell", "seed", "state", "reason")),
+                self._retried(experiment_id).label("retried"),
+                Protocol.fingerprint,
+            )
+            .outerjoin(Protocol, Protocol.id == _RUNS.c.current_protocol_id)
+            .where(*_between(_RUNS.c.cell, experiment_id, first, last))
+            .order_by(_RUNS.c.cell, _RUNS.c.id)
+        )
+        rows = self._session.execute(query).all()
+        figures = MetricRepository(self._session).for_runs((row.id for row in rows), metrics)
+        return [
+            CellRun(
+                row.id, row.cell, row.seed, row.state, row.reason, bool(row.retried), row.fingerprint, figures[row.id]
+            )
+            for row in rows
+        ]
+
+    def cell_counts(self, experiment_id: int) -> dict[int, dict[RunState, int]]:
+        """{cell: {state: runs}}, retried ones left out."""
+        query = (
+            select(_RUNS.c.cell, _RUNS.c.state, func.count())
+            .where(_RUNS.c.experiment_id == experiment_id, ~self._retried(experiment_id))
+            .group_by(_RUNS.c.cell, _RUNS.c.state)
+        )
+        found: dict[int, dict[RunState, int]] = defaultdict(dict)
+        for cell, state, count in self._session.execute(query):
+            found[cell][state] = count
+        return found
+
+    # -- its runs as a whole ---------------------------------------------------------------------------------------
+
+    def all_counts(self, experiment_id: int | None = None) -> dict[int, list[StateCount]]:
+        """How many runs are in each state for each reason, by experiment: of one, or of all."""
+        retried = case((self._retried(experiment_id), 1), else_=0).label("retried")
+        owner = _RUNS.c.experiment_id
+        query = (
+            select(owner, _RUNS.c.state, _RUNS.c.reason, retried, func.count())
+            .where(owner.is_not(None) if experiment_id is None else owner == experiment_id)
+            .group_by(owner, _RUNS.c.state, _RUNS.c.reason, retried)
+        )
+        found: dict[int, list[StateCount]] = defaultdict(list)
+        for number, state, reason, again, count in self._session.execute(query):
+            found[number].append(StateCount(state, reason, bool(again), count))
+        return found
+
+    def run_ids(self, experiment_id: int) -> list[int]:
+        """The ids of all its runs, retries too, in order."""
+        return list(
+            self._session.execute(
+                select(_RUNS.c.id).where(_RUNS.c.experiment_id == experiment_id).order_by(_RUNS.c.id)
+            ).scalars()
+        )
+
+    def hold(self, experiment_id: int, *, held: bool) -> None:
+        """Put what has not ended on hold, or let it go on; a run that a worker has goes on, unless it gives it back."""
+        unfinished = [_RUNS.c.experiment_id == experiment_id, _RUNS.c.state.not_in(_ENDED)]
+        self._session.execute(update(_RUNS).where(*unfinished).values(held=held))
+
+    def cancel(self, experiment_id: int, now: datetime, why: str) -> tuple[int, int]:
+        """Cancel all queued runs and ask the workers of active ones to end; how many of each."""
+        mine = _RUNS.c.experiment_id == experiment_id
+        queued = list(
+            self._session.execute(
+                select(_RUNS.c.id).where(mine, _RUNS.c.state == RunState.QUEUED).with_for_update()
+            ).scalars()
+        )
+        for part in chunks(queued):
+            values = {"state": RunState.CANCELLED, "ended_at": now, "held": False}
+            self._session.execute(update(_RUNS).where(_RUNS.c.id.in_(part)).values(values))
+            event = {"at": now, "from_state": RunState.QUEUED, "to_state": RunState.CANCELLED, "why": why}
+            self._session.execute(insert(EventRow.__table__), [{"run_id": run_id, **event} for run_id in part])
+        active = [mine, _RUNS.c.state.not_in((*_ENDED, RunState.QUEUED, RunState.CANCELLING))]
+        asked = changed(self._session, update(_RUNS).where(*active).values(cancel_requested=True, held=False))
+        return len(queued), asked
+
+    def failed(self, experiment_id: int) -> list[int]:
+        """Ids of the failed runs that no other run has taken the place of."""
+        query = select(_RUNS.c.id).where(
+            _RUNS.c.experiment_id == experiment_id,
+            _RUNS.c.state == RunState.FAILED,
+            ~self._retried(experiment_id),
+        )
+        return list(self._session.execute(query.order_by(_RUNS.c.id)).scalars())
+
+    def _retried(self, experiment_id: int | None) -> ColumnElement[bool]:
+        """Whether another run of the experiment (None: of any) has taken the place of a failed or cancelled one."""
+        later = _RUNS.alias("later")
+        replaced = select(later.c.retry_of).where(later.c.retry_of.is_not(None))
+        if experiment_id is not None:
+            replaced = replaced.where(later.c.experiment_id == experiment_id)
+        return and_(_RUNS.c.state.in_(_REPLACEABLE), _RUNS.c.id.in_(replaced))
+
+
+def _between(column: ColumnElement[Any], experiment_id: int, first: int, last: int) -> list[ColumnElement[bool]]:
+    owner = column.table.c.experiment_id
+    return [owner == experiment_id, column >= first, column <= last]
+
+
+def _record(row: Any) -> ExperimentRecord:
+    return ExperimentRecord(**{name: getattr(row, name) for name in _RECORD})
+
+
+def _values(stored: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()}

@@ -1,0 +1,351 @@
+"""The life of an experiment: previewed, stored, watched, paused, cancelled, tried again, repeated."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+from sqlalchemy import text
+
+from slamhive.domain.run import RunState
+from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.services.experiments import checks
+from slamhive.services.experiments.records import ExperimentSource, Phase, Standing
+from slamhive.services.hive import Hive
+from slamhive.settings import Mode
+from slamhive.store import RunRecord
+
+pytestmark = pytest.mark.integration
+
+SIX = """\
+name: six
+algorithms: tiny
+datasets: track
+parameters:
+  behaviour: good | crash
+  seconds: 0 | 0.01 | 0.02
+stop_when: {time_s: 30}
+priority: 3
+"""
+
+
+def source(text: str = SIX) -> ExperimentSource:
+    return ExperimentSource(text, "six.yaml")
+
+
+def work(hive: Hive) -> None:
+    hive.worker().run(until_idle=True)
+
+
+def counts(hive: Hive, name: str = "six") -> dict[str, int]:
+    return {phase.value: count for phase, count in hive.experiments.status(name).counts.items() if count}
+
+
+def rows(hive: Hive, table: str) -> int:
+    return int(hive.store.read(lambda t: t.session.execute(text(f"SELECT count(*) FROM {table}")).scalar_one()))
+
+
+def runs_of(hive: Hive) -> tuple[RunRecord, ...]:
+    return hive.store.read(lambda t: t.runs.get_many(hive.experiments.run_ids("six")))
+
+
+def everything(hive: Hive) -> dict[str, int]:
+    tables = ("experiments", "experiment_cells", "runs", "run_events", "configurations", "configuration_values")
+    return {table: rows(hive, table) for table in tables}
+
+
+def test_a_preview_tells_what_would_happen_and_stores_nothing(hive: Hive) -> None:
+    found = hive.experiments.preview(source(SIX.replace("priority: 3", "repeats: 2")))
+    assert (found.cells, found.runs, found.known_cells, found.known_runs) == (6, 12, 0, 0)
+    assert found.axes == {"behaviour": 2, "seconds": 3}
+    assert [row.name for row in found.rows] == [f"six-{number:04d}" for number in range(1, 7)]
+    assert dict(found.rows[1].values, playback_mode=0, playback_rate=0) == {
+        "algorithm": "tiny",
+        "dataset": "track",
+        "behaviour": "good",
+        "seconds": 0.01,
+        "playback_mode": 0,
+        "playback_rate": 0,
+    }
+    assert found.time_s == pytest.approx(12 * 10.0), "nothing has run, so the recording's length counts"
+    assert found.measured_runs == 0
+    assert found.refusals == ()
+    assert set(everything(hive).values()) == {0}
+    assert not hive.settings.experiments_folder.exists()
+
+
+def test_a_preview_knows_what_is_stored_and_how_long_it_took(hive: Hive) -> None:
+    hive.experiments.start(source())
+    work(hive)
+    found = hive.experiments.preview(source(SIX.replace("name: six", "name: seven").replace("0.02", "0.03")))
+    assert (found.known_cells, found.known_runs, found.measured_runs) == (4, 4, 6)
+    assert 0 < found.time_s < 10
+    assert found.standing is None
+    assert hive.experiments.preview(source()).standing is Standing.FINISHED
+
+
+def test_starting_stores_cells_and_runs_with_all_that_the_file_says(hive: Hive) -> None:
+    done: list[tuple[int, int]] = []
+    status = hive.experiments.start(source(), progress=lambda *now: done.append(now))
+    assert done[-1] == (6, 6)
+    assert (status.standing, status.cells, status.runs, status.missing) == (Standing.ACTIVE, 6, 6, 0)
+    runs = runs_of(hive)
+    assert len(runs) == 6
+    for run in runs:
+        assert (run.experiment, run.priority, run.stop_when.time_s, run.held) == ("six", 3, 30.0, False)
+        assert run.affinity
+    assert sorted(run.cell or 0 for run in runs) == [1, 2, 3, 4, 5, 6]
+
+
+def test_it_runs_and_tells_every_cell(hive: Hive) -> None:
+    hive.experiments.start(source())
+    work(hive)
+    status = hive.experiments.status("six")
+    assert status.standing is Standing.FINISHED
+    assert counts(hive) == {"good": 3, "failed": 3}
+    assert status.failures == {"nonzero_exit": 3}
+    assert status.left_s == 0.0
+    cells = list(hive.experiments.report("six"))
+    assert [cell.number for cell in cells] == [1, 2, 3, 4, 5, 6]
+    for cell in cells:
+        good = cell.values["behaviour"] == "good"
+        assert cell.counts[Phase.GOOD if good else Phase.FAILED] == 1
+        assert bool(cell.figures) == good
+        if good:
+            (figures,) = cell.figures
+            assert figures.protocol is not None
+            assert figures.metrics["ate.rmse"].n == 1
+            assert figures.metrics["ate.rmse"].std is None
+            assert 0 <= figures.metrics["ate.rmse"].mean < 0.1
+
+
+def test_figures_of_different_protocols_stay_apart(hive: Hive) -> None:
+    hive.experiments.start(source(SIX.replace("good | crash", "good").replace("priority: 3", "repeats: 2")))
+    work(hive)
+    first = hive.experiments.cells("six", limit=1).cells[0].runs[0]
+    hive.queue_evaluations([first.id], "sim3")
+    work(hive)
+    figures = hive.experiments.cells("six", limit=1).cells[0].figures
+    protocols = {hive.run(run.id).protocol for run in hive.experiments.cells("six", limit=1).cells[0].runs}
+    assert len(figures) == len(protocols)
+    assert sum(entry.runs for entry in figures) == 2
+
+
+def test_pages_of_cells_and_the_grid(hive: Hive) -> None:
+    hive.experiments.start(source())
+    page = hive.experiments.cells("six", limit=4)
+    assert ([cell.number for cell in page.cells], page.total, page.next_number) == ([1, 2, 3, 4], 6, 4)
+    rest = hive.experiments.cells("six", after=4, limit=4)
+    assert ([cell.number for cell in rest.cells], rest.next_number) == ([5, 6], None)
+    work(hive)
+    grid = hive.experiments.grid("six", "behaviour", "seconds")
+    assert (grid.rows, grid.columns) == (("good", "crash"), (0.0, 0.01, 0.02))
+    assert {place: cell.counts[Phase.GOOD] for place, cell in grid.cells.items()} == {
+        (row, column): int(row == 0) for row in range(2) for column in range(3)
+    }
+    with pytest.raises(NotFound, match=r"unknown axis of experiment six 'second'.*seconds"):
+        hive.experiments.grid("six", "behaviour", "second")
+    assert list(hive.experiments.axes("six")) == [
+        "algorithm",
+        "dataset",
+        "behaviour",
+        "seconds",
+        "playback_mode",
+        "playback_rate",
+    ]
+
+
+def test_the_same_file_twice_is_one_experiment(hive: Hive) -> None:
+    hive.experiments.start(source())
+    before = everything(hive)
+    hive.experiments.start(source("# a remark\n" + SIX))
+    assert everything(hive) == before
+    work(hive)
+    hive.experiments.start(source())
+    assert rows(hive, "runs") == before["runs"]
+
+
+def test_a_name_that_is_taken_is_refused_with_its_place(hive: Hive) -> None:
+    hive.experiments.start(source())
+    before = everything(hive)
+    other = source(SIX.replace("0.02", "0.03"))
+    with pytest.raises(Conflict, match=r"six.yaml line 1: an experiment called six is there already"):
+        hive.experiments.start(other)
+    assert "is there already" in hive.experiments.preview(other).refusals[0]
+    assert everything(hive) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        (lambda text: "", "six.yaml"),
+        (lambda text: text.replace("track", "trakc"), r"six.yaml line 3: unknown dataset 'trakc'"),
+        (lambda text: text.replace("tiny", "tinny"), r"six.yaml line 2: unknown algorithm"),
+        (
+            lambda text: text.replace("0 | 0.01 | 0.02", "lin(0, 1, 100000)").replace("priority: 3", "seeds: 1:10000"),
+            r"1,000,000",
+        ),
+        (lambda text: text + "where: seconds > 5\n", r"six.yaml line 9: .* removes every combination"),
+        (lambda text: text + "executor: dokcer\n", r"dokcer"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_before_anything_is_stored(hive: Hive, change, error) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(SlamHiveError, match=error):
+        hive.experiments.start(source(change(SIX)))
+    assert set(everything(hive).values()) == {0}
+    assert not hive.settings.experiments_folder.exists()
+
+
+def test_more_disk_than_there_is_is_refused(hive: Hive, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checks, "UNMEASURED_RUN_BYTES", 10**15)
+    with pytest.raises(Unavailable, match=r"six.yaml line 1: the experiment needs .* MB free"):
+        hive.experiments.start(source())
+    assert "needs" in hive.experiments.preview(source()).refusals[0]
+    assert set(everything(hive).values()) == {0}
+
+
+def test_a_recording_that_is_gone_is_refused(hive: Hive) -> None:
+    (hive.settings.datasets_folder / "track" / "track.bag").unlink()
+    with pytest.raises(InvalidInput, match=r"six.yaml line 3: dataset track lacks its recording"):
+        hive.experiments.start(source())
+    assert set(everything(hive).values()) == {0}
+
+
+def test_a_broken_package_is_told_with_its_reason(hive: Hive) -> None:
+    (hive.catalogue.project_root / "algorithms" / "tiny" / "algorithm.yaml").write_text("format: 1\n")
+    with pytest.raises(InvalidInput, match=r"six.yaml line 2: algorithm 'tiny' cannot be used"):
+        hive.experiments.start(source())
+
+
+def test_paused_runs_are_not_taken_and_resumed_ones_are(hive: Hive) -> None:
+    hive.experiments.start(source())
+    assert hive.experiments.pause("six").standing is Standing.PAUSED
+    assert all(run.held for run in runs_of(hive))
+    work(hive)
+    assert counts(hive) == {"queued": 6}
+    assert hive.experiments.resume("six").standing is Standing.ACTIVE
+    work(hive)
+    assert counts(hive) == {"good": 3, "failed": 3}
+    with pytest.raises(Conflict, match="has finished"):
+        hive.experiments.pause("six")
+
+
+def test_pausing_lets_the_running_one_end(hive: Hive) -> None:
+    hive.experiments.start(source())
+    now = hive.run(1).created_at
+    claimed = hive.store.write(lambda t: t.queue.claim("someone", now, 1e6))
+    assert claimed is not None
+    hive.experiments.pause("six")
+    run = hive.run(claimed.id)
+    assert (run.state, run.cancel_requested) == (RunState.PREPARING, False)
+    assert counts(hive) == {"queued": 5, "running": 1}
+    hive.store.write(lambda t: t.runs.move(run.id, RunState.QUEUED, why="given back", now=now))
+    assert hive.store.write(lambda t: t.queue.claim("other", now, 1.0)) is None, "given back, it is on hold"
+
+
+def test_cancelling_ends_what_waits_and_asks_what_runs(hive: Hive) -> None:
+    hive.experiments.start(source())
+    now = hive.run(1).created_at
+    claimed = hive.store.write(lambda t: t.queue.claim("someone", now, 1e6))
+    assert claimed is not None
+    status = hive.experiments.cancel("six")
+    assert status.standing is Standing.CANCELLED
+    assert counts(hive) == {"cancelled": 5, "running": 1}
+    assert hive.run(claimed.id).cancel_requested
+    (cancelled,) = {run.id for run in runs_of(hive) if run.cell == 6}
+    assert [event.to_state for event in hive.events(cancelled)] == [RunState.QUEUED, RunState.CANCELLED]
+    for change in (hive.experiments.cancel, hive.experiments.resume, hive.experiments.retry_failed):
+        with pytest.raises(Conflict, match="experiment six was cancelled"):
+            change("six")
+    with pytest.raises(Conflict, match=r"experiment six was cancelled.*another name"):
+        hive.experiments.start(source())
+
+
+def test_failed_runs_are_tried_again_once(hive: Hive) -> None:
+    hive.experiments.start(source())
+    work(hive)
+    assert hive.experiments.retry_failed("six") == 3
+    assert hive.experiments.retry_failed("six") == 0
+    status = hive.experiments.status("six")
+    assert (counts(hive), status.retried) == ({"good": 3, "queued": 3}, 3)
+    retries = [run for run in runs_of(hive) if run.state is RunState.QUEUED]
+    for run in retries:
+        old = hive.run(run.retry_of or 0)
+        assert (run.cell, run.stop_when, run.affinity, run.seed) == (old.cell, old.stop_when, old.affinity, old.seed)
+    work(hive)
+    assert hive.experiments.retry_failed("six") == 3, "they have failed again"
+    cell = next(cell for cell in hive.experiments.report("six") if cell.values["behaviour"] == "crash")
+    assert (cell.failures, len(cell.runs)) == ({"nonzero_exit": 2}, 3), "failures are never forgotten"
+
+
+def test_a_retry_in_a_paused_experiment_waits_with_the_others(hive: Hive) -> None:
+    hive.experiments.start(source(SIX.replace("0 | 0.01 | 0.02", "0")))
+    while counts(hive) != {"queued": 1, "failed": 1} and counts(hive) != {"queued": 1, "good": 1}:
+        first = min(run.id for run in runs_of(hive) if run.state is RunState.QUEUED)
+        hive.worker(only=[first]).run(until_idle=True)
+    hive.experiments.pause("six")
+    ended = next(run for run in runs_of(hive) if run.state.ended)
+    assert hive.retry(ended.id).held
+
+
+def test_more_repeats_are_the_same_as_asked_for_at_once(hive: Hive) -> None:
+    two_seeds = SIX.replace("priority: 3", "seeds: 4 | 7")
+    hive.experiments.start(source(two_seeds))
+    status = hive.experiments.add_repeats("six", 2)
+    assert (status.repeats, status.runs, counts(hive)) == (3, 36, {"queued": 36})
+    runs = runs_of(hive)
+    assert Counter((run.cell, run.seed) for run in runs) == {(cell, seed): 3 for cell in range(1, 7) for seed in (4, 7)}
+    hive.experiments.start(source(two_seeds))
+    assert rows(hive, "runs") == 36
+    with pytest.raises(InvalidInput, match="998 more repeats are not allowed, six has 3"):
+        hive.experiments.add_repeats("six", 998)
+
+
+def test_an_algorithm_that_is_gone_keeps_its_results_and_gets_no_more_runs(hive: Hive) -> None:
+    hive.experiments.start(source())
+    work(hive)
+    shutil.rmtree(hive.catalogue.project_root / "algorithms" / "tiny")
+    assert hive.experiments.status("six").counts[Phase.GOOD] == 3
+    assert len(list(hive.experiments.report("six"))) == 6
+    with pytest.raises(NotFound, match="experiment six line 2: unknown algorithm 'tiny'"):
+        hive.experiments.add_repeats("six", 1)
+    assert (rows(hive, "runs"), hive.experiments.status("six").repeats) == (6, 1)
+
+
+def test_an_algorithm_that_changed_while_storing_was_interrupted_is_told(hive: Hive) -> None:
+    hive.experiments.start(source())
+    record = hive.store.read(lambda t: t.experiments.get("six"))
+    hive.store.write(lambda t: t.experiments.change(record.id, complete=False))
+    path = hive.catalogue.project_root / "algorithms" / "tiny" / "algorithm.yaml"
+    path.write_text(path.read_text() + "  more: {type: int, default: 5, unit: '', help: More.}\n")
+    with pytest.raises(Conflict, match="six-0001 is another configuration now than the one stored"):
+        hive.experiments.start(source())
+
+
+def test_view_only_refuses_every_change(hive: Hive) -> None:
+    hive.experiments.start(source())
+    before = everything(hive)
+    viewer = Hive(replace(hive.settings, mode=Mode.VIEW_ONLY), hive.store, hive.catalogue)
+    viewer.experiments.preview(source())
+    for change in (
+        lambda: viewer.experiments.start(source(SIX.replace("name: six", "name: seven"))),
+        lambda: viewer.experiments.pause("six"),
+        lambda: viewer.experiments.resume("six"),
+        lambda: viewer.experiments.cancel("six"),
+        lambda: viewer.experiments.retry_failed("six"),
+        lambda: viewer.experiments.add_repeats("six", 1),
+    ):
+        with pytest.raises(Forbidden, match="view-only"):
+            change()
+    assert everything(hive) == before
+    assert hive.experiments.status("six").standing is Standing.ACTIVE
+
+
+def test_an_unknown_experiment_is_told_with_the_nearest(hive: Hive) -> None:
+    hive.experiments.start(source())
+    for look in (hive.experiments.status, hive.experiments.pause, hive.experiments.report, hive.experiments.cells):
+        with pytest.raises(NotFound, match=r"unknown experiment 'sxi'.*six"):
+            look("sxi")
+    assert not (hive.settings.experiments_folder / "sxi").exists()
