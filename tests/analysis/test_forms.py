@@ -31,6 +31,11 @@ FORMS = {
     "line": "x: image_rate",
     "pareto": "metrics: [cpu.mean, ate.rmse]",
     "critical_difference": "test: nemenyi",
+    "coverage": "metric: ate.rmse",
+    "sensitivity": "x: image_rate",
+    "parallel": "metric: ate.rmse",
+    "importance": "metric: ate.rmse",
+    "selector": 'bounds: ["ate.rmse < 0.1", "cpu.mean <= 2"]',
 }
 
 
@@ -147,3 +152,54 @@ def test_hostile_names_are_escaped():
     text = json.dumps(plotly_figure(result.charts[0]))
     assert "<img" not in text
     assert b"<img" not in print_chart(result.charts[0], "svg")
+
+
+def test_where_each_algorithm_breaks():
+    result = build("form: sensitivity, x: image_rate, factor: 2.5")
+    (table,) = (table for table in result.tables if table.key == "breaking_points")
+    broken = {(row[0], row[1]): row[3:5] for row in table.rows}
+    assert set(broken.values()) == {(5.0, 2.0)}  # at 2 Hz the error is 2.8 times that at 20 Hz
+
+
+def test_importance_finds_what_was_put_in():
+    result = build("form: importance")
+    (table,) = (table for table in result.tables if table.key == "importance")
+    accuracy = {row[0]: float(row[1] or 0) for row in table.rows}
+    assert accuracy["image_rate"] > 30
+    assert accuracy["algorithm"] > 20
+    assert accuracy["scale"] < 1
+    failing = {row[0]: float(row[2] or 0) for row in table.rows}
+    assert failing["algorithm with image_rate"] > 30
+
+
+def test_failed_runs_never_count_as_accurate():
+    result = build("form: coverage")
+    (table,) = (table for table in result.tables if table.key == "coverage")
+    shares = {row[0]: row[3:] for row in table.rows}
+    assert shares["orb-slam3-stereo"][-1] is None  # a fifth of its runs failed: no bound keeps 90 %
+    assert shares["kiss-icp"][-1] is not None
+
+
+def test_the_selector_ranks_what_keeps_all_bounds():
+    result = build('form: selector, bounds: ["ate.rmse < 0.06"]')
+    ranking, reasons, untested, _ = result.tables
+    assert [row[1] for row in ranking.rows][:1] == ["kiss-icp"]
+    assert "image_rate 20" in str(ranking.rows[0][2])
+    assert untested.rows == ()
+    assert {row[0]: row[3] for row in reasons.rows}["orb-slam3-stereo"] == 0
+
+
+def test_repeats_of_one_configuration():
+    with pytest.raises(InvalidInput, match="needs one configuration_id, the selection holds 180"):
+        build("form: repeatability")
+    result = build("form: repeatability", configuration_id=[7] * RUNS)
+    assert "95 % bootstrap interval" in result.charts[0].caption
+
+
+def test_a_form_that_needs_one_dataset_says_so():
+    with pytest.raises(InvalidInput, match="needs one dataset, the selection holds 3: kitti_06, room, v101"):
+        build("form: trajectories")
+    with pytest.raises(InvalidInput, match="no selected run has sampled usage"):
+        build("form: usage")
+    with pytest.raises(InvalidInput, match="evaluated under 0 protocol"):
+        build("form: protocols")

@@ -2,13 +2,22 @@
 
 from slamhive.analysis.forms import (
     by_algorithm,
+    coverage,
     critical_difference,
     distributions,
     heatmap,
+    importance,
     line,
+    parallel,
     pareto,
+    protocols,
+    repeatability,
     scatter,
     scatter_3d,
+    selector,
+    sensitivity,
+    trajectories,
+    usage,
 )
 from slamhive.analysis.forms.base import FORMS, Form, FormData, FormOptions, RunFiles, RunTrack, RunUsage
 
@@ -21,11 +30,20 @@ __all__ = [
     "RunTrack",
     "RunUsage",
     "by_algorithm",
+    "coverage",
     "critical_difference",
     "distributions",
     "heatmap",
+    "importance",
     "line",
+    "parallel",
     "pareto",
+    "protocols",
+    "repeatability",
     "scatter",
     "scatter_3d",
+    "selector",
+    "sensitivity",
+    "trajectories",
+    "usage",
 ]

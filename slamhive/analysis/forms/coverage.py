@@ -1,0 +1,106 @@
+"""Accuracy-coverage curve: the share of all runs, failed ones included, whose error is below each bound."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from slamhive.analysis.chart import Array, Axis, Chart, Line
+from slamhive.analysis.colours import algorithm_colours
+from slamhive.analysis.forms.base import (
+    FORMS,
+    Form,
+    FormData,
+    FormOptions,
+    caption,
+    number_column,
+    raw_table,
+    require_runs,
+    spans_decades,
+)
+from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
+from slamhive.analysis.table import FAILED, RunTable
+from slamhive.domain.metrics import Direction
+from slamhive.errors import InvalidInput
+
+_QUANTILES = (0.25, 0.5, 0.75, 0.9)
+
+
+class CoverageOptions(FormOptions):
+    """``metric`` is an error: less is better."""
+
+    metric: str = Field(default="ate.rmse", description="The error that is bounded.")
+
+
+class Coverage(Form[CoverageOptions]):
+    """The form ``coverage``."""
+
+    key = "coverage"
+    title = "Accuracy and coverage"
+    description = "Share of all runs whose error is below each bound; failed runs never are, so no failure flatters."
+    options = CoverageOptions
+
+    def needs(self, options: CoverageOptions) -> frozenset[str]:
+        """The metric."""
+        return frozenset({options.metric})
+
+    def build(self, data: FormData, options: CoverageOptions) -> FormResult:
+        """One curve for each algorithm, the bounds that given shares of runs keep, the raw data."""
+        table = data.table
+        require_runs(table)
+        column = table.numeric(options.metric, "a bound")
+        if column.direction is not Direction.LOWER:
+            raise InvalidInput(f"{column.key!r} is no error", "choose a metric of which less is better")
+        protocol = table.one_protocol([column.key])
+        shown = number_column(table.good(), column.key)
+        chart = Chart(
+            key=f"coverage_{column.key}",
+            title=options.title or f"Share of runs below a bound of {column.label}",
+            x=Axis(f"bound of {column.label}", column.unit, spans_decades(shown)),
+            y=Axis("runs below", "%"),
+            marks=tuple(_curves(table, column.key)),
+            caption=caption(table, int(np.isfinite(shown).sum()), protocol, "Shares are of all runs, failed included."),
+        )
+        return FormResult(
+            charts=(chart,),
+            tables=(_bounds(table, column.key), raw_table("coverage_raw", table, [column.key])),
+            runs=len(table.frame),
+            failed=len(table.failed()),
+            protocol=protocol,
+        )
+
+
+def _curves(table: RunTable, key: str) -> Iterator[Line]:
+    colours = algorithm_colours(table.frame["algorithm"])
+    for algorithm, rows in table.frame.groupby("algorithm", sort=True):
+        values = _errors(rows, key)
+        if len(values):
+            shares = 100 * np.arange(1, len(values) + 1) / len(rows)
+            name = f"{algorithm} ({len(values)} of {len(rows)})"
+            yield Line(name, values, shares, colour=colours[str(algorithm)], steps=True)
+
+
+def _errors(rows: pd.DataFrame, key: str) -> Array:
+    frame = rows[rows[FAILED].isna()]
+    values = number_column(frame, key)
+    return np.sort(values[np.isfinite(values)])
+
+
+def _bounds(table: RunTable, key: str) -> ResultTable:
+    column = table.column(key)
+    columns = [TableColumn("algorithm", "Algorithm"), TableColumn("runs", "Runs"), TableColumn("failed", "Failed")]
+    columns += [TableColumn(f"q{share:g}", f"{100 * share:g} % of runs below", column.unit) for share in _QUANTILES]
+    rows: list[tuple[Cell, ...]] = []
+    for algorithm, group in table.frame.groupby("algorithm", sort=True):
+        values = _errors(group, key)
+        places = [int(np.ceil(share * len(group))) - 1 for share in _QUANTILES]
+        bounds = [float(values[place]) if place < len(values) else None for place in places]
+        rows.append((str(algorithm), len(group), int(group[FAILED].notna().sum()), *bounds))
+    note = "Empty: so many runs failed that no bound keeps that share."
+    return ResultTable("coverage", "Bounds", tuple(columns), tuple(rows), note)
+
+
+FORMS.register(Coverage.key, Coverage())

@@ -1,0 +1,111 @@
+"""Parallel coordinates: one line for each run through its parameters and metrics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from slamhive.analysis.chart import Array, Axis, Chart, Dimension, Parallel
+from slamhive.analysis.forms.base import (
+    FORMS,
+    Form,
+    FormData,
+    FormOptions,
+    caption,
+    excluded_without,
+    number_column,
+    raw_table,
+    require_runs,
+)
+from slamhive.analysis.forms.places import places_on
+from slamhive.analysis.result import FormResult
+from slamhive.analysis.table import Column
+from slamhive.errors import InvalidInput
+
+MOST_LINES = 20_000
+
+
+class ParallelOptions(FormOptions):
+    """``dimensions`` default to the algorithm, the dataset and all parameters that vary."""
+
+    dimensions: list[str] = Field(default_factory=list, max_length=15, description="Axes from left to right.")
+    metric: str = Field(default="ate.rmse", description="The last axis, and the colour.")
+
+
+class ParallelCoordinates(Form[ParallelOptions]):
+    """The form ``parallel``."""
+
+    key = "parallel"
+    title = "Parallel coordinates"
+    description = "Every run as a line through its parameters and a metric; ranges can be picked on each axis."
+    options = ParallelOptions
+
+    def needs(self, options: ParallelOptions) -> frozenset[str]:
+        """The axes."""
+        return frozenset({*options.dimensions, options.metric})
+
+    def build(self, data: FormData, options: ParallelOptions) -> FormResult:
+        """One chart and its raw data."""
+        table = data.table
+        require_runs(table)
+        metric = table.numeric(options.metric, "the colour")
+        keys = options.dimensions or ["algorithm", "dataset", *[column.key for column in table.varied()[:10]]]
+        columns = [table.column(key) for key in keys if key != metric.key]
+        protocol = table.one_protocol([column.key for column in (*columns, metric)])
+        good = table.good()
+        shown = good.dropna(subset=[metric.key])
+        if len(shown) > MOST_LINES:
+            raise InvalidInput(f"{len(shown)} lines cannot be told apart", f"select at most {MOST_LINES} runs")
+        if shown.empty:
+            raise InvalidInput(f"no good run has a value of {metric.key!r}", "choose a metric that was computed")
+        shades = number_column(shown, metric.key)
+        marks = Parallel(
+            dimensions=(*(_dimension(column, shown) for column in columns), _dimension(metric, shown)),
+            shades=shades,
+            shade_axis=Axis(metric.label, metric.unit),
+            runs=shown["run_id"].to_numpy(dtype=int),
+        )
+        chart = Chart(
+            key=f"parallel_{metric.key}",
+            title=options.title or f"{metric.label} and what it may depend on",
+            x=Axis(""),
+            y=Axis(""),
+            marks=(marks,),
+            caption=caption(table, len(shown), protocol, "Failed runs have no line."),
+            height=1.1,
+        )
+        return FormResult(
+            charts=(chart,),
+            tables=(raw_table("parallel_raw", table, [*keys, metric.key]),),
+            runs=len(table.frame),
+            failed=len(table.failed()),
+            excluded=excluded_without(good, [metric.key], table.columns),
+            protocol=protocol,
+        )
+
+
+def _dimension(column: Column, shown: pd.DataFrame) -> Dimension:
+    """Numbers as they are; words, and numbers that some runs lack, as categories with a place for "none"."""
+    values: Array
+    if column.numeric and shown[column.key].notna().all():
+        return Dimension(Axis(column.label, column.unit), number_column(shown, column.key))
+    words = shown[column.key].map(lambda value: "none" if pd.isna(value) else _words(value))
+    order = sorted(set(words), key=lambda word: (word != "none", _number(word), word))
+    axis = Axis(column.label, column.unit, categories=tuple(order))
+    values = places_on(axis, words)
+    return Dimension(axis, values)
+
+
+def _words(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return 0.0
+
+
+FORMS.register(ParallelCoordinates.key, ParallelCoordinates())

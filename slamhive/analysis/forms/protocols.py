@@ -1,0 +1,116 @@
+"""The same runs under several evaluation protocols, side by side: what the choice of alignment does to a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from slamhive.analysis.chart import Axis, Boxes, Chart
+from slamhive.analysis.colours import OKABE_ITO
+from slamhive.analysis.forms.base import FORMS, Form, FormData, FormOptions, plain_cell, require_runs
+from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
+from slamhive.analysis.statistics import summarise
+from slamhive.analysis.table import RunTable
+from slamhive.errors import InvalidInput
+
+
+class ProtocolsOptions(FormOptions):
+    """``metric`` must be one that depends on the protocol."""
+
+    metric: str = Field(default="ate.rmse", description="What is compared.")
+
+
+class Protocols(Form[ProtocolsOptions]):
+    """The form ``protocols``."""
+
+    key = "protocols"
+    title = "Protocols side by side"
+    description = "One metric of the same runs under each protocol they were evaluated under; the only form that may."
+    options = ProtocolsOptions
+
+    def needs(self, options: ProtocolsOptions) -> frozenset[str]:
+        """The metric."""
+        return frozenset({options.metric})
+
+    def build(self, data: FormData, options: ProtocolsOptions) -> FormResult:
+        """Boxes by algorithm and protocol over the runs that have all of them, the table, the raw data."""
+        table = data.table
+        require_runs(table)
+        column = table.numeric(options.metric, "a comparison")
+        if not column.needs_protocol:
+            raise InvalidInput(f"{column.key!r} does not depend on a protocol", "choose one that does: ate.rmse")
+        wide, labels = _wide(table, data.every_protocol, column.key)
+        if wide.shape[1] < 2:
+            raise InvalidInput(
+                f"the selected runs were evaluated under {wide.shape[1]} protocol", "evaluate them under another first"
+            )
+        complete = wide.dropna(axis=0)
+        if complete.empty:
+            raise InvalidInput("no selected run was evaluated under all protocols", "evaluate the runs under each")
+        algorithms = table.frame.set_index("run_id")["algorithm"]
+        chart = Chart(
+            key=f"protocols_{column.key}",
+            title=options.title or f"{column.label} by protocol",
+            x=Axis("Algorithm", categories=tuple(sorted(algorithms.loc[complete.index].unique()))),
+            y=Axis(column.label, column.unit),
+            marks=tuple(_boxes(complete, algorithms, labels)),
+            caption=(
+                f"n = {len(complete)} runs that were evaluated under all {wide.shape[1]} protocols, of "
+                f"{len(table.frame)} selected, {len(table.failed())} of which failed. {table.rule.words} "
+                "Figures of different protocols stand side by side here and are not averaged."
+            ),
+        )
+        return FormResult(
+            charts=(chart,),
+            tables=(_summary(complete, algorithms, labels, column.unit), _raw(wide, algorithms, labels, column.unit)),
+            runs=len(table.frame),
+            failed=len(table.failed()),
+            notes=(f"{len(wide) - len(complete)} runs lack one of the protocols and are not shown.",),
+        )
+
+
+def _wide(table: RunTable, every: pd.DataFrame, key: str) -> tuple[pd.DataFrame, dict[str, str]]:
+    """Runs down, protocols across; and each protocol's words."""
+    chosen = every[(every["metric"] == key) & every["run_id"].isin(table.frame["run_id"])]
+    wide = chosen.pivot_table(index="run_id", columns="protocol", values="value", aggfunc="first")
+    labels = dict(zip(chosen["protocol"], chosen["protocol_label"], strict=True))
+    return wide, labels
+
+
+def _boxes(wide: pd.DataFrame, algorithms: pd.Series, labels: dict[str, str]) -> Iterator[Boxes]:
+    names = tuple(algorithms.loc[wide.index])
+    for place, fingerprint in enumerate(wide.columns):
+        yield Boxes(
+            name=f"{labels[fingerprint]} ({fingerprint})",
+            categories=names,
+            values=wide[fingerprint].to_numpy(dtype=float),
+            runs=np.asarray(wide.index, dtype=int),
+            colour=OKABE_ITO[place % len(OKABE_ITO)],
+        )
+
+
+def _summary(wide: pd.DataFrame, algorithms: pd.Series, labels: dict[str, str], unit: str) -> ResultTable:
+    columns = [TableColumn("algorithm", "Algorithm"), TableColumn("runs", "Runs")]
+    columns += [TableColumn(str(name), f"{labels[name]} mean", unit) for name in wide.columns]
+    rows: list[tuple[Cell, ...]] = []
+    for algorithm, group in wide.groupby(algorithms.loc[wide.index].to_numpy(), sort=True):
+        found = [summarise(group[name].to_numpy(dtype=float)) for name in wide.columns]
+        means = [None if entry is None else entry.mean for entry in found]
+        rows.append((str(algorithm), len(group), *means))
+    return ResultTable("protocols", "Means by protocol", tuple(columns), tuple(rows))
+
+
+def _raw(wide: pd.DataFrame, algorithms: pd.Series, labels: dict[str, str], unit: str) -> ResultTable:
+    columns = [TableColumn("run_id", "Run", links_run=True), TableColumn("algorithm", "Algorithm")]
+    columns += [TableColumn(str(name), labels[name], unit) for name in wide.columns]
+    rows = tuple(
+        (plain_cell(run), str(algorithms.loc[run]), *(plain_cell(value) for value in values))
+        for run, values in zip(wide.index, wide.to_numpy(), strict=True)
+    )
+    return ResultTable("protocols_raw", "Raw data", tuple(columns), rows, raw=True)
+
+
+FORMS.register(Protocols.key, Protocols())

@@ -1,0 +1,104 @@
+"""Repeatability: all runs of one configuration, their figures and how much they differ."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from slamhive.analysis.chart import REFERENCE, Axis, Chart, FailedRuns, Line, Mark, Points
+from slamhive.analysis.colours import algorithm_colours
+from slamhive.analysis.forms.base import (
+    FORMS,
+    Form,
+    FormData,
+    FormOptions,
+    caption,
+    excluded_without,
+    number_column,
+    one_value,
+    raw_table,
+    require_runs,
+    summary_table,
+)
+from slamhive.analysis.result import FormResult
+from slamhive.analysis.statistics import summarise
+from slamhive.analysis.table import RunTable
+from slamhive.errors import InvalidInput
+
+
+class RepeatabilityOptions(FormOptions):
+    """``metrics`` each get a figure."""
+
+    metrics: list[str] = Field(
+        default_factory=lambda: ["ate.rmse"], min_length=1, max_length=20, description="What is shown."
+    )
+
+
+class Repeatability(Form[RepeatabilityOptions]):
+    """The form ``repeatability``."""
+
+    key = "repeatability"
+    title = "Repeatability"
+    description = "Every repeat of one configuration with the mean, its interval and the spread."
+    options = RepeatabilityOptions
+
+    def needs(self, options: RepeatabilityOptions) -> frozenset[str]:
+        """The metrics."""
+        return frozenset(options.metrics)
+
+    def build(self, data: FormData, options: RepeatabilityOptions) -> FormResult:
+        """A chart for each metric, the summary, the raw data."""
+        table = data.table
+        require_runs(table)
+        one_value(table, "configuration_id", "repeatability")
+        if len(table.frame) < 2:
+            raise InvalidInput("repeatability needs two runs of the configuration, found 1", "add repeats")
+        for key in options.metrics:
+            table.numeric(key, "repeatability")
+        protocol = table.one_protocol(options.metrics)
+        return FormResult(
+            charts=tuple(_chart(table, key, protocol, options.title) for key in options.metrics),
+            tables=(
+                summary_table("repeatability", table, options.metrics, ["algorithm", "dataset"]),
+                raw_table("repeatability_raw", table, ["seed", *options.metrics]),
+            ),
+            runs=len(table.frame),
+            failed=len(table.failed()),
+            excluded=excluded_without(table.good(), options.metrics, table.columns),
+            protocol=protocol,
+        )
+
+
+def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -> Chart:
+    column = table.column(key)
+    shown = table.good().dropna(subset=[key])
+    failed = table.failed()
+    order = {int(run): float(place) for place, run in enumerate(table.frame["run_id"], start=1)}
+    algorithm = str(table.frame["algorithm"].iloc[0])
+    colour = algorithm_colours([algorithm])[algorithm]
+    runs = shown["run_id"].to_numpy(dtype=int)
+    values = number_column(shown, key)
+    marks: list[Mark] = [Points("runs", np.array([order[run] for run in runs]), values, colour=colour, runs=runs)]
+    summary = summarise(values)
+    more = ""
+    if summary is not None:
+        ends = np.array([1.0, float(len(order))])
+        interval = summary.interval
+        low, high = (None, None) if interval is None else (np.full(2, interval.low), np.full(2, interval.high))
+        marks.append(Line("mean", ends, np.full(2, summary.mean), low=low, high=high, colour=REFERENCE, dashed=True))
+        spread = "" if summary.std is None else f", std {summary.std:.3g}"
+        relative = "" if not summary.std or not summary.mean else f" ({100 * summary.std / summary.mean:.2g} %)"
+        more = f"Mean {summary.mean:.4g} {column.unit}{spread}{relative}; band: 95 % bootstrap interval of the mean."
+    failed_runs = failed["run_id"].to_numpy(dtype=int)
+    marks.append(FailedRuns(np.array([order[run] for run in failed_runs], dtype=float), failed_runs, colour))
+    return Chart(
+        key=f"repeatability_{key}",
+        title=title or f"{column.label} of {len(order)} repeats",
+        x=Axis("repeat"),
+        y=Axis(column.label, column.unit),
+        marks=tuple(marks),
+        caption=caption(table, len(shown), protocol, more),
+    )
+
+
+FORMS.register(Repeatability.key, Repeatability())

@@ -1,0 +1,238 @@
+"""Constraint selector: which configurations keep all bounds, ranked, with the evidence, and what was never tested."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from slamhive.analysis.chart import Array, Axis, Bars, Chart
+from slamhive.analysis.forms.base import FORMS, Form, FormData, FormOptions, number_column, raw_table, require_runs
+from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
+from slamhive.analysis.statistics import Summary, summarise
+from slamhive.analysis.table import FAILED, RunTable
+from slamhive.domain.metrics import Direction
+from slamhive.errors import InvalidInput
+
+_BOUND = re.compile(r"\s*(?P<key>[\w.:+/-]+)\s*(?P<sign><=|=>|>=|<|>)\s*(?P<number>[-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*")
+_SHOWN = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """``key`` must lie below or above ``limit`` in every run."""
+
+    key: str
+    sign: str
+    limit: float
+
+    def holds(self, values: Array) -> Array:
+        """Which values keep the bound; a missing one does not."""
+        compare = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}[self.sign]
+        return np.isfinite(values) & compare(values, self.limit)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One configuration over all selected datasets."""
+
+    algorithm: str
+    configurations: tuple[int, ...]
+    settings: str
+    runs: int
+    failed: int
+    kept: int
+    datasets: int
+    score: Summary | None
+
+
+class SelectorOptions(FormOptions):
+    """Bounds that each run must keep, as filters are written: ``ate.rmse < 0.1``."""
+
+    bounds: list[str] = Field(min_length=1, max_length=20, description="metric < number, or >, <=, >=")
+    rank_by: str = Field(default="ate.rmse", description="What the configurations are ranked by.")
+    kept_share: float = Field(
+        default=1.0, gt=0, le=1, description="Share of a configuration's runs that keep all bounds."
+    )
+
+
+class Selector(Form[SelectorOptions]):
+    """The form ``selector``."""
+
+    key = "selector"
+    title = "Configurations that keep the bounds"
+    description = "Ranked configurations that stay within bounds, their evidence, and what was never tested."
+    options = SelectorOptions
+
+    def needs(self, options: SelectorOptions) -> frozenset[str]:
+        """The bounded metrics and the one to rank by."""
+        return frozenset({options.rank_by, *(parse_bound(text).key for text in options.bounds)})
+
+    def build(self, data: FormData, options: SelectorOptions) -> FormResult:
+        """The ranking with intervals, the ranked table, what failed to keep which bound, what was never tested."""
+        table = data.table
+        require_runs(table)
+        bounds = [parse_bound(text) for text in options.bounds]
+        for bound in bounds:
+            table.numeric(bound.key, "a bound")
+        rank = table.numeric(options.rank_by, "a ranking")
+        protocol = table.one_protocol([rank.key, *(bound.key for bound in bounds)])
+        candidates = _candidates(table, bounds, options.rank_by)
+        chosen = [entry for entry in candidates if entry.score and entry.kept >= options.kept_share * entry.runs]
+        sign = -1.0 if rank.direction is Direction.HIGHER else 1.0
+        chosen.sort(key=lambda entry: (-entry.datasets, sign * (entry.score.mean if entry.score else 0.0)))
+        words = " and ".join(_bound_words(bound, table) for bound in bounds)
+        under = f"Protocol: {protocol}. " if protocol else ""
+        text = (
+            f"{len(chosen)} of {len(candidates)} tested settings keep {words} in at least "
+            f"{100 * options.kept_share:g} % of their runs. Failed runs keep nothing. {table.rule.words} "
+            f"{under}Ranked by datasets covered, then by the mean of {rank.label}; whiskers: 95 % bootstrap interval."
+        )
+        charts = (_chart(chosen[:_SHOWN], rank.label, rank.unit, options.title, text),) if chosen else ()
+        notes = () if chosen else (f"No tested setting keeps {words}.",)
+        return FormResult(
+            charts=charts,
+            tables=(
+                _ranking(chosen, rank.label, rank.unit, text),
+                _reasons(table, bounds),
+                _untested(table),
+                raw_table("selector_raw", table, [rank.key, *(bound.key for bound in bounds)]),
+            ),
+            runs=len(table.frame),
+            failed=len(table.failed()),
+            protocol=protocol,
+            notes=notes,
+        )
+
+
+def parse_bound(text: str) -> Bound:
+    """``ate.rmse < 0.1``; raises InvalidInput."""
+    match = _BOUND.fullmatch(text)
+    try:
+        if match is not None:
+            sign = match["sign"].replace("=>", ">=")
+            return Bound(match["key"], sign, float(match["number"]))
+    except ValueError:
+        pass
+    raise InvalidInput(f"bound {text!r} is not METRIC < NUMBER", "write for example: ate.rmse < 0.1")
+
+
+def _bound_words(bound: Bound, table: RunTable) -> str:
+    column = table.column(bound.key)
+    return f"{column.label} {bound.sign} {bound.limit:g} {column.unit}".rstrip()
+
+
+def _settings(table: RunTable) -> pd.Series:
+    """What tells configurations apart besides the dataset, in words: the parameters that vary."""
+    varied = [column.key for column in table.varied()]
+
+    def words(row: pd.Series) -> str:
+        return ", ".join(f"{key} {_short(row[key])}" for key in varied if not pd.isna(row[key]))
+
+    unique = table.frame[["configuration_id", *varied]].drop_duplicates("configuration_id")
+    named = dict(zip(unique["configuration_id"], unique.apply(words, axis=1), strict=True)) if len(unique) else {}
+    return table.frame["configuration_id"].map(named)
+
+
+def _short(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
+
+
+def _candidates(table: RunTable, bounds: list[Bound], rank_by: str) -> list[Candidate]:
+    frame = table.frame.assign(settings=_settings(table))
+    kept = frame[FAILED].isna().to_numpy(dtype=bool)
+    for bound in bounds:
+        kept = kept & bound.holds(number_column(frame, bound.key))
+    frame = frame.assign(kept=kept)
+    found = []
+    for (algorithm, settings), rows in frame.groupby(["algorithm", "settings"], sort=True):
+        found.append(
+            Candidate(
+                algorithm=str(algorithm),
+                configurations=tuple(int(entry) for entry in sorted(rows["configuration_id"].unique())),
+                settings=str(settings) or "as given",
+                runs=len(rows),
+                failed=int(rows[FAILED].notna().sum()),
+                kept=int(rows["kept"].sum()),
+                datasets=int(rows["dataset"].nunique()),
+                score=summarise(number_column(rows[rows[FAILED].isna()], rank_by)),
+            )
+        )
+    return found
+
+
+def _chart(chosen: list[Candidate], label: str, unit: str, title: str | None, text: str) -> Chart:
+    names = tuple(f"{place}. {entry.algorithm}" for place, entry in enumerate(chosen, start=1))
+    scores = [entry.score for entry in chosen if entry.score is not None]
+    ends = [(s.mean, s.mean) if s.interval is None else (s.interval.low, s.interval.high) for s in scores]
+    low, high = np.array(ends).reshape(-1, 2).T
+    bars = Bars(
+        label, np.array([score.mean for score in scores]), low, high, texts=tuple(f"n = {s.count}" for s in scores)
+    )
+    return Chart(
+        key="selector",
+        title=title or f"The best {len(chosen)} by {label}",
+        x=Axis("rank", categories=names),
+        y=Axis(f"{label}, mean", unit),
+        marks=(bars,),
+        caption=text,
+    )
+
+
+def _ranking(chosen: list[Candidate], label: str, unit: str, text: str) -> ResultTable:
+    columns = (
+        TableColumn("rank", "Rank"),
+        TableColumn("algorithm", "Algorithm"),
+        TableColumn("settings", "Settings"),
+        TableColumn("configurations", "Configurations"),
+        TableColumn("mean", f"{label} mean", unit),
+        TableColumn("low", f"{label} 95 % from", unit),
+        TableColumn("high", f"{label} 95 % to", unit),
+        TableColumn("runs", "Runs"),
+        TableColumn("kept", "Within bounds"),
+        TableColumn("failed", "Failed"),
+        TableColumn("datasets", "Datasets"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for place, entry in enumerate(chosen, start=1):
+        interval = None if entry.score is None else entry.score.interval
+        ends = (None, None) if interval is None else (interval.low, interval.high)
+        mean = None if entry.score is None else entry.score.mean
+        listed = ", ".join(map(str, entry.configurations[:6])) + (", ..." if len(entry.configurations) > 6 else "")
+        counts = (entry.runs, entry.kept, entry.failed, entry.datasets)
+        rows.append((place, entry.algorithm, entry.settings, listed, mean, *ends, *counts))
+    return ResultTable("ranking", "Ranking", columns, tuple(rows), text)
+
+
+def _reasons(table: RunTable, bounds: list[Bound]) -> ResultTable:
+    """How many runs of each algorithm keep each bound."""
+    columns = [TableColumn("algorithm", "Algorithm"), TableColumn("runs", "Runs"), TableColumn("failed", "Failed")]
+    columns += [
+        TableColumn(f"bound{place}", f"{bound.key} {bound.sign} {bound.limit:g} kept by")
+        for place, bound in enumerate(bounds)
+    ]
+    rows: list[tuple[Cell, ...]] = []
+    for algorithm, group in table.frame.groupby("algorithm", sort=True):
+        good = group[group[FAILED].isna()]
+        kept = [int(bound.holds(number_column(good, bound.key)).sum()) for bound in bounds]
+        rows.append((str(algorithm), len(group), len(group) - len(good), *kept))
+    return ResultTable("bounds", "Which bound keeps whom out", tuple(columns), tuple(rows))
+
+
+def _untested(table: RunTable) -> ResultTable:
+    """Algorithms and datasets of the selection that were never run together."""
+    columns = (TableColumn("algorithm", "Algorithm"), TableColumn("dataset", "Never run on"))
+    tested = set(zip(table.frame["algorithm"], table.frame["dataset"], strict=True))
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (algorithm, dataset)
+        for algorithm in sorted(table.frame["algorithm"].unique())
+        for dataset in sorted(table.frame["dataset"].unique())
+        if (algorithm, dataset) not in tested
+    )
+    return ResultTable("untested", "Never tested", columns, rows, "Of the algorithms and datasets of this selection.")
+
+
+FORMS.register(Selector.key, Selector())

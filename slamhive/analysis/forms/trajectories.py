@@ -1,0 +1,188 @@
+"""Trajectories of many runs on one dataset, against the ground truth: paths, and position errors over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from pydantic import Field
+
+from slamhive.analysis.chart import REFERENCE, Array, Axis, Chart, Line, Points
+from slamhive.analysis.colours import OKABE_ITO, algorithm_colours
+from slamhive.analysis.forms.base import (
+    FORMS,
+    Form,
+    FormData,
+    FormOptions,
+    RunTrack,
+    caption,
+    one_value,
+    raw_table,
+    require_runs,
+    spans_decades,
+)
+from slamhive.analysis.result import Exclusion, FormResult, ResultTable, TableColumn
+from slamhive.analysis.table import RunTable
+from slamhive.errors import InvalidInput
+
+_PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+_AXES = "xyz"
+
+
+class TrajectoriesOptions(FormOptions):
+    """How many runs are drawn at most."""
+
+    most_runs: int = Field(
+        default=40, ge=1, le=200, description="More lines cannot be told apart: the first are drawn."
+    )
+
+
+class Trajectories(Form[TrajectoriesOptions]):
+    """The form ``trajectories``."""
+
+    key = "trajectories"
+    title = "Trajectories"
+    description = "The aligned trajectories of many runs on one dataset with the ground truth, and their errors."
+    options = TrajectoriesOptions
+
+    def needs(self, options: TrajectoriesOptions) -> frozenset[str]:
+        """The error, for the table."""
+        del options
+        return frozenset({"ate.rmse", "tracked_fraction"})
+
+    def build(self, data: FormData, options: TrajectoriesOptions) -> FormResult:
+        """The path in its widest plane, coordinates and errors over time, the table, the poses drawn."""
+        table = data.table
+        require_runs(table)
+        dataset = one_value(table, "dataset", "a comparison of trajectories")
+        protocol = table.one_protocol(["ate.rmse"])
+        tracks, without = _tracks(data, options.most_runs)
+        if not tracks:
+            raise InvalidInput("no selected run has an evaluated trajectory with files", "evaluate again, with files")
+        text = caption(table, len(tracks), protocol, f"Ground truth of {dataset} dashed; circles: start.")
+        plane = _widest_plane(tracks[0].reference_positions_m)
+        start_s = float(tracks[0].reference_stamps_s[0])
+        names = _names(tracks, table)
+        charts = [_path(tracks, names, plane, options.title or f"Trajectories on {dataset}", text)]
+        charts += [_coordinate(tracks, names, axis, start_s, text) for axis in range(3)]
+        errors = [line for line in _errors(tracks, names, start_s) if len(line.y)]
+        if errors:
+            spread = spans_decades(np.concatenate([line.y for line in errors]))
+            y = Axis("position error", "m", spread)
+            time = Axis("time since the start of the ground truth", "s")
+            charts.append(Chart("trajectory_error", "Position error", time, y, tuple(errors), text))
+        return FormResult(
+            charts=tuple(charts),
+            tables=(raw_table("trajectories", table, ["ate.rmse", "tracked_fraction"], "Errors"), _poses(tracks)),
+            runs=len(table.frame),
+            failed=len(table.failed()),
+            excluded=tuple(without),
+            protocol=protocol,
+        )
+
+
+def _tracks(data: FormData, most: int) -> tuple[list[RunTrack], list[Exclusion]]:
+    runs = [int(run) for run in data.table.good()["run_id"]]
+    tracks: list[RunTrack] = []
+    lacking: list[int] = []
+    for place, run in enumerate(runs):
+        if len(tracks) == most:
+            break
+        data.progress(place / len(runs))
+        track = data.files.track(run)
+        lacking += [] if track is not None else [run]
+        tracks += [] if track is None else [track]
+    left_over = runs[len(tracks) + len(lacking) :]
+    found = [
+        Exclusion("no files of an evaluation", tuple(lacking)),
+        Exclusion("beyond the number drawn", tuple(left_over)),
+    ]
+    return tracks, [entry for entry in found if entry.runs]
+
+
+def _names(tracks: list[RunTrack], table: RunTable) -> dict[int, tuple[str, str]]:
+    """{run: (name, colour)}: by algorithm, or by run where there is one algorithm only."""
+    algorithms = dict(zip(table.frame["run_id"], table.frame["algorithm"], strict=True))
+    colours = algorithm_colours(table.frame["algorithm"])
+    several = len(set(algorithms.values())) > 1
+    return {
+        track.run_id: (
+            f"run {track.run_id}, {algorithms[track.run_id]}",
+            colours[algorithms[track.run_id]] if several else OKABE_ITO[place % len(OKABE_ITO)],
+        )
+        for place, track in enumerate(tracks)
+    }
+
+
+def _widest_plane(positions_m: Array) -> str:
+    dropped = int(np.argmin(np.ptp(positions_m, axis=0)))
+    return {2: "xy", 1: "xz", 0: "yz"}[dropped]
+
+
+def _path(tracks: list[RunTrack], names: dict[int, tuple[str, str]], plane: str, title: str, text: str) -> Chart:
+    first, second = _PLANES[plane]
+    marks: list[Line | Points] = []
+    for track in tracks:
+        name, colour = names[track.run_id]
+        x, y = track.positions_m[:, first], track.positions_m[:, second]
+        marks.append(Line(name, x, y, colour=colour, runs=track.run_id))
+        marks.append(Points(name, x[:1], y[:1], colour=colour, in_legend=False))
+    reference = tracks[0].reference_positions_m
+    marks.append(Line("ground truth", reference[:, first], reference[:, second], colour=REFERENCE, dashed=True))
+    return Chart(
+        key=f"trajectories_{plane}",
+        title=title,
+        x=Axis(_AXES[first], "m"),
+        y=Axis(_AXES[second], "m"),
+        marks=tuple(marks),
+        caption=text,
+        equal_aspect=True,
+        height=1.3,
+    )
+
+
+def _coordinate(
+    tracks: list[RunTrack], names: dict[int, tuple[str, str]], axis: int, start_s: float, text: str
+) -> Chart:
+    lines = [
+        Line(names[t.run_id][0], t.stamps_s - start_s, t.positions_m[:, axis], colour=names[t.run_id][1], runs=t.run_id)
+        for t in tracks
+    ]
+    reference = tracks[0]
+    times_s = reference.reference_stamps_s - start_s
+    lines.append(Line("ground truth", times_s, reference.reference_positions_m[:, axis], colour=REFERENCE, dashed=True))
+    return Chart(
+        key=f"trajectories_{_AXES[axis]}",
+        title=f"{_AXES[axis]} over time",
+        x=Axis("time since the start of the ground truth", "s"),
+        y=Axis(_AXES[axis], "m"),
+        marks=tuple(lines),
+        caption=text,
+        height=0.7,
+    )
+
+
+def _errors(tracks: list[RunTrack], names: dict[int, tuple[str, str]], start_s: float) -> Iterator[Line]:
+    for track in tracks:
+        known = np.isfinite(track.errors_m)
+        name, colour = names[track.run_id]
+        times_s = track.stamps_s[known] - start_s
+        yield Line(name, times_s, track.errors_m[known], colour=colour, runs=track.run_id)
+
+
+def _poses(tracks: list[RunTrack]) -> ResultTable:
+    columns = (
+        TableColumn("run_id", "Run", links_run=True),
+        TableColumn("timestamp_s", "Timestamp", "s"),
+        *(TableColumn(f"{axis}_m", axis, "m") for axis in _AXES),
+        TableColumn("error_m", "Position error", "m"),
+    )
+    rows = tuple(
+        (track.run_id, float(at), *map(float, position), float(error) if np.isfinite(error) else None)
+        for track in tracks
+        for at, position, error in zip(track.stamps_s, track.positions_m, track.errors_m, strict=True)
+    )
+    return ResultTable("poses", "Poses as drawn", columns, rows, raw=True)
+
+
+FORMS.register(Trajectories.key, Trajectories())
