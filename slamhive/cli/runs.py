@@ -13,8 +13,9 @@ from slamhive.cli.waiting import run_to_end
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.stop_when import RULES, parse_stop_when
 from slamhive.errors import InvalidInput
-from slamhive.services.request import Submission
+from slamhive.services.request import Submission, unwatchable
 from slamhive.services.run_json import evaluation_to_json, run_to_json, timestamp
 from slamhive.store import RunFilter, RunRecord, RunSort
 
@@ -32,6 +33,7 @@ COLUMNS = (
     "RAM MB",
     "time s",
 )
+STOP_HELP = f"End early, with the reason: {', '.join(RULES)}; may be repeated."
 NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 
 
@@ -48,6 +50,7 @@ NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 @click.option("--cpus", type=float, help="CPU limit in cores.")
 @click.option("--memory", type=int, help="Memory limit in MB.")
 @click.option("--timeout", type=float, help="Wall-clock limit in s; default: from the dataset's duration.")
+@click.option("--stop-when", "rules", multiple=True, metavar="RULE=NUMBER", help=STOP_HELP)
 @click.option("--align", type=choice(Alignment), help="Alignment; default: what the sensors deserve.")
 @click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first.")
 @click.option("--wait", is_flag=True, help="Stay until the runs have ended; works on them if no worker runs.")
@@ -57,6 +60,7 @@ NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 def run(cli: CliContext, algorithm: str, dataset: str, settings: tuple[str, ...], **options: Any) -> None:
     """Run ALGORITHM on DATASET."""
     hive = cli.hive()
+    rules = parse_stop_when(options["rules"])
     submitted = hive.submit(
         Submission(
             algorithm=algorithm,
@@ -74,8 +78,12 @@ def run(cli: CliContext, algorithm: str, dataset: str, settings: tuple[str, ...]
             timeout_s=options["timeout"],
             priority=options["priority"],
             variant=parse_steps(options["steps"]),
+            stop_when=rules,
         )
     )
+    unseen = unwatchable(rules, [hive.catalogue.algorithm(algorithm)])
+    if unseen is not None:
+        messages.print(f"note: {unseen}", markup=False, soft_wrap=True)
     run_ids = [entry.id for entry in submitted]
     if options["wait"]:
         run_to_end(hive, run_ids, evaluate=options["evaluate"])

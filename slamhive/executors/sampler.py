@@ -47,6 +47,8 @@ class Sampler:
         self._clock = clock
         self._origin_s = clock() - offset_s
         self._peak_bytes: int | None = None
+        self.most_bytes: int | None = None
+        """The most memory of the samples so far, None before the first."""
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"sampler {path.parent.name}", daemon=True)
 
@@ -92,6 +94,7 @@ class Sampler:
             if usage is None:
                 return
             cpu_s, memory_bytes = usage
+            self.most_bytes = max(memory_bytes, self.most_bytes or 0)
             if before is not None and now_s > before[0]:
                 cores = max(0.0, cpu_s - before[1]) / (now_s - before[0])
                 stream.write(f"{now_s - self._origin_s:.4f},{cores:.4f},{memory_bytes}\n")

@@ -4,12 +4,13 @@ Rules, first match wins:
 
 1. The kernel, or the memory limit, killed it: ``out_of_memory``.
 2. It ran into the wall-clock limit: ``timeout``.
-3. The handle is gone and nobody knows the exit code: ``lost``, unless the algorithm had said ``finished`` and left a
+3. One of its stop rules was broken and the controller ended it: the reason of that rule.
+4. The handle is gone and nobody knows the exit code: ``lost``, unless the algorithm had said ``finished`` and left a
    valid trajectory (the result is complete, only the way it ended is unknown).
-4. It was ended by the controller after its grace because it lingered behind ``finished``: the exit code then tells of
+5. It was ended by the controller after its grace because it lingered behind ``finished``: the exit code then tells of
    our signal, not of the algorithm, and is ignored.
-5. Exit code other than 0: ``nonzero_exit``, whatever files are there.
-6. Exit code 0 (or rule 4): ``traj.txt`` decides. ``finished`` alone proves nothing: upstream images create it even when
+6. Exit code other than 0: ``nonzero_exit``, whatever files are there.
+7. Exit code 0 (or rule 5): ``traj.txt`` decides. ``finished`` alone proves nothing: upstream images create it even when
    the trajectory is missing.
 """
 
@@ -23,11 +24,14 @@ from pathlib import Path
 
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput
+from slamhive.runs.early_end import EarlyEnd
 from slamhive.runs.untrusted import read_regular_file
 from slamhive.trajectory.tum import parse_tum
 
 MAX_TRAJECTORY_BYTES = 200_000_000
 """A longer ``traj.txt`` is refused: at 100 bytes a pose this is two million poses, more than 18 hours at 30 Hz."""
+
+UNSEEN = "lost_tracking_s was not watched, since the algorithm does not say which frames it tracks"
 
 _SIGNAL_OFFSET = 128
 _LOG_TELLS = "its log says how far it came"
@@ -50,6 +54,8 @@ class Evidence:
         exit_code: As the engine reports it, 128 + signal for a signal; None if unknown.
         out_of_memory: The memory limit killed the run or one of its processes.
         timed_out: The controller ended it at its time limit of ``timeout_s``.
+        ended_early: The stop rule for which the controller ended it.
+        tracking_unseen: A stop rule asks for tracking, but the algorithm did not say which frames it tracks.
         lingered: It had written ``finished`` and was ended by the controller after a grace.
         finished: ``finished`` is there.
         gone_because: Why nothing answers to the handle any more; None if its end was seen.
@@ -61,6 +67,8 @@ class Evidence:
     trajectory: TrajectoryCheck
     out_of_memory: bool = False
     timed_out: bool = False
+    ended_early: EarlyEnd | None = None
+    tracking_unseen: bool = False
     lingered: bool = False
     finished: bool = False
     gone_because: str | None = None
@@ -87,20 +95,32 @@ class Outcome:
 def decide(evidence: Evidence) -> Outcome:
     """Judge ``evidence`` by the rules at the head of this module."""
     trajectory = evidence.trajectory
-    if evidence.out_of_memory:
-        return _failed(FailureReason.OUT_OF_MEMORY, _memory_text(evidence.memory_limit_bytes), trajectory)
-    if evidence.timed_out:
-        limit = "" if evidence.timeout_s is None else f" of {evidence.timeout_s:.0f} s"
-        return _failed(FailureReason.TIMEOUT, f"still running at the time limit{limit}", trajectory)
-    if evidence.gone_because is not None and not (evidence.finished and trajectory.problem is None):
-        return _failed(FailureReason.LOST, evidence.gone_because, trajectory)
+    ended = _ended_from_outside(evidence)
+    if ended is not None:
+        return ended
     exit_counts = evidence.gone_because is None and not evidence.lingered
     if exit_counts and evidence.exit_code != 0:
         return _failed(FailureReason.NONZERO_EXIT, _exit_text(evidence.exit_code, evidence.error_line), trajectory)
     if trajectory.problem is not None:
         return _failed(trajectory.problem, trajectory.detail, trajectory)
     ending = "" if exit_counts else ", ended after it had finished"
+    ending += f"; {UNSEEN}" if evidence.tracking_unseen else ""
     return Outcome(RunState.SUCCEEDED, None, f"{trajectory.poses} poses{ending}", trajectory.poses)
+
+
+def _ended_from_outside(evidence: Evidence) -> Outcome | None:
+    """Rules 1 to 4: something else ended the run, so that its exit code and its files do not tell."""
+    trajectory = evidence.trajectory
+    if evidence.out_of_memory:
+        return _failed(FailureReason.OUT_OF_MEMORY, _memory_text(evidence.memory_limit_bytes), trajectory)
+    if evidence.timed_out:
+        limit = "" if evidence.timeout_s is None else f" of {evidence.timeout_s:.0f} s"
+        return _failed(FailureReason.TIMEOUT, f"still running at the time limit{limit}", trajectory)
+    if evidence.ended_early is not None:
+        return _failed(evidence.ended_early.reason, evidence.ended_early.detail, trajectory)
+    if evidence.gone_because is not None and not (evidence.finished and trajectory.problem is None):
+        return _failed(FailureReason.LOST, evidence.gone_because, trajectory)
+    return None
 
 
 def inspect_trajectory(path: Path, max_bytes: int = MAX_TRAJECTORY_BYTES) -> TrajectoryCheck:

@@ -4,24 +4,38 @@ from __future__ import annotations
 
 from typing import Any
 
+from slamhive.domain.run import FailureReason
+from slamhive.domain.stop_when import StopWhen
 from slamhive.executors.base import Exited, Gone, RunStatus
+from slamhive.runs.early_end import EarlyEnd
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.log_line import last_error_line, read_tail
 from slamhive.runs.outcome import Evidence, inspect_trajectory, is_finished
 from slamhive.runs.untrusted import read_untrusted_json
+from slamhive.services.progress import untracked_s
 
 MAX_ABOUT_BYTES = 64_000
 
+STOPPED_BECAUSE = "stopped_because"
+"""Key of the record: why the controller ended the run (``timeout``, ``linger``, ``stop_when``)."""
 
-def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any]) -> Evidence:
+STOP_RULE = "stop_rule"
+"""Key of the record: reason and detail of the stop rule that was broken."""
+
+ENGINE_AWAY = "engine_away_at"
+"""Key of the record: since when the engine has not answered, while it does not."""
+
+
+def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any], rules: StopWhen) -> Evidence:
     """Put the evidence together.
 
     Args:
         folder: The run's folder.
         status: How the engine says that the run stands.
         saved: The record so far: limits, and why the controller ended the run, if it did.
+        rules: The stop rules of the run.
     """
-    cause = saved.get("stopped_because")
+    cause = saved.get(STOPPED_BECAUSE)
     return Evidence(
         exit_code=status.exit_code if isinstance(status, Exited) else None,
         out_of_memory=isinstance(status, Exited) and status.out_of_memory,
@@ -29,6 +43,8 @@ def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any])
         timeout_s=float(saved["spec"]["timeout_s"]),
         memory_limit_bytes=saved["spec"]["limits"]["memory_bytes"],
         lingered=cause == "linger",
+        ended_early=_ended_early(saved) if cause == "stop_when" else None,
+        tracking_unseen=rules.lost_tracking_s is not None and untracked_s(folder) is None,
         finished=is_finished(folder.finished),
         gone_because=_gone_because(status, saved),
         trajectory=inspect_trajectory(folder.trajectory),
@@ -41,11 +57,16 @@ def read_about(folder: RunFolder) -> dict[str, Any] | None:
     return read_untrusted_json(folder.about, MAX_ABOUT_BYTES)
 
 
+def _ended_early(saved: dict[str, Any]) -> EarlyEnd:
+    rule = saved[STOP_RULE]
+    return EarlyEnd(FailureReason(rule["reason"]), rule["detail"])
+
+
 def _gone_because(status: RunStatus, saved: dict[str, Any]) -> str | None:
     """Why the way the run ended says nothing of the algorithm; None if it does."""
     if isinstance(status, Gone):
         return status.why
-    engine_away_at = saved.get("engine_away_at")
+    engine_away_at = saved.get(ENGINE_AWAY)
     if isinstance(status, Exited) and status.exit_code != 0 and engine_away_at is not None:
         return f"the engine went away at {engine_away_at} and took the run with it (exit code {status.exit_code})"
     return None

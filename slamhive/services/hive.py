@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from slamhive.domain.affinity import run_affinity
 from slamhive.domain.run import RunEvent, RunState
 from slamhive.errors import Conflict, SlamHiveError, Unavailable
 from slamhive.evaluation.job import Artefacts
@@ -113,6 +114,8 @@ class Hive:
                     memory_mb=submission.memory_mb,
                     timeout_s=submission.timeout_s,
                     protocol=protocol,
+                    affinity=run_affinity(dataset.name, configuration.variant, algorithm.package.name),
+                    stop_when=submission.stop_when,
                 )
                 for index, uid in enumerate(uids)
             ]

@@ -47,6 +47,12 @@ def run_progress(run: RunRecord, folder: RunFolder, now: datetime, duration_s: f
     )
 
 
+def untracked_s(folder: RunFolder) -> float | None:
+    """For how long the algorithm has found no pose, in s of the recording; None if it does not say."""
+    content = read_untrusted_json(folder.progress, _PROGRESS_LIMIT_BYTES) or {}
+    return measured_number(content.get("untracked_s"))
+
+
 def _doing(run: RunRecord, folder: RunFolder) -> str:
     """What a run that does not play yet is at."""
     line = read_regular_file(folder.preparation, _TAIL_BYTES) if run.state is RunState.PREPARING else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from slamhive.domain.algorithm import Algorithm
@@ -11,6 +11,7 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import parse_settings
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
+from slamhive.domain.stop_when import NEVER, StopWhen
 from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput
 from slamhive.services.protocols import fitting_protocol
@@ -54,7 +55,7 @@ class Submission:
 
     ``alignment`` None means the one that the sensors deserve. ``cpu_cores`` and ``memory_mb`` None mean the
     defaults of settings and package. ``timeout_s`` None derives the limit from the dataset's duration. ``variant``
-    are steps that the dataset goes through beforehand.
+    are steps that the dataset goes through beforehand. ``stop_when`` are the rules that end a run early.
     """
 
     algorithm: str
@@ -72,6 +73,7 @@ class Submission:
     timeout_s: float | None = None
     priority: int = 0
     variant: Variant = ()
+    stop_when: StopWhen = NEVER
 
     def configuration(self, algorithm: Algorithm) -> Configuration:
         """The checked configuration, its variant as it was given; raises NotFound or InvalidInput naming the value."""
@@ -89,6 +91,7 @@ class Submission:
             value = getattr(self, name)
             if value is not None:
                 bounds.check(value)
+        self.stop_when.check()
         if self.alignment is not None and self.alignment not in set(Alignment):
             raise InvalidInput(f"alignment {self.alignment!r} is not known", f"use one of {', '.join(Alignment)}")
 
@@ -99,6 +102,15 @@ class Submission:
             raise InvalidInput(
                 f"playback mode {self.playback_mode!r} is not known", f"use one of {', '.join(PlaybackMode)}"
             ) from None
+
+
+def unwatchable(rules: StopWhen, algorithms: Iterable[Algorithm]) -> str | None:
+    """Which of the rules cannot be watched for which algorithms, in words; None if all can."""
+    silent = sorted({entry.name for entry in algorithms if not entry.package.reports_tracking})
+    if rules.lost_tracking_s is None or not silent:
+        return None
+    does = "does" if len(silent) == 1 else "do"
+    return f"lost_tracking_s has no effect on {', '.join(silent)}, which {does} not say which frames are tracked"
 
 
 def protocol_for(algorithm: Algorithm, dataset: Dataset, settings: Settings, alignment: str | None) -> Protocol:

@@ -7,26 +7,29 @@ them when the lease has run out (at once if it can see that the old worker's pro
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
 
 from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError, Unavailable
-from slamhive.executors.base import Executor
+from slamhive.executors.base import EngineUnavailable, Executor
 from slamhive.executors.registry import AUTO
+from slamhive.search.build import matching
 from slamhive.services.catalogue import Catalogue
 from slamhive.services.driver import RunDriver
 from slamhive.services.driver_context import DriverContext, WorkerStopping, utc_now
 from slamhive.services.evaluations import Evaluations
+from slamhive.services.held_runs import HeldRuns
 from slamhive.services.identity import owner_is_dead, worker_identity
 from slamhive.services.lock import WorkerLock
 from slamhive.services.slots import share_cores
+from slamhive.services.turns import AbsentExecutors, Turns
 from slamhive.services.variants import Variants
 from slamhive.settings import Settings
-from slamhive.store.records import LeaseLost, RunFilter, RunRecord
-from slamhive.store.store import Store
+from slamhive.store.records import LeaseLost, RunRecord
+from slamhive.store.store import Store, Transaction
 
 logger = logging.getLogger(__name__)
 
@@ -35,28 +38,6 @@ TROUBLE_PAUSE_S = 5.0
 MOST_ACTIVE = 1000
 CANCEL_CHECK_S = 0.5
 EVALUATION_INTERVAL_S = 30.0
-
-
-@dataclass
-class _Held:
-    """The runs that this worker holds, shared between slots and heartbeat."""
-
-    lock: threading.Lock = field(default_factory=threading.Lock)
-    runs: set[int] = field(default_factory=set)
-    cancel: set[int] = field(default_factory=set)
-
-    def add(self, run_id: int) -> None:
-        with self.lock:
-            self.runs.add(run_id)
-
-    def discard(self, run_id: int) -> None:
-        with self.lock:
-            self.runs.discard(run_id)
-            self.cancel.discard(run_id)
-
-    def snapshot(self) -> set[int]:
-        with self.lock:
-            return set(self.runs)
 
 
 class Worker:
@@ -85,12 +66,11 @@ class Worker:
         self._catalogue = catalogue
         self._evaluations = evaluations
         self._only = None if only is None else frozenset(only)
-        self._held = _Held()
+        self._held = HeldRuns()
         self._stopping = threading.Event()
-        self._idle_slots = 0
-        self._idle_lock = threading.Lock()
         self._next_evaluation_s = 0.0
         self.owner = worker_identity()
+        self._absent = AbsentExecutors(executors, TROUBLE_PAUSE_S)
         self._context = DriverContext(
             settings=settings,
             store=store,
@@ -139,9 +119,13 @@ class Worker:
                 self._let_go()
 
     def _slot(self, cores: tuple[int, ...] | None, until_idle: bool) -> None:
+        if cores is not None:
+            # What the slot does itself (a variant, an evaluation) disturbs the others as little as its runs do.
+            os.sched_setaffinity(0, cores)
+        turns = Turns()
         while not self._stopping.is_set():
             try:
-                busy = self._work_once(cores)
+                busy = self._work_once(cores, turns)
             except (SlamHiveError, OSError) as error:
                 logger.warning("%s; trying again in %.0f s", error, TROUBLE_PAUSE_S)
                 self._stopping.wait(TROUBLE_PAUSE_S)
@@ -152,15 +136,18 @@ class Worker:
                 continue
             if busy:
                 continue
-            if until_idle and not self._held.snapshot():
+            if until_idle and not self._held.snapshot() and not self._waits_for_engine():
                 return
             self._stopping.wait(IDLE_PAUSE_S)
 
-    def _work_once(self, cores: tuple[int, ...] | None) -> bool:
+    def _work_once(self, cores: tuple[int, ...] | None, turns: Turns) -> bool:
         """One run, or one batch of evaluations; whether there was anything to do."""
-        now = self._context.now()
-        run = self._store.write(lambda t: t.queue.claim(self.owner, now, self._settings.lease_s, self._only))
+        now, near, away = self._context.now(), turns.near, self._absent.names()
+        run = self._store.write(
+            lambda t: t.queue.claim(self.owner, now, self._settings.lease_s, self._only, near, away)
+        )
         if run is not None:
+            turns.took(run)
             self._drive(run, cores)
             if time.monotonic() < self._next_evaluation_s:
                 return True
@@ -168,6 +155,10 @@ class Worker:
         self._next_evaluation_s = time.monotonic() + EVALUATION_INTERVAL_S
         evaluated = self._evaluations.work_once(self.owner, self._stopping, self._only, cores=cores)
         return run is not None or evaluated > 0
+
+    def _waits_for_engine(self) -> bool:
+        """Whether runs are left that could go on if an engine answered."""
+        return bool(self._absent.names()) and self._store.read(lambda t: t.queue.waits(self._only))
 
     def _drive(self, run: RunRecord, cores: tuple[int, ...] | None) -> None:
         self._held.add(run.id)
@@ -194,6 +185,8 @@ class Worker:
                 if said != str(error):
                     said = str(error)
                     logger.warning("run %d waits: %s", run.id, said)
+                if isinstance(error, EngineUnavailable) and self._put_back(run, said):
+                    return self._record(run.id)
                 self._stopping.wait(TROUBLE_PAUSE_S)
                 if self._stopping.is_set():
                     raise WorkerStopping(f"run {run.id} waits for the next worker") from None
@@ -206,6 +199,25 @@ class Worker:
             if run.state.ended:
                 return run
 
+    def _put_back(self, run: RunRecord, why: str) -> bool:
+        """Let a run of which nothing has been started wait in the queue for its engine, not in the slot."""
+        now = self._context.now()
+
+        def work(transaction: Transaction) -> bool:
+            current = transaction.runs.get(run.id)
+            if current.state is not RunState.PREPARING or current.cancel_requested:
+                return False
+            transaction.runs.move(run.id, RunState.QUEUED, why=f"waits: {why}", now=now, owner=self.owner)
+            return True
+
+        if not self._store.write(work):
+            return False
+        self._absent.note(run.executor)
+        return True
+
+    def _record(self, run_id: int) -> RunRecord:
+        return self._store.read(lambda t: t.runs.get(run_id))
+
     def _reloaded(self, run: RunRecord) -> RunRecord:
         now = self._context.now()
 
@@ -215,7 +227,7 @@ class Worker:
             )
 
         try:
-            current = self._store.read(lambda t: t.runs.get(run.id))
+            current = self._record(run.id)
             if current.state.active and not work_held():
                 raise LeaseLost(f"run {run.id} was taken over by another worker")
         except Unavailable:
@@ -258,7 +270,7 @@ class Worker:
 
     def _sweep(self) -> None:
         """Remove containers that a killed worker left behind although their runs have ended."""
-        active = RunFilter(states=tuple(state for state in RunState if state.active))
+        active = matching(states=tuple(state for state in RunState if state.active))
         records = self._store.read(lambda t: t.runs.page(active, limit=MOST_ACTIVE)).records
         names = {record.executor for record in records}
         names.add("docker" if self._settings.executor == AUTO else self._settings.executor)

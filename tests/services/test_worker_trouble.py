@@ -66,7 +66,7 @@ def test_what_fails_after_the_outcome_cannot_take_the_evaluation(hive, monkeypat
     if failing == "remove":
         executor.remove = refuse
     else:
-        monkeypatch.setattr("slamhive.services.driver.write_plots", refuse)
+        monkeypatch.setattr("slamhive.services.collecting.write_plots", refuse)
     hive._executors["process"] = executor
     (run,) = hive.submit(Submission("tiny", "track"))
     hive.worker(only=[run.id]).run(until_idle=True)

@@ -33,7 +33,7 @@ parameters:
   behaviour:
     type: enum
     default: good
-    choices: [good, crash, empty, malformed, silent, linger]
+    choices: [good, crash, empty, malformed, silent, linger, lost, hungry]
     help: What it does.
 """
 
@@ -46,8 +46,19 @@ def setting(key):
 with (result / "starts.txt").open("a") as stream:
     stream.write(f"{os.getpid()}\\n")
 print("tiny says hello", flush=True)
-time.sleep(float(setting("seconds")))
 behaviour = setting("behaviour")
+if behaviour == "lost":
+    began = time.monotonic()
+    while time.monotonic() - began < float(setting("seconds")):
+        untracked_s = time.monotonic() - began
+        (result / ".progress").write_text(f'{{"fraction": 0.5, "frames": 9, "untracked_s": {untracked_s}}}')
+        os.replace(result / ".progress", result / "progress.json")
+        time.sleep(0.02)
+elif behaviour == "hungry":
+    kept = bytearray(os.urandom(1)) * 150_000_000
+    time.sleep(float(setting("seconds")))
+else:
+    time.sleep(float(setting("seconds")))
 if behaviour == "crash":
     sys.exit(3)
 poses = "".join(f"{100 + i / 3:.6f} {i} {i * i / 40} {0.1 * (i % 3)} 0 0 0 1\\n" for i in range(30))

@@ -5,10 +5,12 @@ from __future__ import annotations
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 import pytest
 
-from slamhive.domain.run import RunState
+from slamhive.domain.affinity import run_affinity
+from slamhive.domain.run import FailureReason, RunState
 from slamhive.store import Store, open_store
 from tests.store.store_samples import WORKER, Samples
 
@@ -28,6 +30,69 @@ def test_claims_go_by_priority_and_then_by_age(store: Store, samples: Samples) -
     (urgent,) = samples.queued(priority=5)
     assert [claim(store).id for _ in range(3)] == [urgent, first, second]
     assert claim(store) is None
+
+
+def claim_near(store: Store, near: str, **options: Any) -> int | None:
+    run = store.write(lambda tx: tx.queue.claim(WORKER, NOW, LEASE_S, near=near, **options))
+    return None if run is None else run.id
+
+
+def test_runs_on_the_same_data_go_together_the_same_package_first(store: Store, samples: Samples) -> None:
+    near, alike, elsewhere = (run_affinity(*of) for of in (("room", (), "a"), ("room", (), "b"), ("kitti", (), "a")))
+    order = [elsewhere, alike, near, elsewhere, alike, near]
+    ids = [samples.queued(affinity=affinity)[0] for affinity in order]
+    wanted = [ids[2], ids[5], ids[1], ids[4], ids[0], ids[3]]
+    assert [claim_near(store, near) for _ in ids] == wanted
+    assert claim_near(store, near) is None
+
+
+def test_affinity_never_goes_before_priority(store: Store, samples: Samples) -> None:
+    near = run_affinity("room", (), "a")
+    (alike,) = samples.queued(affinity=near)
+    (urgent,) = samples.queued(affinity=run_affinity("kitti", (), "a"), priority=1)
+    assert [claim_near(store, near) for _ in range(2)] == [urgent, alike]
+
+
+def test_without_a_run_before_the_oldest_goes_first(store: Store, samples: Samples) -> None:
+    ids = [samples.queued(affinity=run_affinity(data, (), "a"))[0] for data in ("kitti", "room", "kitti")]
+    assert [claim_near(store, "") for _ in ids] == ids
+
+
+def test_a_held_run_is_never_claimed(store: Store, samples: Samples) -> None:
+    near = run_affinity("room", (), "a")
+    (held,) = samples.queued(affinity=near, priority=9, held=True)
+    assert claim_near(store, near) is None
+    assert not store.read(lambda tx: tx.queue.waits())
+    (free,) = samples.queued(affinity=run_affinity("kitti", (), "a"))
+    assert store.read(lambda tx: tx.queue.waits())
+    assert [claim_near(store, near), claim_near(store, near)] == [free, None]
+    assert store.read(lambda tx: tx.runs.get(held)).state is RunState.QUEUED
+
+
+def test_runs_of_an_executor_that_is_away_stay_where_they_are(store: Store, samples: Samples) -> None:
+    samples.queued(executor="docker", priority=5)
+    (here,) = samples.queued(executor="process")
+    assert [claim_near(store, "", away=("docker",)) for _ in range(2)] == [here, None]
+
+
+def test_failures_count_against_a_configuration_since_the_run_was_asked_for(store: Store, samples: Samples) -> None:
+    def fail(reason: FailureReason, at: datetime, **fields: Any) -> None:
+        (run_id,) = samples.queued(**fields)
+        claim(store)
+        store.write(lambda tx: tx.runs.move(run_id, RunState.FAILED, why="test", now=at, reason=reason))
+
+    def count() -> int:
+        return store.read(lambda tx: tx.queue.failures_since_asked(tx.runs.get(asked)))
+
+    (asked,) = samples.queued(priority=-9)
+    fail(FailureReason.TIMEOUT, NOW - timedelta(seconds=1))
+    fail(FailureReason.TIMEOUT, NOW, configuration_id=samples.configuration({"nFeatures": 1}))
+    for reason in (FailureReason.LOST, FailureReason.CONFIGURATION_FAILED):
+        fail(reason, LATER)
+    assert count() == 0
+    fail(FailureReason.LOST_TRACKING, NOW)
+    fail(FailureReason.NONZERO_EXIT, LATER)
+    assert count() == 2
 
 
 def test_a_claim_starts_preparing_under_a_lease(store: Store, samples: Samples) -> None:

@@ -1,0 +1,71 @@
+"""What a slot does next: runs on the same data one after the other, but not for ever; and none for an absent engine."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from slamhive.domain.affinity import same_data
+from slamhive.executors.base import Executor
+from slamhive.store.records import RunRecord
+
+MOST_IN_A_ROW = 20
+"""So many runs on the same data, then the oldest of the queue has its turn, whatever it is."""
+
+
+class Turns:
+    """Remembers what one slot did last."""
+
+    def __init__(self) -> None:
+        self._affinity = ""
+        self._in_a_row = 0
+
+    @property
+    def near(self) -> str:
+        """The affinity that the next run should share, empty if the oldest is due."""
+        return self._affinity if self._in_a_row < MOST_IN_A_ROW else ""
+
+    def took(self, run: RunRecord) -> None:
+        """The slot works on ``run`` now."""
+        asked = self.near
+        again = bool(asked) and bool(run.affinity) and same_data(asked) == same_data(run.affinity)
+        self._in_a_row = self._in_a_row + 1 if again else 1
+        self._affinity = run.affinity
+
+
+class AbsentExecutors:
+    """Executors that did not answer: their queued runs wait, those of others go on. Safe to share between threads.
+
+    Args:
+        executors: The executor for a name.
+        pause_s: How long to wait before one is asked again.
+        clock: Monotonic seconds.
+    """
+
+    def __init__(
+        self, executors: Callable[[str], Executor], pause_s: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._executors = executors
+        self._pause_s = pause_s
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._ask_at_s: dict[str, float] = {}
+
+    def note(self, name: str) -> None:
+        """``name`` does not answer."""
+        with self._lock:
+            self._ask_at_s[name] = self._clock() + self._pause_s
+
+    def names(self) -> tuple[str, ...]:
+        """Those that do not answer yet; one whose pause is over is asked."""
+        with self._lock:
+            due = [name for name, at_s in self._ask_at_s.items() if self._clock() >= at_s]
+        for name in due:
+            if self._executors(name).unavailable_because() is None:
+                with self._lock:
+                    self._ask_at_s.pop(name, None)
+            else:
+                self.note(name)
+        with self._lock:
+            return tuple(sorted(self._ask_at_s))
