@@ -14,9 +14,10 @@ from slamhive.cli.waiting import run_to_end
 from slamhive.domain.run import RunState
 from slamhive.errors import NotFound, SlamHiveError
 from slamhive.executors.base import ImageMissing
+from slamhive.search.build import matching
 from slamhive.services.hive import Hive
 from slamhive.services.request import Submission
-from slamhive.store import RunFilter, RunRecord
+from slamhive.store import RunRecord
 
 DATASET = "room"
 SEED = 1
@@ -111,7 +112,7 @@ def _existing(hive: Hive, wanted: DemoRun) -> int | None:
     """A good, evaluated run of the same configuration on the same data, None if there is none."""
     checksum = hive.catalogue.dataset(DATASET).checksum
     page = hive.runs(
-        RunFilter(states=(RunState.SUCCEEDED,), algorithms=(wanted.algorithm,), datasets=(DATASET,), evaluated=True)
+        matching(states=(RunState.SUCCEEDED,), algorithms=(wanted.algorithm,), datasets=(DATASET,), evaluated=True)
     )
     algorithm = hive.catalogue.algorithm(wanted.algorithm)
     parameters = Submission(wanted.algorithm, DATASET, wanted.parameters).configuration(algorithm).parameters

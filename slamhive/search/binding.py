@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
@@ -15,10 +16,11 @@ from slamhive.search.reader import FilterError, Place
 from slamhive.search.syntax import PRESENCE, Comparison, Filter, Sign, Word, filter_text, parse_filter
 from slamhive.search.units import moments, number, units_of
 
-Value = float | str | bool | datetime
+Value = int | float | str | bool | datetime
 LONGEST_TEXT = 190
 """Characters of a text value that the store can search by."""
 
+_WHOLE = re.compile(r"[-+]?\d{1,18}", re.ASCII)
 _FLAGS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 _ORDERED = (Sign.LESS, Sign.AT_MOST, Sign.MORE, Sign.AT_LEAST, Sign.BETWEEN)
 _PATTERNS = (Sign.LIKE, Sign.UNLIKE)
@@ -141,10 +143,13 @@ class _Binder:
         }
         return Condition(meaning, leaf.sign, tuple(readers[meaning.kind](meaning, word) for word in leaf.values))
 
-    def _number(self, meaning: Field, word: Word) -> float:
+    def _number(self, meaning: Field, word: Word) -> int | float:
+        """Columns of a run hold whole numbers, which must be told exactly: seeds have 64 bits."""
         value = number(word.text, meaning.unit)
         if value is None:
             raise self._unfit(meaning, word)
+        if meaning.source is Source.RUN and _WHOLE.fullmatch(word.text):
+            return int(word.text)
         return value
 
     def _flag(self, meaning: Field, word: Word) -> bool:

@@ -123,13 +123,15 @@ class ParameterKind:
 class Vocabulary:
     """The names that a filter may use besides the built-in ones.
 
-    ``parameters`` by key and by general name, each with every way in which it is defined; ``sensors`` tells which
-    algorithms sense with what; ``protocols`` are the fingerprints of all protocols that figures are filed under.
+    ``parameters`` by key and by general name, each with every way in which it is defined; ``own_keys`` are the keys
+    behind each general name; ``sensors`` tells which algorithms sense with what; ``protocols`` are all that figures
+    are filed under, {fingerprint: label}.
     """
 
     parameters: Mapping[str, tuple[ParameterKind, ...]] = field(default_factory=dict)
     sensors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     protocols: Mapping[str, str] = field(default_factory=dict)
+    own_keys: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def fields(self, name: str) -> tuple[Field, ...]:
         """All meanings of ``name`` (parameters may have several kinds); empty if it has none."""

@@ -52,7 +52,7 @@ def _words(condition: Condition) -> str:
 def _value(field: Field, value: Value) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
-    if isinstance(value, float):
+    if isinstance(value, int | float):
         return _with_unit(value, field.unit)
     return str(value).replace("_", " ") if field.kind is Kind.CHOICE and field.name == "reason" else str(value)
 

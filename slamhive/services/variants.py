@@ -19,8 +19,8 @@ from slamhive.domain.run import RunState
 from slamhive.domain.variant import Variant
 from slamhive.errors import Conflict, SlamHiveError
 from slamhive.runs.folder import RunFolder
+from slamhive.search.build import matching
 from slamhive.settings import Settings
-from slamhive.store.records import RunFilter
 from slamhive.store.store import Store
 from slamhive.sweep.variants import resolve_variant
 
@@ -131,7 +131,7 @@ class Variants:
 
     def _used_by_runs(self) -> set[str]:
         """Variants of active runs: their containers go on when a worker is killed, and its locks with it."""
-        active = RunFilter(states=tuple(state for state in RunState if state.active))
+        active = matching(states=tuple(state for state in RunState if state.active))
         records = self._store.read(lambda t: t.runs.page(active, limit=_MOST_ACTIVE)).records
         keys = {self._key_of(record.id) for record in records if record.variant}
         return {key for key in keys if key is not None}

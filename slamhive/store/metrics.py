@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
-from sqlalchemy import case, delete, func, insert, or_, select, update
+from sqlalchemy import case, delete, func, insert, select, update
 from sqlalchemy.orm import Session
 
 from slamhive.errors import InvalidInput, NotFound
@@ -34,31 +34,29 @@ class MetricRepository:
         """The same, and figures of this run and protocol that ``values`` does not name are removed."""
         self._write(run_id, self._protocol_id(fingerprint), values, replace_all=True)
 
-    def for_runs(self, run_ids: Iterable[int], keys: Sequence[str] | None = None) -> dict[int, dict[str, float]]:
+    def for_runs(
+        self, run_ids: Iterable[int], keys: Sequence[str] | None = None, protocol_id: int | None = None
+    ) -> dict[int, dict[str, float]]:
         """{run: {metric key: value}}: measured figures, and those of each run's current protocol.
 
-        ``keys`` restricts them to these metrics. One query for each few hundred runs.
+        ``keys`` restricts them to these metrics; ``protocol_id`` takes the figures of this protocol instead. One query
+        for each few hundred runs.
         """
-        among = [] if keys is None else [Metric.key.in_(keys)]
+        known = {row.id: row.key for row in self._session.execute(select(Metric.id, Metric.key))}
+        chosen = MetricValue.is_current == 1
+        if protocol_id is not None:
+            chosen = MetricValue.protocol_id.in_([MEASURED_PROTOCOL_ID, protocol_id])
+        metric_ids = [metric_id for metric_id, key in known.items() if keys is None or key in keys]
         wanted = sorted(set(run_ids))
         found: dict[int, dict[str, float]] = {run_id: {} for run_id in wanted}
         for part in chunks(wanted):
             rows = self._session.execute(
-                select(MetricValue.run_id, Metric.key, MetricValue.value)
-                .join(Metric, Metric.id == MetricValue.metric_id)
-                .join(Run, Run.id == MetricValue.run_id)
-                .where(
-                    MetricValue.run_id.in_(part),
-                    or_(
-                        MetricValue.protocol_id == MEASURED_PROTOCOL_ID,
-                        MetricValue.protocol_id == Run.current_protocol_id,
-                    ),
-                    *among,
-                )
+                select(MetricValue.run_id, MetricValue.metric_id, MetricValue.value)
+                .where(MetricValue.run_id.in_(part), MetricValue.metric_id.in_(metric_ids), chosen)
                 .order_by(MetricValue.run_id, MetricValue.metric_id)
             )
-            for run_id, key, value in rows:
-                found[run_id][key] = value
+            for run_id, metric_id, value in rows:
+                found[run_id][known[metric_id]] = value
         return found
 
     def follow_protocols(self, run_ids: Iterable[int]) -> None:

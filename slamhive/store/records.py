@@ -7,7 +7,7 @@ import json
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from enum import StrEnum
-from typing import Any, TypedDict
+from typing import Any, NamedTuple, TypedDict
 
 from slamhive.domain.configuration import Playback
 from slamhive.domain.parameters import Value
@@ -204,24 +204,8 @@ class RunSnapshot:
 
 
 @dataclass(frozen=True, slots=True)
-class RunFilter:
-    """Which runs to list; an empty tuple or None does not restrict."""
-
-    states: tuple[RunState, ...] = ()
-    reasons: tuple[FailureReason, ...] = ()
-    algorithms: tuple[str, ...] = ()
-    datasets: tuple[str, ...] = ()
-    executors: tuple[str, ...] = ()
-    experiments: tuple[str, ...] = ()
-    configuration_id: int | None = None
-    created_after: datetime | None = None
-    created_before: datetime | None = None
-    evaluated: bool | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class RunSort:
-    """The order of a list: a column of :data:`slamhive.store.run_listing.SORT_COLUMNS` or a metric key.
+    """The order of a list: one of :data:`slamhive.store.run_order.SORT_KEYS`, a metric or a parameter.
 
     Runs without a value come last in both directions; equal values are ordered by id.
     """
@@ -230,13 +214,72 @@ class RunSort:
     descending: bool = True
 
 
+class Count(NamedTuple):
+    """How many there are; not ``exact``: more than ``number``."""
+
+    number: int
+    exact: bool = True
+
+
 @dataclass(frozen=True, slots=True)
 class Page:
-    """One page of a list. ``total`` counts all that match; ``next_key`` asks for the page after, None at the end."""
+    """One page of a list. ``count`` is of all that match; ``next_key`` asks for the page after, None at the end."""
 
     records: tuple[RunRecord, ...]
-    total: int
+    count: Count
     next_key: str | None
+
+    @property
+    def total(self) -> int:
+        """How many match, or the number that more match than were counted."""
+        return self.count.number
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """A figure over ``n`` runs: mean, standard deviation of the sample (None for one run), smallest and largest."""
+
+    n: int
+    mean: float
+    std: float | None
+    minimum: float
+    maximum: float
+
+
+@dataclass(frozen=True, slots=True)
+class GroupRecord:
+    """A configuration, and those of its runs that a search found: how many, how many failed, and their figures.
+
+    ``figures``: {protocol, None for measured figures: {metric: spread}}.
+    """
+
+    configuration_id: int
+    algorithm: str
+    dataset: str
+    parameters: dict[str, Value]
+    runs: int
+    failed: int
+    figures: dict[ProtocolLabel | None, dict[str, Spread]]
+
+
+@dataclass(frozen=True, slots=True)
+class GroupPage:
+    """One page of groups. ``runs`` counts the runs that match, in all groups."""
+
+    records: tuple[GroupRecord, ...]
+    runs: Count
+    next_key: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class SavedSearchRecord:
+    """A search with a name: the filter as text, and how its page looks."""
+
+    name: str
+    filter_text: str
+    columns: tuple[str, ...]
+    sort: RunSort
+    grouped: bool
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,169 +1,143 @@
-"""Lists of runs: filter, sort by any column or metric, page by key."""
+"""Lists of runs: search, sort by any column, metric or parameter, page by key."""
 
 from __future__ import annotations
 
-import base64
-import json
-from datetime import datetime
+from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, and_, func, or_, select
+from sqlalchemy import FromClause, Select, func, select
 from sqlalchemy.orm import Session
 
-from slamhive.domain.metrics import CATALOGUE
-from slamhive.errors import InvalidInput, unknown
-from slamhive.store.models import (
-    MEASURED_PROTOCOL_ID,
-    Algorithm,
-    Configuration,
-    Dataset,
-    Experiment,
-    Metric,
-    MetricValue,
-    Run,
-)
-from slamhive.store.records import Page, RunFilter, RunSort
+from slamhive.errors import InvalidInput
+from slamhive.search.binding import Condition, Search
+from slamhive.store.models import Run
+from slamhive.store.page_keys import behind, decode, encode, ordered
+from slamhive.store.records import Count, Page, RunSort
+from slamhive.store.run_order import Order, sorted_parameter
 from slamhive.store.run_rows import run_query, to_records
-from slamhive.store.types import UtcDateTime
+from slamhive.store.search_names import look_up
+from slamhive.store.search_sql import RunIds, Sql
 
-SORT_COLUMNS: dict[str, ColumnElement[Any]] = {
-    "id": Run.__table__.c.id,
-    "algorithm": Algorithm.__table__.c.name,
-    "dataset": Dataset.__table__.c.name,
-    "executor": Run.__table__.c.executor,
-    "state": Run.__table__.c.state,
-    "reason": Run.__table__.c.reason,
-    "priority": Run.__table__.c.priority,
-    "created_at": Run.__table__.c.created_at,
-    "started_at": Run.__table__.c.started_at,
-    "ended_at": Run.__table__.c.ended_at,
-    "poses": Run.__table__.c.poses,
-}
-"""What a list can be sorted by, besides every metric of the catalogue."""
-
-_TEXT_KEYS = SORT_COLUMNS.keys() - {"id", "priority", "poses"}
-_ALWAYS_THERE = SORT_COLUMNS.keys() - {"reason", "started_at", "ended_at", "poses"}
 LARGEST_PAGE = 1000
+COUNTED = 10_000
+"""Matches are counted up to here; an exact number of more takes as long as looking at all of them."""
+
+_SAMPLE = 2_000
+_RUNS = Run.__table__
 
 
 def list_page(
-    session: Session, wanted: RunFilter, sort: RunSort, after: str | None, limit: int, *, with_metrics: bool
+    session: Session, search: Search, sort: RunSort, after: str | None, limit: int, *, with_metrics: bool
 ) -> Page:
-    """One page of the runs that match ``wanted``; see :meth:`RunRepository.page`."""
+    """One page of the runs that match ``search``; see :meth:`RunRepository.page`."""
     if not 1 <= limit <= LARGEST_PAGE:
         raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
-    conditions = _conditions(wanted)
-    total = int(session.execute(select(func.count()).select_from(Run).where(*conditions)).scalar_one())
-    query, column = _sorted_query(sort)
-    query = query.where(*conditions)
-    if after is not None:
-        query = query.where(_behind(column, sort, *_decode(after)))
-    # Sorting ids alone, and fetching the rest for the page only, is several times faster on 100,000 runs.
-    found = session.execute(query.order_by(*_order(column, sort)).limit(limit + 1)).all()
-    shown = found[:limit]
-    next_key = _encode(shown[-1].sort_value, shown[-1].id) if len(found) > limit else None
-    rows = session.execute(run_query().where(Run.id.in_([row.id for row in shown]))).all()
-    records = {record.id: record for record in to_records(session, rows, with_metrics=with_metrics)}
-    return Page(tuple(records[row.id] for row in shown), total, next_key)
+    names = look_up(session, search, sorted_parameter(session, sort.key))
+    sql = Sql(names)
+    order = Order(sort, sql)
+    key = None if after is None else decode(after, order.kinds)
+    matches = Matches(session, search, sql)
+    total, rows = matches.page(order, key, limit + 1)
+    shown = [row[-1] for row in rows[:limit]]
+    records = {
+        record.id: record
+        for record in to_records(
+            session,
+            session.execute(run_query(names.protocol_id).where(Run.id.in_(shown))).all(),
+            with_metrics=with_metrics,
+            protocol_id=names.protocol_id,
+        )
+    }
+    next_key = encode(rows[limit - 1]) if len(rows) > limit else None
+    return Page(tuple(records[run_id] for run_id in shown), total, next_key)
 
 
-def _order(column: ColumnElement[Any], sort: RunSort) -> list[ColumnElement[Any]]:
-    run_id = Run.__table__.c.id
-    by_id = run_id.desc() if sort.descending else run_id.asc()
-    if column is run_id:
-        return [by_id]
-    by_value = column.desc() if sort.descending else column.asc()
-    return [*([] if sort.key in _ALWAYS_THERE else [column.is_(None)]), by_value, by_id]
+@dataclass(frozen=True)
+class Matches:
+    """The runs that a search finds.
 
+    Few matches are collected through the most selective index and sorted; of many, a walk along the order of the list
+    soon finds a page full. Which of the two it is, is counted, not guessed.
+    """
 
-def _conditions(wanted: RunFilter) -> list[ColumnElement[bool]]:
-    runs = Run.__table__.c
-    chosen: list[tuple[ColumnElement[Any], tuple[Any, ...]]] = [
-        (runs.state, wanted.states),
-        (runs.reason, wanted.reasons),
-        (runs.executor, wanted.executors),
-    ]
-    conditions: list[ColumnElement[bool]] = [column.in_(values) for column, values in chosen if values]
-    if wanted.algorithms:
-        named = select(Configuration.id).join(Algorithm, Algorithm.id == Configuration.algorithm_id)
-        conditions.append(runs.configuration_id.in_(named.where(Algorithm.name.in_(wanted.algorithms))))
-    if wanted.datasets:
-        named = select(Configuration.id).join(Dataset, Dataset.id == Configuration.dataset_id)
-        conditions.append(runs.configuration_id.in_(named.where(Dataset.name.in_(wanted.datasets))))
-    if wanted.experiments:
-        named = select(Experiment.id).where(Experiment.name.in_(wanted.experiments))
-        conditions.append(runs.experiment_id.in_(named))
-    if wanted.configuration_id is not None:
-        conditions.append(runs.configuration_id == wanted.configuration_id)
-    if wanted.created_after is not None:
-        conditions.append(runs.created_at >= wanted.created_after)
-    if wanted.created_before is not None:
-        conditions.append(runs.created_at < wanted.created_before)
-    if wanted.evaluated is not None:
-        protocol = runs.current_protocol_id
-        conditions.append(protocol.is_not(None) if wanted.evaluated else protocol.is_(None))
-    return conditions
+    session: Session
+    search: Search
+    sql: Sql
 
+    def page(self, order: Order, after: list[Any] | None, limit: int) -> tuple[Count, list[tuple[Any, ...]]]:
+        """How many there are, and up to ``limit`` page keys from ``after`` on."""
+        total = self.count_by_index()
+        if total is None or total.number <= COUNTED:
+            rows, number = self._sorted(order, after, limit)
+            if number <= COUNTED:
+                return Count(number), rows
+        walked: list[tuple[Any, ...]] = []
+        for query in order.walk(self.search.tree, after, limit):
+            if len(walked) < limit:
+                walked += [tuple(row) for row in self.session.execute(query.limit(limit - len(walked)))]
+        return total or Count(COUNTED, exact=False), walked
 
-def _sorted_query(sort: RunSort) -> tuple[Select[Any], ColumnElement[Any]]:
-    """Ids and sort values, and the column to sort by: one of a run, or a metric of the run's current protocol."""
-    if sort.key in SORT_COLUMNS:
-        column = SORT_COLUMNS[sort.key]
-        query: Select[Any] = select(Run.__table__.c.id, column.label("sort_value"))
-        if sort.key in {"algorithm", "dataset"}:
-            query = query.join(Configuration, Configuration.id == Run.configuration_id)
-        if sort.key == "algorithm":
-            query = query.join(Algorithm, Algorithm.id == Configuration.algorithm_id)
-        if sort.key == "dataset":
-            query = query.join(Dataset, Dataset.id == Configuration.dataset_id)
-        return query, column
-    if sort.key not in CATALOGUE:
-        raise unknown("sort key", sort.key, [*SORT_COLUMNS, *CATALOGUE])
-    metric_id = select(Metric.id).where(Metric.key == sort.key).scalar_subquery()
-    protocol_id = Run.__table__.c.current_protocol_id if CATALOGUE[sort.key].needs_protocol else MEASURED_PROTOCOL_ID
-    figures = MetricValue.__table__
-    this_one = and_(figures.c.run_id == Run.id, figures.c.metric_id == metric_id, figures.c.protocol_id == protocol_id)
-    valued: Select[Any] = select(Run.__table__.c.id, figures.c.value.label("sort_value"))
-    return valued.select_from(Run.__table__.outerjoin(figures, this_one)), figures.c.value
+    def count(self) -> Count:
+        """How many there are: exact up to ``COUNTED``, and beyond where one index tells."""
+        total = self.count_by_index()
+        if total is not None:
+            return total
+        number = self._number(self.ids(COUNTED + 1).subquery())
+        return Count(min(number, COUNTED), exact=number <= COUNTED)
 
+    def exact_count(self) -> int:
+        """How many there are, however long it takes."""
+        total = self.count_by_index()
+        return self._number(self.ids(None).subquery()) if total is None else total.number
 
-def _behind(column: ColumnElement[Any], sort: RunSort, value: Any, run_id: int) -> ColumnElement[bool]:
-    """The rows that come after the one with this sort value and id; NULLs are last in both directions."""
-    runs = Run.__table__.c
-    next_id = runs.id < run_id if sort.descending else runs.id > run_id
-    if column is runs.id:
-        return next_id
-    if value is None:
-        return and_(column.is_(None), next_id)
-    if isinstance(value, str) != (sort.key in _TEXT_KEYS):
-        raise _not_ours(str(value))
-    if isinstance(column.type, UtcDateTime):
-        value = _moment(value)
-    further = column < value if sort.descending else column > value
-    return or_(further, and_(column == value, next_id), column.is_(None))
+    def count_by_index(self) -> Count | None:
+        """The exact number where a single index knows it: of all runs, and of those that fit one comparison."""
+        tree = self.search.tree
+        if tree is None:
+            return Count(int(self.session.execute(select(func.count()).select_from(_RUNS)).scalar_one()))
+        starts = self.sql.starts(tree) if isinstance(tree, Condition) else []
+        return Count(self._number(starts[0].subquery())) if starts else None
 
+    def ids(self, limit: int | None) -> Select[Any]:
+        """The ids of the matches, in no order; ``limit`` of them."""
+        runs = _RUNS.alias()
+        query = select(runs.c.id.label("id"))
+        start = self._best_start()
+        if start is not None:
+            begun = start.subquery()
+            query = query.select_from(begun, runs).where(runs.c.id == begun.c.run_id + 0)
+        return query.where(self.sql.test(self.search.tree, runs)).limit(limit)
 
-def _moment(text: str) -> datetime:
-    try:
-        return datetime.fromisoformat(text)
-    except ValueError:
-        raise _not_ours(text) from None
+    def _sorted(self, order: Order, after: list[Any] | None, limit: int) -> tuple[list[tuple[Any, ...]], int]:
+        """The page if there are few matches, and how many of them there are (``COUNTED`` + 1: too many)."""
+        found, runs = self.ids(COUNTED + 1).subquery(), _RUNS.alias()
+        columns = [column.label(f"key_{place}") for place, column in enumerate(order.columns(runs))]
+        keyed = (
+            select(*columns, func.count().over().label("number"))
+            .select_from(found, runs)
+            .where(runs.c.id == found.c.id + 0)
+            .subquery()
+        )
+        keys = list(keyed.c)[:-1]
+        query = select(*keyed.c)
+        if after is not None:
+            query = query.where(behind(keys, after, descending=order.sort.descending))
+        by_value = [keys[0].is_(None)] if len(keys) > 1 else []
+        query = query.order_by(*by_value, *ordered(keys, descending=order.sort.descending)).limit(limit)
+        rows = self.session.execute(query).all()
+        number = int(rows[0][-1]) if rows else self.count().number
+        return [tuple(row[:-1]) for row in rows], number
 
+    def _best_start(self) -> RunIds | None:
+        """The shortest of the lists to begin with; those longer than a sample are not told apart."""
+        starts = self.sql.starts(self.search.tree)
+        if len(starts) < 2:
+            return starts[0] if starts else None
+        sampled = [
+            select(func.count()).select_from(start.limit(_SAMPLE).subquery()).scalar_subquery() for start in starts
+        ]
+        lengths = self.session.execute(select(*sampled)).one()
+        return starts[min(range(len(starts)), key=lambda place: lengths[place])]
 
-def _encode(value: Any, run_id: int) -> str:
-    plain = value.isoformat() if isinstance(value, datetime) else value
-    return base64.urlsafe_b64encode(json.dumps([plain, run_id]).encode()).decode().rstrip("=")
-
-
-def _decode(key: str) -> tuple[Any, int]:
-    try:
-        value, run_id = json.loads(base64.urlsafe_b64decode(key + "=" * (-len(key) % 4)))
-    except (ValueError, TypeError):
-        raise _not_ours(key) from None
-    if not isinstance(run_id, int) or isinstance(value, list | dict):
-        raise _not_ours(key)
-    return value, run_id
-
-
-def _not_ours(key: str) -> InvalidInput:
-    return InvalidInput(f"page key {key[:60]!r} is not one of ours", "start at the first page")
+    def _number(self, rows: FromClause) -> int:
+        return int(self.session.execute(select(func.count()).select_from(rows)).scalar_one())

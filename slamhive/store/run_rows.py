@@ -53,8 +53,12 @@ _PLAIN_COLUMNS = (
 )
 
 
-def run_query() -> Select[Any]:
-    """All columns that a record needs, joined; conditions and order are added by the caller."""
+def run_query(protocol_id: int | None = None) -> Select[Any]:
+    """All columns that a record needs, joined; conditions and order are added by the caller.
+
+    ``protocol_id``: the protocol whose figures are shown, None for each run's current one.
+    """
+    shown = Run.current_protocol_id if protocol_id is None else protocol_id
     return (
         select(
             Run.__table__,
@@ -79,17 +83,20 @@ def run_query() -> Select[Any]:
         .join(Configuration, Configuration.id == Run.configuration_id)
         .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
         .join(Dataset, Dataset.id == Configuration.dataset_id)
-        .outerjoin(Protocol, Protocol.id == Run.current_protocol_id)
+        .outerjoin(Protocol, Protocol.id == shown)
         .outerjoin(AlgorithmVersion, AlgorithmVersion.id == Run.algorithm_version_id)
         .outerjoin(Host, Host.id == Run.host_id)
         .outerjoin(Experiment, Experiment.id == Run.experiment_id)
     )
 
 
-def to_records(session: Session, rows: Sequence[Row[Any]], *, with_metrics: bool = False) -> tuple[RunRecord, ...]:
-    """The rows of :func:`run_query` as records, in the same order."""
+def to_records(
+    session: Session, rows: Sequence[Row[Any]], *, with_metrics: bool = False, protocol_id: int | None = None
+) -> tuple[RunRecord, ...]:
+    """The rows of :func:`run_query` as records, in the same order; figures are those of ``protocol_id``, as there."""
     parameters = ConfigurationRepository(session).parameters_of_all(row.configuration_id for row in rows)
-    metrics = MetricRepository(session).for_runs(row.id for row in rows) if with_metrics else None
+    run_ids = [row.id for row in rows]
+    metrics = MetricRepository(session).for_runs(run_ids, protocol_id=protocol_id) if with_metrics else None
     return tuple(
         _record(row, parameters[row.configuration_id], None if metrics is None else metrics[row.id]) for row in rows
     )

@@ -13,13 +13,13 @@ from sqlalchemy.orm import Session
 from slamhive.domain.run import RunEvent, RunState, check_move
 from slamhive.domain.stop_when import stop_when_to_json
 from slamhive.errors import Conflict, InvalidInput, NotFound
+from slamhive.search.binding import EVERYTHING, Search
 from slamhive.store.models import WHY_LENGTH, Run
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.records import (
     LeaseLost,
     Page,
     RunFields,
-    RunFilter,
     RunRecord,
     RunRequest,
     RunSnapshot,
@@ -75,24 +75,24 @@ class RunRepository:
 
     def page(
         self,
-        wanted: RunFilter | None = None,
+        wanted: Search | None = None,
         sort: RunSort | None = None,
         after: str | None = None,
         limit: int = 50,
         *,
         with_metrics: bool = False,
     ) -> Page:
-        """One page of runs, with parameters and, if asked for, figures: five queries however long the page.
+        """One page of runs, with parameters and, if asked for, figures: as many queries for a long page as for a short.
 
         Args:
-            wanted: Which runs; None is all.
+            wanted: Which runs, and under which protocol their figures are taken.
             sort: Order; None is the newest first.
             after: ``next_key`` of the page before; None is the first page. Raises InvalidInput if it is not one.
             limit: Most runs of the page, 1 to 1000.
             with_metrics: Fill ``RunRecord.metrics``.
         """
-        wanted = wanted or RunFilter()
-        return list_page(self._session, wanted, sort or RunSort(), after, limit, with_metrics=with_metrics)
+        search = wanted or EVERYTHING
+        return list_page(self._session, search, sort or RunSort(), after, limit, with_metrics=with_metrics)
 
     def counts_by_state(self) -> dict[RunState, int]:
         """How many runs are in each state; every state is there."""

@@ -25,6 +25,7 @@ from slamhive.store.failures import explained, gave_up, is_transient, short
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.queue import QueueRepository
 from slamhive.store.runs import RunRepository
+from slamhive.store.searches import SearchRepository
 
 T = TypeVar("T")
 logger = logging.getLogger(__name__)
@@ -58,6 +59,11 @@ class Transaction:
     def runs(self) -> RunRepository:
         """Runs: add, look at, list, move, cancel."""
         return RunRepository(self.session)
+
+    @cached_property
+    def searches(self) -> SearchRepository:
+        """What searches need besides lists of runs; saved searches."""
+        return SearchRepository(self.session)
 
     @cached_property
     def queue(self) -> QueueRepository:

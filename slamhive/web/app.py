@@ -19,7 +19,7 @@ from slamhive.web.errors import handle_errors
 from slamhive.web.live import LiveHub
 from slamhive.web.presenters import catalogue as catalogue_presenter
 from slamhive.web.security import protect, secret_key
-from slamhive.web.views import algorithms, api, dashboard, datasets, runs, start
+from slamhive.web.views import algorithms, api, dashboard, datasets, runs, searches, start
 
 MOST_UPLOAD_BYTES = 1_000_000
 MOST_STREAMS = 8
@@ -60,6 +60,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
         datasets.blueprint,
         start.blueprint,
         runs.blueprint,
+        searches.blueprint,
         api.blueprint,
         assets.blueprint,
     ):

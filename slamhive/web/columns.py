@@ -8,6 +8,8 @@ from enum import StrEnum
 
 from slamhive.domain.metrics import CATALOGUE, Metric
 from slamhive.errors import unknown
+from slamhive.search.fields import PARAMETER_PREFIX, Vocabulary
+from slamhive.search.fields import Kind as FieldKind
 from slamhive.store.records import RunRecord
 from slamhive.web.formatting import DASH, Cell, display_unit, exact_time, metric_cell, value_text
 
@@ -65,10 +67,17 @@ def all_columns() -> dict[str, Column]:
         Column("algorithm", "Algorithm", Kind.ALGORITHM, lambda run: Cell(run.algorithm), sort="algorithm"),
         Column("dataset", "Dataset", Kind.DATASET, lambda run: Cell(run.dataset), sort="dataset"),
         Column("parameters", "Parameters", Kind.PARAMETERS, _parameters, help="those that differ from the default"),
-        Column("configuration", "Configuration", Kind.NUMBER, lambda run: Cell(str(run.configuration_id))),
+        Column(
+            "configuration",
+            "Configuration",
+            Kind.NUMBER,
+            lambda run: Cell(str(run.configuration_id)),
+            sort="configuration",
+        ),
+        Column("experiment", "Experiment", Kind.TEXT, lambda run: Cell(run.experiment or DASH), sort="experiment"),
         Column("executor", "Executor", Kind.TEXT, lambda run: Cell(run.executor), sort="executor"),
         Column("playback", "Playback", Kind.TEXT, _playback),
-        Column("seed", "Seed", Kind.NUMBER, lambda run: Cell(str(run.seed))),
+        Column("seed", "Seed", Kind.NUMBER, lambda run: Cell(str(run.seed)), sort="seed"),
         Column("state", "State", Kind.STATE, lambda run: Cell(run.state.value), sort="state"),
         Column("reason", "Reason", Kind.TEXT, _reason, sort="reason", help="why a run failed"),
         _time_column("created_at", "Created"),
@@ -79,12 +88,30 @@ def all_columns() -> dict[str, Column]:
     return {column.key: column for column in (*own, *map(_metric_column, CATALOGUE.values()))}
 
 
-def column(key: str) -> Column:
-    """The column called ``key``; raises NotFound that lists the near ones."""
+def column(key: str, vocabulary: Vocabulary | None = None) -> Column:
+    """The column called ``key``, which may be a parameter; raises NotFound that lists the near ones."""
     columns = all_columns()
-    if key not in columns:
-        raise unknown("column", key, list(columns))
-    return columns[key]
+    if key in columns:
+        return columns[key]
+    name = key.removeprefix(PARAMETER_PREFIX)
+    parameters = {} if vocabulary is None else vocabulary.parameters
+    if vocabulary is None or name not in parameters:
+        raise unknown("column", key, [*columns, *parameters])
+    return _parameter_column(key, name, vocabulary)
+
+
+def _parameter_column(key: str, name: str, vocabulary: Vocabulary) -> Column:
+    """A parameter by its own key, or by the general name that several algorithms know theirs under."""
+    own_keys = vocabulary.own_keys.get(name, (name,))
+    first = vocabulary.parameters[name][0]
+
+    def cell(run: RunRecord) -> Cell:
+        value = next((run.parameters[own] for own in own_keys if own in run.parameters), None)
+        return Cell(DASH, f"no {name}", missing=True) if value is None else Cell(value_text(value))
+
+    kind = Kind.NUMBER if first.kind is FieldKind.NUMBER else Kind.TEXT
+    sort = key if first.kind is FieldKind.NUMBER else None
+    return Column(key, name, kind, cell, first.unit, sort, "a parameter of the algorithm")
 
 
 def _time_column(key: str, title: str) -> Column:

@@ -1,75 +1,98 @@
-"""The address of the runs page: filters, sort, columns and place, read from it and written back to it."""
+"""The address of the runs page: search, sort, columns and place, read from it and written back to it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
-from enum import StrEnum
-from typing import Any, TypeVar
+from typing import Any
 
 from werkzeug.datastructures import MultiDict
 
-from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput
-from slamhive.store.records import RunFilter, RunSort
-from slamhive.web.columns import DEFAULT_COLUMNS, Column, column
+from slamhive.search.binding import Search, bind, read_search
+from slamhive.search.fields import Vocabulary
+from slamhive.search.grammar import join
+from slamhive.search.reader import FilterError
+from slamhive.search.syntax import Comparison, Filter, Sign, Word, filter_text, parse_filter
+from slamhive.search.words import in_words
+from slamhive.services.searches import LeftOut
+from slamhive.store.records import Count, RunSort
+from slamhive.web.columns import DEFAULT_COLUMNS, Column, all_columns, column
 from slamhive.web.formatting import plural, thousands
 
 DEFAULT_LIMIT = 50
 LARGEST_LIMIT = 500
 EXPORT_LIMIT = 1000
-Choice = TypeVar("Choice", bound=StrEnum)
+LISTS = ("state", "reason", "algorithm", "dataset", "sensor", "executor", "experiment")
+"""Names that are chosen from lists; several values are joined by "or"."""
+
+GROUPED_SORT = RunSort("configuration")
+_SINGLE = {
+    "configuration": ("configuration", Sign.EQUAL),
+    "from": ("created_at", Sign.AT_LEAST),
+    "to": ("created_at", Sign.AT_MOST),
+    "evaluated": ("evaluated", Sign.EQUAL),
+}
+_BOUNDS = {"min.": Sign.AT_LEAST, "max.": Sign.AT_MOST}
 
 
 @dataclass(frozen=True, slots=True)
 class RunQuery:
-    """What the runs page shows. Equal queries have equal addresses."""
+    """What the runs page shows. Equal queries have equal addresses.
 
-    filter: RunFilter
+    ``where`` is the filter as typed, ``fields`` what was chosen in the form beside it: {name: values}. Both together
+    are ``search``.
+    """
+
+    where: str
+    fields: Mapping[str, tuple[str, ...]]
+    search: Search
     sort: RunSort
     columns: tuple[str, ...]
+    grouped: bool
     after: str | None
     limit: int
 
     @classmethod
-    def from_args(cls, args: MultiDict[str, str], largest_limit: int = LARGEST_LIMIT) -> RunQuery:
+    def from_args(
+        cls, args: MultiDict[str, str], vocabulary: Vocabulary, largest_limit: int = LARGEST_LIMIT
+    ) -> RunQuery:
         """Read an address; raises InvalidInput or NotFound naming the value that cannot be used."""
         keys = _many(args, "columns") or DEFAULT_COLUMNS
-        sort_key = args.get("sort", "id")
+        grouped = _grouped(args)
+        default = GROUPED_SORT if grouped else RunSort()
+        sort_key = args.get("sort", default.key)
+        where, fields = args.get("where", "").strip(), form_fields(args)
         return cls(
-            filter=RunFilter(
-                states=_choices(args, "state", RunState),
-                reasons=_choices(args, "reason", FailureReason),
-                algorithms=_many(args, "algorithm"),
-                datasets=_many(args, "dataset"),
-                executors=_many(args, "executor"),
-                configuration_id=_integer(args, "configuration", 1, 2**31),
-                created_after=_day(args, "from"),
-                created_before=_day_after(args, "to"),
-                evaluated=_yes_no(args, "evaluated"),
-            ),
-            sort=RunSort(sort_key, descending=_order(args, default_descending=sort_key == "id")),
-            columns=tuple(column(key).key for key in dict.fromkeys(keys)),
+            where=where,
+            fields=fields,
+            search=_search(where, fields, vocabulary),
+            sort=RunSort(sort_key, descending=_order(args, default_descending=sort_key == default.key)),
+            columns=tuple(column(key, vocabulary).key for key in dict.fromkeys(keys)),
+            grouped=grouped,
             after=args.get("after") or None,
             limit=_integer(args, "limit", 1, largest_limit) or min(DEFAULT_LIMIT, largest_limit),
         )
 
+    @classmethod
+    def unread(cls, args: MultiDict[str, str]) -> RunQuery:
+        """What was typed, for a page that says why it cannot be read."""
+        columns = _many(args, "columns") or DEFAULT_COLUMNS
+        where = args.get("where", "").strip()
+        return cls(
+            where, form_fields(args), Search(), RunSort(), columns, grouped=False, after=None, limit=DEFAULT_LIMIT
+        )
+
     def args(self) -> dict[str, Any]:
         """The address as arguments, defaults left out."""
-        wanted = self.filter
-        before = None if wanted.created_before is None else wanted.created_before - timedelta(days=1)
+        default = GROUPED_SORT if self.grouped else RunSort()
         all_args = {
-            "state": [state.value for state in wanted.states],
-            "reason": [reason.value for reason in wanted.reasons],
-            "algorithm": list(wanted.algorithms),
-            "dataset": list(wanted.datasets),
-            "executor": list(wanted.executors),
-            "configuration": [] if wanted.configuration_id is None else [str(wanted.configuration_id)],
-            "from": [] if wanted.created_after is None else [wanted.created_after.date().isoformat()],
-            "to": [] if before is None else [before.date().isoformat()],
-            "evaluated": [] if wanted.evaluated is None else ["yes" if wanted.evaluated else "no"],
-            "sort": [] if self.sort == RunSort() else [self.sort.key],
-            "order": [] if self.sort == RunSort() else ["desc" if self.sort.descending else "asc"],
+            "where": [self.where] if self.where else [],
+            **{name: list(values) for name, values in self.fields.items()},
+            "group": ["configuration"] if self.grouped else [],
+            "sort": [] if self.sort == default else [self.sort.key],
+            "order": [] if self.sort == default else ["desc" if self.sort.descending else "asc"],
             "columns": [] if self.columns == DEFAULT_COLUMNS else [",".join(self.columns)],
             "limit": [] if self.limit == DEFAULT_LIMIT else [str(self.limit)],
             "after": [] if self.after is None else [self.after],
@@ -78,80 +101,107 @@ class RunQuery:
 
     def sorted_by(self, chosen: Column) -> RunQuery:
         """From the first page, by this column; the other way round if it is the one already."""
-        key = chosen.sort or "id"
-        descending = not self.sort.descending if self.sort.key == key else key == "id"
+        return self.sorted_by_key(chosen.sort or "id")
+
+    def sorted_by_key(self, key: str) -> RunQuery:
+        """The same by what the list can be sorted by."""
+        default = GROUPED_SORT if self.grouped else RunSort()
+        descending = not self.sort.descending if self.sort.key == key else key == default.key
         return replace(self, sort=RunSort(key, descending=descending), after=None)
 
     def at(self, after: str | None) -> RunQuery:
         """The page after this key; None is the first."""
         return replace(self, after=after)
 
+    def as_text(self) -> RunQuery:
+        """The same search with everything written into the filter."""
+        return replace(self, where=self.search.text, fields={}, after=None)
+
+    def grouped_or_not(self, *, grouped: bool) -> RunQuery:
+        """The same runs one by one, or by configuration."""
+        return replace(self, grouped=grouped, sort=GROUPED_SORT if grouped else RunSort(), after=None)
+
     @property
     def restricted(self) -> bool:
         """Whether any filter is in force."""
-        return self.filter != RunFilter()
+        return self.search.tree is not None
 
     def in_words(self) -> str:
-        """The filter and the order as the end of a sentence: ``state failed, sorted by ATE RMSE, smallest first``."""
-        wanted = self.filter
-        parts = [
-            f"{name} {' or '.join(values)}"
-            for name, values in (
-                ("state", [state.value for state in wanted.states]),
-                ("reason", [reason.value.replace("_", " ") for reason in wanted.reasons]),
-                ("algorithm", list(wanted.algorithms)),
-                ("dataset", list(wanted.datasets)),
-                ("executor", list(wanted.executors)),
-            )
-            if values
-        ]
-        if wanted.configuration_id is not None:
-            parts.append(f"configuration {wanted.configuration_id}")
-        if wanted.created_after is not None:
-            parts.append(f"created since {wanted.created_after.date()}")
-        if wanted.created_before is not None:
-            parts.append(f"created until {(wanted.created_before - timedelta(days=1)).date()}")
-        if wanted.evaluated is not None:
-            parts.append("evaluated" if wanted.evaluated else "not evaluated")
-        parts.append(self._order_in_words())
-        return ", ".join(parts)
+        """The search and the order as the end of a sentence: ``state failed, sorted by ATE RMSE, smallest first``."""
+        return ", ".join(part for part in (in_words(self.search), self._order_in_words()) if part)
 
     def _order_in_words(self) -> str:
-        if self.sort.key == "id":
+        if self.sort.key in {"id", "configuration"}:
             return "newest first" if self.sort.descending else "oldest first"
-        chosen = column(self.sort.key)
-        way = ("largest first", "smallest first") if chosen.numeric else ("Z to A", "A to Z")
+        chosen = all_columns().get(self.sort.key)
+        way = ("largest first", "smallest first") if chosen is None or chosen.numeric else ("Z to A", "A to Z")
         if self.sort.key.endswith("_at"):
             way = ("latest first", "earliest first")
-        return f"sorted by {chosen.title}, {way[0] if self.sort.descending else way[1]}"
+        title = self.sort.key if chosen is None else chosen.title
+        return f"sorted by {title}, {way[0] if self.sort.descending else way[1]}"
 
 
-def summary(query: RunQuery, shown: int, matching: int, total: int) -> str:
+def form_fields(args: MultiDict[str, str]) -> dict[str, tuple[str, ...]]:
+    """What an address asks for beside the filter, in a fixed order, empty fields left out."""
+    found = {name: _many(args, name) for name in LISTS}
+    for name in (*_SINGLE, *(f"{bound}{key}" for key in CATALOGUE for bound in _BOUNDS)):
+        text = args.get(name, "").strip()
+        found[name] = (text,) if text else ()
+    return {name: values for name, values in found.items() if values}
+
+
+def summary(query: RunQuery, shown: int, count: Count, left_out: LeftOut) -> str:
     """What the page shows, how many, and what it leaves out, in words."""
-    if total == 0:
+    if left_out.total == 0:
         return "No runs yet."
-    text = f"Showing {thousands(shown)} of {plural(matching, 'run')}: {query.in_words()}."
-    if query.after is not None:
-        text = f"Showing the next {thousands(shown)} of {plural(matching, 'run')}: {query.in_words()}."
-    if matching < total:
-        text += f" Left out: {plural(total - matching, 'run')} that the filter does not match."
+    matching = counted(count)
+    what = f"{plural(shown, 'configuration')} with" if query.grouped else f"{thousands(shown)} of"
+    text = f"Showing {'the next ' if query.after else ''}{what} {matching}: {query.in_words()}."
+    if count.number < left_out.total:
+        rest = left_out.total - count.number
+        most = "" if count.exact else "at most "
+        text += f" Left out: {most}{plural(rest, 'run')} that the filter does not match."
+    for key, number in left_out.without.items():
+        text += f" {plural(number, 'run')} {'has' if number == 1 else 'have'} no {CATALOGUE[key].label}."
     return text
+
+
+def counted(count: Count) -> str:
+    """``12 runs``, ``more than 10,000 runs``."""
+    return plural(count.number, "run") if count.exact else f"more than {plural(count.number, 'run')}"
+
+
+def _search(where: str, fields: Mapping[str, tuple[str, ...]], vocabulary: Vocabulary) -> Search:
+    """The filter and the fields joined by "and". A mistake is told in the text that it stands in."""
+    typed = parse_filter(where)
+    bind(typed, where, vocabulary)
+    parts = [] if typed is None else [typed]
+    for name, values in fields.items():
+        part = _comparison(name, values)
+        try:
+            read_search(filter_text(part), vocabulary)
+        except FilterError as error:
+            message = error.message.rsplit(" (at character", 1)[0]
+            raise InvalidInput(f"{name} {', '.join(values)[:80]!r}: {message}", error.remedy) from None
+        parts.append(part)
+    return read_search(filter_text(join("and", parts)), vocabulary) if parts else Search()
+
+
+def _comparison(name: str, values: tuple[str, ...]) -> Filter:
+    words = tuple(Word(value) for value in values)
+    if name in _SINGLE:
+        field, sign = _SINGLE[name]
+        return Comparison(Word(field), sign, words)
+    for bound, sign in _BOUNDS.items():
+        if name.startswith(bound):
+            return Comparison(Word(name.removeprefix(bound)), sign, words)
+    return Comparison(Word(name), Sign.IN, words)
 
 
 def _many(args: MultiDict[str, str], name: str) -> tuple[str, ...]:
     """All values of an argument, given once or several times, commas between them or not."""
     parts = [part.strip() for value in args.getlist(name) for part in value.split(",")]
     return tuple(dict.fromkeys(part for part in parts if part))
-
-
-def _choices(args: MultiDict[str, str], name: str, kind: type[Choice]) -> tuple[Choice, ...]:
-    found = []
-    for text in _many(args, name):
-        try:
-            found.append(kind(text))
-        except ValueError:
-            raise InvalidInput(f"{name} {text!r} is not known", f"use one of {', '.join(kind)}") from None
-    return tuple(found)
 
 
 def _integer(args: MultiDict[str, str], name: str, minimum: int, maximum: int) -> int | None:
@@ -163,30 +213,11 @@ def _integer(args: MultiDict[str, str], name: str, minimum: int, maximum: int) -
     return int(text)
 
 
-def _day(args: MultiDict[str, str], name: str) -> datetime | None:
-    text = args.get(name, "").strip()
-    if not text:
-        return None
-    try:
-        day = datetime.strptime(text, "%Y-%m-%d").replace(tzinfo=UTC)
-    except ValueError:
-        raise InvalidInput(f"{name} {text[:40]!r} is not a day", "write it as 2026-01-31") from None
-    return day
-
-
-def _day_after(args: MultiDict[str, str], name: str) -> datetime | None:
-    day = _day(args, name)
-    try:
-        return None if day is None else day + timedelta(days=1)
-    except OverflowError:
-        raise InvalidInput(f"{name} {day:%Y-%m-%d} is too far away") from None
-
-
-def _yes_no(args: MultiDict[str, str], name: str) -> bool | None:
-    text = args.get(name, "")
-    if text not in {"", "yes", "no"}:
-        raise InvalidInput(f"{name} {text[:40]!r} is not known", "use yes or no")
-    return None if not text else text == "yes"
+def _grouped(args: MultiDict[str, str]) -> bool:
+    text = args.get("group", "")
+    if text not in {"", "configuration"}:
+        raise InvalidInput(f"group {text[:40]!r} is not known", "use configuration")
+    return bool(text)
 
 
 def _order(args: MultiDict[str, str], *, default_descending: bool) -> bool:

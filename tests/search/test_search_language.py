@@ -191,7 +191,9 @@ def test_patterns():
 
 
 def test_searches_made_in_code():
-    made = matching(state=[RunState.FAILED], algorithm=("a", "b"), dataset=(), evaluated=True, configuration=3)
+    made = matching(
+        states=[RunState.FAILED], algorithms=("a", "b"), datasets=(), evaluated=True, configuration_id=3
+    )
     assert in_words(made) == "state failed and algorithm one of a, b and configuration 3 and evaluated"
     assert matching().tree is None
 

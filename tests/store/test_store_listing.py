@@ -9,8 +9,10 @@ from sqlalchemy import event
 
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.store import RunFilter, RunSort, Store
-from slamhive.store.run_listing import SORT_COLUMNS
+from slamhive.search.binding import Search
+from slamhive.search.build import matching
+from slamhive.store import RunSort, Store
+from slamhive.store.run_order import SORT_KEYS
 from tests.store.store_samples import SE3, WORKER, Samples, result
 
 pytestmark = pytest.mark.integration
@@ -18,7 +20,7 @@ pytestmark = pytest.mark.integration
 NOW = datetime(2026, 5, 4, 3, 2, 1, 123456, tzinfo=UTC)
 
 
-def ids(store: Store, wanted: RunFilter | None = None, sort: RunSort | None = None) -> list[int]:
+def ids(store: Store, wanted: Search | None = None, sort: RunSort | None = None) -> list[int]:
     return [run.id for run in store.read(lambda tx: tx.runs.page(wanted, sort)).records]
 
 
@@ -59,22 +61,22 @@ def mixed(store: Store, samples: Samples) -> dict[str, int]:
 
 
 def test_filters(store: Store, samples: Samples, mixed: dict[str, int]) -> None:
-    def names(wanted: RunFilter) -> set[str]:
+    def names(wanted: Search) -> set[str]:
         by_id = {run_id: name for name, run_id in mixed.items()}
         return {by_id[run_id] for run_id in ids(store, wanted)}
 
-    assert names(RunFilter()) == set(mixed)
-    assert names(RunFilter(states=(RunState.QUEUED, RunState.RUNNING))) == {"queued", "running"}
-    assert names(RunFilter(reasons=(FailureReason.TIMEOUT,))) == {"failed"}
-    assert names(RunFilter(algorithms=("kiss-icp",))) == {"failed", "running"}
-    assert names(RunFilter(datasets=("room",), executors=("process",))) == {"good", "better", "queued"}
-    assert names(RunFilter(executors=("docker",))) == {"failed"}
-    assert names(RunFilter(evaluated=True)) == {"good", "better"}
-    assert names(RunFilter(evaluated=False, states=(RunState.QUEUED,))) == {"queued"}
-    assert names(RunFilter(configuration_id=samples.configuration())) == {"good", "better", "queued"}
-    assert names(RunFilter(created_after=NOW)) == set(mixed)
-    assert names(RunFilter(created_before=NOW)) == set()
-    assert names(RunFilter(algorithms=("' OR 1=1 --",))) == set()
+    assert names(matching()) == set(mixed)
+    assert names(matching(states=(RunState.QUEUED, RunState.RUNNING))) == {"queued", "running"}
+    assert names(matching(reasons=(FailureReason.TIMEOUT,))) == {"failed"}
+    assert names(matching(algorithms=("kiss-icp",))) == {"failed", "running"}
+    assert names(matching(datasets=("room",), executors=("process",))) == {"good", "better", "queued"}
+    assert names(matching(executors=("docker",))) == {"failed"}
+    assert names(matching(evaluated=True)) == {"good", "better"}
+    assert names(matching(evaluated=False, states=(RunState.QUEUED,))) == {"queued"}
+    assert names(matching(configuration_id=samples.configuration())) == {"good", "better", "queued"}
+    assert names(matching(created_after=NOW)) == set(mixed)
+    assert names(matching(created_before=NOW)) == set()
+    assert names(matching(algorithms=("' OR 1=1 --",))) == set()
 
 
 def test_newest_first_and_the_total_counts_all(store: Store, samples: Samples) -> None:
@@ -94,7 +96,7 @@ def test_metrics_sort_and_missing_values_come_last(store: Store, mixed: dict[str
 
 
 def test_pages_of_any_size_add_up_to_the_whole_list_in_every_order(store: Store, mixed: dict[str, int]) -> None:
-    for key in (*SORT_COLUMNS, "ate.rmse", "cpu.mean", "rpe.rmse"):
+    for key in (*SORT_KEYS, "ate.rmse", "cpu.mean", "rpe.rmse", "nFeatures", "voxel_size"):
         for descending in (True, False):
             sort = RunSort(key, descending=descending)
             whole = ids(store, sort=sort)
@@ -112,7 +114,7 @@ def test_a_page_goes_on_where_the_last_ended_while_runs_are_added(store: Store, 
 
 
 def test_page_keys_that_are_not_ours(store: Store) -> None:
-    for key in ("", "x", "!!!", "WzFd", "W1tdLDFd", "WzEsIngiXQ", "é"):
+    for key in ("", "x", "!!!", "WzEsMSwxXQ", "W1tdLDFd", "WzEsIngiXQ", "é"):
         with pytest.raises(InvalidInput, match="is not one of ours"):
             store.read(lambda tx, after=key: tx.runs.page(after=after))  # type: ignore[misc]
 
@@ -130,7 +132,7 @@ def test_unknown_orders_and_sizes(store: Store) -> None:
         store.read(lambda tx: tx.runs.page(sort=RunSort("ate.rms")))
     with pytest.raises(NotFound, match="unknown sort key 'zzz'; known: ") as caught:
         store.read(lambda tx: tx.runs.page(sort=RunSort("zzz")))
-    assert str(caught.value).count(" poses,") == 1
+    assert str(caught.value).count(" ate.rmse,") == 1
     for limit in (0, -1, 1001):
         with pytest.raises(InvalidInput, match=f"page size {limit} is not allowed"):
             store.read(lambda tx, size=limit: tx.runs.page(limit=size))  # type: ignore[misc]
@@ -152,7 +154,7 @@ def test_a_long_page_takes_no_more_queries_than_a_short_one(store: Store, sample
         assert len(page.records) == limit
         counts.append(sum(statement.startswith("SELECT") for statement in statements))
     event.remove(store.engine, "before_cursor_execute", note)
-    assert counts == [5, 5]
+    assert counts == [7, 7]
 
 
 def test_many_by_id_keep_their_order(store: Store, samples: Samples) -> None:
@@ -167,5 +169,5 @@ def test_created_between(store: Store, samples: Samples) -> None:
     old, new = samples.request(), samples.request()
     (first,) = store.write(lambda tx: tx.runs.add_runs([old], NOW))
     (second,) = store.write(lambda tx: tx.runs.add_runs([new], NOW + timedelta(microseconds=1)))
-    assert ids(store, RunFilter(created_after=NOW + timedelta(microseconds=1))) == [second]
-    assert ids(store, RunFilter(created_before=NOW + timedelta(microseconds=1))) == [first]
+    assert ids(store, matching(created_after=NOW + timedelta(microseconds=1))) == [second]
+    assert ids(store, matching(created_before=NOW + timedelta(microseconds=1))) == [first]

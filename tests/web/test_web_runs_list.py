@@ -11,6 +11,9 @@ from werkzeug.datastructures import MultiDict
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
+from slamhive.search.fields import Vocabulary
+from slamhive.services.searches import LeftOut
+from slamhive.store.records import Count
 from slamhive.web.columns import all_columns
 from slamhive.web.run_query import RunQuery, summary
 from tests.web import web_world as world
@@ -37,8 +40,16 @@ def test_sorting_by_a_metric_puts_runs_without_it_last(shown: Web):
 
 
 def test_thousands_have_separators():
-    query = RunQuery.from_args(MultiDict())
-    assert summary(query, 50, 1234, 1234) == "Showing 50 of 1,234 runs: newest first."
+    query = RunQuery.from_args(MultiDict(), Vocabulary())
+    assert summary(query, 50, Count(1234), LeftOut(1234, {})) == "Showing 50 of 1,234 runs: newest first."
+
+
+def test_what_was_not_counted_to_the_end_is_said():
+    query = RunQuery.from_args(MultiDict({"where": "ate.rmse < 1"}), Vocabulary())
+    assert summary(query, 50, Count(10_000, exact=False), LeftOut(100_000, {"ate.rmse": 1})) == (
+        "Showing 50 of more than 10,000 runs: ATE RMSE below 1 m, newest first. Left out: at most 90,000 runs that the "
+        "filter does not match. 1 run has no ATE RMSE."
+    )
 
 
 @pytest.mark.parametrize("key", [key for key, column in all_columns().items() if column.sort])
@@ -79,15 +90,24 @@ def test_the_address_holds_everything():
         "columns": "id,state",
         "limit": "7",
         "configuration": "3",
+        "where": "cpu.mean < 2 or state = failed",
+        "min.ate.rmse": "0.1",
+        "max.ate.rmse": "10 cm",
     }
-    query = RunQuery.from_args(MultiDict(address))
-    assert RunQuery.from_args(MultiDict(query.args())) == query
+    query = RunQuery.from_args(MultiDict(address), Vocabulary())
+    assert RunQuery.from_args(MultiDict(query.args()), Vocabulary()) == query
+    assert query.search.text == (
+        "(cpu.mean < 2 or state = failed) and state in (failed, succeeded) and algorithm in (a) and configuration = 3 and "
+        "created_at >= 2026-01-01 and created_at <= 2026-01-31 and evaluated = no and ate.rmse >= 0.1 and ate.rmse <= 10 cm"
+    )
+    assert RunQuery.from_args(MultiDict(query.as_text().args()), Vocabulary()).search == query.search
 
 
 @pytest.mark.parametrize(
     "arguments",
     ["state=dead", "reason=x", "sort=beauty", "order=up", "columns=x", "limit=0", "limit=9999", "limit=%C2%B2",
-     "after=zzz", "from=today", "to=9999-12-31", "evaluated=maybe", "configuration=-1", "configuration=1e3"],
+     "after=zzz", "from=today", "to=9999-12-31", "evaluated=maybe", "configuration=x", "min.ate.rmse=nan",
+     "where=ate.rms+<+1", "group=dataset", "group=configuration&sort=reason"],
 )  # fmt: skip
 def test_an_address_that_cannot_be_read_is_refused_in_words(shown: Web, arguments: str):
     answer = shown.client.get(f"/runs?{arguments}", headers={"Accept": "application/json"})
@@ -112,4 +132,4 @@ def test_a_full_page_takes_50_ms(web: Web):
 
 def test_unknown_sort_names_the_near_one(shown: Web):
     with pytest.raises(SlamHiveError, match=r"ate\.rmse"):
-        RunQuery.from_args(MultiDict({"columns": "ate.rms"}))
+        RunQuery.from_args(MultiDict({"columns": "ate.rms"}), Vocabulary())

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from slamhive.domain.run import RunState
+from slamhive.search.build import matching
 from slamhive.services.hive import Hive
 from slamhive.services.progress import RunProgress
-from slamhive.store.records import RunFilter, RunRecord, RunSort
+from slamhive.store.records import RunRecord, RunSort
 from slamhive.web.formatting import DASH, duration, size
 
 ACTIVE_STATES = tuple(state for state in RunState if state.active)
@@ -16,7 +17,7 @@ MOST_ACTIVE = 50
 
 def active_runs(hive: Hive) -> tuple[RunRecord, ...]:
     """The runs in a worker's hands, oldest first."""
-    return hive.runs(RunFilter(states=ACTIVE_STATES), RunSort("id", descending=False), None, MOST_ACTIVE).records
+    return hive.runs(matching(states=ACTIVE_STATES), RunSort("id", descending=False), None, MOST_ACTIVE).records
 
 
 def snapshot(hive: Hive) -> dict[str, Any]:

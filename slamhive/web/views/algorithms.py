@@ -5,7 +5,8 @@ from __future__ import annotations
 from flask import Blueprint, render_template
 
 from slamhive.analysis.colours import algorithm_colours
-from slamhive.store.records import RunFilter, RunSort
+from slamhive.search.build import matching
+from slamhive.store.records import RunSort
 from slamhive.web.context import hive
 from slamhive.web.presenters.catalogue import dataset_choices
 
@@ -30,7 +31,7 @@ def show(name: str) -> str:
     """One algorithm: what it needs, what can be set, where it comes from."""
     services = hive()
     algorithm = services.catalogue.algorithm(name)
-    runs = services.runs(RunFilter(algorithms=(name,)), RunSort(), None, 1)
+    runs = services.runs(matching(algorithms=(name,)), RunSort(), None, 1)
     return render_template(
         "algorithms/show.html",
         algorithm=algorithm,

@@ -5,7 +5,8 @@ from __future__ import annotations
 from flask import Blueprint, Response, jsonify, make_response, render_template
 
 from slamhive.domain.run import RunState
-from slamhive.store.records import RunFilter, RunSort
+from slamhive.search.build import matching
+from slamhive.store.records import RunSort
 from slamhive.web.columns import column
 from slamhive.web.context import hive, live_hub
 from slamhive.web.presenters.live import active_runs, progress_json
@@ -24,8 +25,8 @@ def index() -> str:
     """What is queued, what runs, what came out last."""
     services = hive()
     algorithms = services.catalogue.algorithms()
-    ended = services.runs(RunFilter(states=ENDED_STATES), RunSort("ended_at"), None, LIST_LENGTH)
-    queued = services.runs(RunFilter(states=(RunState.QUEUED,)), RunSort("id", descending=False), None, LIST_LENGTH)
+    ended = services.runs(matching(states=ENDED_STATES), RunSort("ended_at"), None, LIST_LENGTH)
+    queued = services.runs(matching(states=(RunState.QUEUED,)), RunSort("id", descending=False), None, LIST_LENGTH)
     counts = services.counts()
     return render_template(
         "dashboard/index.html",

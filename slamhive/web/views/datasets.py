@@ -5,8 +5,9 @@ from __future__ import annotations
 from flask import Blueprint, Response, jsonify, make_response, render_template
 
 from slamhive.errors import NotFound
+from slamhive.search.build import matching
 from slamhive.services.series import read_dataset_path
-from slamhive.store.records import RunFilter, RunSort
+from slamhive.store.records import RunSort
 from slamhive.web.context import hive
 from slamhive.web.figures import best_plane, path_figures
 from slamhive.web.formatting import plural
@@ -31,7 +32,7 @@ def show(name: str) -> str:
     """One dataset: sensors, calibration, ground truth, which algorithms can use it."""
     services = hive()
     dataset = services.catalogue.dataset(name)
-    runs = services.runs(RunFilter(datasets=(name,)), RunSort(), None, 1)
+    runs = services.runs(matching(datasets=(name,)), RunSort(), None, 1)
     return render_template(
         "datasets/show.html",
         dataset=dataset,

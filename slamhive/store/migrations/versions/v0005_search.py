@@ -21,7 +21,7 @@ depends_on = None
 
 MOMENT = sa.DateTime().with_variant(mysql.DATETIME(fsp=6), "mysql")
 LONG_TEXT = sa.Text().with_variant(mysql.MEDIUMTEXT(), "mysql")
-NUMBER = sa.Double().with_variant(mysql.DOUBLE(asdecimal=False), "mysql")
+NUMBER: sa.types.TypeEngine[Any] = sa.Double().with_variant(mysql.DOUBLE(asdecimal=False), "mysql")
 OPTIONS: dict[str, Any] = {"mysql_engine": "InnoDB", "mysql_charset": "utf8mb4", "mysql_collate": "utf8mb4_bin"}
 
 FIGURES, VARIANTS, SAVED = "metric_values", "variant_options", "saved_searches"
@@ -33,10 +33,9 @@ CURRENT = "fk_runs_current_protocol_id"
 
 def upgrade() -> None:
     """Rebuild the table of figures, add two tables and indexes; options of the variants there are filed."""
-    copied = (
-        "SELECT v.metric_id, v.run_id, v.protocol_id, v.value, CASE WHEN v.protocol_id = 1 "
-        f"OR v.protocol_id = r.current_protocol_id THEN 1 ELSE 0 END FROM {FIGURES} v JOIN runs r ON r.id = v.run_id"
-    )
+    counts = "v.protocol_id = 1 OR v.protocol_id = r.current_protocol_id"
+    read = f"v.metric_id, v.run_id, v.protocol_id, v.value, CASE WHEN {counts} THEN 1 ELSE 0 END"
+    copied = f"SELECT {read} FROM {FIGURES} v JOIN runs r ON r.id = v.run_id"  # noqa: S608 - our own names
     columns = ("metric_id", "run_id", "protocol_id")
     current = sa.Column("is_current", sa.SmallInteger(), nullable=False)
     _rebuild_figures(columns, ("run_id", "metric_id"), copied, current)
@@ -119,7 +118,7 @@ def _rebuild_figures(key: tuple[str, ...], references: tuple[str, ...], copied: 
         sqlite_with_rowid=False,
         **OPTIONS,
     )
-    op.execute(f"INSERT INTO {FIGURES} {copied.replace(f'{FIGURES} v', f'{FIGURES}_old v')}")  # noqa: S608
+    op.execute(f"INSERT INTO {FIGURES} {copied.replace(f'{FIGURES} v', f'{FIGURES}_old v')}")
     op.drop_table(f"{FIGURES}_old")
 
 

@@ -1,0 +1,118 @@
+"""Searching runs: the names a filter may use, what was left out, groups, saved searches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from slamhive.domain.names import check_name
+from slamhive.domain.parameters import Parameter, ParameterType
+from slamhive.search.binding import Search, read_search
+from slamhive.search.fields import Kind, ParameterKind, Vocabulary, vocabulary_of
+from slamhive.services.catalogue import Catalogue, check_writable
+from slamhive.services.driver_context import utc_now
+from slamhive.settings import Settings
+from slamhive.store.records import GroupPage, RunSort, SavedSearchRecord
+from slamhive.store.store import Store
+
+_KINDS = {
+    ParameterType.INT: Kind.NUMBER,
+    ParameterType.FLOAT: Kind.NUMBER,
+    ParameterType.BOOL: Kind.FLAG,
+    ParameterType.STRING: Kind.TEXT,
+    ParameterType.ENUM: Kind.CHOICE,
+    ParameterType.MATRIX: Kind.TEXT,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """What a page of a search does not show: of ``total`` runs, those without a metric that the search compares."""
+
+    total: int
+    without: dict[str, int]
+
+
+class Searches:
+    """Every way in (pages, command line, API, analysis files) reads the same language here.
+
+    Args:
+        settings: In force.
+        store: The database.
+        catalogue: Algorithms, which tell parameters and sensors.
+    """
+
+    def __init__(self, settings: Settings, store: Store, catalogue: Catalogue) -> None:
+        self._settings = settings
+        self._store = store
+        self._catalogue = catalogue
+
+    def vocabulary(self) -> Vocabulary:
+        """The names that a filter may use: those of the catalogue, and those that runs were stored with."""
+        algorithms = self._catalogue.algorithms()
+        sensors: dict[str, tuple[str, ...]] = {}
+        for algorithm in algorithms:
+            sensors[algorithm.setup.value] = (*sensors.get(algorithm.setup.value, ()), algorithm.name)
+        packages = {algorithm.package.name: algorithm.parameters for algorithm in algorithms}
+        defined = [kind for parameters in packages.values() for entry in parameters for kind in _kinds(entry)]
+        stored, protocols = self._store.read(lambda t: (t.searches.parameters(), t.searches.protocols()))
+        own_keys: dict[str, tuple[str, ...]] = {}
+        for entry in (entry for parameters in packages.values() for entry in parameters if entry.general):
+            name = str(entry.general)
+            own_keys[name] = tuple(dict.fromkeys((*own_keys.get(name, ()), entry.key)))
+        return vocabulary_of([*defined, *stored], sensors=sensors, protocols=protocols, own_keys=own_keys)
+
+    def read(self, text: str) -> Search:
+        """The search that ``text`` states; raises FilterError pointing at what is not understood."""
+        return read_search(text, self.vocabulary())
+
+    def find(self, text: str) -> list[int]:
+        """The ids of all runs that the filter ``text`` finds, in order."""
+        return self.run_ids(self.read(text))
+
+    def run_ids(self, search: Search) -> list[int]:
+        """All runs that match, in order."""
+        return self._store.read(lambda t: t.searches.run_ids(search))
+
+    def exact_count(self, search: Search) -> int:
+        """How many match, however long counting takes."""
+        return self._store.read(lambda t: t.searches.exact_count(search))
+
+    def left_out(self, search: Search) -> LeftOut:
+        """How many runs there are, and how many have no value of each metric that ``search`` compares."""
+        total, having = self._store.read(lambda t: (t.searches.total(), t.searches.with_metrics(search)))
+        return LeftOut(total, {key: total - number for key, number in having.items() if number < total})
+
+    def groups(self, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
+        """The configurations of the matching runs, with mean and spread of ``metrics`` over the repeats."""
+        return self._store.read(lambda t: t.searches.groups(search, sort, after, limit, metrics))
+
+    # -- saved searches --------------------------------------------------------------------------------------------
+
+    def save(self, record: SavedSearchRecord) -> bool:
+        """Save under its name, over what has it; whether it is new. The filter must be understood today."""
+        check_writable(self._settings)
+        check_name("saved search", record.name)
+        self.read(record.filter_text)
+        now = utc_now()
+        return self._store.write(lambda t: t.searches.save(record, now))
+
+    def saved(self) -> list[SavedSearchRecord]:
+        """All saved searches by name."""
+        return self._store.read(lambda t: t.searches.saved())
+
+    def saved_named(self, name: str) -> SavedSearchRecord:
+        """One saved search; raises NotFound."""
+        return self._store.read(lambda t: t.searches.saved_named(name))
+
+    def delete(self, name: str) -> None:
+        """Delete a saved search; raises NotFound."""
+        check_writable(self._settings)
+        self._store.write(lambda t: t.searches.delete_saved(name))
+
+
+def _kinds(parameter: Parameter) -> list[ParameterKind]:
+    """The parameter under its key and under its general name."""
+    names = dict.fromkeys((parameter.key, parameter.general or parameter.key))
+    kind = _KINDS[parameter.type]
+    return [ParameterKind(name, kind, parameter.unit, parameter.choices) for name in names]

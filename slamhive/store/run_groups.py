@@ -1,0 +1,211 @@
+"""Runs grouped by configuration: how many, how many failed, and each figure's mean and spread over the repeats.
+
+Figures of different protocols are never put together: a configuration that was evaluated under two has two of each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import ColumnElement, FromClause, Select, and_, case, false, func, select
+from sqlalchemy.orm import Session
+
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.run import RunState
+from slamhive.errors import InvalidInput, unknown
+from slamhive.search.binding import Search
+from slamhive.store.configurations import ConfigurationRepository
+from slamhive.store.models import (
+    MEASURED_PROTOCOL_ID,
+    Algorithm,
+    Configuration,
+    Dataset,
+    MetricValue,
+    Protocol,
+    Run,
+)
+from slamhive.store.page_keys import behind, decode, encode, ordered
+from slamhive.store.records import GroupPage, GroupRecord, ProtocolLabel, RunSort, Spread
+from slamhive.store.run_listing import COUNTED, LARGEST_PAGE, Matches
+from slamhive.store.search_names import Names, look_up
+from slamhive.store.search_sql import Sql
+
+SORT_KEYS = ("configuration", "runs", "failed", "algorithm", "dataset")
+"""What groups can be sorted by, besides the mean of every metric."""
+
+_RUNS = Run.__table__
+
+
+def group_page(
+    session: Session, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]
+) -> GroupPage:
+    """One page; see :meth:`slamhive.store.searches.SearchRepository.groups`."""
+    if not 1 <= limit <= LARGEST_PAGE:
+        raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
+    if sort.key not in SORT_KEYS and sort.key not in CATALOGUE:
+        raise unknown("sort key of groups", sort.key, [*SORT_KEYS, *CATALOGUE])
+    names = look_up(session, search)
+    return _Groups(session, search, names, Sql(names), sort).page(after, limit, metrics)
+
+
+@dataclass(frozen=True)
+class _Groups:
+    session: Session
+    search: Search
+    names: Names
+    sql: Sql
+    sort: RunSort
+
+    def page(self, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
+        kind = str if self.sort.key in {"algorithm", "dataset"} else float
+        key = None if after is None else decode(after, (int,) if self.sort.key == "configuration" else (kind, int))
+        matches = Matches(self.session, self.search, self.sql)
+        runs = matches.count()
+        few = runs.number <= COUNTED and runs.exact and self.search.tree is not None
+        chosen = self._few(matches, key, limit + 1) if few else self._many(key, limit + 1)
+        rows = [tuple(row) for row in self.session.execute(chosen)]
+        shown = [row[-1] for row in rows[:limit]]
+        next_key = encode(rows[limit - 1]) if len(rows) > limit else None
+        return GroupPage(self._records(shown, metrics), runs, next_key)
+
+    def _few(self, matches: Matches, key: list[Any] | None, limit: int) -> Select[Any]:
+        found, runs = matches.ids(COUNTED).subquery(), _RUNS.alias()
+        query = select(runs.c.configuration_id).select_from(found, runs).where(runs.c.id == found.c.id + 0)
+        return self._aggregated(query, runs, key, limit)
+
+    def _many(self, key: list[Any] | None, limit: int) -> Select[Any]:
+        runs = _RUNS.alias()
+        if self.sort.key == "configuration":
+            table = Configuration.__table__.alias()
+            matching = select(runs.c.id).where(
+                runs.c.configuration_id == table.c.id, self.sql.test(self.search.tree, runs)
+            )
+            query = select(table.c.id).where(matching.limit(1).scalar_subquery().is_not(None))
+            return self._cut(query, [table.c.id], key, limit)
+        query = select(runs.c.configuration_id).where(self.sql.test(self.search.tree, runs))
+        return self._aggregated(query, runs, key, limit)
+
+    def _aggregated(self, query: Select[Any], runs: FromClause, key: list[Any] | None, limit: int) -> Select[Any]:
+        """The configurations of the runs of ``query`` with what they are sorted by."""
+        configuration = runs.c.configuration_id
+        if self.sort.key == "configuration":
+            return self._cut(query.distinct(), [configuration], key, limit)
+        inner = query.with_only_columns(self._value(runs, query).label("key_0"), configuration.label("key_1")).group_by(
+            configuration
+        )
+        if self.sort.key in CATALOGUE:
+            inner = self._mean(query, runs)
+        rows = inner.subquery()
+        return self._cut(select(rows), [rows.c.key_0, rows.c.key_1], key, limit)
+
+    def _value(self, runs: FromClause, query: Select[Any]) -> ColumnElement[Any]:  # noqa: ARG002
+        if self.sort.key == "failed":
+            return func.sum(case((runs.c.state == RunState.FAILED, 1), else_=0))
+        if self.sort.key in {"algorithm", "dataset"}:
+            table = (Algorithm if self.sort.key == "algorithm" else Dataset).__table__.alias()
+            rows = Configuration.__table__.alias()
+            named = select(table.c.name).where(
+                rows.c.id == runs.c.configuration_id, table.c.id == rows.c[f"{self.sort.key}_id"]
+            )
+            return named.scalar_subquery()
+        return func.count()
+
+    def _mean(self, query: Select[Any], runs: FromClause) -> Select[Any]:
+        """The mean of a metric; none where its figures stem from several protocols, which have no common mean."""
+        figures, joined = self._figures(runs, [self.sort.key])
+        one = func.min(figures.c.protocol_id) == func.max(figures.c.protocol_id)
+        return (
+            query.with_only_columns(
+                case((one, func.avg(figures.c.value))).label("key_0"), runs.c.configuration_id.label("key_1")
+            )
+            .outerjoin_from(runs, figures, joined)
+            .group_by(runs.c.configuration_id)
+        )
+
+    def _figures(self, runs: FromClause, metrics: Sequence[str]) -> tuple[FromClause, ColumnElement[bool]]:
+        """The figures that count, of some metrics, beside the rows of ``runs``."""
+        figures = MetricValue.__table__.alias()
+        ids = [self.names.metrics[key] for key in metrics if key in self.names.metrics]
+        counts = figures.c.is_current + 0 == 1
+        if self.names.protocol_id is not None:
+            counts = figures.c.protocol_id.in_([MEASURED_PROTOCOL_ID, self.names.protocol_id])
+        among = figures.c.metric_id.in_(ids) if ids else false()
+        return figures, and_(among, figures.c.run_id == runs.c.id, counts)
+
+    def _cut(
+        self, query: Select[Any], columns: list[ColumnElement[Any]], key: list[Any] | None, limit: int
+    ) -> Select[Any]:
+        descending = self.sort.descending
+        if key is not None:
+            query = query.where(behind(columns, key, descending=descending))
+        by_value = [columns[0].is_(None)] if len(columns) > 1 else []
+        return query.order_by(*by_value, *ordered(columns, descending=descending)).limit(limit)
+
+    def _records(self, ids: Sequence[int], metrics: Sequence[str]) -> tuple[GroupRecord, ...]:
+        runs, table = _RUNS.alias(), Configuration.__table__
+        matching = [runs.c.configuration_id.in_(ids), self.sql.test(self.search.tree, runs)]
+        failed = func.sum(case((runs.c.state == RunState.FAILED, 1), else_=0))
+        counted = select(runs.c.configuration_id, func.count(), failed).where(*matching)
+        counted = counted.group_by(runs.c.configuration_id)
+        numbers = {row[0]: (int(row[1]), int(row[2])) for row in self.session.execute(counted)}
+        rows = self.session.execute(
+            select(table.c.id, Algorithm.name, Dataset.name)
+            .join(Algorithm, Algorithm.id == table.c.algorithm_id)
+            .join(Dataset, Dataset.id == table.c.dataset_id)
+            .where(table.c.id.in_(ids))
+        ).all()
+        described = {row[0]: row for row in rows}
+        parameters = ConfigurationRepository(self.session).parameters_of_all(ids)
+        spreads = self._spreads(matching, runs, metrics)
+        return tuple(
+            GroupRecord(
+                configuration_id=place,
+                algorithm=described[place][1],
+                dataset=described[place][2],
+                parameters=parameters[place],
+                runs=numbers[place][0],
+                failed=numbers[place][1],
+                figures=spreads.get(place, {}),
+            )
+            for place in ids
+        )
+
+    def _spreads(
+        self, matching: list[ColumnElement[bool]], runs: FromClause, metrics: Sequence[str]
+    ) -> dict[int, dict[ProtocolLabel | None, dict[str, Spread]]]:
+        """{configuration: {protocol, None for measured: {metric: spread}}}, in two passes over the figures.
+
+        The sum of squared differences from the mean, not of squares: bytes squared leave no digits for the spread.
+        """
+        figures, joined = self._figures(runs, metrics)
+        keys = [runs.c.configuration_id, figures.c.metric_id, figures.c.protocol_id]
+        mean = func.avg(figures.c.value).over(partition_by=keys).label("mean")
+        inner = select(*keys, figures.c.value, mean).join_from(runs, figures, joined).where(*matching).subquery()
+        difference = inner.c.value - inner.c.mean
+        groups = [inner.c.configuration_id, inner.c.metric_id, inner.c.protocol_id]
+        query = select(
+            *groups,
+            func.count(),
+            func.max(inner.c.mean),
+            func.sum(difference * difference),
+            func.min(inner.c.value),
+            func.max(inner.c.value),
+        ).group_by(*groups)
+        metric_names = {number: key for key, number in self.names.metrics.items()}
+        labels = {row.id: ProtocolLabel(row.fingerprint, row.label) for row in self.session.execute(_protocols())}
+        found: dict[int, dict[ProtocolLabel | None, dict[str, Spread]]] = {}
+        for row in self.session.execute(query):
+            configuration_id, metric_id, protocol_id, n, average, squares, low, high = tuple(row)
+            label = None if protocol_id == MEASURED_PROTOCOL_ID else labels[protocol_id]
+            std = math.sqrt(squares / (n - 1)) if n > 1 else None
+            spread = Spread(int(n), float(average), std, float(low), float(high))
+            found.setdefault(configuration_id, {}).setdefault(label, {})[metric_names[metric_id]] = spread
+        return found
+
+
+def _protocols() -> Select[Any]:
+    table = Protocol.__table__
+    return select(table.c.id, table.c.fingerprint, table.c.label)

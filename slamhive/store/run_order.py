@@ -1,0 +1,199 @@
+"""The order of a list of runs: by a column, a metric or a parameter, and how to walk along it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Column, ColumnElement, FromClause, Select, Table, and_, select
+from sqlalchemy.orm import Session
+
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.errors import unknown
+from slamhive.search.binding import Bound
+from slamhive.search.fields import PARAMETER_PREFIX
+from slamhive.store.models import Algorithm, Configuration, Dataset, Experiment, Run
+from slamhive.store.page_keys import behind, ordered
+from slamhive.store.records import RunSort
+from slamhive.store.search_names import stored_parameters
+from slamhive.store.search_sql import Sql
+
+_RUNS: Table = Run.__table__
+COLUMNS: dict[str, Column[Any]] = {
+    "id": _RUNS.c.id,
+    "configuration": _RUNS.c.configuration_id,
+    "executor": _RUNS.c.executor,
+    "state": _RUNS.c.state,
+    "reason": _RUNS.c.reason,
+    "seed": _RUNS.c.seed,
+    "priority": _RUNS.c.priority,
+    "created_at": _RUNS.c.created_at,
+    "started_at": _RUNS.c.started_at,
+    "ended_at": _RUNS.c.ended_at,
+}
+NAMED = ("algorithm", "dataset", "experiment")
+"""Columns that hold a number here and its name elsewhere: sorted by name."""
+
+_KINDS: dict[str, type] = {
+    **dict.fromkeys(("configuration", "seed", "priority"), int),
+    **dict.fromkeys(("created_at", "started_at", "ended_at"), datetime),
+    "state": RunState,
+    "reason": FailureReason,
+}
+SORT_KEYS = (*COLUMNS, *NAMED)
+"""What a list can be sorted by, besides every metric of the catalogue and every parameter."""
+
+
+def sorted_parameter(session: Session, key: str) -> tuple[str, ...]:
+    """The parameter that ``key`` sorts by, empty if it sorts by something else; raises NotFound if by nothing."""
+    if key in SORT_KEYS or key in CATALOGUE:
+        return ()
+    name = key.removeprefix(PARAMETER_PREFIX)
+    known = {entry.name for entry in stored_parameters(session)}
+    if name not in known:
+        raise unknown("sort key", key, [*SORT_KEYS, *CATALOGUE, *known])
+    return (name,)
+
+
+@dataclass(frozen=True)
+class Order:
+    """One order. Runs without a value come last in both directions; ties are ordered by id.
+
+    Repeats of a configuration have its parameters: there the ties are ordered by configuration first, as the index is.
+    """
+
+    sort: RunSort
+    sql: Sql
+
+    @property
+    def kinds(self) -> tuple[type, ...]:
+        """The types of a page key."""
+        if self.sort.key == "id":
+            return (int,)
+        if self._parameter is not None:
+            return (float, int, int)
+        if self.sort.key in CATALOGUE:
+            return (float, int)
+        return (_KINDS.get(self.sort.key, str), int)
+
+    def columns(self, runs: FromClause) -> list[ColumnElement[Any]]:
+        """What rows of ``runs`` are sorted by, the run's id last."""
+        if self.sort.key == "id":
+            return [runs.c.id]
+        ties = [runs.c.configuration_id] if self._parameter is not None else []
+        return [self._value(runs), *ties, runs.c.id]
+
+    def walk(self, tree: Bound | None, after: list[Any] | None, limit: int) -> list[Select[Any]]:
+        """Queries whose rows, one after the other, are the list from ``after`` on: those with a value, then the others.
+
+        Each reads along an index and stops after ``limit``, so it is fast where many runs match.
+        """
+        missing = self._without_value(tree, after, limit)
+        if after is not None and len(after) > 1 and after[0] is None:
+            return [missing]
+        if self.sort.key in CATALOGUE:
+            return [self._by_metric(tree, after, limit), missing]
+        if self._parameter is not None:
+            return [self._by_parameter(self._parameter, tree, after, limit), missing]
+        runs = _RUNS.alias()
+        columns = self.columns(runs)
+        nullable = self.sort.key in NAMED or runs.c[self._column].nullable
+        there = [columns[0].is_not(None)] if nullable else []
+        query = select(*_labelled(columns)).where(self.sql.test(tree, runs), *there, *self._from(columns, after))
+        query = query.order_by(*ordered(columns, descending=self.sort.descending)).limit(limit)
+        return [query, missing] if nullable else [query]
+
+    @property
+    def _column(self) -> str:
+        return str(COLUMNS[self.sort.key].key)
+
+    @property
+    def _parameter(self) -> str | None:
+        if self.sort.key in SORT_KEYS or self.sort.key in CATALOGUE:
+            return None
+        return self.sort.key.removeprefix(PARAMETER_PREFIX)
+
+    def _value(self, runs: FromClause) -> ColumnElement[Any]:
+        if self.sort.key in CATALOGUE:
+            return self.sql.figure_of(self.sort.key, runs)
+        if self._parameter is not None:
+            return self.sql.parameter_of(self._parameter, runs)
+        if self.sort.key in NAMED:
+            return _name_of(self.sort.key, runs)
+        return runs.c[self._column]
+
+    def _from(self, columns: Sequence[ColumnElement[Any]], after: list[Any] | None) -> list[ColumnElement[bool]]:
+        """The rows behind ``after``; the first condition alone is enough to find the place in an index."""
+        if after is None:
+            return []
+        if len(columns) == 1:
+            return [behind(columns, after, descending=self.sort.descending)]
+        near = columns[0] <= after[0] if self.sort.descending else columns[0] >= after[0]
+        return [near, behind(columns, after, descending=self.sort.descending)]
+
+    def _without_value(self, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
+        runs = _RUNS.alias()
+        columns = self.columns(runs)
+        rest = columns[1:]
+        conditions = [self.sql.test(tree, runs), columns[0].is_(None)]
+        if after is not None and after[0] is None and rest:
+            conditions.append(behind(rest, after[1:], descending=self.sort.descending))
+        query = select(*_labelled(columns)).where(*conditions)
+        return query.order_by(*ordered(rest or columns, descending=self.sort.descending)).limit(limit)
+
+    def _by_metric(self, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
+        runs = _RUNS.alias()
+        found = self.sql.figures(self.sort.key, by_value=True)
+        if found is None:
+            return select(*_labelled(self.columns(runs))).where(runs.c.id < 0)
+        figures, query = found
+        columns = [figures.c.value, figures.c.run_id]
+        pairs: Select[Any] = query.with_only_columns(*_labelled(columns)).select_from(figures, runs)
+        pairs = pairs.where(runs.c.id == figures.c.run_id + 0, self.sql.test(tree, runs), *self._from(columns, after))
+        return pairs.order_by(*ordered(columns, descending=self.sort.descending)).limit(limit)
+
+    def _by_parameter(self, name: str, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
+        """First the configurations, in order, that have a matching run; then their runs."""
+        values, among = self.sql.parameter_rows(name)
+        inner, runs = _RUNS.alias(), _RUNS.alias()
+        descending = self.sort.descending
+        matching = select(inner.c.id).where(
+            inner.c.configuration_id == values.c.configuration_id, self.sql.test(tree, inner)
+        )
+        columns = [values.c.number_value, values.c.configuration_id]
+        chosen = select(*columns).where(
+            among,
+            values.c.number_value.is_not(None),
+            matching.limit(1).scalar_subquery().is_not(None),
+        )
+        if after is not None:
+            chosen = chosen.where(
+                *self._from(columns, after[:2])[:1],
+                behind([*columns], [*after[:2]], descending=descending)
+                | and_(values.c.number_value == after[0], values.c.configuration_id == after[1]),
+            )
+        # One more than asked for: nothing may be left of the configuration that the page before ended in.
+        first = chosen.order_by(*ordered(columns, descending=descending)).limit(limit + 1).subquery()
+        shown = [first.c.number_value, first.c.configuration_id, runs.c.id]
+        query = select(*_labelled(shown)).select_from(first, runs)
+        query = query.where(runs.c.configuration_id == first.c.configuration_id + 0, self.sql.test(tree, runs))
+        query = query.where(*([] if after is None else [behind(shown, after, descending=descending)]))
+        return query.order_by(*ordered(shown, descending=descending)).limit(limit)
+
+
+def _labelled(columns: Sequence[ColumnElement[Any]]) -> list[ColumnElement[Any]]:
+    """The columns of a page key, under names that outer queries use."""
+    return [column.label(f"key_{place}") for place, column in enumerate(columns)]
+
+
+def _name_of(key: str, runs: FromClause) -> ColumnElement[Any]:
+    if key == "experiment":
+        table = Experiment.__table__.alias()
+        return select(table.c.name).where(table.c.id == runs.c.experiment_id).scalar_subquery()
+    table = (Algorithm if key == "algorithm" else Dataset).__table__.alias()
+    rows = Configuration.__table__.alias()
+    query = select(table.c.name).where(rows.c.id == runs.c.configuration_id, table.c.id == rows.c[f"{key}_id"])
+    return query.scalar_subquery()

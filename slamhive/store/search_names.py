@@ -1,0 +1,95 @@
+"""The names of a search as the rows they stand for: ids of metrics, parameters and protocols, looked up once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from sqlalchemy import func, or_, select
+from sqlalchemy.orm import Session
+
+from slamhive.domain.parameters import ParameterType
+from slamhive.errors import unknown
+from slamhive.search.binding import Search
+from slamhive.search.fields import VARIANT_PREFIX, Kind, ParameterKind, Source
+from slamhive.search.grammar import leaves
+from slamhive.store.models import MEASURED_PROTOCOL_ID, Metric, Parameter, Protocol, VariantOption
+
+_KINDS = {
+    ParameterType.INT: Kind.NUMBER,
+    ParameterType.FLOAT: Kind.NUMBER,
+    ParameterType.BOOL: Kind.FLAG,
+    ParameterType.STRING: Kind.TEXT,
+    ParameterType.ENUM: Kind.TEXT,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """What the names of one search, and of the order of its list, stand for.
+
+    ``parameters``: {key or general name: ids}. ``protocol_id``: the chosen protocol, None for each run's current one.
+    ``glob``: whether the database has GLOB, else LIKE with a binary collation.
+    """
+
+    metrics: dict[str, int]
+    parameters: dict[str, tuple[int, ...]]
+    protocol_id: int | None
+    glob: bool
+
+
+def look_up(session: Session, search: Search, parameters: Iterable[str] = ()) -> Names:
+    """The rows behind ``search`` and further ``parameters``; raises NotFound for a protocol that is not there."""
+    wanted = set(parameters)
+    if search.tree is not None:
+        wanted |= {leaf.field.name for leaf in leaves(search.tree) if leaf.field.source is Source.PARAMETER}
+    return Names(
+        metrics={row.key: row.id for row in session.execute(select(Metric.key, Metric.id))},
+        parameters=_parameter_ids(session, wanted),
+        protocol_id=None if search.protocol is None else _protocol_id(session, search.protocol),
+        glob=session.get_bind().dialect.name == "sqlite",
+    )
+
+
+def stored_parameters(session: Session) -> list[ParameterKind]:
+    """Every parameter that any configuration has a value of, under its key and its general name; options of variants.
+
+    Matrices can only be asked for (``has``): they are text that nothing equals.
+    """
+    found = []
+    for key, general, kind, unit in session.execute(
+        select(Parameter.key, Parameter.general, Parameter.type, Parameter.unit).order_by(Parameter.id)
+    ):
+        meaning = _KINDS.get(ParameterType(kind), Kind.TEXT)
+        found += [ParameterKind(name, meaning, unit) for name in dict.fromkeys((key, general)) if name is not None]
+    options = select(VariantOption.name, func.count(VariantOption.number_value), func.count(VariantOption.text_value))
+    for name, numbers, texts in session.execute(options.group_by(VariantOption.name)):
+        kinds = [Kind.NUMBER] * bool(numbers) + [Kind.TEXT] * bool(texts)
+        found += [ParameterKind(VARIANT_PREFIX + name, kind) for kind in kinds]
+    return found
+
+
+def stored_protocols(session: Session) -> dict[str, str]:
+    """{fingerprint: label} of every protocol that an evaluation used."""
+    query = select(Protocol.fingerprint, Protocol.label).where(Protocol.id != MEASURED_PROTOCOL_ID)
+    return {row.fingerprint: row.label for row in session.execute(query)}
+
+
+def _parameter_ids(session: Session, names: set[str]) -> dict[str, tuple[int, ...]]:
+    if not names:
+        return {}
+    table = Parameter.__table__
+    found: dict[str, list[int]] = {name: [] for name in names}
+    named = or_(table.c.key.in_(names), table.c.general.in_(names))
+    for row in session.execute(select(table.c.id, table.c.key, table.c.general).where(named)):
+        for name in {row.key, row.general} & names:
+            found[name].append(row.id)
+    return {name: tuple(ids) for name, ids in found.items()}
+
+
+def _protocol_id(session: Session, fingerprint: str) -> int:
+    table = Protocol.__table__
+    known = {row.fingerprint: row.id for row in session.execute(select(table.c.fingerprint, table.c.id))}
+    if fingerprint not in known:
+        raise unknown("protocol", fingerprint, list(known))
+    return int(known[fingerprint])

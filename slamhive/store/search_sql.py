@@ -1,0 +1,279 @@
+"""Conditions of a search as SQL: a test of one run, and a list of runs to begin with.
+
+Both databases are led, not left to guess: which index a condition is read through follows from how it is written.
+``column + 0`` says "do not look this up by index here"; so a query keeps its plan whether statistics are fresh or not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from sqlalchemy import (
+    ColumnElement,
+    FromClause,
+    Select,
+    and_,
+    false,
+    func,
+    literal,
+    not_,
+    or_,
+    select,
+    true,
+    union,
+)
+
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.search.binding import Bound, Condition, Value
+from slamhive.search.fields import VARIANT_PREFIX, Kind, Source
+from slamhive.search.grammar import Junction
+from slamhive.search.syntax import PRESENCE, Sign
+from slamhive.store.models import (
+    Algorithm,
+    Configuration,
+    ConfigurationValue,
+    Dataset,
+    Experiment,
+    MetricValue,
+    Run,
+    VariantOption,
+)
+from slamhive.store.search_names import Names
+
+RunIds = Select[tuple[int]]
+"""A query of one column, ``run_id``."""
+
+_RUN_COLUMNS = {"configuration": "configuration_id", "experiment": "experiment_id", "evaluated": "current_protocol_id"}
+_INDEXED = frozenset({"id", "state", "reason", "executor", "configuration", "experiment", "created_at", "ended_at"})
+_COMPLEMENTS = frozenset({Sign.NOT_EQUAL, Sign.NOT_IN, Sign.UNLIKE, Sign.MISSING})
+_COMPARE: dict[Sign, Callable[[Any, Any], ColumnElement[bool]]] = {
+    Sign.EQUAL: lambda column, value: column == value,
+    Sign.NOT_EQUAL: lambda column, value: column != value,
+    Sign.LESS: lambda column, value: column < value,
+    Sign.AT_MOST: lambda column, value: column <= value,
+    Sign.MORE: lambda column, value: column > value,
+    Sign.AT_LEAST: lambda column, value: column >= value,
+}
+
+
+class Sql:
+    """The conditions of one search, over rows whose ids are known."""
+
+    def __init__(self, names: Names) -> None:
+        self._names = names
+
+    # -- a test of one run -----------------------------------------------------------------------------------------
+
+    def test(self, tree: Bound | None, runs: FromClause) -> ColumnElement[bool]:
+        """Whether a row of ``runs`` matches; never NULL."""
+        if tree is None:
+            return true()
+        if not isinstance(tree, Junction):
+            return self._test_one(tree, runs)
+        parts = [self.test(part, runs) for part in tree.parts]
+        if tree.word == "not":
+            return not_(parts[0])
+        return and_(*parts) if tree.word == "and" else or_(*parts)
+
+    def _test_one(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
+        if leaf.sign is Sign.MISSING:
+            return not_(self._test_one(Condition(leaf.field, Sign.HAS), runs))
+        source = leaf.field.source
+        if source is Source.RUN:
+            return self._on_run(leaf, runs)
+        if source is Source.METRIC:
+            found = self._figures(leaf, by_value=False)
+            return false() if found is None else _any(found[1].where(found[0].c.run_id == runs.c.id))
+        if source is Source.PARAMETER:
+            values, query = self._parameter_values(leaf, by_value=False)
+            return _any(query.where(values.c.configuration_id == runs.c.configuration_id))
+        table, query = self._configurations(leaf)
+        return _any(query.where(table.c.id == runs.c.configuration_id))
+
+    def _on_run(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
+        column = runs.c[_RUN_COLUMNS.get(leaf.field.name, leaf.field.name)]
+        if leaf.sign is Sign.HAS:
+            return column.is_not(None)
+        if leaf.field.name == "evaluated":
+            evaluated = leaf.values[0] is (leaf.sign is Sign.EQUAL)
+            return column.is_not(None) if evaluated else column.is_(None)
+        if leaf.field.name == "experiment":
+            named = select(Experiment.id).where(self._compare(Experiment.__table__.c.name, leaf))
+            found: ColumnElement[bool] = column.in_(named)
+        else:
+            found = self._compare(column, leaf)
+        return func.coalesce(found, false()) if column.nullable else found
+
+    # -- runs to begin with ----------------------------------------------------------------------------------------
+
+    def starts(self, tree: Bound | None) -> list[RunIds]:
+        """Lists that hold every run which matches ``tree``, each read through an index; none if there is no way.
+
+        One part of an ``and`` is enough; an ``or`` needs all its parts together, so that each run comes once.
+        """
+        if tree is None:
+            return []
+        if not isinstance(tree, Junction):
+            one = self._start_one(tree)
+            return [] if one is None else [one]
+        parts = [self.starts(part) for part in tree.parts]
+        if tree.word == "and":
+            return [start for part in parts for start in part]
+        if tree.word == "or" and all(parts):
+            return [select(union(*(part[0] for part in parts)).subquery().c.run_id)]
+        return []
+
+    def _start_one(self, leaf: Condition) -> RunIds | None:
+        source = leaf.field.source
+        runs = Run.__table__.alias()
+        if source is Source.METRIC and leaf.sign is not Sign.MISSING:
+            found = self._figures(leaf, by_value=True)
+            if found is None:
+                return select(runs.c.id.label("run_id")).where(false())
+            return found[1].with_only_columns(found[0].c.run_id.label("run_id"))
+        if leaf.sign in _COMPLEMENTS:
+            return None
+        if source is Source.RUN:
+            usable = leaf.field.name in _INDEXED and leaf.sign is not Sign.HAS
+            return select(runs.c.id.label("run_id")).where(self._on_run_plainly(leaf, runs)) if usable else None
+        if source is Source.PARAMETER:
+            values, query = self._parameter_values(leaf, by_value=True)
+            chosen = query.with_only_columns(values.c.configuration_id.label("id"))
+            many = len(self._names.parameters[leaf.field.name]) > 1  # an own key and another's general name may meet
+            return _of_configurations((chosen.distinct() if many else chosen).subquery(), runs)
+        table, query = self._configurations(leaf)
+        return _of_configurations(query.with_only_columns(table.c.id).subquery(), runs)
+
+    def _on_run_plainly(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
+        """The test without the guard against NULL, which would keep the index from being used."""
+        if leaf.field.name == "experiment":
+            return self._on_run(leaf, runs)
+        return self._compare(runs.c[_RUN_COLUMNS.get(leaf.field.name, leaf.field.name)], leaf)
+
+    # -- where values are ------------------------------------------------------------------------------------------
+
+    def figures(self, key: str, *, by_value: bool) -> tuple[FromClause, Select[Any]] | None:
+        """The rows of one metric under the protocol that counts, at most one a run; None if nobody has any.
+
+        ``by_value`` reads them through the index that is sorted by value, otherwise run by run.
+        """
+        if key not in self._names.metrics:
+            return None
+        rows = MetricValue.__table__.alias()
+        query = select(literal(1)).select_from(rows).where(rows.c.metric_id == self._names.metrics[key])
+        chosen = self._names.protocol_id
+        if chosen is None or not CATALOGUE[key].needs_protocol:
+            return rows, query.where((rows.c.is_current if by_value else rows.c.is_current + 0) == 1)
+        if by_value:
+            query = query.where(rows.c.is_current.in_([0, 1]))
+        return rows, query.where(rows.c.protocol_id == chosen)
+
+    def figure_of(self, key: str, runs: FromClause) -> ColumnElement[Any]:
+        """The value of a metric for a row of ``runs``, NULL where it has none."""
+        found = self.figures(key, by_value=False)
+        if found is None:
+            return literal(None)
+        rows, query = found
+        return query.with_only_columns(rows.c.value).where(rows.c.run_id == runs.c.id).limit(1).scalar_subquery()
+
+    def parameter_of(self, name: str, runs: FromClause) -> ColumnElement[Any]:
+        """A parameter's number, NULL where the configuration has none."""
+        rows, among = self.parameter_rows(name)
+        query = select(func.min(rows.c.number_value)).where(rows.c.configuration_id == runs.c.configuration_id, among)
+        return query.scalar_subquery()
+
+    def parameter_rows(self, name: str) -> tuple[FromClause, ColumnElement[bool]]:
+        """The table with the values of a parameter, or of an option of variants, and which of its rows they are."""
+        if name.startswith(VARIANT_PREFIX):
+            options = VariantOption.__table__.alias()
+            return options, options.c.name == name.removeprefix(VARIANT_PREFIX)
+        rows = ConfigurationValue.__table__.alias()
+        return rows, rows.c.parameter_id.in_(self._names.parameters[name])
+
+    def _figures(self, leaf: Condition, *, by_value: bool) -> tuple[FromClause, Select[Any]] | None:
+        found = self.figures(leaf.field.name, by_value=by_value)
+        if found is None or leaf.sign in PRESENCE:
+            return found
+        rows, query = found
+        value = rows.c.value if by_value else rows.c.value + 0
+        return rows, query.where(self._compare(value, leaf))
+
+    def _parameter_values(self, leaf: Condition, *, by_value: bool) -> tuple[FromClause, Select[Any]]:
+        rows, among = self.parameter_rows(leaf.field.name)
+        query = select(literal(1)).select_from(rows).where(among)
+        if leaf.sign in PRESENCE:
+            return rows, query
+        value: ColumnElement[Any] = rows.c.text_value
+        if leaf.field.kind not in {Kind.TEXT, Kind.CHOICE}:
+            value = rows.c.number_value if by_value else rows.c.number_value + 0
+        return rows, query.where(self._compare(value, leaf))
+
+    def _configurations(self, leaf: Condition) -> tuple[FromClause, Select[Any]]:
+        rows = Configuration.__table__.alias()
+        query = select(literal(1)).select_from(rows)
+        return rows, query.where(self._on_configuration(leaf, rows))
+
+    def _on_configuration(self, leaf: Condition, rows: FromClause) -> ColumnElement[bool]:
+        name = leaf.field.name
+        algorithms, datasets = Algorithm.__table__.alias(), Dataset.__table__.alias()
+        if leaf.field.source is Source.SETUP:
+            return rows.c.algorithm_id.in_(select(algorithms.c.id).where(self._of_setup(leaf, algorithms)))
+        if name == "variant":
+            wanted = leaf.sign is Sign.HAS or leaf.values[0] is (leaf.sign is Sign.EQUAL)
+            return rows.c.variant.is_not(None) if wanted else rows.c.variant.is_(None)
+        if leaf.sign is Sign.HAS:
+            return true()
+        if name == "dataset":
+            return rows.c.dataset_id.in_(select(datasets.c.id).where(self._compare(datasets.c.name, leaf)))
+        if name in {"algorithm", "package"}:
+            column = algorithms.c.name if name == "algorithm" else algorithms.c.package
+            return rows.c.algorithm_id.in_(select(algorithms.c.id).where(self._compare(column, leaf)))
+        return self._compare(rows.c.playback_mode if name == "playback" else rows.c.playback_rate, leaf)
+
+    def _of_setup(self, leaf: Condition, algorithms: FromClause) -> ColumnElement[bool]:
+        """Algorithms whose set-up is known, and one of those asked for (or none of them)."""
+        groups = leaf.field.groups
+        known = {name for members in groups.values() for name in members}
+        values = [str(value) for value in leaf.values]
+        wanted = {name for value in values for name in groups.get(value, ())}
+        if leaf.sign is Sign.HAS:
+            wanted = known
+        elif leaf.sign in _COMPLEMENTS:
+            wanted = known - wanted
+        return algorithms.c.name.in_(sorted(wanted))
+
+    def _compare(self, column: Any, leaf: Condition) -> ColumnElement[bool]:
+        values: Sequence[Value] = leaf.values
+        if leaf.field.source is Source.PARAMETER and values and isinstance(values[0], bool):
+            values = [1.0 if value else 0.0 for value in values]
+        if leaf.sign in {Sign.IN, Sign.NOT_IN}:
+            found: ColumnElement[bool] = column.in_(values)
+            return not_(found) if leaf.sign is Sign.NOT_IN else found
+        if leaf.sign in {Sign.LIKE, Sign.UNLIKE}:
+            found = self._like(column, str(values[0]))
+            return not_(found) if leaf.sign is Sign.UNLIKE else found
+        if leaf.sign is Sign.BETWEEN:
+            return and_(column >= values[0], column <= values[1])
+        if len(values) == 2:  # a day: from its first moment to the next day's
+            inside = and_(column >= values[0], column < values[1])
+            return inside if leaf.sign is Sign.EQUAL else not_(inside)
+        return _COMPARE[leaf.sign](column, values[0])
+
+    def _like(self, column: Any, pattern: str) -> ColumnElement[bool]:
+        if self._names.glob:
+            found: ColumnElement[bool] = column.op("GLOB")(pattern.replace("[", "[[]"))
+            return found
+        escaped = "".join(f"|{c}" if c in "|%_" else {"*": "%", "?": "_"}.get(c, c) for c in pattern)
+        like: ColumnElement[bool] = column.like(escaped, escape="|")
+        return like
+
+
+def _any(query: Select[Any]) -> ColumnElement[bool]:
+    """Whether ``query`` has a row, asked for one run after the other (EXISTS may be turned into a join over all)."""
+    return func.coalesce(query.limit(1).scalar_subquery(), 0) == 1
+
+
+def _of_configurations(configurations: FromClause, runs: FromClause) -> RunIds:
+    query: RunIds = select(runs.c.id.label("run_id")).select_from(configurations, runs)
+    return query.where(runs.c.configuration_id == configurations.c.id + 0)

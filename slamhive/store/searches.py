@@ -1,0 +1,116 @@
+"""What searches need besides lists: names that exist, numbers of what is left out, groups, and saved searches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Row, delete, func, insert, select, update
+from sqlalchemy.orm import Session
+
+from slamhive.errors import unknown
+from slamhive.search.binding import Search
+from slamhive.search.fields import ParameterKind
+from slamhive.store.models import Run, SavedSearch
+from slamhive.store.records import Count, GroupPage, RunSort, SavedSearchRecord
+from slamhive.store.rows import changed
+from slamhive.store.run_groups import group_page
+from slamhive.store.run_listing import Matches
+from slamhive.store.search_names import look_up, stored_parameters, stored_protocols
+from slamhive.store.search_sql import Sql
+
+_SAVED = SavedSearch.__table__
+
+
+class SearchRepository:
+    """Reads through indexes only; what a search costs does not grow with the runs that it leaves out."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def parameters(self) -> list[ParameterKind]:
+        """Every parameter and option of variants that configurations have."""
+        return stored_parameters(self._session)
+
+    def protocols(self) -> dict[str, str]:
+        """{fingerprint: label} of the protocols that figures are filed under."""
+        return stored_protocols(self._session)
+
+    def exact_count(self, search: Search) -> int:
+        """How many runs match, however long counting takes."""
+        return self._matches(search).exact_count()
+
+    def count(self, search: Search) -> Count:
+        """How many runs match; exact up to :data:`slamhive.store.run_listing.COUNTED`, and beyond where cheap."""
+        return self._matches(search).count()
+
+    def run_ids(self, search: Search) -> list[int]:
+        """The ids of all runs that match, in order."""
+        return sorted(self._session.execute(self._matches(search).ids(None)).scalars())
+
+    def total(self) -> int:
+        """How many runs there are."""
+        return int(self._session.execute(select(func.count()).select_from(Run.__table__)).scalar_one())
+
+    def with_metrics(self, search: Search) -> dict[str, int]:
+        """{metric: number of runs that have it} for the metrics that ``search`` compares."""
+        sql = Sql(look_up(self._session, search))
+        found: dict[str, int] = {}
+        for field in search.metrics:
+            figures = sql.figures(field.name, by_value=True)
+            counted = 0
+            if figures is not None:
+                query = figures[1].with_only_columns(func.count())
+                counted = int(self._session.execute(query).scalar_one())
+            found[field.name] = counted
+        return found
+
+    def groups(self, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
+        """One page of the configurations of matching runs, with mean and spread of ``metrics`` over the repeats."""
+        return group_page(self._session, search, sort, after, limit, metrics)
+
+    # -- saved searches --------------------------------------------------------------------------------------------
+
+    def save(self, record: SavedSearchRecord, now: datetime) -> bool:
+        """Save under its name, over what has it; whether it is new."""
+        values = {
+            "filter_text": record.filter_text,
+            "shown_columns": list(record.columns),
+            "sort": record.sort.key,
+            "descending": record.sort.descending,
+            "grouped": record.grouped,
+        }
+        if changed(self._session, update(_SAVED).where(_SAVED.c.name == record.name).values(values)):
+            return False
+        self._session.execute(insert(_SAVED).values(name=record.name, created_at=now, **values))
+        return True
+
+    def saved(self) -> list[SavedSearchRecord]:
+        """All of them by name."""
+        return [_saved(row) for row in self._session.execute(select(_SAVED).order_by(_SAVED.c.name))]
+
+    def saved_named(self, name: str) -> SavedSearchRecord:
+        """The one of this name; raises NotFound."""
+        known = {record.name: record for record in self.saved()}
+        if name not in known:
+            raise unknown("saved search", name, list(known))
+        return known[name]
+
+    def delete_saved(self, name: str) -> None:
+        """Delete it; raises NotFound."""
+        self.saved_named(name)
+        self._session.execute(delete(_SAVED).where(_SAVED.c.name == name))
+
+    def _matches(self, search: Search) -> Matches:
+        return Matches(self._session, search, Sql(look_up(self._session, search)))
+
+
+def _saved(row: Row[Any]) -> SavedSearchRecord:
+    return SavedSearchRecord(
+        name=row.name,
+        filter_text=row.filter_text,
+        columns=tuple(row.shown_columns),
+        sort=RunSort(row.sort, row.descending),
+        grouped=row.grouped,
+    )

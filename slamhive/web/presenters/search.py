@@ -1,0 +1,157 @@
+"""The search page: choices of its form, saved searches, groups as table rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.metrics import CATALOGUE, Metric
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.sensors import SensorSetup
+from slamhive.executors.registry import EXECUTORS
+from slamhive.store.records import GroupRecord, ProtocolLabel, SavedSearchRecord, Spread
+from slamhive.web.formatting import DASH, Cell, display_unit, plural, significant, value_text
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A list of the form: {group: values}, "" for values without one."""
+
+    name: str
+    title: str
+    groups: Mapping[str, tuple[tuple[str, str], ...]]
+    chosen: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RangeField:
+    """Least and largest value of a metric, as typed."""
+
+    metric: Metric
+    minimum: str
+    maximum: str
+
+
+@dataclass(frozen=True, slots=True)
+class GroupColumn:
+    """A metric in a table of groups."""
+
+    metric: Metric
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class GroupRow:
+    """One configuration under one protocol. ``first`` is false for its further protocols."""
+
+    group: GroupRecord
+    protocol: ProtocolLabel | None
+    parameters: str
+    cells: tuple[Cell, ...]
+    first: bool
+
+
+def choices(
+    fields: Mapping[str, tuple[str, ...]], algorithms: Iterable[Algorithm], datasets: Iterable[Dataset]
+) -> list[Choice]:
+    """What can be chosen from lists, grouped; values that are chosen already but no longer there stay."""
+    found = {
+        "algorithm": (
+            "Algorithms",
+            _grouped((a.package.name, a.name, f"{a.name} ({a.setup.value})") for a in algorithms),
+        ),
+        "dataset": ("Datasets", _grouped((_sensors(d), d.name, d.name) for d in datasets)),
+        "sensor": ("Sensors", _plain(SensorSetup)),
+        "state": ("State", _plain(RunState)),
+        "reason": ("Reason of failure", _plain(FailureReason)),
+        "executor": ("Executor", _plain(EXECUTORS.names())),
+        "experiment": ("Experiment", {}),
+    }
+    return [_choice(name, title, groups, fields.get(name, ())) for name, (title, groups) in found.items()]
+
+
+def ranges(fields: Mapping[str, tuple[str, ...]]) -> dict[str, list[RangeField]]:
+    """{group of metrics: their fields}."""
+    found: dict[str, list[RangeField]] = {}
+    for key, metric in CATALOGUE.items():
+        low, high = ("".join(fields.get(f"{bound}.{key}", ())) for bound in ("min", "max"))
+        found.setdefault(metric.group.value, []).append(RangeField(metric, low, high))
+    return found
+
+
+def saved_args(record: SavedSearchRecord) -> dict[str, str]:
+    """The address of a saved search."""
+    args = {"where": record.filter_text, "columns": ",".join(record.columns), "sort": record.sort.key}
+    args["order"] = "desc" if record.sort.descending else "asc"
+    if record.grouped:
+        args["group"] = "configuration"
+    return {name: text for name, text in args.items() if text}
+
+
+def group_columns(columns: Sequence[str]) -> list[GroupColumn]:
+    """The metrics among the chosen columns."""
+    return [GroupColumn(CATALOGUE[key], display_unit(CATALOGUE[key]).unit) for key in columns if key in CATALOGUE]
+
+
+def group_rows(groups: Iterable[GroupRecord], columns: Sequence[GroupColumn]) -> list[GroupRow]:
+    """A row for each configuration, and one more for each further protocol that its runs were evaluated under."""
+    return [row for group in groups for row in _rows_of(group, columns)]
+
+
+def protocol_warning(labels: Iterable[ProtocolLabel | None]) -> str:
+    """A sentence where errors under several protocols stand in one list; empty otherwise."""
+    several = sorted({label.fingerprint for label in labels if label is not None})
+    if len(several) < 2:
+        return ""
+    choice = " or ".join(f"protocol = {fingerprint}" for fingerprint in several[:3])
+    return (
+        f"Errors under {len(several)} protocols stand here side by side and cannot be compared. Choose one: {choice}."
+    )
+
+
+def _rows_of(group: GroupRecord, columns: Sequence[GroupColumn]) -> list[GroupRow]:
+    measured = group.figures.get(None, {})
+    protocols: list[ProtocolLabel | None] = [label for label in group.figures if label is not None] or [None]
+    text = ", ".join(f"{key}={value_text(value)}" for key, value in group.parameters.items())
+    rows = []
+    for place, label in enumerate(protocols):
+        figures = {**measured, **({} if label is None else group.figures[label])}
+        cells = tuple(_spread_cell(column.metric, figures.get(column.metric.key)) for column in columns)
+        rows.append(GroupRow(group, label, text or DASH, cells, first=place == 0))
+    return rows
+
+
+def _spread_cell(metric: Metric, spread: Spread | None) -> Cell:
+    """Mean and standard deviation over the runs that have the figure; how many, and the extremes, on hover."""
+    if spread is None:
+        return Cell(DASH, f"no {metric.label} known", missing=True)
+    shown = display_unit(metric)
+    text = significant(spread.mean * shown.factor)
+    if spread.std is not None:
+        text += f" ± {significant(spread.std * shown.factor, 2)}"
+    low, high = (significant(value * shown.factor) for value in (spread.minimum, spread.maximum))
+    return Cell(text, f"mean of {plural(spread.n, 'run')}, {low} to {high} {shown.unit}".strip())
+
+
+def _choice(name: str, title: str, groups: dict[str, tuple[tuple[str, str], ...]], chosen: tuple[str, ...]) -> Choice:
+    known = {value for entries in groups.values() for value, _ in entries}
+    lost = tuple((value, value) for value in chosen if value not in known)
+    return Choice(name, title, {**groups, **({"": (*groups.get("", ()), *lost)} if lost else {})}, chosen)
+
+
+def _plain(values: Iterable[str]) -> dict[str, tuple[tuple[str, str], ...]]:
+    return {"": tuple((str(value), str(value).replace("_", " ")) for value in values)}
+
+
+def _grouped(entries: Iterable[tuple[str, str, str]]) -> dict[str, tuple[tuple[str, str], ...]]:
+    found: dict[str, tuple[tuple[str, str], ...]] = {}
+    for group, value, label in sorted(entries):
+        found[group] = (*found.get(group, ()), (value, label))
+    return found
+
+
+def _sensors(dataset: Dataset) -> str:
+    """The attribute that datasets are grouped by: which kinds of sensor they hold."""
+    return " + ".join(sorted({sensor.kind.value for sensor in dataset.sensors})) or "no sensors"
