@@ -16,6 +16,7 @@ from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.executors.base import EngineUnavailable, Executor
 from slamhive.executors.registry import AUTO
+from slamhive.search.build import matching
 from slamhive.services.catalogue import Catalogue
 from slamhive.services.driver import RunDriver
 from slamhive.services.driver_context import DriverContext, WorkerStopping, utc_now
@@ -27,7 +28,7 @@ from slamhive.services.slots import share_cores
 from slamhive.services.turns import AbsentExecutors, Turns
 from slamhive.services.variants import Variants
 from slamhive.settings import Settings
-from slamhive.store.records import LeaseLost, RunFilter, RunRecord
+from slamhive.store.records import LeaseLost, RunRecord
 from slamhive.store.store import Store, Transaction
 
 logger = logging.getLogger(__name__)
@@ -269,7 +270,7 @@ class Worker:
 
     def _sweep(self) -> None:
         """Remove containers that a killed worker left behind although their runs have ended."""
-        active = RunFilter(states=tuple(state for state in RunState if state.active))
+        active = matching(states=tuple(state for state in RunState if state.active))
         records = self._store.read(lambda t: t.runs.page(active, limit=MOST_ACTIVE)).records
         names = {record.executor for record in records}
         names.add("docker" if self._settings.executor == AUTO else self._settings.executor)
