@@ -15,9 +15,10 @@ from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.stop_when import RULES, parse_stop_when
 from slamhive.errors import InvalidInput
+from slamhive.search.build import matching
 from slamhive.services.request import Submission, unwatchable
 from slamhive.services.run_json import evaluation_to_json, run_to_json, timestamp
-from slamhive.store import RunFilter, RunRecord, RunSort
+from slamhive.store import RunRecord, RunSort
 
 SPARE = ("time s", "RAM MB", "CPU cores", "tracked", "poses", "dataset", "reason")
 COLUMNS = (
@@ -114,7 +115,7 @@ def runs(context: click.Context, cli: CliContext, /, as_json: bool, **options: A
     if context.invoked_subcommand is not None:
         return
     hive = cli.hive()
-    wanted = RunFilter(
+    wanted = matching(
         states=tuple(RunState(state) for state in options["states"]),
         reasons=tuple(FailureReason(reason) for reason in options["reasons"]),
         algorithms=options["algorithms"],

@@ -18,6 +18,7 @@ from slamhive.executors.base import Executor
 from slamhive.executors.registry import AUTO, ExecutorContext, choose_executor, installation_id, open_executor
 from slamhive.project import project_root
 from slamhive.runs.folder import RunFolder
+from slamhive.search.binding import Search
 from slamhive.services.catalogue import Catalogue, check_writable
 from slamhive.services.comparisons import Comparisons
 from slamhive.services.configurations import Configurations
@@ -33,6 +34,7 @@ from slamhive.services.protocols import Protocols
 from slamhive.services.record import handle_from_json
 from slamhive.services.request import Submission, protocol_for
 from slamhive.services.retrying import retry_request
+from slamhive.services.searches import Searches
 from slamhive.services.series import RunSeries, run_series
 from slamhive.services.variants import Variants
 from slamhive.services.worker import Worker
@@ -40,7 +42,6 @@ from slamhive.settings import Mode, Settings, load_settings
 from slamhive.store import (
     EvaluationRecord,
     Page,
-    RunFilter,
     RunRecord,
     RunRequest,
     RunSort,
@@ -69,6 +70,7 @@ class Hive:
         self.catalogue = catalogue
         self._executors: dict[str, Executor] = {}
         self.variants = Variants(settings, store)
+        self.searches = Searches(settings, store, catalogue)
         self.configurations = Configurations(settings, store, catalogue, self.variants)
         self.protocols = Protocols(store)
         self.experiments = Experiments(
@@ -157,7 +159,7 @@ class Hive:
     # -- looking at runs -------------------------------------------------------------------------------------------
 
     def runs(
-        self, wanted: RunFilter | None = None, sort: RunSort | None = None, after: str | None = None, limit: int = 50
+        self, wanted: Search | None = None, sort: RunSort | None = None, after: str | None = None, limit: int = 50
     ) -> Page:
         """One page of runs with their figures."""
         return self.store.read(lambda t: t.runs.page(wanted, sort, after, limit, with_metrics=True))

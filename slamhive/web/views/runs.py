@@ -5,22 +5,27 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable
+from importlib.util import find_spec
+from typing import Any
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, send_file
 from flask import url_for as address
 
 from slamhive.analysis.colours import colour_of
-from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.executors.registry import EXECUTORS
+from slamhive.search.reader import FilterError
 from slamhive.services.current_protocols import missing_figures
 from slamhive.services.downloads import list_downloads, open_download
+from slamhive.services.hive import Hive
+from slamhive.services.searches import LeftOut
 from slamhive.store.records import EvaluationRecord, EvaluationState
-from slamhive.web.columns import all_columns
+from slamhive.web.columns import Column, all_columns, column
 from slamhive.web.context import hive, now
+from slamhive.web.errors import status_of, wants_json
 from slamhive.web.figures import best_plane, captions, figure_table, run_figures
 from slamhive.web.formatting import plural
-from slamhive.web.presenters import protocols
+from slamhive.web.presenters import protocols, search
 from slamhive.web.presenters import runs as presenter
 from slamhive.web.presenters.live import progress_json
 from slamhive.web.run_query import RunQuery, summary
@@ -33,31 +38,65 @@ RUN_ID = "<int(max=9007199254740991):run_id>"
 
 
 @blueprint.get("")
-def index() -> str:
+def index() -> Response:
     """The runs that the address asks for."""
     services = hive()
     vocabulary = services.searches.vocabulary()
-    query = RunQuery.from_args(request.args, vocabulary)
+    try:
+        query = RunQuery.from_args(request.args, vocabulary)
+    except FilterError as error:
+        if wants_json():
+            raise
+        return make_response(_search_page(services, RunQuery.unread(request.args), error=error), status_of(error))
+    shown = [column(key, vocabulary) for key in query.columns]
+    left_out = services.searches.left_out(query.search)
+    if query.grouped:
+        return make_response(_group_page(services, query, shown, left_out))
     page = services.runs(query.search, query.sort, query.after, query.limit)
-    columns = all_columns()
-    shown = [columns[key] for key in query.columns]
-    algorithms = services.catalogue.algorithms()
-    total = sum(services.counts().values())
+    return make_response(
+        _search_page(
+            services,
+            query,
+            rows=presenter.rows(page.records, shown, services.catalogue.algorithms()),
+            columns=shown,
+            next_key=page.next_key,
+            summary=summary(query, len(page.records), page.count, left_out),
+            warning=search.protocol_warning(run.protocol for run in page.records),
+            total=left_out.total,
+        )
+    )
+
+
+def _group_page(services: Hive, query: RunQuery, shown: list[Column], left_out: LeftOut) -> str:
+    figures = search.group_columns(query.columns)
+    page = services.searches.groups(
+        query.search, query.sort, query.after, query.limit, [entry.metric.key for entry in figures]
+    )
+    return _search_page(
+        services,
+        query,
+        groups=search.group_rows(page.records, figures),
+        group_columns=figures,
+        columns=shown,
+        next_key=page.next_key,
+        summary=summary(query, len(page.records), page.runs, left_out),
+        warning=search.protocol_warning(label for group in page.records for label in group.figures),
+        total=left_out.total,
+    )
+
+
+def _search_page(services: Hive, query: RunQuery, **content: Any) -> str:
+    """The page with its form; without rows it says what could not be read."""
     return render_template(
         "runs/index.html",
         query=query,
-        page=page,
-        rows=presenter.rows(page.records, shown, algorithms),
-        columns=shown,
-        all_columns=columns,
-        summary=summary(query, len(page.records), page.total, total),
-        total=total,
+        all_columns=all_columns(),
+        saved=[(entry, search.saved_args(entry)) for entry in services.searches.saved()],
         unevaluated=services.unevaluated(),
-        algorithm_names=sorted({entry.name for entry in algorithms} | set(query.filter.algorithms)),
-        dataset_names=sorted({entry.name for entry in services.catalogue.datasets()} | set(query.filter.datasets)),
-        executors=EXECUTORS.names(),
-        states=list(RunState),
-        reasons=list(FailureReason),
+        choices=search.choices(query.fields, services.catalogue.algorithms(), services.catalogue.datasets()),
+        ranges=search.ranges(query.fields),
+        parquet=find_spec("pyarrow") is not None,
+        **content,
     )
 
 
