@@ -83,6 +83,14 @@ def parse_step(text: str) -> VariantStep:
     return VariantStep(kind, tuple(name for name in sensors.split(",") if name), options)
 
 
+def step_text(step: VariantStep) -> str:
+    """The text that :func:`parse_step` reads back to an equal step once its options are resolved."""
+    options = [
+        f"{key}={str(value).lower() if isinstance(value, bool) else value}" for key, value in step.options.items()
+    ]
+    return " ".join([f"{step.kind}@{','.join(step.sensors)}" if step.sensors else step.kind, *options])
+
+
 def variant_to_json(variant: Variant) -> list[dict[str, Any]]:
     """The steps as plain JSON; int, float, bool and text stay apart there."""
     return [{"kind": step.kind, "sensors": list(step.sensors), "options": dict(step.options)} for step in variant]

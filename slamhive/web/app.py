@@ -19,7 +19,8 @@ from slamhive.web.errors import handle_errors
 from slamhive.web.live import LiveHub
 from slamhive.web.presenters import catalogue as catalogue_presenter
 from slamhive.web.security import protect, secret_key
-from slamhive.web.views import algorithms, api, dashboard, datasets, runs, searches, start
+from slamhive.web.variant_maker import VariantMaker
+from slamhive.web.views import algorithms, api, configurations, dashboard, datasets, runs, searches, start
 
 MOST_UPLOAD_BYTES = 1_000_000
 MOST_STREAMS = 8
@@ -48,6 +49,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     )
     app.extensions[context.EXTENSION] = hive
     app.extensions[context.LIVE_EXTENSION] = LiveHub(hive, MOST_STREAMS)
+    app.extensions[context.VARIANTS_EXTENSION] = VariantMaker(hive)
     app.jinja_options["trim_blocks"] = True
     app.jinja_options["lstrip_blocks"] = True
     protect(app, hive.settings, host or hive.settings.host)
@@ -57,6 +59,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     for blueprint in (
         dashboard.blueprint,
         algorithms.blueprint,
+        configurations.blueprint,
         datasets.blueprint,
         start.blueprint,
         runs.blueprint,

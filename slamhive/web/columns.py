@@ -49,6 +49,7 @@ DEFAULT_COLUMNS = (
     "id",
     "algorithm",
     "dataset",
+    "variant",
     "parameters",
     "state",
     "created_at",
@@ -66,6 +67,7 @@ def all_columns() -> dict[str, Column]:
         Column("id", "Run", Kind.RUN, lambda run: Cell(str(run.id)), sort="id"),
         Column("algorithm", "Algorithm", Kind.ALGORITHM, lambda run: Cell(run.algorithm), sort="algorithm"),
         Column("dataset", "Dataset", Kind.DATASET, lambda run: Cell(run.dataset), sort="dataset"),
+        Column("variant", "Variant", Kind.TEXT, variant_cell, help="pre-processing that the dataset went through"),
         Column("parameters", "Parameters", Kind.PARAMETERS, _parameters, help="those that differ from the default"),
         Column(
             "configuration",
@@ -128,6 +130,12 @@ def _metric_column(metric: Metric) -> Column:
         sort=metric.key,
         help=metric.definition,
     )
+
+
+def variant_cell(run: RunRecord) -> Cell:
+    """The steps in words; a dash where the dataset is used as it is."""
+    text = "; ".join(str(step) for step in run.variant)
+    return Cell(text, text) if text else Cell(DASH, "the dataset as it is", missing=True)
 
 
 def _parameters(run: RunRecord) -> Cell:

@@ -10,9 +10,11 @@ from flask import current_app
 if TYPE_CHECKING:
     from slamhive.services.hive import Hive
     from slamhive.web.live import LiveHub
+    from slamhive.web.variant_maker import VariantMaker
 
 EXTENSION = "slamhive"
 LIVE_EXTENSION = "slamhive-live"
+VARIANTS_EXTENSION = "slamhive-variants"
 
 
 def hive() -> Hive:
@@ -23,6 +25,11 @@ def hive() -> Hive:
 def live_hub() -> LiveHub:
     """The live hub of this application."""
     return cast("LiveHub", current_app.extensions[LIVE_EXTENSION])
+
+
+def variant_maker() -> VariantMaker:
+    """What makes variants for the pages of this application."""
+    return cast("VariantMaker", current_app.extensions[VARIANTS_EXTENSION])
 
 
 def now() -> datetime:

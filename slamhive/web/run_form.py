@@ -1,4 +1,4 @@
-"""The form that starts runs: text in, a checked :class:`Submission` or one message a field out."""
+"""The forms of runs and configurations: text in, a checked :class:`Submission` or one message a field out."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import ParameterType
 from slamhive.domain.protocol import Alignment
+from slamhive.domain.variant import Variant, parse_step, step_text
 from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.services.catalogue import Catalogue
+from slamhive.services.hive import Hive
 from slamhive.services.request import BOUNDS, Submission
 from slamhive.settings import Settings
 from slamhive.web.formatting import duration, plural, value_text
@@ -56,27 +57,53 @@ class RunForm:
         self.errors[""] = str(error)
 
 
-def read_form(catalogue: Catalogue, values: Mapping[str, str]) -> RunForm:
+def read_form(services: Hive, values: Mapping[str, str], *, content_only: bool = False) -> RunForm:
     """Check every field; a field that is not there has its default.
 
     Args:
-        catalogue: Algorithms and datasets to choose from.
-        values: Field names and typed text; ``evaluate`` is off by being ``no``.
+        services: Algorithms, datasets and steps to choose from.
+        values: Field names and typed text; ``evaluate`` is off by being ``no``, ``steps`` has one step a line.
+        content_only: For a configuration: without the fields that only say how it is run.
     """
-    form = RunForm(dict(values))
+    form, catalogue = RunForm(dict(values)), services.catalogue
     form.algorithm = _checked(form, "algorithm", lambda: _named(catalogue.algorithm, form.value("algorithm")))
     form.dataset = _checked(form, "dataset", lambda: _named(catalogue.dataset, form.value("dataset")))
     algorithm, dataset = form.algorithm, form.dataset
     parameters = {} if algorithm is None else _read_parameters(form, algorithm)
-    run_fields = _read_run_fields(form)
+    run_fields = _read_run_fields(form, CONTENT_FIELDS if content_only else READERS)
     if algorithm is None or dataset is None:
         return form
     _checked(form, "dataset", lambda: algorithm.assign(dataset))
+    variant = _checked(form, "steps", lambda: services.variants.resolve(dataset, read_steps(form.value("steps"))))
     if not form.errors and run_fields is not None:
-        submission = Submission(algorithm=algorithm.name, dataset=dataset.name, parameters=parameters, **run_fields)
+        submission = Submission(
+            algorithm=algorithm.name,
+            dataset=dataset.name,
+            parameters=parameters,
+            variant=variant or (),
+            **run_fields,
+        )
         _checked(form, "", submission.check)
         form.submission = submission if not form.errors else None
     return form
+
+
+def read_steps(text: str) -> Variant:
+    """One pre-processing step a line, as on the command line; raises InvalidInput naming the line."""
+    return tuple(parse_step(line) for line in text.splitlines() if line.strip())
+
+
+def form_values(submission: Submission) -> dict[str, str]:
+    """The fields of the form that hold the content of ``submission``."""
+    parameters = {PARAMETER_PREFIX + key: value_text(value) for key, value in submission.parameters.items()}
+    return {
+        "algorithm": submission.algorithm,
+        "dataset": submission.dataset,
+        "steps": "\n".join(step_text(step) for step in submission.variant),
+        "playback_mode": submission.playback_mode,
+        "playback_rate": value_text(submission.playback_rate),
+        **parameters,
+    }
 
 
 def preview(submission: Submission, dataset: Dataset, settings: Settings, waiting: int) -> str:
@@ -119,20 +146,8 @@ def _read_parameters(form: RunForm, algorithm: Algorithm) -> dict[str, object]:
     return parameters
 
 
-def _read_run_fields(form: RunForm) -> dict[str, Any] | None:
+def _read_run_fields(form: RunForm, readers: Mapping[str, Callable[[str], object]]) -> dict[str, Any] | None:
     """The fields that do not depend on the algorithm."""
-    readers: dict[str, Callable[[str], object]] = {
-        "repeat": lambda text: _number(text, int, "repeat"),
-        "seed": lambda text: _number(text, int, "seed"),
-        "playback_mode": lambda text: _one_of(text, list(PlaybackMode)),
-        "playback_rate": lambda text: _number(text, float, "playback_rate"),
-        "executor": lambda text: text.strip() or None,
-        "evaluate": lambda text: text == "yes",
-        "alignment": lambda text: checked_alignment(text.strip() or None),
-        "cpu_cores": lambda text: _number(text, float, "cpu_cores") if text.strip() else None,
-        "memory_mb": lambda text: _number(text, int, "memory_mb") if text.strip() else None,
-        "timeout_s": lambda text: _number(text, float, "timeout_s") if text.strip() else None,
-    }
     found: dict[str, Any] = {}
     for name, reader in readers.items():
         try:
@@ -172,3 +187,21 @@ def _one_of(text: str, choices: list[PlaybackMode]) -> str:
     if text not in choices:
         raise InvalidInput(f"{text[:40]!r} is not known", f"use one of {', '.join(choices)}")
     return text
+
+
+READERS: dict[str, Callable[[str], object]] = {
+    "repeat": lambda text: _number(text, int, "repeat"),
+    "seed": lambda text: _number(text, int, "seed"),
+    "playback_mode": lambda text: _one_of(text, list(PlaybackMode)),
+    "playback_rate": lambda text: _number(text, float, "playback_rate"),
+    "executor": lambda text: text.strip() or None,
+    "evaluate": lambda text: text == "yes",
+    "alignment": lambda text: checked_alignment(text.strip() or None),
+    "cpu_cores": lambda text: _number(text, float, "cpu_cores") if text.strip() else None,
+    "memory_mb": lambda text: _number(text, int, "memory_mb") if text.strip() else None,
+    "timeout_s": lambda text: _number(text, float, "timeout_s") if text.strip() else None,
+}
+"""How each field that does not depend on the algorithm is read."""
+
+CONTENT_FIELDS = {name: READERS[name] for name in ("playback_mode", "playback_rate")}
+"""Those of them that are part of a configuration."""

@@ -16,7 +16,15 @@ from tests.web.web_world import Web, make_web
 
 pytestmark = pytest.mark.integration
 
-VALUES = {"run_id": 1, "name": "room", "figure": "path", "key": "log.txt", "version": "1", "filename": "theme.js"}
+VALUES = {
+    "run_id": 1,
+    "configuration_id": 1,
+    "name": "room",
+    "figure": "path",
+    "key": "log.txt",
+    "version": "1",
+    "filename": "theme.js",
+}
 
 
 def every_change(web: Web) -> list[tuple[str, str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
+from slamhive.bags.variants.rules import OptionInfo, RegisteredSteps, describe_options, describe_step
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter, ParameterType
@@ -53,6 +54,20 @@ def sensors_in_words(dataset: Dataset) -> str:
         )
         or "no sensors"
     )
+
+
+@dataclass(frozen=True, slots=True)
+class StepKind:
+    """A pre-processing step as a form explains it."""
+
+    kind: str
+    help: str
+    options: tuple[OptionInfo, ...]
+
+
+def step_kinds() -> list[StepKind]:
+    """All pre-processing steps."""
+    return [StepKind(kind, describe_step(kind), describe_options(kind)) for kind in RegisteredSteps().kinds()]
 
 
 def range_in_words(parameter: Parameter) -> str:

@@ -53,7 +53,12 @@ def rows(runs: Iterable[RunRecord], columns: Iterable[Column], algorithms: Itera
         Row(
             run,
             tuple(
-                (column, _changed_cell(run, defaults) if column.kind is Kind.PARAMETERS else column.cell(run))
+                (
+                    column,
+                    changed_cell(run.algorithm, run.parameters, defaults)
+                    if column.kind is Kind.PARAMETERS
+                    else column.cell(run),
+                )
                 for column in chosen
             ),
         )
@@ -125,14 +130,16 @@ def _success(run: RunRecord) -> str:
     return "".join(parts) + "."
 
 
-def _changed_cell(run: RunRecord, definitions: Mapping[str, tuple[Parameter, ...]]) -> Cell:
+def changed_cell(
+    algorithm: str, parameters: Mapping[str, Value], definitions: Mapping[str, tuple[Parameter, ...]]
+) -> Cell:
     """The parameters that differ from their defaults; all of them on hover."""
-    everything = ", ".join(f"{key}={value_text(value)}" for key, value in run.parameters.items())
-    known = definitions.get(run.algorithm)
+    everything = ", ".join(f"{key}={value_text(value)}" for key, value in parameters.items())
+    known = definitions.get(algorithm)
     if known is None:
         return Cell(everything or DASH, everything)
     default: dict[str, Value] = {parameter.key: parameter.default for parameter in known}
-    changed = {key: value for key, value in run.parameters.items() if default.get(key) != value}
+    changed = {key: value for key, value in parameters.items() if default.get(key) != value}
     text = ", ".join(f"{key}={value_text(value)}" for key, value in changed.items())
     return Cell(text or "defaults", everything, missing=not changed)
 

@@ -7,10 +7,13 @@ from typing import Annotated
 from flask import Blueprint, Response, request, url_for
 from pydantic import BaseModel, ConfigDict, Field
 
+from slamhive.domain.variant import variant_from_json
 from slamhive.errors import InvalidInput
 from slamhive.services.catalogue_json import algorithm_to_json, dataset_to_json
+from slamhive.services.configuration_words import configuration_to_json
 from slamhive.services.request import Submission
 from slamhive.services.run_json import evaluation_to_json, run_to_json
+from slamhive.web.configuration_query import CONFIGURATION_ID, ConfigurationQuery
 from slamhive.web.context import hive
 from slamhive.web.json_exchange import answer, read_body
 from slamhive.web.run_form import checked_alignment
@@ -20,6 +23,15 @@ from slamhive.web.views.runs import RUN_ID
 
 blueprint = Blueprint("api", __name__, url_prefix="/api/v1")
 blueprint.before_request(require_api_header)
+
+
+class _StepBody(BaseModel):
+    """A pre-processing step, as a run tells it; without sensors it is meant for all that it can treat."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+    kind: str
+    sensors: list[str] = []
+    options: dict[str, int | float | str | bool] = {}
 
 
 class _SubmitBody(BaseModel):
@@ -40,6 +52,7 @@ class _SubmitBody(BaseModel):
     memory_mb: int | None = None
     timeout_s: float | None = None
     priority: int = 0
+    variant: list[_StepBody] = []
 
 
 class _EvaluateBody(BaseModel):
@@ -83,7 +96,8 @@ def run(run_id: int) -> Response:
 def submit() -> Response:
     """Queue runs; answers with them."""
     body = read_body(_SubmitBody)
-    queued = hive().submit(Submission(**body.model_dump()))
+    fields = body.model_dump()
+    queued = hive().submit(Submission(**{**fields, "variant": variant_from_json(fields["variant"])}))
     return answer({"runs": [run_to_json(run) for run in queued]}, 201)
 
 
@@ -119,6 +133,27 @@ def algorithms() -> Response:
 def algorithm(name: str) -> Response:
     """One algorithm."""
     return answer(algorithm_to_json(hive().catalogue.algorithm(name)))
+
+
+@blueprint.get("/configurations")
+def configurations() -> Response:
+    """A page of configurations; the arguments are those of the page, ``next`` leads on."""
+    query = ConfigurationQuery.from_args(request.args)
+    page = hive().configurations.page(query.filter, query.after, query.limit)
+    following = None if page.next_key is None else url_for("api.configurations", **query.at(page.next_key).args())
+    return answer(
+        {
+            "configurations": [configuration_to_json(record) for record in page.records],
+            "total": page.total,
+            "next": following,
+        }
+    )
+
+
+@blueprint.get(f"/configurations/{CONFIGURATION_ID}")
+def configuration(configuration_id: int) -> Response:
+    """One configuration."""
+    return answer(configuration_to_json(hive().configurations.get(configuration_id)))
 
 
 @blueprint.get("/datasets")

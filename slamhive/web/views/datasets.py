@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from flask import Blueprint, Response, jsonify, make_response, render_template
+from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, url_for
 
-from slamhive.errors import NotFound
+from slamhive.domain.variant import variant_from_json
+from slamhive.errors import InvalidInput, NotFound
 from slamhive.search.build import matching
+from slamhive.services.preparation import check_dataset_files
 from slamhive.services.series import read_dataset_path
 from slamhive.store.records import RunSort
-from slamhive.web.context import hive
+from slamhive.web.context import hive, variant_maker
 from slamhive.web.figures import best_plane, path_figures
 from slamhive.web.formatting import plural
-from slamhive.web.presenters.catalogue import lacking
+from slamhive.web.presenters.catalogue import lacking, step_kinds
+from slamhive.web.run_form import read_steps
 
 blueprint = Blueprint("datasets", __name__, url_prefix="/datasets")
 
@@ -38,7 +41,40 @@ def show(name: str) -> str:
         dataset=dataset,
         algorithms=[(algorithm, lacking(algorithm, dataset)) for algorithm in services.catalogue.algorithms()],
         run_count=runs.total,
+        variants=[(entry, variant_from_json(entry.steps)) for entry in services.variants.entries(name)],
+        cache_bytes=services.settings.variant_cache_bytes,
+        making=variant_maker().latest(name),
+        step_kinds=step_kinds(),
     )
+
+
+@blueprint.post("/<name>/variants")
+def make_variant(name: str) -> Response:
+    """Begin to make a variant; everything that can be checked beforehand is."""
+    services = hive()
+    services.check_writable()
+    dataset = services.catalogue.dataset(name)
+    variant = services.variants.resolve(dataset, read_steps(request.form.get("steps", "")))
+    if not variant:
+        raise InvalidInput(f"these steps change nothing in {name}", "give a step with a factor other than 1")
+    check_dataset_files(dataset)
+    services.variants.check(dataset, variant)
+    variant_maker().start(dataset, variant)
+    flash("The variant is being made; it appears in the list when it is done.", "info")
+    return _to_variants(name)
+
+
+@blueprint.post("/<name>/variants/<key>/drop")
+def drop_variant(name: str, key: str) -> Response:
+    """Remove a variant of this dataset that nothing uses."""
+    services = hive()
+    services.check_writable()
+    entry = services.variants.find(key)
+    if entry.dataset != name:
+        raise NotFound(f"variant {key[:40]!r} is none of {name}")
+    services.variants.drop(entry.key)
+    flash("The variant is removed; runs that need it make it again.", "success")
+    return _to_variants(name)
 
 
 @blueprint.get("/<name>/figures.json")
@@ -55,3 +91,7 @@ def figures(name: str) -> Response:
             best_plane=best_plane(track),
         )
     )
+
+
+def _to_variants(name: str) -> Response:
+    return make_response(redirect(url_for("datasets.show", name=name, _anchor="variants"), 303))

@@ -11,7 +11,7 @@ from slamhive.executors.registry import EXECUTORS
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of
 from slamhive.web.formatting import plural
-from slamhive.web.presenters.catalogue import dataset_choices
+from slamhive.web.presenters.catalogue import dataset_choices, step_kinds
 from slamhive.web.run_form import RunForm, preview, read_form
 
 blueprint = Blueprint("start", __name__, url_prefix="/runs/new")
@@ -21,7 +21,7 @@ blueprint = Blueprint("start", __name__, url_prefix="/runs/new")
 def form() -> str:
     """The form, filled with what the address holds; only fields that it holds are checked."""
     values = request.args.to_dict()
-    filled = read_form(hive().catalogue, values)
+    filled = read_form(hive(), values)
     filled.errors = {name: text for name, text in filled.errors.items() if values.get(name)}
     return _page(filled)
 
@@ -29,7 +29,7 @@ def form() -> str:
 @blueprint.get("/preview")
 def check() -> Response:
     """What the form as it stands would do, and what is wrong with it, for the open page."""
-    filled = read_form(hive().catalogue, request.args.to_dict())
+    filled = read_form(hive(), request.args.to_dict())
     return make_response(jsonify(preview=_preview(filled), errors=filled.errors))
 
 
@@ -37,7 +37,7 @@ def check() -> Response:
 def submit() -> Response | tuple[str, int]:
     """Queue the runs, or show the form again with what was typed and what is wrong."""
     values = request.form.to_dict()
-    filled = read_form(hive().catalogue, values)
+    filled = read_form(hive(), values)
     if filled.submission is None:
         return _page(filled), 400
     try:
@@ -69,5 +69,6 @@ def _page(filled: RunForm) -> str:
         choices=dataset_choices(filled.algorithm, catalogue.datasets()),
         preview=_preview(filled),
         executors=EXECUTORS.names(),
+        step_kinds=step_kinds(),
         alignments={alignment.value: label for alignment, label in ALIGNMENT_LABELS.items()},
     )

@@ -1,0 +1,103 @@
+"""Configurations as tables and pages show them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.parameters import check_stored
+from slamhive.errors import InvalidInput
+from slamhive.services.configuration_changes import Label, Stored
+from slamhive.services.request import Submission
+from slamhive.store import ConfigurationRecord, RunRecord
+from slamhive.web.columns import column
+from slamhive.web.formatting import DASH, Cell, plural, value_text
+from slamhive.web.presenters.runs import Row, changed_cell
+from slamhive.web.presenters.runs import rows as rows_of_runs
+
+Store = Callable[[Submission, Label], Stored]
+RUN_COLUMNS = tuple(
+    column(key) for key in ("id", "state", "seed", "executor", "created_at", "ate.rmse", "rpe.rmse", "tracked_fraction")
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigurationRow:
+    """One configuration in a table: the parameters that differ from their defaults, and the steps in words."""
+
+    record: ConfigurationRecord
+    parameters: Cell
+    variant: str
+
+
+@dataclass(frozen=True, slots=True)
+class StoredParameterRow:
+    """One value beside the definition it was stored under; ``default`` is today's."""
+
+    key: str
+    general: str
+    type: str
+    value: str
+    default: str
+    unit: str
+    help: str
+    changed: bool
+
+
+def rows(records: Iterable[ConfigurationRecord], algorithms: Mapping[str, Algorithm]) -> list[ConfigurationRow]:
+    """Table rows."""
+    definitions = {name: algorithm.parameters for name, algorithm in algorithms.items()}
+    return [
+        ConfigurationRow(
+            record,
+            changed_cell(record.configuration.algorithm, record.configuration.parameters, definitions),
+            "; ".join(map(str, record.configuration.variant)),
+        )
+        for record in records
+    ]
+
+
+def run_rows(runs: Iterable[RunRecord], algorithms: Iterable[Algorithm]) -> list[Row]:
+    """The runs of one configuration."""
+    return rows_of_runs(runs, RUN_COLUMNS, algorithms)
+
+
+def parameter_rows(record: ConfigurationRecord, algorithm: Algorithm | None) -> list[StoredParameterRow]:
+    """Every value, those that differ from the default marked."""
+    known = {} if algorithm is None else {parameter.key: parameter for parameter in algorithm.parameters}
+    found = []
+    for key, value in record.configuration.parameters.items():
+        stored, now = record.parameters[key], known.get(key)
+        found.append(
+            StoredParameterRow(
+                key=key,
+                general=stored.general or "",
+                type=stored.type,
+                value=value_text(value),
+                default=DASH if now is None else value_text(now.default),
+                unit=stored.unit,
+                help="no longer a parameter of this algorithm" if now is None else now.help,
+                changed=now is not None and now.default != value,
+            )
+        )
+    return found
+
+
+def outdated(record: ConfigurationRecord, algorithm: Algorithm | None) -> str | None:
+    """Why the configuration cannot be run any more, None if it can."""
+    content = record.configuration
+    if algorithm is None:
+        return f"there is no algorithm {content.algorithm} any more"
+    try:
+        check_stored(algorithm.name, algorithm.parameters, content.parameters)
+    except InvalidInput as error:
+        return str(error)
+    return None
+
+
+def held_by(record: ConfigurationRecord) -> str | None:
+    """What keeps a configuration from being deleted, None if nothing does."""
+    if record.experiments:
+        return f"it is part of experiment {record.experiments[0]}"
+    return f"it has {plural(record.runs, 'run')}" if record.runs else None

@@ -1,0 +1,264 @@
+"""Configurations: the list, one page each, the form, YAML in and out, and what can be done to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
+from flask import url_for as address
+
+from slamhive.domain.algorithm import Algorithm
+from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.services.configuration_changes import Changes, Label, Stored
+from slamhive.services.request import Submission
+from slamhive.store import ConfigurationRecord
+from slamhive.web.configuration_query import CONFIGURATION_ID, ConfigurationQuery
+from slamhive.web.context import hive
+from slamhive.web.errors import status_of
+from slamhive.web.presenters import configurations as presenter
+from slamhive.web.presenters.catalogue import dataset_choices, step_kinds
+from slamhive.web.run_form import RunForm, form_values, read_form
+
+blueprint = Blueprint("configurations", __name__, url_prefix="/configurations")
+RUNS_SHOWN = 20
+LABELS = ("name", "note", "group")
+
+
+@blueprint.get("")
+def index() -> str:
+    """The configurations that the address asks for."""
+    services = hive()
+    query = ConfigurationQuery.from_args(request.args)
+    page = services.configurations.page(query.filter, query.after, query.limit)
+    return render_template(
+        "configurations/index.html",
+        query=query,
+        page=page,
+        rows=presenter.rows(page.records, _algorithms()),
+        summary=query.summary(len(page.records), page.total),
+        algorithm_names=[entry.name for entry in services.catalogue.algorithms()],
+        dataset_names=[entry.name for entry in services.catalogue.datasets()],
+        groups=services.configurations.groups(),
+    )
+
+
+@blueprint.get(f"/{CONFIGURATION_ID}")
+def show(configuration_id: int) -> str:
+    """One configuration: content, what is said about it, its latest runs."""
+    service = hive().configurations
+    record = service.get(configuration_id)
+    algorithm = _algorithms().get(record.configuration.algorithm)
+    return render_template(
+        "configurations/show.html",
+        record=record,
+        held_by=presenter.held_by(record),
+        parameters=presenter.parameter_rows(record, algorithm),
+        outdated=presenter.outdated(record, algorithm),
+        runs=presenter.run_rows(service.latest_runs(configuration_id, RUNS_SHOWN), _algorithms().values()),
+        columns=presenter.RUN_COLUMNS,
+        start=_form_address(record),
+        groups=[name for name in service.groups() if name not in record.groups],
+    )
+
+
+@blueprint.get("/new")
+def new() -> str:
+    """The form for a new configuration; ``copy=12`` fills it with what configuration 12 holds."""
+    values = request.args.to_dict()
+    reference = values.pop("copy", "")
+    if reference:
+        values = {**_values_of(hive().configurations.find(reference)), **values}
+    return _form(_read(values, only_given=True), None)
+
+
+@blueprint.post("/new")
+def create() -> Response | tuple[str, int]:
+    """Store the configuration, or show the form again with what is wrong."""
+    form = _read(request.form.to_dict())
+    return _stored_or_form(form, None, hive().configurations.create)
+
+
+@blueprint.get("/new/preview")
+def check() -> Response:
+    """Whether the configuration of the form as it stands is there already, for the open page."""
+    form = _read(request.args.to_dict())
+    return make_response(jsonify(preview=_preview(form), errors=form.errors))
+
+
+@blueprint.get(f"/{CONFIGURATION_ID}/edit")
+def edit(configuration_id: int) -> str:
+    """The form with the content of a configuration, to put a changed one in its place."""
+    record = hive().configurations.get(configuration_id)
+    said = {"name": record.name or "", "note": record.note}
+    return _form(_read({**_values_of(record), **said, **request.args.to_dict()}, only_given=True), record)
+
+
+@blueprint.post(f"/{CONFIGURATION_ID}/edit")
+def modify(configuration_id: int) -> Response | tuple[str, int]:
+    """Put the changed configuration in the place of the old one, or beside it if runs hold that."""
+    record = hive().configurations.get(configuration_id)
+
+    def store(submission: Submission, label: Label) -> Stored:
+        changes = Changes(
+            algorithm=submission.algorithm,
+            dataset=submission.dataset,
+            parameters=submission.parameters,
+            variant=submission.variant,
+            playback_mode=submission.playback_mode,
+            playback_rate=submission.playback_rate,
+        )
+        said = Label(_changed("name", record.name or ""), _changed("note", record.note), label.group)
+        return hive().configurations.modify(configuration_id, changes, said)
+
+    return _stored_or_form(_read(request.form.to_dict()), record, store)
+
+
+@blueprint.post(f"/{CONFIGURATION_ID}/describe")
+def describe(configuration_id: int) -> Response:
+    """Set name and note."""
+    record = hive().configurations.describe(
+        configuration_id, Label(request.form.get("name", ""), request.form.get("note", ""))
+    )
+    flash(f"{record.label.capitalize()} is described.", "success")
+    return _to(configuration_id)
+
+
+@blueprint.post(f"/{CONFIGURATION_ID}/group")
+def group(configuration_id: int) -> Response:
+    """Put it into a group, or take it out."""
+    name, remove = request.form.get("group", ""), bool(request.form.get("remove"))
+    hive().configurations.group(name, [configuration_id], remove=remove)
+    flash(f"It is {'no longer ' if remove else ''}in the group {name.strip()}.", "success")
+    return _to(configuration_id)
+
+
+@blueprint.post(f"/{CONFIGURATION_ID}/delete")
+def delete(configuration_id: int) -> Response:
+    """Remove one that nothing depends on."""
+    service = hive().configurations
+    record = service.get(configuration_id)
+    service.delete([configuration_id])
+    flash(f"{record.label.capitalize()} is deleted.", "success")
+    return make_response(redirect(address("configurations.index"), 303))
+
+
+@blueprint.get(f"/{CONFIGURATION_ID}/configuration.yaml")
+def export(configuration_id: int) -> Response:
+    """The configuration as a file that the import reads."""
+    response = Response(hive().configurations.export_yaml(configuration_id), mimetype="application/yaml")
+    response.headers["Content-Disposition"] = f'attachment; filename="configuration-{configuration_id}.yaml"'
+    return response
+
+
+@blueprint.get("/import")
+def import_form() -> str:
+    """Where YAML is pasted or a file is chosen."""
+    return render_template("configurations/import.html", text="", problem=None)
+
+
+@blueprint.post("/import")
+def import_() -> Response | tuple[str, int]:
+    """Store what the YAML states, or show it again with what is wrong."""
+    uploaded = request.files.get("file")
+    text, source = request.form.get("text", "").replace("\r\n", "\n"), "the text"
+    try:
+        if uploaded is not None and uploaded.filename:
+            source = uploaded.filename[-80:]
+            with uploaded.stream:
+                text = _decoded(uploaded.read(), source)
+        if not text.strip():
+            raise InvalidInput("nothing was pasted and no file was chosen")
+        stored = hive().configurations.import_yaml(text, source)
+    except SlamHiveError as error:
+        return render_template("configurations/import.html", text=text, problem=str(error)), status_of(error)
+    return _tell(stored)
+
+
+def _stored_or_form(
+    form: RunForm, record: ConfigurationRecord | None, store: presenter.Store
+) -> Response | tuple[str, int]:
+    if form.submission is None:
+        return _form(form, record), 400
+    label = Label(*((request.form.get(name, "").strip() or None) for name in LABELS))
+    try:
+        return _tell(store(form.submission, label))
+    except SlamHiveError as error:
+        form.fail(error)
+        return _form(form, record), status_of(error)
+
+
+def _tell(stored: Stored) -> Response:
+    flash(f"{stored.words[:1].upper()}{stored.words[1:]}.", "success" if stored.created else "info")
+    for note in stored.notes:
+        flash(f"{note[:1].upper()}{note[1:]}.", "warning")
+    return _to(stored.record.id)
+
+
+def _read(values: Mapping[str, str], *, only_given: bool = False) -> RunForm:
+    """The form; ``only_given`` checks only the fields that hold something."""
+    form = read_form(hive(), values, content_only=True)
+    if only_given:
+        form.errors = {name: text for name, text in form.errors.items() if values.get(name)}
+    return form
+
+
+def _form(form: RunForm, record: ConfigurationRecord | None) -> str:
+    catalogue = hive().catalogue
+    return render_template(
+        "configurations/form.html",
+        form=form,
+        record=record,
+        held_by=None if record is None else presenter.held_by(record),
+        algorithms=catalogue.algorithms(),
+        choices=dataset_choices(form.algorithm, catalogue.datasets()),
+        step_kinds=step_kinds(),
+        preview=_preview(form),
+        groups=hive().configurations.groups(),
+    )
+
+
+def _preview(form: RunForm) -> str | None:
+    if form.submission is None:
+        return None
+    try:
+        same = hive().configurations.same_as(form.submission)
+    except SlamHiveError as error:
+        return str(error)
+    return "There is no such configuration yet." if same is None else f"The same as {same.label}."
+
+
+def _values_of(record: ConfigurationRecord) -> dict[str, str]:
+    """The fields of the form; what the algorithm no longer has is left out."""
+    try:
+        return form_values(hive().configurations.submission(record.id)[0])
+    except SlamHiveError:
+        content = record.configuration
+        return {"algorithm": content.algorithm, "dataset": content.dataset}
+
+
+def _form_address(record: ConfigurationRecord) -> str:
+    """The form that starts runs, filled with this configuration."""
+    fields: dict[str, Any] = {name: text for name, text in _values_of(record).items() if text}
+    return address("start.form", **fields)
+
+
+def _algorithms() -> dict[str, Algorithm]:
+    return {entry.name: entry for entry in hive().catalogue.algorithms()}
+
+
+def _changed(name: str, before: str) -> str | None:
+    """What the form says about the configuration, None if that was said before."""
+    text = request.form.get(name, before)
+    return None if text.replace("\r\n", "\n").strip() == before else text
+
+
+def _decoded(data: bytes, source: str) -> str:
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise InvalidInput(f"{source} is not UTF-8 text") from None
+
+
+def _to(configuration_id: int) -> Response:
+    return make_response(redirect(address("configurations.show", configuration_id=configuration_id), 303))
