@@ -72,6 +72,8 @@ class _DatasetModel(BaseModel):
     checksum: str
     sensors: list[_SensorModel]
     groundtruth: _GroundTruthModel | None = None
+    reference_map: str | None = None
+    relations: str | None = None
 
     @field_validator("checksum")
     @classmethod
@@ -99,8 +101,14 @@ def load_dataset(folder: Path) -> Dataset:
     except ValidationError as error:
         raise InvalidInput(f"{path}: {first_problem(error, _DatasetModel)}") from None
     check_name_in(path, "dataset", model.name)
-    if model.groundtruth is not None:
-        _check_plain_file(path, model.groundtruth.file)
+    files = {
+        "ground truth": None if model.groundtruth is None else model.groundtruth.file,
+        "reference map": model.reference_map,
+        "relations": model.relations,
+    }
+    for kind, file in files.items():
+        if file is not None:
+            _check_plain_file(path, kind, file)
     _check_sensors(path, model.sensors)
     return Dataset(
         name=model.name,
@@ -115,6 +123,8 @@ def load_dataset(folder: Path) -> Dataset:
         licence=model.licence,
         source=model.source,
         attributes=tuple(model.attributes),
+        reference_map=model.reference_map,
+        relations=model.relations,
     )
 
 
@@ -151,6 +161,9 @@ def dataset_to_yaml(dataset: Dataset) -> str:
             "gravity_aligned": dataset.groundtruth.gravity_aligned,
             "positions_only": dataset.groundtruth.positions_only,
         }
+    for key in ("reference_map", "relations"):
+        if getattr(dataset, key) is not None:
+            content[key] = getattr(dataset, key)
     return strict_yaml.dump(content)
 
 
@@ -178,6 +191,6 @@ def _check_sensors(path: Path, sensors: list[_SensorModel]) -> None:
             raise InvalidInput(f"{path}: sensor {sensor.name} lacks calibration {', '.join(missing)}")
 
 
-def _check_plain_file(path: Path, name: str) -> None:
+def _check_plain_file(path: Path, kind: str, name: str) -> None:
     if PurePosixPath(name).name != name or name in {"", ".", ".."}:
-        raise InvalidInput(f"{path}: ground truth file {name!r} must be a plain file name in the dataset folder")
+        raise InvalidInput(f"{path}: {kind} file {name!r} must be a plain file name in the dataset folder")

@@ -23,7 +23,11 @@ class GroundTruth:
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """A recording as ``dataset.yaml`` describes it. ``folder`` holds the bag, the ground truth and the YAML."""
+    """A recording as ``dataset.yaml`` describes it. ``folder`` holds the bag, the ground truth and the YAML.
+
+    ``reference_map`` is a PCD file of the place in the world of the ground truth, ``relations`` a file of relative
+    poses measured by people: ``timestamp1 timestamp2 x y z roll pitch yaw`` a line.
+    """
 
     name: str
     folder: Path
@@ -37,6 +41,8 @@ class Dataset:
     licence: str = ""
     source: str = ""
     attributes: tuple[str, ...] = ()
+    reference_map: str | None = None
+    relations: str | None = None
 
     @property
     def bag_path(self) -> Path:

@@ -179,6 +179,9 @@ def _place(
             estimate=place(task.estimate, f"/slamhive/estimates/{number}/{task.estimate.name}"),
             reference=place(task.reference.resolve(), f"/slamhive/references/{number}/{task.reference.name}"),
             output=place(task.output, f"/slamhive/outputs/{number}", read_only=False),
+            files={
+                name: place(path, f"/slamhive/files/{number}/{name}/{path.name}") for name, path in task.files.items()
+            },
         )
         for number, task in enumerate(tasks)
     ]

@@ -74,6 +74,16 @@ class RunFolder:
         return self.result / "traj.txt"
 
     @property
+    def covariances(self) -> Path:
+        """``result/covariances.txt``: the covariance of each pose, if the algorithm gives any."""
+        return self.result / "covariances.txt"
+
+    @property
+    def map(self) -> Path:
+        """``result/Map.pcd``: the map, if the algorithm saves one."""
+        return self.result / "Map.pcd"
+
+    @property
     def finished(self) -> Path:
         """``result/finished``: the algorithm says that nothing more will be written."""
         return self.result / "finished"

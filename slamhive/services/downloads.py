@@ -88,7 +88,7 @@ def _known(folder: RunFolder, fingerprints: Iterable[str]) -> list[tuple[str, Pa
             (folder.profiling_ram_plot, "image/png"),
             (folder.playback, "application/json"),
             (folder.about, "application/json"),
-            (folder.result / "Map.pcd", "application/octet-stream"),
+            (folder.map, "application/octet-stream"),
             (folder.result / "grid.png", "image/png"),
         )
     ]

@@ -60,7 +60,7 @@ def read_bounded(path: Path) -> bytes:
     with os.fdopen(descriptor, "rb") as stream:
         data = stream.read(MAX_FILE_BYTES + 1)
     if len(data) > MAX_FILE_BYTES:
-        raise InvalidInput(f"{path} has more than {MAX_FILE_BYTES / 1e6:.0f} MB", "split it, or write fewer poses")
+        raise InvalidInput(f"{path} has more than {MAX_FILE_BYTES / 1e6:.0f} MB", "split it, or write less")
     return data
 
 

@@ -71,6 +71,21 @@ def multiply_quats(left_xyzw: FloatArray, right_xyzw: FloatArray) -> FloatArray:
     )
 
 
+def inverse_quats(quats_xyzw: FloatArray) -> FloatArray:
+    """The quaternions of the inverse rotations, shape (n, 4)."""
+    return np.asarray(quats_xyzw * np.array([-1.0, -1.0, -1.0, 1.0]))
+
+
+def rotation_angles_rad(first_xyzw: FloatArray, second_xyzw: FloatArray) -> FloatArray:
+    """Angle of the rotation from each of ``first`` to each of ``second``, unit quaternions (n, 4); shape (n,), 0 to pi.
+
+    2 atan2(|v|, |w|) of the quaternion between them, which is exact for small angles as acos is not.
+    """
+    between = multiply_quats(inverse_quats(first_xyzw), second_xyzw)
+    angles: FloatArray = 2.0 * np.arctan2(np.linalg.norm(between[:, :3], axis=1), np.abs(between[:, 3]))
+    return angles
+
+
 def rigid_transform(numbers: Sequence[float], name: str) -> FloatArray:
     """The 4x4 transform in 16 row-major ``numbers``; raises InvalidInput, calling it ``name``, if it is not rigid."""
     matrix = np.asarray(numbers, dtype=np.float64)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,20 @@ def test_a_dataset_comes_back_equal(tmp_path):
     dataset = make_dataset(tmp_path)
     assert load_dataset(dataset.folder) == dataset
     assert dataset_to_yaml(load_dataset(dataset.folder)) == dataset_to_yaml(dataset)
+
+
+def test_a_reference_map_and_relations_come_back(tmp_path):
+    dataset = replace(make_dataset(tmp_path), reference_map="room.pcd", relations="aces.relations")
+    (dataset.folder / "dataset.yaml").write_text(dataset_to_yaml(dataset))
+    assert load_dataset(dataset.folder) == dataset
+
+
+@pytest.mark.parametrize("key", ["reference_map", "relations"])
+def test_a_reference_map_and_relations_lie_in_the_folder(tmp_path, key):
+    dataset = replace(make_dataset(tmp_path), **{key: "../secret"})
+    (dataset.folder / "dataset.yaml").write_text(dataset_to_yaml(dataset))
+    with pytest.raises(InvalidInput, match=f"{key.replace('_', ' ')} file '../secret' must be a plain file name"):
+        load_dataset(dataset.folder)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import os
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -116,6 +117,24 @@ def test_a_container_sees_mounts_only_outputs_writable(tmp_path: Path) -> None:
         "/slamhive/outputs/0",
         "/slamhive/outputs/1",
     ]
+
+
+def test_a_container_sees_further_files_read_only_and_shared_ones_once(tmp_path: Path) -> None:
+    starter = Scripted(done=2, ending=None, isolated=True)
+    reference_map = tmp_path / "reference_map.pcd"
+    tasks = [
+        replace(task, files={"map": tmp_path / str(number) / "Map.pcd", "reference_map": reference_map})
+        for number, task in enumerate(make_tasks(tmp_path, 2))
+    ]
+    run(starter, tasks, tmp_path)
+    assert starter.batch is not None
+    targets = {mount.target: mount for mount in starter.batch.mounts}
+    assert len(targets) == len(starter.batch.mounts) == 1 + 1 + 2 + 2 + 2 + 1
+    first, second = (task.files for task in starter.tasks)
+    assert first["reference_map"] == second["reference_map"]
+    for path, source in ((second["map"], tmp_path / "1" / "Map.pcd"), (second["reference_map"], reference_map)):
+        assert targets[str(path)].source == source
+        assert targets[str(path)].read_only
 
 
 def test_cores_are_passed_on_to_the_batch(tmp_path: Path) -> None:

@@ -14,16 +14,19 @@ from slamhive.bags.room.description import describe
 from slamhive.bags.room.imu import ImuSamples, measure
 from slamhive.bags.room.motion import Motion, motion_at
 from slamhive.bags.room.options import RoomOptions
+from slamhive.bags.room.reference_map import REFERENCE_MAP_FILE, sample_surfaces
 from slamhive.bags.room.rig import BASELINE_M, Rig, make_rig
 from slamhive.bags.room.sensing import Scene, Task, TaskKind, sense_all
 from slamhive.bags.staging import GROUND_TRUTH_FILE, Progress, checksum, new_dataset_folder, seal
 from slamhive.domain.dataset import Dataset
+from slamhive.runtime.pcd import write_pcd
 from slamhive.trajectory.tum import write_tum
 
 START_NS = 1000 * NS_PER_S
 """The sequence's start: not 0, which ROS takes for "no time"; small, so that stamps in float64 are exact to 1e-12."""
 _IMU_NOISE_STREAM = 4
 _SCAN_BYTES_PER_RAY = 22
+_MAP_BYTES = 10_000_000
 
 
 class _Kind(StrEnum):
@@ -45,6 +48,8 @@ class _Event:
 def render_room(folder: Path, options: RoomOptions, progress: Progress) -> Dataset:
     """Render the dataset ``options.name`` into ``folder``, which must not exist; the same options make the same bytes.
 
+    A cloud of the room's surfaces lies beside the bag as the reference for maps.
+
     Raises:
         Conflict: the folder exists.
         Unavailable: no space, or a render process died. Nothing is left behind.
@@ -56,6 +61,7 @@ def render_room(folder: Path, options: RoomOptions, progress: Progress) -> Datas
         _record(bag, options, rig, progress)
         times_ns = _times_ns(options.imu_samples, options.imu_rate_hz)
         _write_ground_truth(aside / GROUND_TRUTH_FILE, times_ns, motion_at(times_ns * 1e-9, options.duration_s))
+        write_pcd(aside / REFERENCE_MAP_FILE, sample_surfaces())
         progress(0.98, "computing the checksum")
         dataset = describe(folder, options, rig, checksum(bag))
         seal(aside, dataset)
@@ -141,4 +147,4 @@ def _write_ground_truth(path: Path, times_ns: Array, motion: Motion) -> None:
 def _expected_bytes(options: RoomOptions, rig: Rig) -> int:
     frame_bytes = options.width * options.height * 4 + 2000
     scan_bytes = rig.lidar.beams * rig.lidar.columns * _SCAN_BYTES_PER_RAY + 1000
-    return options.frames * frame_bytes + options.scans * scan_bytes + options.imu_samples * 800
+    return options.frames * frame_bytes + options.scans * scan_bytes + options.imu_samples * 800 + _MAP_BYTES

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from slamhive.bags.geometry import Array
 from slamhive.bags.room.options import RoomOptions
+from slamhive.bags.room.reference_map import REFERENCE_MAP_FILE
 from slamhive.bags.room.rig import DEPTH_UNITS_PER_M, Rig
 from slamhive.bags.staging import GROUND_TRUTH_FILE
 from slamhive.domain.dataset import Dataset, GroundTruth
@@ -30,6 +31,7 @@ def describe(folder: Path, options: RoomOptions, rig: Rig, checksum: str) -> Dat
         licence="GPL-3.0-or-later",
         source=f"slamhive dataset room --seconds {options.duration_s:g} --seed {options.seed}",
         attributes=("synthetic", "indoor"),
+        reference_map=REFERENCE_MAP_FILE,
     )
 
 

@@ -8,15 +8,19 @@ MAP_THRESHOLDS_M = (0.05, 0.1, 0.2)
 """Distances within which a point counts as right."""
 MAP_VOXEL_M = 0.02
 """Both clouds are thinned to one point, the mean, for each voxel of this size before they are compared."""
+COMPARED_POINTS = 1_000_000
+"""Distances are taken from at most so many points, evenly taken."""
 ENTROPY_RADIUS_M = 0.3
 """Neighbourhood of a point whose spread the map entropy measures."""
 ENTROPY_NEIGHBOURS = 10
 """Points with fewer neighbours have no entropy."""
+ENTROPY_POINTS = 2000
+"""The entropy is the mean over at most so many points, evenly taken."""
+ENTROPY_FLOOR_M = 0.001
+"""What is thinner than this counts as this thick: the entropy of a perfect plane would be minus infinity."""
 
-_KNAPITSCH = "Knapitsch et al., Tanks and Temples, ACM ToG 2017, eq. (2) to (5)"
-_DROESCHEL = (
-    "Droeschel and Behnke, Efficient Continuous-time SLAM for 3D Lidar-based Online Mapping, ICRA 2018, eq. (9)"
-)
+_KNAPITSCH = "Knapitsch et al., Tanks and Temples, ACM Transactions on Graphics 36, 2017"
+_DROESCHEL = "Droeschel and Behnke, Efficient Continuous-time SLAM for 3D Lidar-based Online Mapping, ICRA 2018"
 _CLOUDS = f"map moved by the trajectory's alignment, both clouds thinned to one point per voxel of {MAP_VOXEL_M:g} m"
 
 
@@ -75,9 +79,10 @@ MAP_METRICS = (
         "map.entropy",
         "Mean map entropy",
         "nats",
-        f"Mean of 0.5 ln det(2 pi e C) over the map's points, C being the covariance of the points within "
-        f"{ENTROPY_RADIUS_M:g} m, at least {ENTROPY_NEIGHBOURS}; the map thinned to one point per voxel of "
-        f"{MAP_VOXEL_M:g} m. Lower is crisper; needs no reference, and compares maps of one place only.",
+        f"Mean of 0.5 ln det(2 pi e C) over points of the map, C being the covariance of the points within "
+        f"{ENTROPY_RADIUS_M:g} m, at least {ENTROPY_NEIGHBOURS}, plus ({ENTROPY_FLOOR_M:g} m)^2 on its diagonal; the "
+        f"map thinned to one point per voxel of {MAP_VOXEL_M:g} m. Lower is crisper; needs no reference, and compares "
+        "maps of one place only.",
         _DROESCHEL,
     ),
     _map(

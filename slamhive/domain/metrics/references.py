@@ -5,7 +5,7 @@ from __future__ import annotations
 from slamhive.domain.metrics.model import Direction, Group, Metric
 
 _BAR_SHALOM = "Bar-Shalom et al., Estimation with Applications to Tracking and Navigation, 2001, section 5.4"
-_KUEMMERLE = "Kuemmerle et al., On Measuring the Accuracy of SLAM Algorithms, Autonomous Robots 27, 2009, eq. (4)"
+_KUEMMERLE = "Kuemmerle et al., On Measuring the Accuracy of SLAM Algorithms, Autonomous Robots 27, 2009"
 
 
 def _nees(part: str, words: str) -> list[Metric]:

@@ -22,7 +22,7 @@ _STURM = "Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IR
 _PAIRS = "pairs as evo"
 _BY_SECONDS = "pairs as the script of the TUM RGB-D benchmark"
 _KITTI = "Geiger et al., CVPR 2012, and the KITTI odometry devkit (evaluate_odometry.cpp)"
-_ZHANG = "Zhang and Scaramuzza, A Tutorial on Quantitative Trajectory Evaluation, IROS 2018, section III-C"
+_ZHANG = "Zhang and Scaramuzza, A Tutorial on Quantitative Trajectory Evaluation, IROS 2018"
 _ENGEL = "Engel et al., A Photometrically Calibrated Benchmark For Monocular Visual Odometry, arXiv 1607.02555"
 _OURS = "SLAM Hive"
 

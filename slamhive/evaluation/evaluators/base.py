@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from evo.core.result import Result
 
 
+COVARIANCES = "covariances"
+MAP = "map"
+RELATIONS = "relations"
+REFERENCE_MAP = "reference_map"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Paired:
     """An estimate and its ground truth, associated and aligned as the protocol has it.
@@ -31,7 +37,8 @@ class Paired:
         aligned_estimate: The whole estimate, aligned.
         transform: What aligned it.
         time_offset_s: What was added to the estimate's stamps.
-        files: What else there is of the run, by name: ``covariances``, ``relations``, ``map``, ``reference_map``, ...
+        files: What else there is of run and dataset, by name: :data:`COVARIANCES`, :data:`MAP`, :data:`RELATIONS`,
+            :data:`REFERENCE_MAP`; those that are not there are left out.
     """
 
     protocol: Protocol

@@ -9,6 +9,7 @@ from slamhive.evaluation.evaluators.coverage import Coverage
 from slamhive.evaluation.evaluators.drift import ScaleErrors, StartEndDrift
 from slamhive.evaluation.evaluators.evo_errors import AbsoluteError, RelativeError
 from slamhive.evaluation.evaluators.kitti import KittiProtocol
+from slamhive.evaluation.evaluators.map_quality import MapQuality
 from slamhive.evaluation.evaluators.relations import RelationErrors
 from slamhive.evaluation.evaluators.relative import RelativeErrors
 from slamhive.evaluation.evaluators.robustness import Robustness
@@ -31,3 +32,4 @@ EVALUATORS.register("robustness", Robustness())
 EVALUATORS.register("alignment", AppliedAlignment())
 EVALUATORS.register("nees", Consistency())
 EVALUATORS.register("relations", RelationErrors())
+EVALUATORS.register("map", MapQuality())

@@ -12,10 +12,10 @@ import numpy as np
 from slamhive.domain.protocol import Alignment
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.base import Figures, Paired, absent
-from slamhive.evaluation.evaluators.pairs import path_m, rotation_angles_rad
+from slamhive.evaluation.evaluators.pairs import path_m
 from slamhive.trajectory.alignment import Similarity, align, align_umeyama
 from slamhive.trajectory.model import FloatArray, Poses
-from slamhive.trajectory.transforms import quats_from_rotations
+from slamhive.trajectory.transforms import quats_from_rotations, rotation_angles_rad
 
 _SHORTEST = 0.5
 """A pair whose ends are nearer than this share of its path tells little of the scale."""

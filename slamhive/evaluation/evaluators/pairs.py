@@ -9,26 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from slamhive.trajectory.model import FloatArray, Poses
-from slamhive.trajectory.transforms import multiply_quats, rotations_from_quats
+from slamhive.trajectory.transforms import (
+    inverse_quats,
+    multiply_quats,
+    rotation_angles_rad,
+    rotations_from_quats,
+)
 
 IndexArray = npt.NDArray[np.intp]
 Pairs = tuple[IndexArray, IndexArray]
 """The first and the second pose of each pair, shape (m,) each."""
-
-
-def inverse_quats(quats_xyzw: FloatArray) -> FloatArray:
-    """The quaternions of the inverse rotations, shape (n, 4)."""
-    return np.asarray(quats_xyzw * np.array([-1.0, -1.0, -1.0, 1.0]))
-
-
-def rotation_angles_rad(first_xyzw: FloatArray, second_xyzw: FloatArray) -> FloatArray:
-    """Angle of the rotation from each of ``first`` to each of ``second``, unit quaternions (n, 4); shape (n,), 0 to pi.
-
-    2 atan2(|v|, |w|) of the quaternion between them, which is exact for small angles as acos is not.
-    """
-    between = multiply_quats(inverse_quats(first_xyzw), second_xyzw)
-    angles: FloatArray = 2.0 * np.arctan2(np.linalg.norm(between[:, :3], axis=1), np.abs(between[:, 3]))
-    return angles
 
 
 def relative_errors(reference: Poses, estimate: Poses, pairs: Pairs) -> tuple[FloatArray, FloatArray]:

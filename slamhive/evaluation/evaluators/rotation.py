@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
-from slamhive.evaluation.evaluators.pairs import rotation_angles_rad, statistics
+from slamhive.evaluation.evaluators.pairs import statistics
+from slamhive.trajectory.transforms import rotation_angles_rad
 
 _NAMES = ("rmse", "mean", "median", "max")
 

@@ -1,7 +1,7 @@
 """Segment (sub-trajectory) errors over given path lengths, or shares of the whole path.
 
 Zhang and Scaramuzza, "A Tutorial on Quantitative Trajectory Evaluation for Visual(-Inertial) Odometry", IROS 2018,
-section III-C, as in rpg_trajectory_evaluation: a segment from every pose, to the pose nearest to its length.
+as in rpg_trajectory_evaluation: a segment from every pose, to the pose nearest to its length.
 """
 
 from __future__ import annotations
