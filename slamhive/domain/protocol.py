@@ -114,6 +114,8 @@ class Protocol:
             for number in value if isinstance(value, tuple) else (value,):
                 if number is not None and not minimum <= number <= maximum:
                     raise InvalidInput(f"{name} {number!r} is not allowed", f"use {minimum:g} to {maximum:g}")
+            if isinstance(value, int) and name not in _COUNTS:
+                object.__setattr__(self, name, float(value))  # 1 and 1.0 are one protocol
         if list(self.segment_lengths_m) != sorted(set(self.segment_lengths_m)):
             raise InvalidInput(f"segment_lengths_m {list(self.segment_lengths_m)} must grow", "sort them, each once")
         if self.T_body_sensor is not None and not is_rigid(self.T_body_sensor):
@@ -147,6 +149,7 @@ class Protocol:
 
 
 _ALWAYS_IN_CONTENT = 4
+_COUNTS = ("align_poses", "rpe_delta_frames")
 _LARGEST_S, _LARGEST_M = 1e6, 1e9
 BOUNDS = {
     "association_tolerance_s": (0.0, _LARGEST_S),

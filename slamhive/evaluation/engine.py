@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import evo
 from evo.core.result import Result
@@ -45,22 +45,6 @@ class Evaluated:
     archives: Mapping[str, Result]
 
 
-@dataclass(slots=True)
-class _Collected:
-    values: dict[str, float] = field(default_factory=dict)
-    missing: dict[str, str] = field(default_factory=dict)
-    archives: dict[str, Result] = field(default_factory=dict)
-
-    def add(self, figures: Figures) -> None:
-        for key, value in figures.values.items():
-            if math.isfinite(value):
-                self.values[key] = float(value)
-            else:
-                self.missing[key] = TOO_FAR_OFF
-        self.missing.update(figures.missing)
-        self.archives.update(figures.archives)
-
-
 def evaluate(task: EvaluationTask, references: References) -> Evaluated | EvaluationResult:
     """Compute the figures of ``task``; an EvaluationResult with a reason if they cannot be computed."""
     poses = matched_poses = 0
@@ -70,27 +54,38 @@ def evaluate(task: EvaluationTask, references: References) -> Evaluated | Evalua
         poses = len(estimate)
         paired = pair(reference, estimate, task.protocol, task.files)
         matched_poses = len(paired.aligned)
-        found = _collect(paired)
+        found = _with_the_essential(all_figures(paired))
     except InvalidInput as error:
         return failed_result(task, str(error), ENGINE, poses=poses, matched_poses=matched_poses)
     result = EvaluationResult(
         id=task.id,
         fingerprint=task.protocol.fingerprint,
         reason=None,
-        metrics=found.values,
+        metrics=dict(found.values),
         poses=poses,
         matched_poses=matched_poses,
         engine=ENGINE,
-        missing=found.missing,
+        missing=dict(found.missing),
     )
     return Evaluated(result, paired, found.archives)
 
 
-def _collect(paired: Paired) -> _Collected:
-    """What all evaluators found; raises InvalidInput if the one figure is missing that has to be there."""
-    found = _Collected()
+def all_figures(paired: Paired) -> Figures:
+    """What every evaluator finds of the pair; a number that is not finite is a missing figure."""
+    values: dict[str, float] = {}
+    missing: dict[str, str] = {}
+    archives: dict[str, Result] = {}
     for _, evaluator in EVALUATORS:
-        found.add(_figures(evaluator, paired))
+        found = _figures(evaluator, paired)
+        finite = {key: float(value) for key, value in found.values.items() if math.isfinite(value)}
+        values |= finite
+        missing |= {key: TOO_FAR_OFF for key in found.values if key not in finite} | dict(found.missing)
+        archives |= found.archives
+    return Figures(values, missing, archives)
+
+
+def _with_the_essential(found: Figures) -> Figures:
+    """The figures; raises InvalidInput if the one is missing that has to be there."""
     if ESSENTIAL not in found.values:
         raise InvalidInput(f"{ESSENTIAL}: {found.missing.get(ESSENTIAL, 'no evaluator computed it')}")
     return found

@@ -4,29 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from slamhive.domain.protocol import Association, Protocol
+from slamhive.domain.protocol import Protocol
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.base import Paired
 from slamhive.evaluation.references import Reference
 from slamhive.trajectory.alignment import align
 from slamhive.trajectory.association import associate
 from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.offset import search_offset
+from slamhive.trajectory.offset import position_misfit, search_offset, turning_misfit
 
 MINIMUM_MATCHED_POSES = 3
 """With fewer an alignment is arbitrary, and so is every figure after it."""
 
-SEARCH_STEP_S = 0.02
 SEARCHED_POSES = 1000
-"""An offset is searched with at most so many poses of the estimate, spread over it."""
-
-LONGEST_INTERPOLATED_S = 1.0
-"""While an offset is searched, the ground truth is interpolated over no longer interval than this."""
+"""An offset is searched by position with at most so many poses of the estimate, spread over it."""
 
 
 def pair(
@@ -71,26 +66,19 @@ def pair(
 
 
 def find_offset(reference: Reference, estimate: Trajectory, protocol: Protocol) -> float:
-    """What to add to the estimate's stamps, in s: where the RMSE of the aligned positions is least.
+    """What to add to the estimate's stamps, in s: where it turns as the ground truth does.
 
-    The ground truth is interpolated, whatever the protocol's association, so that the error is smooth in the offset.
+    Where the ground truth holds positions only: where the RMSE of the aligned positions is least. That is less sure,
+    since drift of the estimate moves the place.
 
     Raises:
         InvalidInput: There is no least error within ``offset_search_s`` of ``time_offset_s``.
     """
-    smooth = replace(protocol, association=Association.INTERPOLATE, interpolation_interval_s=LONGEST_INTERPOLATED_S)
-    thinned = _thinned(estimate)
-
-    def misfit(offset_s: float) -> tuple[float, int]:
-        try:
-            matched, moved = associate(reference.trajectory, _shifted(thinned, offset_s), smooth)
-            transform = align(protocol.alignment, moved, matched, protocol.align_poses)
-        except InvalidInput:
-            return math.inf, 0
-        distances_m = transform.points(moved.positions_m) - matched.positions_m
-        return math.sqrt(float((distances_m**2).sum(axis=1).mean())), len(matched)
-
-    return search_offset(misfit, protocol.time_offset_s, protocol.offset_search_s, SEARCH_STEP_S)
+    if reference.rotations_known:
+        misfit = turning_misfit(reference.trajectory, estimate)
+    else:
+        misfit = position_misfit(reference.trajectory, _thinned(estimate), protocol.alignment)
+    return search_offset(misfit, protocol.time_offset_s, protocol.offset_search_s)
 
 
 def _thinned(trajectory: Trajectory) -> Trajectory:

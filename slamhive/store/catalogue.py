@@ -17,7 +17,7 @@ from slamhive.store.models import Algorithm, AlgorithmVersion, Dataset, Host, Pr
 from slamhive.store.records import AlgorithmRecord, DatasetRecord
 from slamhive.store.records import AlgorithmVersion as VersionRecord
 from slamhive.store.records import Host as HostRecord
-from slamhive.store.rows import get_or_insert
+from slamhive.store.rows import cut, get_or_insert
 
 
 class CatalogueRepository:
@@ -70,7 +70,7 @@ class CatalogueRepository:
 
     def put_protocol(self, protocol: domain.Protocol) -> int:
         """The id of ``protocol``, stored if it is new."""
-        values = {"label": protocol.label, "definition": protocol.content}
+        values = {"label": cut(protocol.label, 255), "definition": protocol.content}
         return get_or_insert(self._session, Protocol, {"fingerprint": protocol.fingerprint}, values)[0]
 
     def algorithms(self) -> list[AlgorithmRecord]:

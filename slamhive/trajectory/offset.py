@@ -1,4 +1,4 @@
-"""The time offset between two clocks, found where the trajectories fit best."""
+"""The time offset between two clocks, found where the motion fits best: the turning, or else the positions."""
 
 from __future__ import annotations
 
@@ -7,34 +7,101 @@ from collections.abc import Callable
 
 import numpy as np
 
+from slamhive.domain.protocol import Alignment
 from slamhive.errors import InvalidInput
+from slamhive.trajectory.alignment import align
+from slamhive.trajectory.interpolation import interpolate
+from slamhive.trajectory.model import FloatArray, Trajectory
+from slamhive.trajectory.transforms import rotation_angles_rad
 
 PRECISION_S = 1e-5
 """The search ends when the offset is known to this: a fiftieth of the shortest frame time of a camera or less."""
 
+_FLAT = 1e-6
+"""Errors (rad/s or m) that differ by less say nothing."""
 _GOLDEN = (math.sqrt(5) - 1) / 2
 
+
+STEP_S = 0.02
+"""Between the offsets that are tried first: turning and position change little in this time."""
+TURNING_S = 0.1
+"""The rate of turning is taken over about this time: shorter drowns in noise, longer smears fast turns."""
+LONGEST_TURNING_S = 0.5
+MINIMUM_COMPARED = 10
+"""Fewer rates or positions fit anything."""
 
 Misfit = Callable[[float], tuple[float, int]]
 """Of an offset in s: the error, and over how many poses; infinite and 0 where nothing can be compared."""
 
 
-def search_offset(misfit: Misfit, centre_s: float, within_s: float, step_s: float) -> float:
+def turning_misfit(reference: Trajectory, estimate: Trajectory) -> Misfit:
+    """Of the rates of turning, in rad/s: whatever world, scale and lever arm the two have, and however they drift.
+
+    The estimate's rates are taken between its own poses, the ground truth's between its poses interpolated at the same
+    times.
+    """
+    stamps_s = estimate.stamps_s
+    apart = max(1, round(TURNING_S / float(np.median(np.diff(stamps_s))))) if len(estimate) > 1 else 1
+    begins_s, ends_s = stamps_s[:-apart], stamps_s[apart:]
+    kept = ends_s - begins_s <= LONGEST_TURNING_S
+    rates = rotation_angles_rad(estimate.quats_xyzw[:-apart][kept], estimate.quats_xyzw[apart:][kept])
+    begins_s, ends_s = begins_s[kept], ends_s[kept]
+    rates /= ends_s - begins_s
+
+    def misfit(offset_s: float) -> tuple[float, int]:
+        inside = _inside(reference, begins_s + offset_s) & _inside(reference, ends_s + offset_s)
+        count = int(np.count_nonzero(inside))
+        if count < MINIMUM_COMPARED:
+            return math.inf, 0
+        first, second = (interpolate(reference, t[inside] + offset_s).quats_xyzw for t in (begins_s, ends_s))
+        true = rotation_angles_rad(first, second) / (ends_s - begins_s)[inside]
+        return float(np.sqrt(np.mean((rates[inside] - true) ** 2))), count
+
+    return misfit
+
+
+def position_misfit(reference: Trajectory, estimate: Trajectory, alignment: Alignment) -> Misfit:
+    """Of the aligned positions, in m; for a ground truth without orientations."""
+
+    def misfit(offset_s: float) -> tuple[float, int]:
+        stamps_s = estimate.stamps_s + offset_s
+        kept = np.flatnonzero(_inside(reference, stamps_s))
+        if len(kept) < MINIMUM_COMPARED:
+            return math.inf, 0
+        matched, moved = interpolate(reference, stamps_s[kept]), estimate.take(kept)
+        try:
+            transform = align(alignment, moved, matched)
+        except InvalidInput:
+            return math.inf, 0
+        errors_m = np.linalg.norm(transform.points(moved.positions_m) - matched.positions_m, axis=1)
+        return float(np.sqrt(np.mean(errors_m**2))), len(kept)
+
+    return misfit
+
+
+def _inside(reference: Trajectory, stamps_s: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    inside: np.ndarray[tuple[int], np.dtype[np.bool_]] = (stamps_s >= reference.stamps_s[0]) & (
+        stamps_s <= reference.stamps_s[-1]
+    )
+    return inside
+
+
+def search_offset(misfit: Misfit, centre_s: float, within_s: float) -> float:
     """The offset in s with the least error, within ``within_s`` of ``centre_s``.
 
-    The error is taken every ``step_s``, and between the neighbours of the best by golden-section search (Kiefer 1953).
-    Offsets that leave less than half of the poses to compare do not count: a few poses always fit.
+    The error is taken every :data:`STEP_S`, and between the neighbours of the best by golden-section search (Kiefer,
+    "Sequential minimax search for a maximum", 1953). Offsets that leave less than half of the poses to compare do not
+    count: a few poses always fit.
 
     Args:
         misfit: What to make small.
         centre_s: Middle of the search.
         within_s: Half its width.
-        step_s: No deeper valley of the error is narrower than twice this.
 
     Raises:
         InvalidInput: They can be compared nowhere, or the best is at an end of the search, so that more lies beyond.
     """
-    count = max(1, math.ceil(within_s / step_s))
+    count = max(1, math.ceil(within_s / STEP_S))
     offsets_s = centre_s + np.linspace(-within_s, within_s, 2 * count + 1)
     found = [misfit(float(offset_s)) for offset_s in offsets_s]
     most = max(count for _, count in found)
@@ -44,6 +111,11 @@ def search_offset(misfit: Misfit, centre_s: float, within_s: float, step_s: floa
         raise InvalidInput(
             f"no time offset within {within_s:g} s of {centre_s:g} s makes estimate and ground truth overlap",
             "give the offset, or search further",
+        )
+    if max(error for error in errors if math.isfinite(error)) - errors[best] <= _FLAT:
+        raise InvalidInput(
+            "no time offset can be found: estimate and ground truth fit equally well at all, they hardly move",
+            "give the offset, or search on a run that turns",
         )
     if best in {0, len(errors) - 1}:
         raise InvalidInput(
