@@ -20,7 +20,19 @@ from slamhive.web.live import LiveHub
 from slamhive.web.presenters import catalogue as catalogue_presenter
 from slamhive.web.security import protect, secret_key
 from slamhive.web.variant_maker import VariantMaker
-from slamhive.web.views import algorithms, api, configurations, dashboard, datasets, runs, searches, start
+from slamhive.web.views import (
+    algorithms,
+    api,
+    api_experiments,
+    configurations,
+    dashboard,
+    datasets,
+    experiment_builder,
+    experiments,
+    runs,
+    searches,
+    start,
+)
 
 MOST_UPLOAD_BYTES = 1_000_000
 MOST_STREAMS = 8
@@ -54,7 +66,9 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     app.jinja_options["lstrip_blocks"] = True
     protect(app, hive.settings, host or hive.settings.host)
     Bootstrap5(app)
-    CSRFProtect(app).exempt(api.blueprint)
+    csrf = CSRFProtect(app)
+    for blueprint in (api.blueprint, api_experiments.blueprint):
+        csrf.exempt(blueprint)
     handle_errors(app)
     for blueprint in (
         dashboard.blueprint,
@@ -63,8 +77,11 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
         datasets.blueprint,
         start.blueprint,
         runs.blueprint,
+        experiments.blueprint,
+        experiment_builder.blueprint,
         searches.blueprint,
         api.blueprint,
+        api_experiments.blueprint,
         assets.blueprint,
     ):
         app.register_blueprint(blueprint)

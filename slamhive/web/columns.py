@@ -25,6 +25,7 @@ class Kind(StrEnum):
     STATE = "state"
     TIME = "time"
     PARAMETERS = "parameters"
+    EXPERIMENT = "experiment"
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +78,7 @@ def all_columns() -> dict[str, Column]:
             sort="configuration",
         ),
         Column("experiment", "Experiment", Kind.TEXT, lambda run: Cell(run.experiment or DASH), sort="experiment"),
+        Column("experiment", "Experiment", Kind.EXPERIMENT, _experiment, help="what asked for the run"),
         Column("executor", "Executor", Kind.TEXT, lambda run: Cell(run.executor), sort="executor"),
         Column("playback", "Playback", Kind.TEXT, _playback),
         Column("seed", "Seed", Kind.NUMBER, lambda run: Cell(str(run.seed)), sort="seed"),
@@ -141,6 +143,10 @@ def variant_cell(run: RunRecord) -> Cell:
 def _parameters(run: RunRecord) -> Cell:
     text = ", ".join(f"{key}={value_text(value)}" for key, value in run.parameters.items())
     return Cell(text or DASH, text)
+
+
+def _experiment(run: RunRecord) -> Cell:
+    return Cell(DASH, missing=True) if run.experiment is None else Cell(run.experiment)
 
 
 def _playback(run: RunRecord) -> Cell:

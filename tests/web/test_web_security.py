@@ -20,6 +20,8 @@ VALUES = {
     "run_id": 1,
     "configuration_id": 1,
     "name": "room",
+    "action": "pause",
+    "number": 1,
     "figure": "path",
     "key": "log.txt",
     "version": "1",

@@ -6,17 +6,20 @@ from flask import Blueprint, Response, jsonify, make_response, render_template
 
 from slamhive.domain.run import RunState
 from slamhive.search.build import matching
+from slamhive.services.experiments.records import Standing
 from slamhive.store.records import RunSort
 from slamhive.web.columns import column
 from slamhive.web.context import hive, live_hub
 from slamhive.web.presenters.live import active_runs, progress_json
 from slamhive.web.presenters.runs import rows
+from slamhive.web.views.experiments import with_time_left
 
 blueprint = Blueprint("dashboard", __name__)
 
 RESULT_COLUMNS = ("id", "algorithm", "dataset", "parameters", "state", "ended_at", "ate.rmse", "tracked_fraction")
 QUEUE_COLUMNS = ("id", "algorithm", "dataset", "parameters", "created_at")
 LIST_LENGTH = 10
+GOING_ON = (Standing.STORING, Standing.ACTIVE, Standing.PAUSED)
 ENDED_STATES = tuple(state for state in RunState if state.ended)
 
 
@@ -34,6 +37,7 @@ def index() -> str:
         total=sum(counts.values()),
         unevaluated=services.unevaluated(),
         worker_alive=services.worker_alive(),
+        experiments=with_time_left(entry for entry in services.experiments.list() if entry.standing in GOING_ON),
         active=[(run, progress_json(services.progress(run.id))) for run in active_runs(services)],
         queued=queued,
         queued_rows=rows(queued.records, map(column, QUEUE_COLUMNS), algorithms),

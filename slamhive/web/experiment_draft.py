@@ -1,0 +1,131 @@
+"""An experiment that is being written: its text, the fields that show it, what a start would do or what is wrong."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+from werkzeug.datastructures import FileStorage, MultiDict
+
+from slamhive.bags.variants.steps import STEPS
+from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.services.experiments.records import ExperimentPreview, ExperimentSource
+from slamhive.services.hive import Hive
+from slamhive.web.experiment_fields import (
+    SOURCE,
+    ExperimentFields,
+    field_at,
+    fields_from_form,
+    fields_from_yaml,
+    line_of,
+    renamed,
+    yaml_from_fields,
+)
+from slamhive.web.presenters.experiment_builder import new_step
+
+MOST_TEXT = 200_000
+"""Characters of an experiment's YAML."""
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """What is on the page. ``text`` alone counts; ``fields`` is None where the text cannot be shown in fields.
+
+    Either ``preview`` is there, or ``error`` says what is wrong: at ``line`` of the text, whose content is
+    ``excerpt``, and at the field called ``field``, where these are known. An empty draft has neither.
+    """
+
+    text: str
+    fields: ExperimentFields | None
+    preview: ExperimentPreview | None = None
+    error: str = ""
+    line: int | None = None
+    excerpt: str = ""
+    field: str | None = None
+
+
+def empty_draft() -> Draft:
+    """Nothing typed yet."""
+    return Draft("", ExperimentFields())
+
+
+def copied(hive: Hive, name: str) -> Draft:
+    """A copy of the experiment called ``name``, under a name that is free; raises NotFound."""
+    text = hive.experiments.source(name).text
+    taken = {status.name for status in hive.experiments.list()}
+    stem = name[:56]
+    free = next(new for number in itertools.count(2) if (new := f"{stem}-{number}") not in taken)
+    return draft_from_text(hive, renamed(text, free))
+
+
+def draft_from_form(hive: Hive, form: MultiDict[str, str], file: FileStorage | None) -> Draft:
+    """What the form asks for: ``from`` says whether the fields or the text were edited, ``do`` what is to be done."""
+    action = form.get("do", "")
+    if form.get("from") == "fields":
+        fields = _changed(fields_from_form(form), action, form.get("kind", ""))
+        text = yaml_from_fields(fields)
+        return _checked(hive, text, fields)
+    text = form.get("yaml", "").replace("\r\n", "\n")
+    if action == "open":
+        text = _read(file)
+    return draft_from_text(hive, text)
+
+
+def draft_from_text(hive: Hive, text: str) -> Draft:
+    """The draft of a text; one that is too long is not taken over."""
+    if len(text) > MOST_TEXT:
+        return Draft("", None, error=f"the text has more than {MOST_TEXT:,} characters; is it the right file?")
+    if not text.strip():
+        return empty_draft()
+    try:
+        fields = fields_from_yaml(text)
+    except InvalidInput as error:
+        return with_error(Draft(text, None), error)
+    return _checked(hive, text, fields)
+
+
+def with_error(draft: Draft, error: SlamHiveError) -> Draft:
+    """The draft with what is wrong with it, and where."""
+    line = line_of(error.message)
+    lines = draft.text.splitlines()
+    return Draft(
+        draft.text,
+        draft.fields,
+        error=str(error) if line is None else str(error).removeprefix(f"{SOURCE} line {line}: "),
+        line=line,
+        excerpt=lines[line - 1].strip() if line is not None and line <= len(lines) else "",
+        field=None if line is None or draft.fields is None else field_at(draft.text, line, draft.fields),
+    )
+
+
+def _checked(hive: Hive, text: str, fields: ExperimentFields) -> Draft:
+    draft = Draft(text, fields)
+    try:
+        preview = hive.experiments.preview(ExperimentSource(text, SOURCE))
+    except SlamHiveError as error:
+        return with_error(draft, error)
+    return Draft(text, fields, preview)
+
+
+def _changed(fields: ExperimentFields, action: str, kind: str) -> ExperimentFields:
+    """The fields after a button of theirs was pressed."""
+    what, _, number = action.partition(":")
+    index = int(number) if number.isascii() and number.isdigit() and len(number) < 4 else -1
+    if what == "add":
+        STEPS.get(kind)
+        return fields.with_step(new_step(kind))
+    if what == "drop" and 0 <= index < len(fields.steps):
+        return fields.without_step(index)
+    if what == "earlier":
+        return fields.with_step_earlier(index)
+    return fields
+
+
+def _read(file: FileStorage | None) -> str:
+    if file is None or not file.filename:
+        raise InvalidInput("no file was chosen", "choose one, then press the button again")
+    content = file.stream.read(4 * MOST_TEXT + 1)
+    try:
+        return content.decode("utf-8").replace("\r\n", "\n")
+    except UnicodeDecodeError:
+        raise InvalidInput(f"{file.filename[:80]!r} is not text", "choose a YAML file") from None

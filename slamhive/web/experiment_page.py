@@ -1,0 +1,81 @@
+"""What the addresses of experiment pages ask for: axes of the grid, and the part of the table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from werkzeug.datastructures import MultiDict
+
+from slamhive.domain.parameters import Value
+from slamhive.errors import InvalidInput, unknown
+from slamhive.sweep.experiment_model import MAX_REPEATS
+from slamhive.web.presenters.experiments import default_axes
+
+CELLS_LENGTH = 50
+MOST_CELLS = 200
+MOST_NUMBER = 2**31 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class GridQuery:
+    """The axes of the grid."""
+
+    rows: str
+    columns: str
+
+    @classmethod
+    def from_args(cls, args: MultiDict[str, str], axes: Mapping[str, Sequence[Value | None]]) -> GridQuery | None:
+        """The axes asked for, or those that tell most; None if there are none. Raises NotFound for another name."""
+        if not axes:
+            return None
+        rows, columns = default_axes(axes)
+        return cls(_axis(args.get("rows"), axes, rows), _axis(args.get("columns"), axes, columns))
+
+    def args(self) -> dict[str, str]:
+        """As arguments of an address."""
+        return {"rows": self.rows, "columns": self.columns}
+
+
+@dataclass(frozen=True, slots=True)
+class CellsQuery:
+    """The part of the table of configurations: those after number ``after``."""
+
+    after: int = 0
+    limit: int = CELLS_LENGTH
+
+    @classmethod
+    def from_args(cls, args: MultiDict[str, str]) -> CellsQuery:
+        """Raises InvalidInput naming the argument."""
+        after = whole(args.get("after", "0"), "after", 0, MOST_NUMBER)
+        return cls(after, whole(args.get("limit", str(CELLS_LENGTH)), "limit", 1, MOST_CELLS))
+
+    def args(self) -> dict[str, str]:
+        """As arguments of an address, without the place in the table."""
+        return {} if self.limit == CELLS_LENGTH else {"limit": str(self.limit)}
+
+
+def page_number(args: MultiDict[str, str], pages: int) -> int:
+    """The page asked for; raises InvalidInput for one that does not exist."""
+    return whole(args.get("page", "1"), "page", 1, pages)
+
+
+def repeats_count(form: MultiDict[str, str]) -> int:
+    """How many repeats to add; raises InvalidInput."""
+    return whole(form.get("count", ""), "repeats", 1, MAX_REPEATS)
+
+
+def whole(text: str, name: str, minimum: int, maximum: int) -> int:
+    """The whole number that ``text`` stands for; raises InvalidInput that names it."""
+    text = text.strip()
+    if not (text.isascii() and text.isdigit() and len(text) <= 18 and minimum <= int(text) <= maximum):
+        raise InvalidInput(f"{name} {text[:40]!r} is not allowed", f"use {minimum} to {maximum}")
+    return int(text)
+
+
+def _axis(name: str | None, axes: Mapping[str, Sequence[Value | None]], default: str) -> str:
+    if not name:
+        return default
+    if name not in axes:
+        raise unknown("axis", name, list(axes))
+    return name

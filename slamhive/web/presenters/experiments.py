@@ -1,0 +1,266 @@
+"""Experiments as tables and pages show them: progress, the grid over two axes, cells with their figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from slamhive.domain.metrics import Metric
+from slamhive.domain.parameters import Value
+from slamhive.domain.run import FailureReason
+from slamhive.services.experiments import records
+from slamhive.services.experiments.records import (
+    CellFigures,
+    ExperimentPreview,
+    ExperimentStatus,
+    Grid,
+    GridCell,
+    Phase,
+    Spread,
+)
+from slamhive.web.formatting import DASH, Cell, display_unit, duration, plural, significant, size, thousands, value_text
+
+MOST_ROWS, MOST_COLUMNS = 50, 25
+"""Of a grid on a page; the words say what was left out."""
+
+FINISHED_PHASES = (Phase.GOOD, Phase.FAILED, Phase.CANCELLED)
+_DRAWN = (Phase.GOOD, Phase.FAILED, Phase.CANCELLED, Phase.RUNNING, Phase.QUEUED)
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A stretch of a progress bar 100 wide."""
+
+    phase: Phase
+    start: float
+    width: float
+
+
+@dataclass(frozen=True, slots=True)
+class GridEntry:
+    """One place of the grid. ``number`` is that of the cell if it is a single one, None otherwise."""
+
+    total: int
+    ended: int
+    segments: tuple[Segment, ...]
+    notes: tuple[str, ...]
+    explanation: str
+    number: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class GridView:
+    """The grid with its headings; ``lines`` hold None where there is nothing. ``left_out`` says what is not shown."""
+
+    row_axis: str
+    column_axis: str
+    columns: tuple[str, ...]
+    lines: tuple[tuple[str, tuple[GridEntry | None, ...]], ...]
+    left_out: str
+
+
+@dataclass(frozen=True, slots=True)
+class CellLine:
+    """One line of the table of results: a cell under one protocol (a cell without figures has one line too)."""
+
+    cell: records.Cell
+    first: bool
+    values: tuple[str, ...]
+    progress: str
+    failures: str
+    protocol: str
+    evaluated: bool
+    figures: tuple[Cell, ...]
+
+
+def segments(counts: Mapping[Phase, int]) -> tuple[Segment, ...]:
+    """The stretches of a bar: what has ended first, what waits last."""
+    total = sum(counts.values())
+    found: list[Segment] = []
+    start = 0.0
+    for phase in _DRAWN:
+        if count := counts.get(phase, 0):
+            width = 100 * count / total
+            found.append(Segment(phase, round(start, 3), round(width, 3)))
+            start += width
+    return tuple(found)
+
+
+def counts_in_words(counts: Mapping[Phase, int]) -> str:
+    """``3 good, 1 failed, 2 queued``; nothing for what there is none of."""
+    return ", ".join(f"{thousands(counts[phase])} {phase.value}" for phase in _DRAWN if counts.get(phase)) or "no runs"
+
+
+def failures_in_words(failures: Mapping[FailureReason, int]) -> str:
+    """``2 crashed, 1 no trajectory``, the most frequent first."""
+    ordered = sorted(failures.items(), key=lambda entry: (-entry[1], entry[0].value))
+    return ", ".join(f"{thousands(count)} {reason.value.replace('_', ' ')}" for reason, count in ordered if count)
+
+
+def status_in_words(status: ExperimentStatus) -> str:
+    """How far the experiment is, in one sentence."""
+    text = f"{thousands(status.ended)} of {plural(status.runs, 'run')} ended: {counts_in_words(status.counts)}."
+    if status.retried:
+        text += f" {plural(status.retried, 'failed run')} tried again are not counted."
+    if status.missing:
+        text += f" {plural(status.missing, 'run')} not stored yet: the start was interrupted, or is under way."
+    if status.ended < status.runs and status.left_s is not None:
+        text += f" About {duration(status.left_s)} left."
+    return text
+
+
+def varying(axes: Mapping[str, Sequence[Value | None]]) -> list[str]:
+    """The axes that take several values."""
+    return [name for name, values in axes.items() if len(values) > 1]
+
+
+def default_axes(axes: Mapping[str, Sequence[Value | None]]) -> tuple[str, str]:
+    """What the grid shows if nothing was chosen: the first two axes that vary and fit on a page."""
+    fitting = [name for name in varying(axes) if len(axes[name]) <= MOST_COLUMNS]
+    names = list(dict.fromkeys([*fitting, *varying(axes), *axes]))
+    return names[0], names[1] if len(names) > 1 else names[0]
+
+
+def axis_text(value: Value | None) -> str:
+    """A value as a heading; None where the axis has no meaning."""
+    return DASH if value is None else value_text(value)
+
+
+def grid_view(grid: Grid) -> GridView:
+    """The grid as the page draws it, cut to what a page holds."""
+    rows, columns = grid.rows[:MOST_ROWS], grid.columns[:MOST_COLUMNS]
+    lines = tuple(
+        (
+            axis_text(row),
+            tuple(
+                _entry(grid.cells.get((place, column)), _explained(grid, row, grid.columns[column]))
+                for column in range(len(columns))
+            ),
+        )
+        for place, row in enumerate(rows)
+    )
+    parts = [
+        f"{plural(len(values) - len(shown), 'value')} of {axis}"
+        for axis, values, shown in ((grid.row_axis, grid.rows, rows), (grid.column_axis, grid.columns, columns))
+        if len(shown) < len(values)
+    ]
+    return GridView(grid.row_axis, grid.column_axis, tuple(map(axis_text, columns)), lines, " and ".join(parts))
+
+
+def cell_lines(
+    cells: Iterable[records.Cell], axes: Sequence[str], metrics: Sequence[Metric], labels: Mapping[str, str]
+) -> list[CellLine]:
+    """Table lines, with a value for each of these axes and metrics. ``labels``: {fingerprint: name of a protocol}."""
+    lines: list[CellLine] = []
+    for cell in cells:
+        values = tuple(axis_text(cell.values.get(axis)) for axis in axes)
+        figures = cell.figures or (CellFigures(None, 0, {}),)
+        lines += [
+            CellLine(
+                cell=cell,
+                first=place == 0,
+                values=values,
+                progress=counts_in_words(cell.counts),
+                failures=failures_in_words(cell.failures),
+                protocol=_protocol(entry, labels),
+                evaluated=entry.protocol is not None,
+                figures=tuple(_figure(metric, entry.metrics.get(metric.key)) for metric in metrics),
+            )
+            for place, entry in enumerate(figures)
+        ]
+    return lines
+
+
+def preview_facts(preview: ExperimentPreview) -> list[tuple[str, str]]:
+    """What a start would do, as names and texts."""
+    combined = f"{thousands(preview.cells)} of {plural(preview.combinations, 'combination')}"
+    identical = f", {thousands(preview.merged)} identical to another" if preview.merged else ""
+    to_make = [need for need in preview.variants if not need.made]
+    made = len(preview.variants) - len(to_make)
+    folders = "unknown, nothing has been measured" if preview.run_bytes is None else f"about {size(preview.run_bytes)}"
+    return [
+        ("Configurations", combined + identical),
+        ("Runs", thousands(preview.runs)),
+        ("There already", _known(preview)),
+        ("Time", f"about {duration(preview.time_s)} on {plural(preview.slots, 'slot')}; {_time_basis(preview)}"),
+        ("Variants", _variants(len(to_make), made, preview.variant_bytes)),
+        ("Run folders", folders),
+        ("Free disk", size(preview.free_bytes)),
+        ("Varies", " × ".join(f"{axis} {thousands(count)}" for axis, count in preview.axes.items()) or "nothing"),
+    ]
+
+
+def preview_axes(preview: ExperimentPreview) -> list[str]:
+    """The columns of the table of first configurations: algorithm, dataset, and what varies."""
+    varied = [name for axis in preview.axes for name in axis.split(" + ")]
+    return list(dict.fromkeys(["algorithm", "dataset", *varied]))
+
+
+def unit_of(metric: Metric) -> str:
+    """The unit that pages show a metric in."""
+    return display_unit(metric).unit
+
+
+def phase_count(status: ExperimentStatus, phase: str) -> int:
+    """The runs of an experiment in one phase."""
+    return status.counts.get(Phase(phase), 0)
+
+
+def _protocol(figures: CellFigures, labels: Mapping[str, str]) -> str:
+    if not figures.runs:
+        return DASH
+    name = "not evaluated" if figures.protocol is None else labels.get(figures.protocol, figures.protocol)
+    return f"{name}, {plural(figures.runs, 'run')}"
+
+
+def _known(preview: ExperimentPreview) -> str:
+    if not preview.known_cells:
+        return "none of the configurations"
+    return f"{plural(preview.known_cells, 'configuration')} with {plural(preview.known_runs, 'run')}"
+
+
+def _time_basis(preview: ExperimentPreview) -> str:
+    if preview.measured_runs == preview.runs:
+        return "from earlier runs"
+    if preview.measured_runs:
+        return f"{thousands(preview.measured_runs)} runs from earlier ones, the others as long as they play"
+    return "as long as the recordings play"
+
+
+def _variants(to_make: int, made: int, needed_bytes: int) -> str:
+    if not to_make and not made:
+        return "none: the recordings as they are"
+    text = f"{thousands(to_make)} to make, at most {size(needed_bytes)}" if to_make else "none to make"
+    return f"{text}; {thousands(made)} made already" if made else text
+
+
+def _entry(found: GridCell | None, where: str) -> GridEntry | None:
+    if found is None:
+        return None
+    ended = sum(found.counts.get(phase, 0) for phase in FINISHED_PHASES)
+    told = (Phase.FAILED, Phase.RUNNING, Phase.CANCELLED)
+    several = f" in {plural(found.cells, 'configuration')}" if found.cells > 1 else ""
+    return GridEntry(
+        total=sum(found.counts.values()),
+        ended=ended,
+        segments=segments(found.counts),
+        notes=tuple(f"{thousands(found.counts[phase])} {phase.value}" for phase in told if found.counts.get(phase)),
+        explanation=f"{where}: {counts_in_words(found.counts)}{several}",
+        number=found.first if found.cells == 1 else None,
+    )
+
+
+def _explained(grid: Grid, row: Value | None, column: Value | None) -> str:
+    return f"{grid.row_axis} {axis_text(row)}, {grid.column_axis} {axis_text(column)}"
+
+
+def _figure(metric: Metric, spread: Spread | None) -> Cell:
+    """Mean, and standard deviation where there is one; all digits and the number of runs on hover."""
+    if spread is None:
+        return Cell(DASH, f"no {metric.label} known", missing=True)
+    factor = display_unit(metric).factor
+    mean = significant(spread.mean * factor)
+    exact = f"mean {spread.mean!r} {metric.unit} of {plural(spread.n, 'run')}"
+    if spread.std is None:
+        return Cell(mean, exact)
+    return Cell(f"{mean} ± {significant(spread.std * factor, 2)}", f"{exact}, standard deviation {spread.std!r}")

@@ -1,0 +1,88 @@
+"""The builder of experiments: fields and YAML side by side, a preview, and the start."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
+from flask import url_for as address
+
+from slamhive.domain.protocol import ALIGNMENT_LABELS
+from slamhive.errors import SlamHiveError
+from slamhive.executors.registry import EXECUTORS
+from slamhive.services.experiments.records import ExperimentSource
+from slamhive.web.context import hive
+from slamhive.web.errors import status_of, wants_json
+from slamhive.web.experiment_draft import MOST_TEXT, Draft, copied, draft_from_form, empty_draft, with_error
+from slamhive.web.experiment_fields import SOURCE
+from slamhive.web.formatting import plural
+from slamhive.web.presenters.experiment_builder import Builder, builder
+
+blueprint = Blueprint("experiment_builder", __name__, url_prefix="/new-experiment")
+"""Not below ``/experiments``, where every name may be that of an experiment."""
+
+
+@blueprint.get("")
+def new() -> str:
+    """The builder: empty, or with a copy of the experiment that ``copy`` names."""
+    services = hive()
+    services.check_writable()
+    source = request.args.get("copy")
+    return _builder_page(empty_draft() if source is None else copied(services, source))
+
+
+@blueprint.post("")
+def draft() -> Response | tuple[str, int]:
+    """The builder after an edit, as a page or in parts for the open one; nothing is stored but by ``do=start``."""
+    edited = draft_from_form(hive(), request.form, request.files.get("file"))
+    if request.form.get("do") == "start" and request.form.get("from") == "text":
+        return _start(edited)
+    if wants_json():
+        return make_response(jsonify(_parts(edited)))
+    return _builder_page(edited), 400 if edited.error else 200
+
+
+def _start(edited: Draft) -> Response | tuple[str, int]:
+    if edited.preview is None:
+        return _builder_page(edited), 400
+    try:
+        started = hive().experiments.start(ExperimentSource(edited.text, SOURCE))
+    except SlamHiveError as error:
+        return _builder_page(with_error(edited, error)), status_of(error)
+    flash(f"{started.name} is started: {plural(started.runs, 'run')}.", "success")
+    return make_response(redirect(address("experiments.show", name=started.name), 303))
+
+
+def _builder_page(edited: Draft) -> str:
+    return render_template("experiments/new.html", **_builder_words(edited))
+
+
+def _parts(edited: Draft) -> dict[str, Any]:
+    """What the open page puts in place."""
+    words = _builder_words(edited)
+    return {
+        "yaml": edited.text,
+        "builder": None if edited.fields is None else render_template("experiments/_builder.html", **words),
+        "preview": render_template("experiments/_preview.html", **words),
+        "line": edited.line,
+        "field": edited.field,
+        "error": edited.error,
+    }
+
+
+def _builder_words(edited: Draft) -> dict[str, Any]:
+    alignments = [("", "by sensor"), *((alignment.value, label) for alignment, label in ALIGNMENT_LABELS.items())]
+    return {
+        "draft": edited,
+        "builder": _builder(edited),
+        "alignments": alignments,
+        "executors": [("", "as the settings say"), *((name, name) for name in EXECUTORS.names())],
+        "most_text": MOST_TEXT,
+    }
+
+
+def _builder(edited: Draft) -> Builder | None:
+    if edited.fields is None:
+        return None
+    catalogue = hive().catalogue
+    return builder(edited.fields, catalogue.algorithms(), catalogue.datasets())

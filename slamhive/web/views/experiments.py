@@ -1,0 +1,124 @@
+"""Experiments: the list, the builder, one page each, and what can be done to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
+from flask import url_for as address
+
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.errors import NotFound
+from slamhive.services.experiments.records import Cell, ExperimentStatus, Phase, Standing
+from slamhive.services.experiments.watching import METRICS
+from slamhive.web.context import hive
+from slamhive.web.experiment_page import CellsQuery, GridQuery, page_number, repeats_count
+from slamhive.web.formatting import plural
+from slamhive.web.presenters import experiments as presenter
+
+blueprint = Blueprint("experiments", __name__, url_prefix="/experiments")
+
+PAGE_LENGTH = 50
+ACTION = "<any('pause', 'resume', 'cancel', 'retry-failed', 'add-repeats'):action>"
+CELL_NUMBER = "<int(max=2147483647):number>"
+
+
+@blueprint.app_context_processor
+def _words_of_experiments() -> dict[str, Any]:
+    return {"experiment_words": presenter}
+
+
+@blueprint.get("")
+def index() -> str:
+    """All experiments, a page at a time."""
+    found = hive().experiments.list()
+    pages = max(1, -(-len(found) // PAGE_LENGTH))
+    page = page_number(request.args, pages)
+    return render_template(
+        "experiments/index.html",
+        experiments=with_time_left(found[(page - 1) * PAGE_LENGTH : page * PAGE_LENGTH]),
+        total=len(found),
+        page=page,
+        pages=pages,
+    )
+
+
+@blueprint.get("/<name>")
+def show(name: str) -> str:
+    """One experiment: how far it is over two axes, and the results of its configurations."""
+    experiments = hive().experiments
+    status = experiments.status(name)
+    axes = experiments.axes(name)
+    cells = CellsQuery.from_args(request.args)
+    page = experiments.cells(name, cells.after, cells.limit)
+    grid = GridQuery.from_args(request.args, axes)
+    metrics = [CATALOGUE[key] for key in METRICS]
+    shown_axes = [axis for axis in axes if axis in {"algorithm", "dataset", *presenter.varying(axes)}]
+    return render_template(
+        "experiments/show.html",
+        status=status,
+        failed=status.counts[Phase.FAILED],
+        axes=list(axes),
+        shown_axes=shown_axes,
+        grid=None if grid is None else presenter.grid_view(experiments.grid(name, grid.rows, grid.columns)),
+        kept=({} if grid is None else grid.args()) | cells.args(),
+        page=page,
+        cells=cells,
+        metrics=metrics,
+        lines=presenter.cell_lines(page.cells, shown_axes, metrics, _protocol_labels(page.cells)),
+    )
+
+
+@blueprint.get(f"/<name>/cells/{CELL_NUMBER}")
+def cell(name: str, number: int) -> Response:
+    """The runs of one configuration of the experiment."""
+    found = hive().experiments.cells(name, max(0, number - 1), 1).cells
+    if not found or found[0].number != number:
+        raise NotFound(f"experiment {name} has no configuration {number}")
+    target = address("runs.index", experiment=name, configuration=found[0].configuration_id)
+    return make_response(redirect(target, 302))
+
+
+@blueprint.get("/<name>/experiment.yaml")
+def download(name: str) -> Response:
+    """The experiment's file as it was given."""
+    response = Response(hive().experiments.source(name).text, mimetype="application/yaml")
+    response.headers["Content-Disposition"] = f'attachment; filename="{name}.yaml"'
+    return response
+
+
+@blueprint.post(f"/<name>/{ACTION}")
+def act(name: str, action: str) -> Response:
+    """Pause, resume, cancel, try failed runs again, or add repeats."""
+    experiments = hive().experiments
+    if action == "pause":
+        experiments.pause(name)
+        flash(f"{name} is paused; a run under way goes on to its end.", "info")
+    elif action == "resume":
+        experiments.resume(name)
+        flash(f"{name} goes on.", "success")
+    elif action == "cancel":
+        experiments.cancel(name)
+        flash(f"{name} is cancelled.", "info")
+    elif action == "retry-failed":
+        count = experiments.retry_failed(name)
+        flash(f"{plural(count, 'failed run')} of {name} tried again." if count else "No run has failed.", "info")
+    else:
+        count = repeats_count(request.form)
+        experiments.add_repeats(name, count)
+        flash(f"{plural(count, 'repeat')} of each configuration of {name} are queued.", "success")
+    return make_response(redirect(address("experiments.show", name=name), 303))
+
+
+def with_time_left(found: Iterable[ExperimentStatus]) -> list[ExperimentStatus]:
+    """The same, with the time left of those that go on."""
+    experiments = hive().experiments
+    return [experiments.status(entry.name) if entry.standing is Standing.ACTIVE else entry for entry in found]
+
+
+def _protocol_labels(cells: Iterable[Cell]) -> dict[str, str]:
+    """What the protocols of these cells are called, by fingerprint; a run of each knows."""
+    runs = {run.protocol: run.id for cell in cells for run in cell.runs if run.protocol is not None}
+    protocols = [hive().run(run_id).protocol for run_id in runs.values()]
+    return {protocol.fingerprint: protocol.label for protocol in protocols if protocol is not None}
