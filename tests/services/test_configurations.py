@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.domain.run import RunState
+from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import parse_step
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError
 from slamhive.runtime import config as run_config
@@ -355,6 +355,17 @@ def test_what_no_longer_fits_is_named_before_it_is_queued(hive: Hive, kind: str)
         hive.retry(first)
     assert words in str(caught.value)
     assert sum(hive.counts().values()) == 1
+
+
+@pytest.mark.parametrize("kind", OUTDATED)
+def test_what_no_longer_fits_fails_a_run_that_waited_in_the_same_words(hive: Hive, kind: str):
+    waiting = run(hive, Submission("typed", "track", EVERY_TYPE))
+    old, new, words = OUTDATED[kind]
+    edit(hive, old, new)
+    hive.worker().run(until_idle=True)
+    failed = hive.run(waiting)
+    assert (failed.state, failed.reason) == (RunState.FAILED, FailureReason.PREPROCESS_ERROR)
+    assert words in (failed.detail or "")
 
 
 def test_the_shipped_test_algorithm_has_no_general_names():
