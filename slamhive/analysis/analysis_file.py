@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from slamhive import strict_yaml
 from slamhive.analysis.analysis_model import AnalysisModel, SetModel
 from slamhive.analysis.forms import FORMS, Form, FormOptions
+from slamhive.analysis.paper_file import PaperNames, convert, is_paper_file
 from slamhive.analysis.selection import Expression, check_names, in_words, parse_expression, union_of
 from slamhive.analysis.table import FailureRule
 from slamhive.catalogue.validation import first_problem_at
@@ -39,6 +40,7 @@ class Analysis:
     sets: dict[str, SetModel]
     use: Expression
     protocol: str | None
+    one: tuple[str, ...]
     rule: FailureRule
     forms: tuple[FormRequest, ...]
     source: str
@@ -70,7 +72,7 @@ def set_words(chosen: SetModel) -> str:
     return f"{of}{noun}{'s' if len(ids) > 1 else ''} {listed}"
 
 
-def load_analysis(path: Path) -> Analysis:
+def load_analysis(path: Path, names: PaperNames | None = None) -> Analysis:
     """Read the analysis at ``path``; raises InvalidInput naming file, line and what is wrong."""
     try:
         text = path.read_text(encoding="utf-8")
@@ -78,13 +80,24 @@ def load_analysis(path: Path) -> Analysis:
         raise InvalidInput(f"{path} does not exist") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"{path} cannot be read as text: {error}") from None
-    return parse_analysis(text, str(path))
+    return parse_analysis(text, str(path), names)
 
 
-def parse_analysis(text: str, source: str = "analysis.yaml") -> Analysis:
-    """The analysis that ``text`` states; ``source`` is what messages call it. Raises InvalidInput with the line."""
+def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames | None = None) -> Analysis:
+    """The analysis that ``text`` states, ours or one of the published system.
+
+    Args:
+        text: The YAML.
+        source: What messages call it.
+        names: What the numbers in a file of the published system stand for here.
+
+    Raises:
+        InvalidInput: with the line.
+    """
     content, lines = strict_yaml.parse_with_lines(text, source)
     places = strict_yaml.Places(source, lines)
+    if is_paper_file(content):
+        content = convert(content, places, names or PaperNames())
     model = _validated(AnalysisModel, content, (), places)
     forms = tuple(_form(raw, index, places) for index, raw in enumerate(model.forms))
     use = union_of(list(model.select)) if model.use is None else parse_expression(model.use)
@@ -98,6 +111,7 @@ def parse_analysis(text: str, source: str = "analysis.yaml") -> Analysis:
         sets=dict(model.select),
         use=use,
         protocol=model.protocol,
+        one=tuple(model.one),
         rule=FailureRule(**model.failed_when.model_dump()),
         forms=forms,
         source=text,

@@ -85,5 +85,8 @@ class AnalysisModel(_Model):
     protocol: str | None = Field(
         default=None, description="Fingerprint of the evaluation protocol; each run's current one if absent."
     )
+    one: list[Literal["algorithm", "dataset"]] = Field(
+        default_factory=list, description="What the selection must have one of; more is refused."
+    )
     failed_when: FailureModel = Field(default_factory=FailureModel)
     forms: list[dict[str, Any]] = Field(min_length=1, max_length=MAX_FORMS, description="What is shown, in order.")

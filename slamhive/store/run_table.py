@@ -10,6 +10,7 @@ from sqlalchemy import ColumnElement, Select, and_, or_, select
 from sqlalchemy.orm import Session
 
 from slamhive.errors import unknown
+from slamhive.store.configuration_models import ConfigurationGroup
 from slamhive.store.models import (
     MEASURED_PROTOCOL_ID,
     Algorithm,
@@ -126,6 +127,15 @@ class RunTableRepository:
         if found is None:
             raise unknown("experiment", name, list(self._session.execute(select(table.c.name)).scalars()))
         return list(self._session.execute(select(Run.id).where(Run.experiment_id == found)).scalars())
+
+    def runs_of_group(self, name: str) -> list[int]:
+        """The runs of the configurations of a group; raises NotFound."""
+        table = ConfigurationGroup.__table__
+        members = list(self._session.execute(select(table.c.configuration_id).where(table.c.name == name)).scalars())
+        if not members:
+            known = self._session.execute(select(table.c.name).distinct()).scalars()
+            raise unknown("group", name, list(known))
+        return self.runs_of_configurations(members)
 
     def runs_of_configurations(self, configuration_ids: Sequence[int]) -> list[int]:
         """The runs of configurations."""

@@ -19,7 +19,7 @@ from slamhive.analysis.forms import (
     trajectories,
     usage,
 )
-from slamhive.analysis.forms.base import FORMS, Form, FormData, FormOptions, RunFiles, RunTrack, RunUsage
+from slamhive.analysis.forms.base import FORMS, Form, FormData, FormOptions, RunFiles, RunTrack, RunUsage, one_value
 
 __all__ = [
     "FORMS",
@@ -36,6 +36,7 @@ __all__ = [
     "heatmap",
     "importance",
     "line",
+    "one_value",
     "parallel",
     "pareto",
     "protocols",

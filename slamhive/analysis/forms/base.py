@@ -147,7 +147,7 @@ def caption(table: RunTable, shown: int, protocol: str | None, *more: str) -> st
     total = len(table.frame)
     parts = [f"n = {shown} of {total} runs, {failed} failed.", table.rule.words]
     parts.append(f"Protocol: {protocol}." if protocol else "No figure here depends on an evaluation protocol.")
-    return " ".join([*parts, *more])
+    return " ".join(filter(None, [*parts, *more]))
 
 
 def excluded_without(rows: pd.DataFrame, keys: Sequence[str], columns: Mapping[str, Column]) -> tuple[Exclusion, ...]:

@@ -13,7 +13,6 @@ from slamhive.analysis.forms.base import (
     FORMS,
     Form,
     FormData,
-    FormOptions,
     axis_of,
     caption,
     excluded_without,
@@ -22,13 +21,14 @@ from slamhive.analysis.forms.base import (
     require_runs,
     spans_decades,
 )
+from slamhive.analysis.forms.coverage_scale import CoverageScaleOptions, scaled_by_coverage
 from slamhive.analysis.forms.places import failed_marks, places_on
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
 
 
-class ScatterOptions(FormOptions):
+class ScatterOptions(CoverageScaleOptions):
     """``x`` and ``y`` are keys of metrics, parameters or facts."""
 
     x: str = Field(description="Metric or parameter on the x axis.")
@@ -45,7 +45,7 @@ class Scatter(Form[ScatterOptions]):
 
     def needs(self, options: ScatterOptions) -> frozenset[str]:
         """Both axes."""
-        return frozenset({options.x, options.y})
+        return frozenset({options.x, options.y, "tracked_fraction"})
 
     def build(self, data: FormData, options: ScatterOptions) -> FormResult:
         """One chart and its raw data."""
@@ -55,6 +55,7 @@ class Scatter(Form[ScatterOptions]):
             raise InvalidInput(f"x and y are both {options.x!r}", "choose two different columns")
         x, y = table.column(options.x), table.numeric(options.y, "the y axis")
         protocol = table.one_protocol([x.key, y.key])
+        table, scaling = scaled_by_coverage(table, [x.key, y.key], options)
         good = table.good()
         shown = good.dropna(subset=[x.key, y.key])
         x_axis = axis_of(
@@ -66,7 +67,7 @@ class Scatter(Form[ScatterOptions]):
             x=x_axis,
             y=axis_of(y, log=spans_decades(number_column(shown, y.key))),
             marks=(*_points(shown, x_axis, x.key, y.key, table), *failed_marks(table, x_axis, x.key)),
-            caption=caption(table, len(shown), protocol),
+            caption=caption(table, len(shown), protocol, scaling),
         )
         return FormResult(
             charts=(chart,),

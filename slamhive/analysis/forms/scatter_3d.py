@@ -13,7 +13,6 @@ from slamhive.analysis.forms.base import (
     FORMS,
     Form,
     FormData,
-    FormOptions,
     axis_of,
     caption,
     excluded_without,
@@ -22,13 +21,14 @@ from slamhive.analysis.forms.base import (
     require_runs,
     spans_decades,
 )
+from slamhive.analysis.forms.coverage_scale import CoverageScaleOptions, scaled_by_coverage
 from slamhive.analysis.forms.places import places_on
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
 
 
-class Scatter3dOptions(FormOptions):
+class Scatter3dOptions(CoverageScaleOptions):
     """``x`` and ``y`` may hold words, ``z`` holds numbers."""
 
     x: str = Field(description="Metric or parameter on the x axis.")
@@ -46,7 +46,7 @@ class Scatter3d(Form[Scatter3dOptions]):
 
     def needs(self, options: Scatter3dOptions) -> frozenset[str]:
         """All three axes."""
-        return frozenset({options.x, options.y, options.z})
+        return frozenset({options.x, options.y, options.z, "tracked_fraction"})
 
     def build(self, data: FormData, options: Scatter3dOptions) -> FormResult:
         """One chart and its raw data."""
@@ -57,6 +57,7 @@ class Scatter3d(Form[Scatter3dOptions]):
             raise InvalidInput(f"two axes are the same: {', '.join(keys)}", "choose three different columns")
         columns = [table.column(options.x), table.column(options.y), table.numeric(options.z, "the z axis")]
         protocol = table.one_protocol(keys)
+        table, scaling = scaled_by_coverage(table, keys, options)
         good = table.good()
         shown = good.dropna(subset=keys)
         axes = [
@@ -74,7 +75,7 @@ class Scatter3d(Form[Scatter3dOptions]):
             y=axes[1],
             z=axes[2],
             marks=tuple(_points(shown, keys, axes, table)),
-            caption=caption(table, len(shown), protocol, "The raw data names the failed runs."),
+            caption=caption(table, len(shown), protocol, "The raw data names the failed runs.", scaling),
             height=1.4,
         )
         return FormResult(

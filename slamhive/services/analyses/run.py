@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from slamhive.analysis.analysis_file import Analysis, FormRequest
-from slamhive.analysis.forms import FormData
+from slamhive.analysis.forms import FormData, one_value
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput, SlamHiveError
@@ -89,6 +89,8 @@ def run_analysis(
     keys = {key for request in analysis.forms for key in request.form.needs(request.options)}
     asked = TableRequest(run_ids, keys, analysis.protocol, analysis.rule)
     table = load_table(sources.store, asked, sources.sensors_of)
+    for key in analysis.one:
+        one_value(table, key, "the analysis")
     every = load_every_protocol(sources.store, keys, run_ids)
     protocols = dict(zip(table.frame["run_id"].tolist(), table.frame["protocol"].tolist(), strict=True))
     files = StoredRunFiles(sources.settings.runs_folder, protocols)

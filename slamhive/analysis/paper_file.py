@@ -1,0 +1,310 @@
+"""Analysis files of the published SLAM Hive (``group_name``, ``evaluation_form``, ``configuration_choose``).
+
+They become the same :class:`~slamhive.analysis.analysis_file.Analysis` as ours, and mean what the paper says. Where the
+published code does otherwise (first repeat only, failed runs drawn at invented values, ``best`` without effect), the
+paper holds; ``docs/analysis.md`` lists the differences.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from slamhive import strict_yaml
+from slamhive.analysis.selection import Combined, Expression, SetName, names_in, union_of
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.errors import InvalidInput, unknown
+
+MARK = "evaluation_form"
+"""The key that tells a file of the published system from ours."""
+
+_SETS = ("configurations", "combinations", "rules")
+_SIGNS = {"U": "|", "I": "&"}
+_FORMS = {
+    "1_trajectory_comparison": "trajectories",
+    "2_accuracy_metrics_comparison": "distributions",
+    "3_accuracy_metrics_comparison": "by_algorithm",
+    "4_usage_metrics_comparison": "usage",
+    "6_scatter_diagram": "scatter",
+    "7_3d_scatter_diagram": "scatter_3d",
+    "8_repeatability_test": "repeatability",
+}
+_IGNORED_FORMS = {"algorithm_dataset_type", "5_scatter_diagram", "7_comparison_table"}
+_ONE_OF_TYPE = {0: ["algorithm", "dataset"], 1: ["dataset"], 2: ["algorithm"], 3: []}
+_PREFIXES = {
+    "dataset_resolution": "variant.resolution.scale",
+    "dataset_frequency": "variant.rate.every",
+}
+_STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
+
+
+@dataclass(frozen=True, slots=True)
+class PaperNames:
+    """The names behind the numbers in such a file, by id of this installation's database."""
+
+    algorithms: Mapping[int, str] = field(default_factory=dict)
+    datasets: Mapping[int, str] = field(default_factory=dict)
+    experiments: Mapping[int, str] = field(default_factory=dict)
+
+
+def is_paper_file(content: object) -> bool:
+    """Whether parsed YAML is a file of the published system."""
+    return isinstance(content, dict) and MARK in content
+
+
+def convert(content: Mapping[str, Any], places: strict_yaml.Places, names: PaperNames) -> dict[str, Any]:
+    """The content of our own analysis file that means the same.
+
+    Args:
+        content: The parsed file.
+        places: Where its parts stand, for messages.
+        names: What its numbers stand for here.
+
+    Raises:
+        InvalidInput: naming the place of what cannot be understood.
+        NotFound: for a number that stands for nothing here.
+    """
+    paper = _Paper(content, places, names)
+    sets = dict(paper.sets())
+    use = paper.expression(sets)
+    converted: dict[str, Any] = {
+        "name": paper.text("group_name"),
+        "text": paper.text("group_description", optional=True),
+        "select": {name: sets[name] for name in sorted(names_in(use))},
+        "use": _as_text(use),
+        "one": paper.one_of(),
+        "forms": list(paper.forms()),
+    }
+    bound = paper.chosen("configuration_choose").get("trajectory_length_lower_bound")
+    converted["failed_when"] = {"tracked_fraction_below": None if bound in (None, "") else bound}
+    return converted
+
+
+def our_key(name: str) -> str:
+    """A metric or parameter template of the published system as we call it.
+
+    ``ate_rmse`` is ``ate.rmse``; of ``general+image_width`` the part after the plus is the parameter's name.
+    """
+    kind, _, statistic = name.partition("_")
+    if (kind in {"ate", "rpe"} and statistic in _STATISTICS) or name in {"cpu_mean", "cpu_max", "ram_max"}:
+        return f"{kind}.{statistic}"
+    prefix, plus, rest = name.partition("+")
+    return _PREFIXES.get(prefix, rest) if plus else name
+
+
+class _Paper:
+    def __init__(self, content: Mapping[str, Any], places: strict_yaml.Places, names: PaperNames) -> None:
+        self._content = content
+        self._places = places
+        self._names = names
+
+    def text(self, key: str, *, optional: bool = False) -> str:
+        value = self._content.get(key)
+        if value is None and optional:
+            return ""
+        if not isinstance(value, str | int | float) or not str(value).strip():
+            raise InvalidInput(f"{self._places.of(key)}: {key} is missing or no text, found {value!r}")
+        return str(value)
+
+    def chosen(self, *path: str) -> Mapping[str, Any]:
+        """The section at ``path``; empty if it is absent."""
+        value: Any = self._content
+        for depth, key in enumerate(path):
+            value = value.get(key)
+            if value is None:
+                return {}
+            if not isinstance(value, dict):
+                raise self._error(path[: depth + 1], "must be keys with values", value)
+        return dict(value)
+
+    def one_of(self) -> list[str]:
+        """What ``algorithm_dataset_type`` says there must be one of."""
+        kind = self.chosen(MARK).get("algorithm_dataset_type")
+        if kind not in _ONE_OF_TYPE or isinstance(kind, bool):
+            raise self._error((MARK, "algorithm_dataset_type"), "must be 0, 1, 2 or 3", kind)
+        return _ONE_OF_TYPE[kind]
+
+    def forms(self) -> Iterator[dict[str, Any]]:
+        """The chosen forms with our options."""
+        section = self.chosen(MARK)
+        for key in section:
+            if key not in _FORMS and key not in _IGNORED_FORMS and not key.startswith("9_"):
+                raise InvalidInput(f"{self._places.of(MARK, key)}: {unknown('form', key, list(_FORMS)).message}")
+        wanted = [key for key in _FORMS if self._is_chosen(self.chosen(MARK, key), key)]
+        if not wanted:
+            raise InvalidInput(f"{self._places.of(MARK)}: no form has choose: 1", "choose one at least")
+        for key in wanted:
+            yield {"form": _FORMS[key], **self._options(key, self.chosen(MARK, key))}
+
+    def sets(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Those of the three sets that are not empty."""
+        section = self.chosen("configuration_choose")
+        configurations = self._numbers(section, "configuration_id")
+        if configurations:
+            yield _SETS[0], {"configurations": configurations}
+        combinations = [
+            self._name("experiment", self._names.experiments, number, "comb_configuration_id")
+            for number in self._numbers(section, "comb_configuration_id")
+        ]
+        if combinations:
+            yield _SETS[1], {"where": _any_of("experiment", combinations)}
+        where = self._where()
+        if where is not None:
+            yield _SETS[2], {"where": where}
+
+    def expression(self, sets: Mapping[str, Any]) -> Expression:
+        """(first) minus (second), as ``combination_rule`` says; sets that are empty take no part."""
+        rule = self.chosen("configuration_choose", "combination_rule")
+        if not rule and sets:
+            return union_of(sorted(sets))
+        first = self._side(rule, "first", sets)
+        second = self._side(rule, "second", sets)
+        if first is None:
+            place = self._places.of("configuration_choose", "combination_rule")
+            raise InvalidInput(f"{place}: its first part holds no set with a member", "name 0, 1 or 2 in first_one")
+        return first if second is None else Combined("-", first, second)
+
+    def _side(self, rule: Mapping[str, Any], side: str, sets: Mapping[str, Any]) -> Expression | None:
+        operands = self._numbers(rule, f"{side}_one", least=0)
+        signs = rule.get(f"{side}_rule") or []
+        result: Expression | None = None
+        for place, number in enumerate(operands):
+            if number > 2:
+                path = ("configuration_choose", "combination_rule", f"{side}_one")
+                raise self._error(path, "holds 0, 1 and 2", number)
+            operand = SetName(_SETS[number]) if _SETS[number] in sets else None
+            if place == 0:
+                result = operand
+                continue
+            sign = signs[place - 1] if place <= len(signs) else None
+            if sign not in _SIGNS:
+                path = ("configuration_choose", "combination_rule", f"{side}_rule")
+                raise self._error(path, "holds U or I between each two sets", sign)
+            result = _joined(_SIGNS[sign], result, operand)
+        return result
+
+    def _where(self) -> str | None:
+        """The rule search as a filter; None where it matches nothing, as an absent list of algorithms does."""
+        rules = self.chosen("configuration_choose", "limitation_rules")
+        parts = []
+        for key, field_name, known in (
+            ("algorithm_id", "algorithm", self._names.algorithms),
+            ("dataset_id", "dataset", self._names.datasets),
+        ):
+            listed = rules.get(key)
+            if not listed:
+                return None
+            if listed not in ("All", ["All"]):
+                numbers = self._numbers(rules, key)
+                parts.append(_any_of(field_name, [self._name(field_name, known, number, key) for number in numbers]))
+        for index, text in enumerate(rules.get("parameters_value") or []):
+            parts.append(self._parameter(text, index))
+        parts += self._bounds(rules.get("evaluation_value") or {})
+        return " and ".join(parts) or "id >= 1"
+
+    def _parameter(self, text: object, index: int) -> str:
+        """``nFeatures < 4000``; ``key: v`` and ``key = v`` are both equality."""
+        place = self._places.of("configuration_choose", "limitation_rules", "parameters_value", index)
+        if isinstance(text, dict) and len(text) == 1:
+            ((key, value),) = text.items()
+            text = f"{key} = {value}"
+        if not isinstance(text, str):
+            raise InvalidInput(f"{place}: expected a condition such as 'nFeatures < 4000', found {text!r}")
+        for sign in ("<=", ">=", "=>", "<", ">", "=", ":"):
+            key, found, value = text.partition(sign)
+            if found and key.strip() and value.strip():
+                return f"{our_key(key.strip())} {'=' if sign == ':' else sign} {_quoted(value.strip())}"
+        raise InvalidInput(f"{place}: expected a condition such as 'nFeatures < 4000', found {text!r}")
+
+    def _bounds(self, values: object) -> Iterator[str]:
+        path = ("configuration_choose", "limitation_rules", "evaluation_value")
+        if not isinstance(values, dict):
+            raise self._error(path, "must be keys with values", values)
+        for key, value in values.items():
+            name, _, kind = key.rpartition("_")
+            if kind == "nolimitation" or value in (None, "") or values.get(f"{name}_nolimitation") == 1:
+                continue
+            metric = our_key(name)
+            if kind not in {"minimum", "maximum", "maximun"} or metric not in CATALOGUE:
+                raise self._error((*path, key), "is no bound of a metric", value)
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise self._error((*path, key), "must be a number", value)
+            number = value * 2**20 if metric == "ram.max" else value  # the published system counts MiB
+            yield f"{metric} {'>=' if kind == 'minimum' else '<='} {number!r}"
+
+    def _options(self, key: str, section: Mapping[str, Any]) -> dict[str, Any]:
+        path = (MARK, key)
+        if key.startswith("3_"):
+            method = section.get("calculate_method", 0)
+            if method not in (0, 1):
+                raise self._error((*path, "calculate_method"), "must be 0 (average) or 1 (best)", method)
+            return {"metric": self._axis(path, section, "metric"), "of": "best" if method == 1 else "average"}
+        if key.startswith("8_"):
+            return {"metrics": [self._axis(path, section, "metric")]}
+        if key.startswith(("6_", "7_")):
+            axes = ("x", "y", "z") if key.startswith("7_") else ("x", "y")
+            options: dict[str, Any] = {axis: self._axis(path, section, f"{axis}-axis") for axis in axes}
+            if section.get("extend_choose") == 1:
+                thresholds = section.get("extend_threshold") or []
+                multiples = section.get("extend_multiple") or []
+                options |= {"coverage_thresholds": thresholds, "coverage_multiples": multiples}
+            return options
+        return {}
+
+    def _axis(self, path: tuple[str, ...], section: Mapping[str, Any], name: str) -> str:
+        value = section.get(name)
+        if not isinstance(value, str) or not value:
+            raise self._error((*path, name), "names a metric or a parameter", value)
+        return our_key(value)
+
+    def _is_chosen(self, section: Mapping[str, Any], key: str) -> bool:
+        choose = section.get("choose", 0)
+        if choose not in (0, 1):
+            raise self._error((MARK, key, "choose"), "must be 0 or 1", choose)
+        return bool(choose)
+
+    def _numbers(self, section: Mapping[str, Any], key: str, least: int = 1) -> list[int]:
+        values = section.get(key) or []
+        fine = isinstance(values, list) and all(type(value) is int and value >= least for value in values)
+        if not fine:
+            place = self._places.of("configuration_choose")
+            raise InvalidInput(f"{place}: {key} must be a list of numbers, found {values!r}")
+        return list(values)
+
+    def _name(self, kind: str, known: Mapping[int, str], number: int, key: str) -> str:
+        if number not in known:
+            listed = ", ".join(f"{entry} {name}" for entry, name in sorted(known.items())[:10]) or "none"
+            raise InvalidInput(f"{key}: there is no {kind} {number} here", f"known: {listed}")
+        return known[number]
+
+    def _error(self, path: Sequence[str], problem: str, found: object) -> InvalidInput:
+        return InvalidInput(f"{self._places.of(*path)}: {path[-1]} {problem}, found {found!r}")
+
+
+def _joined(sign: str, left: Expression | None, right: Expression | None) -> Expression | None:
+    """Union and intersection where a side may be the empty set."""
+    if left is None or right is None:
+        return None if sign == "&" else left or right
+    return Combined(sign, left, right)
+
+
+def _as_text(expression: Expression) -> str:
+    if isinstance(expression, SetName):
+        return expression.name
+    return f"({_as_text(expression.left)} {expression.sign} {_as_text(expression.right)})"
+
+
+def _any_of(key: str, names: Sequence[str]) -> str:
+    return "(" + " or ".join(f"{key} = {_quoted(name)}" for name in names) + ")"
+
+
+def _quoted(value: str) -> str:
+    """A value as the filter language takes it: numbers and plain words as they are, everything else in quotes."""
+    try:
+        float(value)
+    except ValueError:
+        plain = value.replace("_", "").replace("-", "").replace(".", "").isalnum()
+        return value if plain else json.dumps(value, ensure_ascii=False)
+    return value

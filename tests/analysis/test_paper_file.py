@@ -1,0 +1,123 @@
+"""Files of the published SLAM Hive: what they say becomes our analysis."""
+
+from __future__ import annotations
+
+import pytest
+
+from slamhive.analysis.analysis_file import parse_analysis
+from slamhive.analysis.paper_file import PaperNames, our_key
+from slamhive.errors import InvalidInput
+
+pytestmark = pytest.mark.integration
+
+NAMES = PaperNames({1: "orb-slam3-stereo", 2: "kiss-icp"}, {5: "room"}, {9: "sweep"})
+
+PAPER = """
+group_name: first
+group_description: what the paper does
+evaluation_form:
+  algorithm_dataset_type: 3
+  1_trajectory_comparison: {choose: 0}
+  2_accuracy_metrics_comparison: {choose: 0}
+  3_accuracy_metrics_comparison: {choose: 1, calculate_method: 1, metric: ate_rmse, algorithm_id: [1], dataset_id: [5]}
+  4_usage_metrics_comparison: {choose: 0}
+  6_scatter_diagram:
+    choose: 1
+    x-axis: general+image_width
+    y-axis: ate_rmse
+    extend_choose: 1
+    extend_threshold: [0.75, 0.5, 0.25]
+    extend_multiple: [1, 2, 2.5, 3]
+  7_3d_scatter_diagram: {choose: 1, x-axis: cpu_mean, y-axis: dataset_resolution+image0_resolution, z-axis: rpe_mean}
+  8_repeatability_test: {choose: 0, metric: ate_rmse}
+configuration_choose:
+  configuration_id: [3, 4]
+  comb_configuration_id: [9]
+  trajectory_length_lower_bound: 0.75
+  limitation_rules:
+    algorithm_id: [1, 2]
+    dataset_id: All
+    parameters_value: ["nFeatures < 4000", "mode: fast"]
+    evaluation_value: {ate_rmse_nolimitation: 0, ate_rmse_minimum: "", ate_rmse_maximum: 0.5, ram_max_nolimitation: 1,
+      ram_max_minimum: 5, ram_max_maximum: 6}
+  combination_rule: {first_one: [0, 1], first_rule: ["U"], second_one: [2], second_rule: []}
+"""
+
+
+def changed(old: str, new: str) -> str:
+    assert old in PAPER
+    return PAPER.replace(old, new)
+
+
+def test_the_paper_s_file_means_what_it_says():
+    analysis = parse_analysis(PAPER, names=NAMES)
+    assert analysis.name == "first"
+    assert analysis.sets["configurations"].configurations == [3, 4]
+    assert analysis.sets["combinations"].where == "(experiment = sweep)"
+    assert analysis.sets["rules"].where == (
+        "(algorithm = orb-slam3-stereo or algorithm = kiss-icp) "
+        "and nFeatures < 4000 and mode = fast and ate.rmse <= 0.5"
+    )
+    assert analysis.rule.tracked_fraction_below == 0.75
+    assert [request.form.key for request in analysis.forms] == ["by_algorithm", "scatter", "scatter_3d"]
+    best, scatter, space = (request.options.model_dump(exclude_defaults=True) for request in analysis.forms)
+    assert best == {"of": "best"}
+    assert scatter["x"] == "image_width"
+    assert scatter["coverage_multiples"] == [1, 2, 2.5, 3]
+    assert space == {"x": "cpu.mean", "y": "variant.resolution.scale", "z": "rpe.mean"}
+    assert "but not" in analysis.selection_words
+
+
+def test_an_absent_list_of_algorithms_matches_nothing():
+    analysis = parse_analysis(changed("algorithm_id: [1, 2]", "algorithm_id: null"), names=NAMES)
+    assert set(analysis.sets) == {"configurations", "combinations"}
+
+
+@pytest.mark.parametrize(("kind", "one"), [(0, ("algorithm", "dataset")), (1, ("dataset",)), (2, ("algorithm",))])
+def test_the_type_says_what_there_is_one_of(kind, one):
+    text = changed("algorithm_dataset_type: 3", f"algorithm_dataset_type: {kind}")
+    assert parse_analysis(text, names=NAMES).one == one
+
+
+@pytest.mark.parametrize(
+    ("name", "ours"),
+    [
+        ("ate_sse", "ate.sse"),
+        ("ram_max", "ram.max"),
+        ("general+save_map", "save_map"),
+        ("dataset_frequency+image0_frequency", "variant.rate.every"),
+        ("nFeatures", "nFeatures"),
+    ],
+)
+def test_names(name, ours):
+    assert our_key(name) == ours
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            "algorithm_dataset_type: 3",
+            "algorithm_dataset_type: 4",
+            "line 5: algorithm_dataset_type must be 0, 1, 2",
+        ),
+        ("6_scatter_diagram", "6_scater_diagram", "line 10: unknown form '6_scater_diagram'; did you mean"),
+        ('first_rule: ["U"]', 'first_rule: ["X"]', "holds U or I between each two sets, found 'X'"),
+        (
+            "algorithm_id: [1, 2]",
+            "algorithm_id: [7]",
+            "there is no algorithm 7 here; known: 1 orb-slam3-stereo",
+        ),
+        ("ate_rmse_maximum: 0.5", "ate_rmse_maximum: much", "ate_rmse_maximum must be a number, found 'much'"),
+        ("extend_multiple: [1, 2, 2.5, 3]", "extend_multiple: [1]", "one multiple more than thresholds"),
+        ("configuration_id: [3, 4]", "configuration_id: [a]", "configuration_id must be a list of numbers"),
+        ("metric: ate_rmse, algorithm_id", "metric: 3, algorithm_id", "metric names a metric or a parameter, found 3"),
+        ("first_one: [0, 1]", "first_one: []", "its first part holds no set"),
+        ("nFeatures < 4000", "nFeatures", "expected a condition such as"),
+    ],
+)
+def test_what_cannot_be_understood_is_one_line(old, new, words):
+    with pytest.raises(InvalidInput) as refusal:
+        parse_analysis(changed(old, new), names=NAMES)
+    assert words in str(refusal.value)
+    assert "\n" not in str(refusal.value)
