@@ -38,10 +38,11 @@ from slamhive.executors.base import (
 )
 from slamhive.executors.capped_log import assemble
 from slamhive.executors.environment import Environment, Environments, pip_problem
+from slamhive.executors.exit_file import EXIT_FILE
 from slamhive.executors.process_paths import CONTAINER_ROOT, link_dataset, on_host, translate
 from slamhive.executors.process_tree import ProcessTreeSource
 from slamhive.executors.registry import ExecutorContext
-from slamhive.executors.shim import EXIT_FILE, IDENTITY_FILE, LOCK_FILE, OUTPUT_FOLDER, ShimSpec, process_birth
+from slamhive.executors.shim import IDENTITY_FILE, LOCK_FILE, OUTPUT_FOLDER, ShimSpec, process_birth
 from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
 
@@ -114,7 +115,8 @@ class ProcessExecutor:
         """Write what the run has printed so far; nothing once the run was removed."""
         work = Path(handle.data["work"])
         if work.is_dir():
-            write_aside(path, assemble(work / OUTPUT_FOLDER))
+            lost = (_read_json(work / EXIT_FILE) or {}).get("lost_output", "")
+            write_aside(path, assemble(work / OUTPUT_FOLDER) + lost.encode())
 
     def remove(self, handle: RunHandle) -> None:
         """Kill what is left of the run and delete its work folder."""

@@ -3,7 +3,8 @@
 It outlives the worker that started it, so that a restarted worker finds out how the algorithm ended. Files in the work
 folder are the whole interface: ``shim-spec.json`` in, ``shim.lock`` held while it lives, ``shim.json`` (who
 am I, since when),
-``output/`` (what the algorithm prints, capped), ``exit.json`` (how it ended; written aside, then renamed).
+``output/`` (what the algorithm prints, capped), ``exit.json`` (how it ended; its room is taken beforehand, since an
+algorithm may fill the disk).
 
 Every descendant of the algorithm stays below the shim (it is their "subreaper"), so none can get away by forking twice
 or by opening a session of its own, and the CPU time of each is added up when it is reaped.
@@ -31,12 +32,12 @@ from typing import Any
 import psutil
 
 from slamhive.executors.capped_log import CappedLog
+from slamhive.executors.exit_file import LostOutput, reserve, write_exit
 from slamhive.files import write_aside
 
 SPEC_FILE = "shim-spec.json"
 LOCK_FILE = "shim.lock"
 IDENTITY_FILE = "shim.json"
-EXIT_FILE = "exit.json"
 OUTPUT_FOLDER = "output"
 
 _PR_SET_PDEATHSIG = 1
@@ -81,6 +82,7 @@ class Supervisor:
         self._work = work
         self._spec = spec
         self._log = CappedLog(work / OUTPUT_FOLDER, spec.log_max_bytes)
+        self._lost = LostOutput()
         self._status: int | None = None
         self._out_of_memory = False
         self._kill_asked = False
@@ -90,6 +92,7 @@ class Supervisor:
 
     def run(self, started_at: datetime) -> None:
         """From start to ``exit.json``."""
+        reserve(self._work)
         reader = self._spawn()
         while self._status is None:
             self._tick(reader)
@@ -104,8 +107,9 @@ class Supervisor:
             "out_of_memory": self._out_of_memory,
             "started_at": started_at.isoformat(),
             "ended_at": ended_at.isoformat(),
+            "lost_output": self._lost.text,
         }
-        write_aside(self._work / EXIT_FILE, json.dumps(content))
+        write_exit(self._work, content)
 
     def _spawn(self) -> int:
         """Fork the algorithm; returns the end of the pipe that its output comes out of."""
@@ -159,8 +163,15 @@ class Supervisor:
             data = os.read(reader, _READ_BYTES)
         except BlockingIOError:
             return False
-        self._log.write(data)
+        self._write_log(data)
         return bool(data)
+
+    def _write_log(self, data: bytes) -> None:
+        """A log that cannot be written is no reason to leave the algorithm without supervisor."""
+        try:
+            self._log.write(data)
+        except OSError as error:
+            self._lost.add(data, error.strerror or str(error))
 
     def _reap(self) -> None:
         """Wait for whatever has ended; the algorithm's own status is kept."""
@@ -190,7 +201,7 @@ class Supervisor:
             self._kill_at(f"the memory limit of {limit_bytes / 1e6:.0f} MB")
 
     def _kill_at(self, limit: str) -> None:
-        self._log.write(f"[killed at {limit}]\n".encode())
+        self._write_log(f"[killed at {limit}]\n".encode())
         self._kill_asked = True
         self._kill_all()
 

@@ -12,7 +12,11 @@ import pytest
 
 from slamhive.executors import process
 from slamhive.executors.base import Exited, Limits, RunHandle, Running
+from slamhive.executors.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
 from slamhive.executors.registry import installation_id
+from slamhive.executors.shim import OUTPUT_FOLDER
+from slamhive.runs.folder import RunFolder
+from slamhive.runs.log_line import last_error_line
 
 process_only = pytest.mark.parametrize("bench", ["process"], indirect=True)
 
@@ -99,3 +103,34 @@ def test_installation_id_that_a_killed_process_left_empty_is_made_again(tmp_path
     made = installation_id(tmp_path)
     assert len(made) == 32
     assert installation_id(tmp_path) == made
+
+
+@pytest.mark.integration
+@process_only
+def test_output_that_finds_no_room_loses_neither_the_run_nor_its_end(bench):
+    """/dev/full in the place of the log says what a full disk says."""
+    spec = bench.spec("import sys\nprint('x' * 5000, flush=True)\nsys.exit('error: cannot save')\n")
+    output = RunFolder(spec.log_path.parent).work / OUTPUT_FOLDER
+    output.mkdir(parents=True)
+    (output / "head").symlink_to("/dev/full")
+    handle = bench.executor.start(spec)
+    assert wait_for_end(bench, handle).exit_code == 1
+    (output / "head").unlink()
+    bench.executor.save_log(handle, spec.log_path)
+    text = spec.log_path.read_text()
+    assert "[output was lost: No space left on device; its end:]" in text
+    assert last_error_line(text) == "cannot save"
+
+
+def test_how_a_run_ended_needs_no_more_room_than_was_taken(tmp_path):
+    reserve(tmp_path)
+    (taken,) = tmp_path.iterdir()
+    before = taken.stat()
+    lost = LostOutput()
+    lost.add(b"\xff" * 5000, "No space left on device")
+    write_exit(tmp_path, {"exit_code": 1, "lost_output": lost.text})
+    (written,) = tmp_path.iterdir()
+    after = written.stat()
+    assert written.name == EXIT_FILE
+    assert (after.st_ino, after.st_size, after.st_blocks) == (before.st_ino, before.st_size, before.st_blocks)
+    assert json.loads(written.read_text())["exit_code"] == 1

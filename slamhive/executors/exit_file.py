@@ -1,0 +1,50 @@
+"""How a process ended, written down even where the disk is full: its room is taken before the process starts."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+EXIT_FILE = "exit.json"
+_RESERVED = "exit.reserved"
+_ROOM_BYTES = 16_384
+MOST_LOST_BYTES = 2000
+"""So much of the output that found no room in the log is kept."""
+
+
+def reserve(work: Path) -> None:
+    """Take the room of ``exit.json``. Raises OSError."""
+    with (work / _RESERVED).open("wb") as stream:
+        stream.write(b" " * _ROOM_BYTES)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def write_exit(work: Path, content: dict[str, Any]) -> None:
+    """Write ``content`` into the room that was taken, then rename it: a reader sees all of it or nothing."""
+    data = json.dumps(content).encode().ljust(_ROOM_BYTES)
+    with (work / _RESERVED).open("r+b") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())
+    (work / _RESERVED).replace(work / EXIT_FILE)
+
+
+class LostOutput:
+    """The end of what was printed while the log could not be written."""
+
+    def __init__(self) -> None:
+        self._tail = b""
+        self._why = ""
+
+    def add(self, data: bytes, why: str) -> None:
+        """``data`` was not written."""
+        self._tail = (self._tail + data)[-MOST_LOST_BYTES:]
+        self._why = why
+
+    @property
+    def text(self) -> str:
+        """Why output is missing, and its end; empty if none is."""
+        return f"[output was lost: {self._why}; its end:]\n{self._tail.decode(errors='replace')}" if self._why else ""
