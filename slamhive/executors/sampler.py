@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO
 
 from slamhive.executors.base import EngineUnavailable, UsageSource
+from slamhive.executors.energy import EnergyLog
 
 logger = logging.getLogger(__name__)
 
@@ -31,6 +32,7 @@ class Sampler:
         interval_s: Time between samples.
         offset_s: How long the run has been going on already.
         clock: Monotonic seconds.
+        energy: Where the machine's energy counters go meanwhile.
     """
 
     def __init__(
@@ -40,11 +42,13 @@ class Sampler:
         interval_s: float = 0.1,
         offset_s: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
+        energy: EnergyLog | None = None,
     ) -> None:
         self._source = source
         self._path = path
         self._interval_s = interval_s
         self._clock = clock
+        self._energy = energy
         self._origin_s = clock() - offset_s
         self._peak_bytes: int | None = None
         self.most_bytes: int | None = None
@@ -73,6 +77,7 @@ class Sampler:
             logger.warning("%s: sampling ends: %s", self._path, str(error))
         finally:
             self._source.close()
+            self._note_energy(last=True)
 
     def _open(self) -> IO[str]:
         """``profiling.csv`` for appending; a line that a killed worker left half-written is ended first."""
@@ -84,6 +89,10 @@ class Sampler:
             content = existing.read()
             existing.truncate(content.rfind(b"\n") + 1)
         return self._path.open("a", encoding="ascii", buffering=1)
+
+    def _note_energy(self, *, last: bool = False) -> None:
+        if self._energy is not None:
+            self._energy.sample(self._clock() - self._origin_s, last=last)
 
     def _sample(self, stream: IO[str]) -> None:
         before: tuple[float, float] | None = None
@@ -99,6 +108,7 @@ class Sampler:
                 cores = max(0.0, cpu_s - before[1]) / (now_s - before[0])
                 stream.write(f"{now_s - self._origin_s:.4f},{cores:.4f},{memory_bytes}\n")
             before = (now_s, cpu_s)
+            self._note_energy()
             peak_bytes = self._source.peak_memory_bytes()
             if peak_bytes is not None:
                 self._peak_bytes = max(peak_bytes, self._peak_bytes or 0)

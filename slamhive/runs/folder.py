@@ -44,6 +44,11 @@ class RunFolder:
         return self.root / "profiling.csv"
 
     @property
+    def energy(self) -> Path:
+        """``energy.csv``: ``time,package,energy_uj,range_uj``: the machine's energy counters, or why there are none."""
+        return self.root / "energy.csv"
+
+    @property
     def profiling_cpu_plot(self) -> Path:
         """``profiling_cpu.png``."""
         return self.root / "profiling_cpu.png"

@@ -17,6 +17,7 @@ from slamhive.runs.untrusted import FloatArray, measured_number, read_numeric_co
 
 _MAX_CSV_BYTES = 200_000_000
 _MAX_JSON_BYTES = 1_000_000
+_LONGEST_ENERGY_GAP_S = 10.0
 _PLOT_INCHES = (8.0, 3.2)
 _CPU_COLOUR = "#0072B2"
 _RAM_COLOUR = "#D55E00"
@@ -76,8 +77,10 @@ def measure_run(
     metrics = {"duration": duration_s}
     if evidence.trajectory.poses is not None:
         metrics["poses"] = float(evidence.trajectory.poses)
-    metrics.update(_usage_metrics(read_profile(folder.profiling), peak_memory_bytes))
-    metrics.update(_frame_metrics(folder.frames))
+    profile = read_profile(folder.profiling)
+    metrics.update(_usage_metrics(profile, peak_memory_bytes))
+    metrics.update(_frame_metrics(folder.frames, profile))
+    metrics.update(_energy_metrics(folder.energy, duration_s))
     metrics.update(_playback_metrics(folder.playback, duration_s))
     return {key: value for key, value in metrics.items() if math.isfinite(value)}
 
@@ -115,20 +118,48 @@ def _usage_metrics(profile: Profile, peak_memory_bytes: int | None) -> dict[str,
     return metrics
 
 
-def _frame_metrics(path: Path) -> dict[str, float]:
-    """Dropped share and latencies from ``frames.csv``: ``timestamp,received,done,dropped``."""
+def _frame_metrics(path: Path, profile: Profile) -> dict[str, float]:
+    """Dropped frames, latencies, missed deadlines, CPU time by data from ``timestamp,received,done,dropped``."""
     rows = read_numeric_columns(path, ("timestamp", "received", "done", "dropped"), _MAX_CSV_BYTES)
     if len(rows) == 0:
         return {}
     dropped = rows[:, 3] != 0
-    metrics = {"frames.dropped_fraction": float(np.mean(dropped))}
+    metrics = {
+        "frames.dropped": float(np.count_nonzero(dropped)),
+        "frames.dropped_fraction": float(np.mean(dropped)),
+    }
     latencies_s = (rows[:, 2] - rows[:, 1])[~dropped]
     latencies_s = latencies_s[np.isfinite(latencies_s) & (latencies_s >= 0)]
+    steps_s = np.diff(np.sort(rows[np.isfinite(rows[:, 0]), 0]))
+    answered = len(latencies_s) + metrics["frames.dropped"]
+    if len(steps_s) > 0 and np.median(steps_s) > 0 and answered > 0:
+        late = np.count_nonzero(latencies_s > np.median(steps_s)) + metrics["frames.dropped"]
+        metrics["deadline.missed_fraction"] = float(late / answered)
+    if len(profile) > 0 and steps_s.sum() > 0:
+        metrics["cpu.per_data_second"] = float((profile.cpu_cores * profile.weights_s).sum() / steps_s.sum())
     if len(latencies_s) > 0:
         metrics["latency.median"] = float(np.median(latencies_s))
         metrics["latency.p95"] = float(np.percentile(latencies_s, 95))
         metrics["latency.max"] = float(latencies_s.max())
     return metrics
+
+
+def _energy_metrics(path: Path, run_duration_s: float) -> dict[str, float]:
+    """Joules between the first and the last reading of ``energy.csv``, which must cover the run without a gap.
+
+    Counters that begin again are followed as long as no time is missing in which they could have done so twice.
+    """
+    rows = read_numeric_columns(path, ("time", "package", "energy_uj", "range_uj"), _MAX_CSV_BYTES)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    total_uj = 0.0
+    for package in np.unique(rows[:, 1]):
+        times_s, _, counts_uj, ranges_uj = rows[rows[:, 1] == package].T
+        edges_s = np.concatenate(([0.0], times_s, [run_duration_s]))
+        if len(times_s) < 2 or np.diff(edges_s).max() > _LONGEST_ENERGY_GAP_S:
+            return {}
+        steps_uj = np.diff(counts_uj)
+        total_uj += float(np.where(steps_uj < 0, steps_uj + ranges_uj[1:], steps_uj).sum())
+    return {"energy": total_uj * 1e-6} if total_uj > 0 else {}
 
 
 def _playback_metrics(path: Path, run_duration_s: float) -> dict[str, float]:

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from slamhive.errors import SlamHiveError
+from slamhive.errors import SlamHiveError, Unavailable
+from slamhive.executors.energy import read_packages
 from slamhive.services.hive import Hive
 
 
@@ -72,6 +73,14 @@ def _executor(hive: Hive) -> list[Check]:
     return [*checks, Check("executor in force", Verdict.OK, f"{chosen} ({reason})")]
 
 
+def _energy(_: Hive) -> list[Check]:
+    try:
+        found = f"measured for {len(read_packages())} processor packages"
+    except Unavailable as error:
+        return [Check("energy", Verdict.OK, f"runs have no energy figure: {error.message}")]
+    return [Check("energy", Verdict.OK, found)]
+
+
 def _algorithms(hive: Hive) -> list[Check]:
     executor = hive.executor(hive.executor_name())
     checks = []
@@ -111,6 +120,7 @@ _EXAMINATIONS: tuple[Callable[[Hive], list[Check]], ...] = (
     _data_root,
     _database,
     _executor,
+    _energy,
     _algorithms,
     _broken_folders,
     _datasets,

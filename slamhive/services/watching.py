@@ -9,6 +9,7 @@ from typing import Any
 
 from slamhive.domain.run import RunState
 from slamhive.executors.base import Gone, Running
+from slamhive.executors.energy import EnergyLog
 from slamhive.executors.sampler import Sampler
 from slamhive.runs.early_end import Observation, broken_rule
 from slamhive.runs.outcome import is_finished
@@ -48,7 +49,8 @@ class Watch:
             yield
             return
         interval_s = hand.context.settings.sample_interval_s
-        self._sampler = Sampler(source, hand.folder.profiling, interval_s, offset_s=max(0.0, hand.elapsed_s()))
+        offset_s, energy = max(0.0, hand.elapsed_s()), EnergyLog(hand.folder.energy)
+        self._sampler = Sampler(source, hand.folder.profiling, interval_s, offset_s=offset_s, energy=energy)
         self._sampler.start()
         try:
             yield

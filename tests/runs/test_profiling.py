@@ -59,12 +59,67 @@ def test_frames_and_playback(folder):
     )
     folder.playback.write_text(json.dumps({"cpu_s": 2.0, "duration_s": 10.0, "lag_max_s": 0.25}))
     metrics = measure_run(folder, START, END, None, EVIDENCE)
+    assert metrics["frames.dropped"] == 1
     assert metrics["frames.dropped_fraction"] == 0.25
     assert metrics["latency.median"] == pytest.approx(0.3)
     assert metrics["latency.max"] == pytest.approx(0.5)
     assert metrics["cpu.player_mean"] == pytest.approx(2.0 / 12.5)
     assert metrics["playback.lag_max"] == 0.25
     assert all(not CATALOGUE[key].needs_protocol for key in metrics)
+
+
+def test_deadlines_are_the_recordings_frame_period(folder):
+    """10 Hz: of five frames one is late by a hair, one on the dot, one lost."""
+    lines = ["5.0,0.0,0.05,0", "5.1,0.1,0.2,0", "5.2,0.2,0.3001,0", "5.3,0.3,,1", "5.4,0.4,0.41,0"]
+    folder.frames.write_text("\n".join(["timestamp,received,done,dropped", *lines]))
+    assert measure_run(folder, START, END, None, EVIDENCE)["deadline.missed_fraction"] == pytest.approx(2 / 5)
+
+
+def test_cpu_time_by_second_of_data(folder):
+    """Two cores for 3 s are 6 s of CPU time, for 1.5 s of recording."""
+    write_profile(folder, [(k / 10, 2.0, 1) for k in range(1, 31)])
+    folder.frames.write_text("timestamp,received,done,dropped\n10,0,1,0\n11.5,1,2,0\n")
+    assert measure_run(folder, START, END, None, EVIDENCE)["cpu.per_data_second"] == pytest.approx(4.0)
+
+
+def test_one_frame_has_no_period_and_no_span(folder):
+    write_profile(folder, [(0.1, 1.0, 1)])
+    folder.frames.write_text("timestamp,received,done,dropped\n10,0,1,0\n")
+    metrics = measure_run(folder, START, END, None, EVIDENCE)
+    assert metrics["latency.max"] == 1.0
+    assert not {"deadline.missed_fraction", "cpu.per_data_second"} & set(metrics)
+
+
+def energy(folder: RunFolder, rows: list[tuple[float, int, int]], range_uj: int = 1_000_000_000) -> float | None:
+    lines = [f"{time},{package},{count},{range_uj}\n" for time, package, count in rows]
+    folder.energy.write_text("time,package,energy_uj,range_uj\n" + "".join(lines))
+    return measure_run(folder, START, END, None, EVIDENCE).get("energy")
+
+
+def test_energy_is_summed_over_packages_and_over_counters_that_begin_again(folder):
+    first = [(0.0, 0, 999_000_000), (6.0, 0, 2_000_000), (12.4, 0, 7_000_000)]
+    second = [(0.0, 1, 10), (6.0, 1, 500_010), (12.4, 1, 1_000_010)]
+    assert energy(folder, first + second) == pytest.approx(3 + 5 + 1)
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [],
+        [(0.0, 0, 5)],
+        [(0.0, 0, 5), (1.0, 0, 9)],
+        [(11.5, 0, 5), (12.5, 0, 9)],
+        [(0.0, 0, 5), (12.5, 0, 9)],
+        [(0.0, 0, 5), (6.0, 0, 5), (12.5, 0, 5)],
+    ],
+)
+def test_energy_of_a_part_of_the_run_is_none(folder, rows):
+    assert energy(folder, rows) is None
+
+
+def test_where_no_energy_could_be_read_there_is_none(folder):
+    folder.energy.write_text("# not measured: energy cannot be measured: there is no /sys/class/powercap\n")
+    assert "energy" not in measure_run(folder, START, END, None, EVIDENCE)
 
 
 @pytest.mark.parametrize(
