@@ -9,7 +9,7 @@ from pathlib import Path
 
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
-from slamhive.errors import InvalidInput
+from slamhive.errors import Conflict, InvalidInput
 from slamhive.evaluation.job import RESULT_FILE, result_from_json
 from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluations import Evaluations
@@ -61,7 +61,11 @@ class CurrentProtocols:
     def use_asked(self, run_ids: Iterable[int], asked: ProtocolRequest) -> None:
         """As :meth:`use`, for the protocol that the request means for each run."""
         runs = self._store.read(lambda t: t.runs.get_many(run_ids))
-        self._use_each((run.id, self._evaluations.protocol_of(run, asked).fingerprint) for run in runs)
+        chosen = [(run.id, self._evaluations.protocol_of(run, asked).fingerprint) for run in runs]
+        for run_id, fingerprint in chosen:
+            if fingerprint not in self.figures(run_id):
+                raise Conflict(f"run {run_id} has no figures under protocol {asked.name}", "evaluate it first")
+        self._use_each(chosen)
 
     def make_current(self, ended: Iterable[EvaluationRecord]) -> None:
         """As :meth:`use`, for evaluations that have ended; those that failed change nothing."""

@@ -1,0 +1,79 @@
+"""Presets give each tool's own figure, on the files that the tools were run on."""
+
+from pathlib import Path
+
+import pytest
+
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.errors import InvalidInput
+from slamhive.evaluation.engine import all_figures
+from slamhive.evaluation.evaluators.base import Figures
+from slamhive.evaluation.pairing import pair
+from slamhive.evaluation.presets import PRESETS
+from slamhive.evaluation.references import Reference
+from slamhive.trajectory.kitti import read_kitti
+from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.tum import read_tum
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+EVO, RUNS = DATA / "evo_trajectories", DATA / "euroc_vio_runs"
+
+pytestmark = [
+    pytest.mark.shared_data,
+    pytest.mark.integration,
+    pytest.mark.skipif(not RUNS.is_dir(), reason="the recorded data is not in ../shared/data"),
+]
+
+
+def evaluated(name: str, reference: Trajectory, estimate: Trajectory) -> tuple[Figures, int]:
+    paired = pair(Reference(reference), estimate, PRESETS.get(name).protocol)
+    return all_figures(paired), len(paired.aligned)
+
+
+def kitti(name: str) -> Trajectory:
+    return read_kitti(EVO / f"KITTI_00_{name}.txt", EVO / "KITTI_00_gt_times.txt")
+
+
+def test_presets_show_figures_of_the_catalogue_in_words() -> None:
+    assert PRESETS.names() == ["eth3d", "evo", "kitti", "ov", "rpg", "tum"]
+    fingerprints = {preset.protocol.fingerprint for _, preset in PRESETS}
+    assert len(fingerprints) == len(PRESETS.names())
+    for _, preset in PRESETS:
+        assert set(preset.figures) <= CATALOGUE.keys()
+        assert preset.title
+        assert preset.differs
+        assert preset.source
+
+
+@pytest.mark.parametrize(("name", "ate_m", "pairs"), [("evo", 0.013470, 785), ("tum", 0.013473, 786)])
+def test_freiburg1_xyz_as_evo_and_as_tum(name: str, ate_m: float, pairs: int) -> None:
+    truth, estimate = (read_tum(EVO / f"freiburg1_xyz-{which}.txt") for which in ("groundtruth", "rgbdslam"))
+    figures, matched = evaluated(name, truth, estimate)
+    assert figures.values["ate.rmse"] == pytest.approx(ate_m, abs=5e-7)
+    assert matched == pairs
+
+
+def test_kitti_00_as_evo_and_as_the_devkit() -> None:
+    figures, _ = evaluated("evo", kitti("gt"), kitti("ORB"))
+    assert figures.values["ate.rmse"] == pytest.approx(1.303450, abs=5e-7)
+    figures, _ = evaluated("kitti", kitti("gt"), kitti("ORB"))
+    values = figures.values
+    assert values["kitti.translation"] == pytest.approx(0.699734, abs=5e-7)
+    # The devkit takes the files' rotations as they are, with seven digits; ours are orthonormal.
+    assert values["kitti.rotation"] == pytest.approx(0.00253352, rel=5e-5)
+    assert values["kitti.segments"] == 3283
+    by_length = [values[f"kitti.translation.{length_m}m"] for length_m in range(100, 900, 100)]
+    assert by_length == pytest.approx([1.0091, 0.8744, 0.7809, 0.7189, 0.6553, 0.5720, 0.4926, 0.4159], abs=5e-5)
+
+
+@pytest.mark.parametrize("name", ["evo", "tum", "rpg", "ov", "eth3d"])
+def test_every_figure_of_a_tool_is_there_for_a_real_run(name: str) -> None:
+    truth, estimate = read_tum(RUNS / "MH_01" / "groundtruth.txt"), read_tum(RUNS / "vio_mono" / "MH_01" / "0.txt")
+    figures, _ = evaluated(name, truth, estimate)
+    assert set(PRESETS.get(name).figures) <= figures.values.keys()
+
+
+def test_a_run_without_a_pose_for_every_frame_has_no_figure_as_kitti_counts() -> None:
+    truth, estimate = read_tum(RUNS / "MH_01" / "groundtruth.txt"), read_tum(RUNS / "vio_mono" / "MH_01" / "0.txt")
+    with pytest.raises(InvalidInput, match="poses are matched by index"):
+        evaluated("kitti", truth, estimate)

@@ -1,0 +1,148 @@
+"""Protocols by name, the one that is shown, and a run as published tools count; evaluated for real."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from slamhive.domain.protocol import Alignment
+from slamhive.domain.protocol_request import ProtocolRequest
+from slamhive.domain.run import RunState
+from slamhive.errors import Conflict, InvalidInput, NotFound
+from slamhive.evaluation.presets import PRESETS
+from slamhive.executors.base import Exited, RunSpec
+from slamhive.services.hive import Hive
+from slamhive.services.reindex import reindex
+from slamhive.services.request import Submission
+from slamhive.settings import Settings
+from tests.services.fake_executor import FakeExecutor
+
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture
+def run_id(hive: Hive) -> int:
+    """A run that succeeded, whose trajectory is the ground truth, one centimetre larger in a metre."""
+
+    def write(spec: RunSpec) -> None:
+        truth = (hive.settings.datasets_folder / "track" / "groundtruth.txt").read_text()
+        rows = [line.split() for line in truth.splitlines() if not line.startswith("#")]
+        scaled = [[row[0], *(f"{1.01 * float(value):.9f}" for value in row[1:4]), *row[4:]] for row in rows]
+        folder = hive.folder(number)
+        folder.trajectory.write_text("".join(" ".join(row) + "\n" for row in scaled))
+
+    hive._executors["process"] = FakeExecutor([Exited(0)], write)
+    number = hive.submit(Submission("tiny", "track", executor="process", evaluate=False))[0].id
+    hive.worker().run(until_idle=True)
+    hive._executors.clear()
+    assert hive.run(number).state is RunState.SUCCEEDED
+    return number
+
+
+def evaluate(hive: Hive, run_id: int, name: str | None = None) -> None:
+    hive.queue_evaluations([run_id], name)
+    hive.worker().run(until_idle=True)
+
+
+def ate_m(hive: Hive, run_id: int) -> float:
+    return (hive.run(run_id).metrics or {})["ate.rmse"]
+
+
+def test_names_files_and_fingerprints_lead_to_a_protocol(hive: Hive, tmp_path: Path) -> None:
+    protocols = hive.protocols
+    assert protocols.named("default") == ProtocolRequest(name="default")
+    assert protocols.named("sim3").values == {"alignment": "sim3"}
+    assert protocols.named("tum").values["association"] == "one_to_one"
+    path = tmp_path / "mine.yaml"
+    path.write_text("alignment: sim3\nrpe_delta_m: 2\n")
+    assert protocols.find(str(path)).values == {"alignment": "sim3", "rpe_delta_m": 2.0}
+    with pytest.raises(NotFound, match="unknown protocol 'evvo'; did you mean 'evo'"):
+        protocols.find("evvo")
+    with pytest.raises(NotFound, match="unknown protocol '0123456789ab'"):
+        protocols.find("0123456789ab")
+    with pytest.raises(InvalidInput, match=r"none\.yaml does not exist"):
+        protocols.find("none.yaml")
+
+
+def test_another_protocol_leaves_what_is_shown_until_it_is_chosen(hive: Hive, run_id: int) -> None:
+    evaluate(hive, run_id, "se3")
+    shown = ate_m(hive, run_id)
+    assert shown > 0
+    evaluate(hive, run_id, "sim3")
+    assert ate_m(hive, run_id) == shown
+    figures = hive.current_protocols.figures(run_id)
+    assert len(figures) == 2
+    sim3 = next(entry.protocol for entry in hive.protocols.used() if entry.protocol.alignment is Alignment.SIM3)
+    assert figures[sim3.fingerprint]["ate.rmse"] < 1e-6 < shown
+    hive.current_protocols.use([run_id], sim3.fingerprint)
+    assert ate_m(hive, run_id) == figures[sim3.fingerprint]["ate.rmse"]
+    assert hive.protocols.named(sim3.fingerprint).on(sim3) == sim3
+    with pytest.raises(Conflict, match="has no figures under protocol"):
+        hive.current_protocols.use_asked([run_id], hive.protocols.named("none"))
+    assert ate_m(hive, run_id) == figures[sim3.fingerprint]["ate.rmse"]
+
+
+def test_the_choice_survives_a_lost_database(hive: Hive, run_id: int) -> None:
+    for name in ("sim3", "se3"):
+        evaluate(hive, run_id, name)
+    before = hive.run(run_id)
+    assert before.protocol is not None
+    assert before.protocol.label.startswith("Sim(3)")
+    reindex(hive, lambda _done, _total: None)
+    assert hive.run(run_id).protocol == before.protocol
+    assert hive.run(run_id).metrics == before.metrics
+
+
+def test_a_failed_evaluation_leaves_the_older_one_alone(hive: Hive, run_id: int) -> None:
+    evaluate(hive, run_id, "se3")
+    before, record = hive.run(run_id), hive.record(run_id)
+    evaluate(hive, run_id, "kitti")
+    hive.folder(run_id).trajectory.write_text("nonsense\n")
+    evaluate(hive, run_id, "sim3")
+    failed = hive.evaluations(run_id)[-1]
+    assert (failed.reason or "").startswith("estimate traj.txt, line 1: 'nonsense' is not a number")
+    assert hive.run(run_id) == before
+    assert hive.record(run_id) == record
+
+
+def test_a_run_as_every_tool_counts(hive: Hive, run_id: int) -> None:
+    evaluate(hive, run_id)
+    shown = hive.run(run_id)
+    assert {row.note for row in hive.comparisons.of(run_id)} == {"not evaluated"}
+    hive.comparisons.queue(run_id)
+    hive.worker().run(until_idle=True)
+    rows = {row.name: row for row in hive.comparisons.of(run_id)}
+    assert list(rows) == PRESETS.names()
+    assert rows["evo"].figures["ate.rmse"] > rows["rpg"].figures["ate.rmse"]
+    assert rows["kitti"].note == "the path is 37.43 m, the shortest segment 100 m"
+    assert not rows["kitti"].figures
+    assert hive.run(run_id) == shown, "comparing changes nothing of what is shown"
+    assert hive.comparisons.queue(run_id) == [], "what is there is not evaluated again"
+
+
+def test_a_protocol_that_does_not_fit_the_dataset_is_refused(hive: Hive, run_id: int) -> None:
+    asked = ProtocolRequest({"reference": "leica.txt"}, "mine.yaml")
+    with pytest.raises(InvalidInput, match=r"dataset track has no file 'leica\.txt' to compare with"):
+        hive.evaluations_service.queue([run_id], asked)
+    truth = hive.settings.datasets_folder / "track" / "groundtruth.txt"
+    (truth.parent / "leica.txt").write_text(truth.read_text())
+    hive.evaluations_service.queue([run_id], asked)
+    hive.worker().run(until_idle=True)
+    assert ate_m(hive, run_id) > 0
+    description = truth.parent / "dataset.yaml"
+    description.write_text(description.read_text().replace("gravity_aligned: true", "gravity_aligned: false"))
+    with pytest.raises(InvalidInput, match="needs a ground truth whose z axis points up; that of track does not"):
+        hive.queue_evaluations([run_id], "yaw_position")
+    assert "does not fit" in str({row.name: row for row in hive.comparisons.of(run_id)}["ov"].note)
+
+
+def test_the_settings_take_part_unless_a_preset_says_otherwise(hive: Hive, run_id: int) -> None:
+    hive.evaluations_service._settings = Settings(data=hive.settings.data, association_tolerance_s=0.5)
+    of = hive.evaluations_service.protocol_of
+    run = hive.run(run_id)
+    assert of(run).association_tolerance_s == 0.5
+    assert of(run, hive.protocols.named("sim3")).association_tolerance_s == 0.5
+    assert of(run, hive.protocols.named("evo")).association_tolerance_s == 0.01
+    assert json.loads(json.dumps(of(run).content))["association_tolerance_s"] == 0.5
