@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import io
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -223,3 +224,11 @@ def test_a_configuration_that_no_longer_fits_says_so(web: Web):
     page = unescaped(web.client.get("/configurations/1").text)
     assert "It cannot be run any more: nFeatures=2000 is stored, eye-slam-stereo now wants int, 100 to 1000" in page
     assert "Run it" not in page
+
+
+def test_the_experiments_that_hold_it_are_linked(web: Web, monkeypatch: pytest.MonkeyPatch):
+    record = replace(web.hive.configurations.get(1), experiments=("rates",))
+    monkeypatch.setattr(web.hive.configurations, "get", lambda _number: record)
+    page = web.client.get("/configurations/1").text
+    assert '<a href="/experiments/rates">rates</a>' in page
+    assert "no: it is part of experiment rates" in unescaped(page)
