@@ -129,17 +129,14 @@ class ExperimentRepository:
             for row in rows
         ]
 
-    def cell_counts(self, experiment_id: int) -> dict[int, dict[RunState, int]]:
-        """{cell: {state: runs}}, retried ones left out."""
+    def cell_counts(self, experiment_id: int) -> list[tuple[int, RunState, int]]:
+        """How many runs each cell has in each state, retried ones left out."""
         query = (
             select(_RUNS.c.cell, _RUNS.c.state, func.count())
             .where(_RUNS.c.experiment_id == experiment_id, ~self._retried(experiment_id))
             .group_by(_RUNS.c.cell, _RUNS.c.state)
         )
-        found: dict[int, dict[RunState, int]] = defaultdict(dict)
-        for cell, state, count in self._session.execute(query):
-            found[cell][state] = count
-        return found
+        return [(cell, state, count) for cell, state, count in self._session.execute(query)]
 
     # -- its runs as a whole ---------------------------------------------------------------------------------------
 

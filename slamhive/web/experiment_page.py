@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from werkzeug.datastructures import MultiDict
 
 from slamhive.domain.parameters import Value
 from slamhive.errors import InvalidInput, unknown
+from slamhive.search.grammar import Tree, join
+from slamhive.search.syntax import Comparison, Sign, Word, filter_text
+from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.experiment_model import MAX_REPEATS
+from slamhive.web.formatting import value_text
 from slamhive.web.presenters.experiments import default_axes
 
 CELLS_LENGTH = 50
@@ -25,8 +29,11 @@ class GridQuery:
     columns: str
 
     @classmethod
-    def from_args(cls, args: MultiDict[str, str], axes: Mapping[str, Sequence[Value | None]]) -> GridQuery | None:
-        """The axes asked for, or those that tell most; None if there are none. Raises NotFound for another name."""
+    def from_args(cls, args: MultiDict[str, str], axes: Mapping[str, int]) -> GridQuery | None:
+        """The axes asked for, or those that tell most; None if there are none. Raises NotFound for another name.
+
+        ``axes``: {name: number of values}.
+        """
         if not axes:
             return None
         rows, columns = default_axes(axes)
@@ -73,7 +80,32 @@ def whole(text: str, name: str, minimum: int, maximum: int) -> int:
     return int(text)
 
 
-def _axis(name: str | None, axes: Mapping[str, Sequence[Value | None]], default: str) -> str:
+def stated_axes(experiment: Experiment) -> dict[str, int]:
+    """{axis: number of values} as the file states them, without a look at the cells."""
+    options = (option for step in experiment.steps for option in step.options)
+    named = (experiment.algorithms, experiment.datasets, *options, *experiment.parameters)
+    return {axis.name: len(axis.values) for axis in named}
+
+
+def search_of(experiment: Experiment, values: Mapping[str, Value | None]) -> dict[str, str] | None:
+    """The arguments of the runs page that find the runs with these values; None if a search cannot name them.
+
+    Algorithms, datasets and parameters can be searched for; a step that changes nothing leaves no trace to search by.
+    """
+    parameters = {axis.name for axis in experiment.parameters if axis.algorithm is None}
+    chosen = {"experiment": experiment.name}
+    conditions: list[Tree[Comparison]] = []
+    for axis, value in values.items():
+        if axis in ("algorithm", "dataset"):
+            chosen[axis] = str(value)
+        elif axis not in parameters or value is None or isinstance(value, tuple):
+            return None
+        else:
+            conditions.append(Comparison(Word(axis), Sign.EQUAL, (Word(value_text(value)),)))
+    return {**chosen, "where": filter_text(join("and", conditions))} if conditions else chosen
+
+
+def _axis(name: str | None, axes: Mapping[str, int], default: str) -> str:
     if not name:
         return default
     if name not in axes:

@@ -16,6 +16,7 @@ from slamhive.services.hive import Hive
 from slamhive.settings import Mode
 from slamhive.web.experiment_draft import MOST_TEXT
 from slamhive.web.security import API_HEADER
+from slamhive.web.views import experiments as views
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web
 
@@ -306,6 +307,22 @@ def test_axes_are_chosen_by_the_address(trial: Web):
     assert "Progress by nFeatures and dataset" in text
     assert trial.client.get("/experiments/trial?rows=magic").status_code == 404
     assert trial.client.get("/experiments/trial?after=x").status_code == 400
+
+
+def test_a_place_of_the_grid_leads_to_the_runs_of_its_configurations(trial: Web):
+    text = trial.client.get("/experiments/trial?rows=nFeatures&columns=dataset").text
+    links = re.findall(r'href="(/runs\?[^"]*where[^"]*)"', text)
+    assert len(links) == 3
+    assert "Showing 4 of 4 runs" in trial.client.get(html.unescape(links[1])).text
+
+
+def test_a_large_grid_is_counted_after_the_page_is_there(trial: Web, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(views, "LARGE", 5)
+    text = trial.client.get("/experiments/trial").text
+    later = re.search(r'data-later="([^"]+)"', text)
+    assert later is not None
+    assert "Progress by" not in text
+    assert "algorithm eye-slam-mono, nFeatures 500: 2 queued" in trial.client.get(html.unescape(later[1])).text
 
 
 def test_a_cell_leads_to_its_runs(trial: Web):

@@ -9,6 +9,7 @@ from slamhive.domain.parameters import Value
 from slamhive.errors import Conflict, SlamHiveError
 from slamhive.services.catalogue import check_writable
 from slamhive.services.experiments import watching
+from slamhive.services.experiments.axis_table import AxisTables
 from slamhive.services.experiments.changing import put_state, retry_failed
 from slamhive.services.experiments.context import ExperimentContext, Progress, silent
 from slamhive.services.experiments.previewing import preview
@@ -23,6 +24,7 @@ from slamhive.services.experiments.records import (
 )
 from slamhive.services.experiments.starting import add_repeats, check_same, start
 from slamhive.store.experiment_records import ExperimentState
+from slamhive.store.store import Transaction
 from slamhive.sweep.experiment_file import parse_experiment
 
 
@@ -35,6 +37,7 @@ class Experiments:
 
     def __init__(self, context: ExperimentContext) -> None:
         self._context = context
+        self._tables = AxisTables()
 
     def preview(
         self, source: ExperimentSource, executor: str | None = None, progress: Progress = silent
@@ -90,7 +93,7 @@ class Experiments:
 
     def axes(self, name: str) -> dict[str, tuple[Value, ...]]:
         """The axes of an experiment with all their values, in the order of the file."""
-        return self._context.store.read(lambda t: watching.axes(t, name))
+        return self._context.store.read(lambda t: self._tables.get(t, t.experiments.get(name)).axes)
 
     def cells(self, name: str, after: int = 0, limit: int = 50) -> CellPage:
         """The next ``limit`` cells (1 to 1000) after number ``after``, with their runs and figures."""
@@ -98,7 +101,13 @@ class Experiments:
 
     def grid(self, name: str, row_axis: str, column_axis: str) -> Grid:
         """How many runs are queued, running, good, failed and cancelled for each pair of values of two axes."""
-        return self._context.store.read(lambda t: watching.grid(t, name, row_axis, column_axis))
+
+        def work(t: Transaction) -> Grid:
+            record = t.experiments.get(name)
+            counts = t.experiments.cell_counts(record.id)
+            return self._tables.get(t, record).grid((row_axis, column_axis), counts, name)
+
+        return self._context.store.read(work)
 
     def report(self, name: str) -> Iterator[Cell]:
         """Every cell in order; few are in memory at a time. Raises NotFound at once."""

@@ -6,17 +6,14 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from statistics import fmean, stdev
 
-from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import InvalidInput, unknown
+from slamhive.errors import InvalidInput
 from slamhive.services.experiments.context import ExperimentContext, guessed_duration_s
 from slamhive.services.experiments.records import (
     Cell,
     CellFigures,
     CellPage,
     ExperimentStatus,
-    Grid,
-    GridCell,
     Phase,
     Spread,
     Standing,
@@ -167,65 +164,3 @@ def _figures(runs: Sequence[CellRun]) -> Iterator[CellFigures]:
 def spread(values: Sequence[float]) -> Spread:
     """Mean and sample standard deviation of at least one value."""
     return Spread(len(values), fmean(values), stdev(values) if len(values) > 1 else None)
-
-
-# -- the grid --------------------------------------------------------------------------------------------------------
-
-
-def axes(t: Transaction, name: str) -> dict[str, tuple[Value, ...]]:
-    """The axes that cells have values on, in the order of the file, with all values of each in theirs."""
-    return _axes(_all_values(t, t.experiments.get(name).id))
-
-
-def grid(t: Transaction, name: str, row_axis: str, column_axis: str) -> Grid:
-    """Runs by phase over two axes; raises NotFound for an experiment or an axis that there is not."""
-    experiment_id = t.experiments.get(name).id
-    cells = _all_values(t, experiment_id)
-    known = _axes(cells)
-    for axis in (row_axis, column_axis):
-        if axis not in known:
-            raise unknown(f"axis of experiment {name}", axis, list(known))
-    states = t.experiments.cell_counts(experiment_id)
-    rows, columns = (_places(cells, axis) for axis in (row_axis, column_axis))
-    members: dict[tuple[int, int], list[int]] = defaultdict(list)
-    for number, values in cells.items():
-        members[rows[_key(values.get(row_axis))], columns[_key(values.get(column_axis))]].append(number)
-    return Grid(
-        row_axis=row_axis,
-        column_axis=column_axis,
-        rows=tuple(value for _, value in rows),
-        columns=tuple(value for _, value in columns),
-        cells={place: _grid_cell(numbers, states) for place, numbers in members.items()},
-    )
-
-
-def _grid_cell(numbers: Sequence[int], states: Mapping[int, Mapping[RunState, int]]) -> GridCell:
-    counts: Counter[Phase] = Counter()
-    for number in numbers:
-        for state, count in states.get(number, {}).items():
-            counts[Phase.of(state)] += count
-    return GridCell(len(numbers), numbers[0], {phase: counts[phase] for phase in Phase})
-
-
-def _all_values(t: Transaction, experiment_id: int) -> dict[int, dict[str, Value]]:
-    return {cell.number: cell.values for cell in t.experiments.cells(experiment_id, 0, None)}
-
-
-def _axes(cells: Mapping[int, Mapping[str, Value]]) -> dict[str, tuple[Value, ...]]:
-    found: dict[str, dict[tuple[str, Value | None], Value]] = {}
-    for values in cells.values():
-        for axis, value in values.items():
-            found.setdefault(axis, {}).setdefault(_key(value), value)
-    return {axis: tuple(values.values()) for axis, values in found.items()}
-
-
-def _places(cells: Mapping[int, Mapping[str, Value]], axis: str) -> dict[tuple[str, Value | None], int]:
-    """The values of an axis in the order in which they appear, those without one last: {value: index}."""
-    keys = dict.fromkeys(_key(values.get(axis)) for values in cells.values())
-    ordered = sorted(keys, key=lambda key: key[1] is None)
-    return {key: index for index, key in enumerate(ordered)}
-
-
-def _key(value: Value | None) -> tuple[str, Value | None]:
-    """1, 1.0 and True are three values."""
-    return type(value).__name__, value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from slamhive.domain.metrics import Metric
@@ -23,6 +23,7 @@ from slamhive.web.formatting import DASH, Cell, display_unit, duration, plural, 
 MOST_ROWS, MOST_COLUMNS = 50, 25
 """Of a grid on a page; the words say what was left out."""
 
+Search = Callable[[Mapping[str, Value | None]], dict[str, str] | None]
 FINISHED_PHASES = (Phase.GOOD, Phase.FAILED, Phase.CANCELLED)
 _DRAWN = (Phase.GOOD, Phase.FAILED, Phase.CANCELLED, Phase.RUNNING, Phase.QUEUED)
 
@@ -38,7 +39,11 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class GridEntry:
-    """One place of the grid. ``number`` is that of the cell if it is a single one, None otherwise."""
+    """One place of the grid.
+
+    ``number`` is that of the cell if it is a single one, ``search`` the arguments of the runs page that find the runs
+    of several, None if there are none.
+    """
 
     total: int
     ended: int
@@ -46,6 +51,7 @@ class GridEntry:
     notes: tuple[str, ...]
     explanation: str
     number: int | None
+    search: Mapping[str, str] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,14 +115,14 @@ def status_in_words(status: ExperimentStatus) -> str:
     return text
 
 
-def varying(axes: Mapping[str, Sequence[Value | None]]) -> list[str]:
-    """The axes that take several values."""
-    return [name for name, values in axes.items() if len(values) > 1]
+def varying(axes: Mapping[str, int]) -> list[str]:
+    """The axes that take several values, out of {axis: number of values}."""
+    return [name for name, values in axes.items() if values > 1]
 
 
-def default_axes(axes: Mapping[str, Sequence[Value | None]]) -> tuple[str, str]:
+def default_axes(axes: Mapping[str, int]) -> tuple[str, str]:
     """What the grid shows if nothing was chosen: the first two axes that vary and fit on a page."""
-    fitting = [name for name in varying(axes) if len(axes[name]) <= MOST_COLUMNS]
+    fitting = [name for name in varying(axes) if axes[name] <= MOST_COLUMNS]
     names = list(dict.fromkeys([*fitting, *varying(axes), *axes]))
     return names[0], names[1] if len(names) > 1 else names[0]
 
@@ -126,15 +132,15 @@ def axis_text(value: Value | None) -> str:
     return DASH if value is None else value_text(value)
 
 
-def grid_view(grid: Grid) -> GridView:
-    """The grid as the page draws it, cut to what a page holds."""
+def grid_view(grid: Grid, search: Search) -> GridView:
+    """The grid as the page draws it, cut to what a page holds. ``search`` finds the runs with some values."""
     rows, columns = grid.rows[:MOST_ROWS], grid.columns[:MOST_COLUMNS]
     lines = tuple(
         (
             axis_text(row),
             tuple(
-                _entry(grid.cells.get((place, column)), _explained(grid, row, grid.columns[column]))
-                for column in range(len(columns))
+                _entry(grid.cells.get((place, index)), {grid.row_axis: row, grid.column_axis: column}, search)
+                for index, column in enumerate(columns)
             ),
         )
         for place, row in enumerate(rows)
@@ -234,11 +240,12 @@ def _variants(to_make: int, made: int, needed_bytes: int) -> str:
     return f"{text}; {thousands(made)} made already" if made else text
 
 
-def _entry(found: GridCell | None, where: str) -> GridEntry | None:
+def _entry(found: GridCell | None, values: Mapping[str, Value | None], search: Search) -> GridEntry | None:
     if found is None:
         return None
     ended = sum(found.counts.get(phase, 0) for phase in FINISHED_PHASES)
     told = (Phase.FAILED, Phase.RUNNING, Phase.CANCELLED)
+    where = ", ".join(f"{axis} {axis_text(value)}" for axis, value in values.items())
     several = f" in {plural(found.cells, 'configuration')}" if found.cells > 1 else ""
     return GridEntry(
         total=sum(found.counts.values()),
@@ -247,11 +254,8 @@ def _entry(found: GridCell | None, where: str) -> GridEntry | None:
         notes=tuple(f"{thousands(found.counts[phase])} {phase.value}" for phase in told if found.counts.get(phase)),
         explanation=f"{where}: {counts_in_words(found.counts)}{several}",
         number=found.first if found.cells == 1 else None,
+        search=None if found.cells == 1 else search(values),
     )
-
-
-def _explained(grid: Grid, row: Value | None, column: Value | None) -> str:
-    return f"{grid.row_axis} {axis_text(row)}, {grid.column_axis} {axis_text(column)}"
 
 
 def _figure(metric: Metric, spread: Spread | None) -> Cell:

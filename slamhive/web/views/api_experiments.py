@@ -91,7 +91,7 @@ def cells(name: str) -> Response:
 def grid(name: str) -> Response:
     """Progress over the axes ``rows`` and ``columns``."""
     services = hive().experiments
-    query = GridQuery.from_args(request.args, services.axes(name))
+    query = GridQuery.from_args(request.args, {axis: len(found) for axis, found in services.axes(name).items()})
     return answer({"grid": None if query is None else grid_to_json(services.grid(name, query.rows, query.columns))})
 
 

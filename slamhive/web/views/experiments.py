@@ -12,14 +12,19 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import NotFound
 from slamhive.services.experiments.records import Cell, ExperimentStatus, Phase, Standing
 from slamhive.services.experiments.watching import METRICS
+from slamhive.sweep.experiment import Experiment
+from slamhive.sweep.experiment_file import parse_experiment
 from slamhive.web.context import hive
-from slamhive.web.experiment_page import CellsQuery, GridQuery, page_number, repeats_count
+from slamhive.web.experiment_page import CellsQuery, GridQuery, page_number, repeats_count, search_of, stated_axes
 from slamhive.web.formatting import plural
 from slamhive.web.presenters import experiments as presenter
 
 blueprint = Blueprint("experiments", __name__, url_prefix="/experiments")
 
 PAGE_LENGTH = 50
+LARGE = 5000
+"""Configurations above which the grid is counted only after the page is there."""
+
 ACTION = "<any('pause', 'resume', 'cancel', 'retry-failed', 'add-repeats'):action>"
 CELL_NUMBER = "<int(max=2147483647):number>"
 
@@ -49,7 +54,9 @@ def show(name: str) -> str:
     """One experiment: how far it is over two axes, and the results of its configurations."""
     experiments = hive().experiments
     status = experiments.status(name)
-    axes = experiments.axes(name)
+    stated = parse_experiment(experiments.source(name).text)
+    later = status.cells > LARGE and request.args.get("grid") != "now"
+    axes = stated_axes(stated) if later else {axis: len(found) for axis, found in experiments.axes(name).items()}
     cells = CellsQuery.from_args(request.args)
     page = experiments.cells(name, cells.after, cells.limit)
     grid = GridQuery.from_args(request.args, axes)
@@ -61,7 +68,8 @@ def show(name: str) -> str:
         failed=status.counts[Phase.FAILED],
         axes=list(axes),
         shown_axes=shown_axes,
-        grid=None if grid is None else presenter.grid_view(experiments.grid(name, grid.rows, grid.columns)),
+        asked=grid,
+        grid=None if grid is None or later else _grid(grid, stated),
         kept=({} if grid is None else grid.args()) | cells.args(),
         page=page,
         cells=cells,
@@ -109,6 +117,11 @@ def act(name: str, action: str) -> Response:
         experiments.add_repeats(name, count)
         flash(f"{plural(count, 'repeat')} of each configuration of {name} are queued.", "success")
     return make_response(redirect(address("experiments.show", name=name), 303))
+
+
+def _grid(wanted: GridQuery, stated: Experiment) -> presenter.GridView:
+    grid = hive().experiments.grid(stated.name, wanted.rows, wanted.columns)
+    return presenter.grid_view(grid, lambda values: search_of(stated, values))
 
 
 def with_time_left(found: Iterable[ExperimentStatus]) -> list[ExperimentStatus]:
