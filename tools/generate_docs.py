@@ -1,4 +1,4 @@
-"""Writes what follows from the code: settings, command line, pre-processing steps, metrics, the schema of experiments.
+"""Writes what follows from the code: settings, command line, pre-processing steps, metrics, the schemas of files.
 
 ``generate_docs.py`` writes them, ``generate_docs.py --check`` fails if they are out of date.
 """
@@ -13,6 +13,7 @@ import click
 
 from slamhive import cli
 from slamhive.bags.variants.rules import RegisteredSteps, describe_options, explain_step
+from slamhive.catalogue.protocol_file import protocol_schema
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
 from slamhive.settings import describe
 from slamhive.sweep.experiment_file import experiment_schema
@@ -105,6 +106,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "variant-steps.md": steps_page,
     "metrics.md": metrics_page,
     "schemas/experiment.schema.json": experiment_schema,
+    "schemas/protocol.schema.json": protocol_schema,
 }
 
 
