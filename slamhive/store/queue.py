@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, and_, false, func, insert, or_, select, update
+from sqlalchemy import ColumnElement, and_, false, func, insert, or_, select, union_all, update
 from sqlalchemy.orm import Session
 
 from slamhive.domain.affinity import same_data
@@ -120,7 +120,11 @@ class QueueRepository:
 
     def adopt(self, owner: str, now: datetime, lease_s: float, only: Collection[int] | None = None) -> RunRecord | None:
         """Take over an active run whose worker let go of it or went silent, in the state it is in."""
+        # One state at a time: asked for five at once, SQLite may rather read the whole table once it has statistics.
+        each = [select(_RUNS.c.id).where(_RUNS.c.state == state) for state in ACTIVE]
+        active = list(self._session.execute(union_all(*each)).scalars())
         orphaned = [
+            _RUNS.c.id.in_(active),
             _RUNS.c.state.in_(ACTIVE),
             or_(_RUNS.c.lease_owner.is_(None), _RUNS.c.lease_expires_at < now),
             *_among(only),
