@@ -128,6 +128,11 @@ class RunTableRepository:
             raise unknown("experiment", name, list(self._session.execute(select(table.c.name)).scalars()))
         return list(self._session.execute(select(Run.id).where(Run.experiment_id == found)).scalars())
 
+    def experiment_names(self) -> dict[int, str]:
+        """All experiments: {id: name}."""
+        table = Experiment.__table__
+        return {row.id: row.name for row in self._session.execute(select(table.c.id, table.c.name))}
+
     def runs_of_group(self, name: str) -> list[int]:
         """The runs of the configurations of a group; raises NotFound."""
         table = ConfigurationGroup.__table__

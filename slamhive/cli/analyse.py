@@ -1,0 +1,78 @@
+"""``slamhive analyse``: an analysis file to a report in a folder, without the web."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from slamhive.cli.context import CliContext, json_option, pass_cli
+from slamhive.cli.output import messages, print_json, print_table, progress_bar
+from slamhive.errors import InvalidInput
+
+FIGURE_FORMATS = ("pdf", "svg", "png")
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), help="Folder or .zip file for the report.")
+@click.option("--figures", default=",".join(FIGURE_FORMATS), show_default=True, help="Printed formats, or none.")
+@click.option("--timeout", "timeout_s", type=click.FloatRange(1), default=3600.0, show_default=True, help="In s.")
+@json_option
+@pass_cli
+def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **options: Any) -> None:
+    """Compute the analysis in FILE: its figures, tables and report.
+
+    FILE is an analysis file (docs/analysis.md), or one of the published SLAM Hive. Without --out only the counts and
+    what could not be shown are printed. Ends with exit code 1 if a form of the analysis does not fit the runs.
+    """
+    # matplotlib, pandas and scipy take two seconds to load, which no other command should wait for.
+    from slamhive.services.analyses.bundle import write_folder, zipped  # noqa: PLC0415
+    from slamhive.services.analyses.run import AnalysisLimits  # noqa: PLC0415
+
+    figures = _formats(options["figures"])
+    hive = cli.hive()
+    analysis = hive.analyses.read_file(file)
+    with progress_bar(analysis.name) as tell:
+        report = hive.analyses.compute(analysis, AnalysisLimits(sys.maxsize, options["timeout_s"]), tell)
+    root = hive.catalogue.project_root
+    if out is not None and out.suffix == ".zip":
+        from slamhive.files import write_aside  # noqa: PLC0415
+
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_aside(out, zipped(report, root, figures))
+    elif out is not None:
+        with progress_bar("writing the report") as tell:
+            write_folder(report, root, out, figures, tell)
+    refused = [form for form in report["forms"] if form["error"]]
+    if as_json:
+        print_json({key: report[key] for key in report if key != "forms"} | {"forms": _brief(report)})
+    else:
+        messages.print(f"{report['runs']} runs, {report['failed']} failed: {report['selection']}")
+        rows = [(entry["form"], entry["title"], entry["charts"], entry["error"] or "") for entry in _brief(report)]
+        print_table(("form", "title", "figures", "not shown because"), rows)
+        if out is not None:
+            messages.print(f"written to {out}")
+    if refused:
+        raise InvalidInput(f"{len(refused)} of {len(report['forms'])} forms do not fit: {refused[0]['error']}")
+
+
+def _brief(report: dict[str, Any]) -> list[dict[str, Any]]:
+    return [
+        {key: form[key] for key in ("place", "form", "title", "error")}
+        | {"charts": 0 if form["result"] is None else len(form["result"]["charts"])}
+        for form in report["forms"]
+    ]
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    chosen = () if text == "none" else tuple(part.strip() for part in text.split(","))
+    for name in chosen:
+        if name not in FIGURE_FORMATS:
+            raise InvalidInput(f"--figures {name!r} is not known", f"use some of {', '.join(FIGURE_FORMATS)}, or none")
+    return chosen
+
+
+COMMANDS = (analyse,)

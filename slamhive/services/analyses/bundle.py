@@ -1,0 +1,139 @@
+"""A report as files: one self-contained page, figures for print, tables with all data, LaTeX; a folder or a zip."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import Any
+
+import plotly
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from slamhive.analysis.plotly_chart import plotly_figure
+from slamhive.analysis.print_chart import FORMATS, print_chart
+from slamhive.analysis.result import FormResult, ResultTable
+from slamhive.analysis.result_json import from_json
+from slamhive.files import write_aside
+from slamhive.services.analyses.report import SHOWN_ROWS, excluded_words, file_name, markdown_html
+from slamhive.services.analyses.tables import table_csv, table_latex
+
+PLOTLY_FILE = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
+PAGE = "report.html"
+
+Progress = Callable[[float, str], None]
+
+
+def report_files(
+    report: dict[str, Any], project_root: Path, figures: Collection[str] = FORMATS, progress: Progress | None = None
+) -> Iterator[tuple[str, bytes]]:
+    """Every file of a report, by its path in the folder, one at a time.
+
+    Args:
+        report: From :func:`slamhive.services.analyses.report.report_json`.
+        project_root: Where the templates lie.
+        figures: The formats of printed figures, of :data:`slamhive.analysis.print_chart.FORMATS`.
+        progress: Told the share done and what is written.
+    """
+    tell = progress or (lambda _share, _what: None)
+    yield "analysis.yaml", report["source"].encode()
+    tell(0.0, PAGE)
+    yield PAGE, report_page(report, project_root).encode()
+    forms = report["forms"]
+    for form in forms:
+        tell(form["place"] / (len(forms) + 1), form["title"])
+        if form["result"] is None:
+            continue
+        result: FormResult = from_json(form["result"])
+        for chart in result.charts:
+            for file_format in figures:
+                name = file_name(form["place"], chart.key, file_format)
+                yield f"figures/{name}", print_chart(chart, file_format)
+        for table in result.tables:
+            yield from _table_files(form["place"], table)
+
+
+def write_folder(
+    report: dict[str, Any],
+    project_root: Path,
+    folder: Path,
+    figures: Collection[str] = FORMATS,
+    progress: Progress | None = None,
+) -> list[Path]:
+    """Write the report into ``folder``, each file in one step; the paths written. Raises Unavailable."""
+    written = []
+    for name, content in report_files(report, project_root, figures, progress):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_aside(path, content)
+        written.append(path)
+    return written
+
+
+def zipped(report: dict[str, Any], project_root: Path, figures: Collection[str] = FORMATS) -> bytes:
+    """The report as a zip file; the same report gives the same bytes."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in report_files(report, project_root, figures):
+            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
+
+
+def report_page(report: dict[str, Any], project_root: Path) -> str:
+    """One HTML page with styles, figures and the library that draws them: it needs no server and no network."""
+    environment = Environment(
+        loader=FileSystemLoader(project_root / "templates"), autoescape=True, undefined=StrictUndefined
+    )
+    environment.filters["markdown"] = lambda text: Markup(markdown_html(text))  # noqa: S704 - HTML in it is text
+    template = environment.get_template("analyses/report.html")
+    return template.render(
+        report=report,
+        forms=[shown_form(form) for form in report["forms"]],
+        figures=_script_json(figures_json(report)),
+        plotly_js=Markup(PLOTLY_FILE.read_text(encoding="utf-8")),  # noqa: S704 - out of the installed package
+        draw_js=Markup((project_root / "static" / "report.js").read_text(encoding="utf-8")),  # noqa: S704 - ours
+        style=Markup((project_root / "static" / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - ours
+    )
+
+
+def shown_form(form: dict[str, Any]) -> dict[str, Any]:
+    """What a page shows of a form: charts by key and caption, tables with their first rows."""
+    result: FormResult | None = None if form["result"] is None else from_json(form["result"])
+    tables = [] if result is None else [table for table in result.tables if not table.raw]
+    return {
+        **{key: form[key] for key in ("place", "form", "title", "description", "text", "error")},
+        "charts": [] if result is None else result.charts,
+        "tables": [_shown_table(table) for table in tables],
+        "notes": [*(() if result is None else result.notes), *excluded_words(form)],
+        "runs": None if result is None else result.runs,
+        "failed": None if result is None else result.failed,
+    }
+
+
+def _shown_table(table: ResultTable) -> dict[str, Any]:
+    return {"table": table, "rows": table.rows[:SHOWN_ROWS], "more": len(table.rows) - SHOWN_ROWS}
+
+
+def figures_json(report: dict[str, Any]) -> dict[str, Any]:
+    """{place-key: Plotly figure} of all charts of a report."""
+    figures = {}
+    for form in report["forms"]:
+        if form["result"] is not None:
+            result: FormResult = from_json(form["result"])
+            figures.update({f"{form['place']}-{chart.key}": plotly_figure(chart) for chart in result.charts})
+    return figures
+
+
+def _table_files(place: int, table: ResultTable) -> Iterator[tuple[str, bytes]]:
+    yield f"tables/{file_name(place, table.key, 'csv')}", table_csv(table).encode()
+    if not table.raw:
+        yield f"tables/{file_name(place, table.key, 'tex')}", table_latex(table).encode()
+
+
+def _script_json(content: dict[str, Any]) -> Markup:
+    """JSON inside a script element: nothing in it can end the element."""
+    text = json.dumps(content, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))  # noqa: S704 - escaped

@@ -1,0 +1,82 @@
+"""A report: what an analysis came to, as plain JSON that pages and files are made from."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+from markdown_it import MarkdownIt
+
+from slamhive.analysis.analysis_file import set_words
+from slamhive.analysis.result_json import to_json
+from slamhive.analysis.table import FAILED
+from slamhive.services.analyses.run import AnalysisOutcome, FormOutcome
+from slamhive.services.run_json import timestamp
+
+FORMAT = 1
+SHOWN_ROWS = 200
+"""A page shows so many rows of a table; the CSV file has all of them."""
+
+_MARKDOWN = MarkdownIt("commonmark", {"html": False, "linkify": False}).enable("table").disable("image")
+
+
+def markdown_html(text: str) -> str:
+    """Markdown as HTML: tags in it are shown as text, addresses of scripts are refused, pictures are left out."""
+    return str(_MARKDOWN.render(text))
+
+
+def report_json(outcome: AnalysisOutcome, now: datetime) -> dict[str, Any]:
+    """Everything a reader of the analysis needs, charts and raw data included.
+
+    Args:
+        outcome: What was computed.
+        now: When.
+    """
+    analysis, table = outcome.analysis, outcome.table
+    reasons = Counter(table.failed()[FAILED])
+    protocols = table.frame.dropna(subset=["protocol"]).groupby("protocol", sort=True)["protocol_label"]
+    return {
+        "format": FORMAT,
+        "name": analysis.name,
+        "text": analysis.text,
+        "made_at": timestamp(now),
+        "selection": analysis.selection_words,
+        "sets": {name: set_words(chosen) for name, chosen in sorted(analysis.sets.items())},
+        "runs": len(table.frame),
+        "configurations": int(table.frame["configuration_id"].nunique()),
+        "algorithms": sorted(table.frame["algorithm"].unique()),
+        "datasets": sorted(table.frame["dataset"].unique()),
+        "failed": outcome.failed_runs,
+        "failed_because": dict(sorted(reasons.items())),
+        "rule": table.rule.words,
+        "protocols": [
+            {"fingerprint": str(name), "label": str(labels.iloc[0]), "runs": len(labels)} for name, labels in protocols
+        ],
+        "forms": [_form_json(form, place) for place, form in enumerate(outcome.forms, start=1)],
+        "source": analysis.source,
+    }
+
+
+def _form_json(form: FormOutcome, place: int) -> dict[str, Any]:
+    return {
+        "place": place,
+        "form": form.request.form.key,
+        "title": form.title,
+        "description": form.request.form.description,
+        "text": form.request.options.text,
+        "error": form.error,
+        "result": None if form.result is None else to_json(form.result),
+    }
+
+
+def file_name(place: int, key: str, ending: str) -> str:
+    """``03_scatter_ate.rmse.pdf``: files of a report in the order of its forms."""
+    return f"{place:02d}_{key}.{ending}"
+
+
+def excluded_words(content: Mapping[str, Any]) -> list[str]:
+    """What a form left out, one sentence each."""
+    exclusions = (content["result"] or {}).get("excluded", ())
+    return [f"{len(entry['runs'])} runs left out: {entry['reason']}." for entry in exclusions]

@@ -1,0 +1,82 @@
+"""The use cases of analyses that command line, worker and pages share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from slamhive.analysis.analysis_file import Analysis, parse_analysis
+from slamhive.analysis.paper_file import PaperNames
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.services.analyses.report import report_json
+from slamhive.services.analyses.run import AnalysisLimits, AnalysisSources, run_analysis
+from slamhive.services.catalogue import Catalogue
+from slamhive.services.driver_context import utc_now
+from slamhive.services.searches import Searches
+from slamhive.settings import Settings
+from slamhive.store.store import Store, Transaction
+
+MAX_SOURCE_BYTES = 1_000_000
+
+
+class Analyses:
+    """Reads analysis files and computes reports.
+
+    Args:
+        settings: In force.
+        store: The database.
+        catalogue: Algorithms, which tell their sensors.
+        searches: Filters and saved searches.
+    """
+
+    def __init__(self, settings: Settings, store: Store, catalogue: Catalogue, searches: Searches) -> None:
+        self._settings = settings
+        self._store = store
+        self._catalogue = catalogue
+        self._searches = searches
+
+    def read(self, text: str, source: str = "analysis.yaml") -> Analysis:
+        """The analysis that ``text`` states, ours or the published system's; raises InvalidInput with the line."""
+        if len(text.encode()) > MAX_SOURCE_BYTES:
+            raise InvalidInput(f"{source} is larger than {MAX_SOURCE_BYTES} bytes", "split it into several analyses")
+        return parse_analysis(text, source, self._store.read(_paper_names))
+
+    def read_file(self, path: Path) -> Analysis:
+        """The same from a file."""
+        try:
+            return self.read(path.read_text(encoding="utf-8"), str(path))
+        except FileNotFoundError:
+            raise NotFound(f"{path} does not exist") from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise InvalidInput(f"{path} cannot be read as text: {error}") from None
+
+    def compute(
+        self,
+        analysis: Analysis,
+        limits: AnalysisLimits,
+        progress: Callable[[float, str], None] = lambda _share, _doing: None,
+    ) -> dict[str, Any]:
+        """The report; raises InvalidInput or NotFound for a selection that cannot be."""
+        sources = AnalysisSources(
+            settings=self._settings,
+            store=self._store,
+            find=self._searches.find,
+            saved_search=lambda name: self._searches.saved_named(name).filter_text,
+            sensors_of=self._sensors,
+        )
+        return report_json(run_analysis(analysis, sources, limits, progress), utc_now())
+
+    def _sensors(self, algorithm: str) -> str | None:
+        try:
+            return self._catalogue.algorithm(algorithm).setup.value
+        except (NotFound, InvalidInput):  # left the installation, or its folder is broken: its runs remain
+            return None
+
+
+def _paper_names(transaction: Transaction) -> PaperNames:
+    return PaperNames(
+        algorithms={record.id: record.name for record in transaction.catalogue.algorithms()},
+        datasets={record.id: record.name for record in transaction.catalogue.datasets()},
+        experiments=transaction.run_table.experiment_names(),
+    )

@@ -1,0 +1,83 @@
+"""Tables of analyses as files: CSV, Parquet, LaTeX."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import pandas as pd
+
+from slamhive.analysis.result import Cell, ResultTable
+from slamhive.errors import Unavailable
+from slamhive.services.table_text import safe_cell
+
+LATEX_ROWS = 500
+"""A printed table is not longer; the CSV file has all rows."""
+
+_LATEX = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "²": r"\textsuperscript{2}", "°": r"\textdegree{}",
+    "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}",
+}  # fmt: skip
+
+
+def table_csv(table: ResultTable) -> str:
+    """Comma-separated text with units in the heading; no cell is taken for a formula by a spreadsheet."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([safe_cell(column.heading) for column in table.columns])
+    for row in table.rows:
+        writer.writerow(["" if value is None else safe_cell(value) for value in row])
+    return text.getvalue()
+
+
+def table_parquet(table: ResultTable) -> bytes:
+    """A Parquet file; raises Unavailable without pyarrow."""
+    frame = pd.DataFrame(list(table.rows), columns=[column.key for column in table.columns])
+    for name in frame.columns:
+        if any(isinstance(value, str) for value in frame[name]):  # a column of Parquet has one type
+            frame[name] = frame[name].map(lambda value: None if pd.isna(value) else str(value))
+    buffer = io.BytesIO()
+    try:
+        frame.to_parquet(buffer, engine="pyarrow", index=False)
+    except ImportError:
+        remedy = "pip install slamhive[parquet]"
+        raise Unavailable("Parquet needs pyarrow, which is not installed", remedy) from None
+    return buffer.getvalue()
+
+
+def table_latex(table: ResultTable) -> str:
+    """A ``tabular`` with booktabs rules; words from outside are escaped, numbers have four significant digits."""
+    numeric = [all(isinstance(row[place], int | float | None) for row in table.rows) for place in _places(table)]
+    lines = [
+        f"% {_comment(table.title)}",
+        f"\\begin{{tabular}}{{{''.join('r' if number else 'l' for number in numeric)}}}",
+        r"\toprule",
+        " & ".join(latex(column.heading) for column in table.columns) + r" \\",
+        r"\midrule",
+    ]
+    lines += [" & ".join(_latex_cell(cell) for cell in row) + r" \\" for row in table.rows[:LATEX_ROWS]]
+    if len(table.rows) > LATEX_ROWS:
+        lines.append(f"% {len(table.rows) - LATEX_ROWS} more rows stand in the CSV file")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def latex(text: str) -> str:
+    """Words as LaTeX shows them: nothing in them is a command."""
+    return "".join(_LATEX.get(letter, letter) if letter.isprintable() else " " for letter in text)
+
+
+def _places(table: ResultTable) -> range:
+    return range(len(table.columns))
+
+
+def _latex_cell(cell: Cell) -> str:
+    if cell is None:
+        return "--"
+    if isinstance(cell, float):
+        return f"{cell:.4g}"
+    return latex(str(cell))
+
+
+def _comment(text: str) -> str:
+    return "".join(letter if letter.isprintable() else " " for letter in text)
