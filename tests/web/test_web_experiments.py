@@ -445,8 +445,8 @@ def test_view_only_shows_experiments_without_buttons(trial: Web, tmp_path: Path,
 
 def test_an_experiment_through_the_api(web: Web):
     plan = web.client.post("/api/v1/experiments/preview", json={"yaml": TRIAL}, headers=API).get_json()
-    assert (plan["configurations"], plan["runs"], plan["known_configurations"]) == (6, 12, 0)
-    assert plan["first"][0]["values"]["nFeatures"] == 500
+    assert (plan["cells"], plan["runs"], plan["known_cells"]) == (6, 12, 0)
+    assert plan["rows"][0]["values"]["nFeatures"] == 500
     assert names(web) == []
     started = web.client.post("/api/v1/experiments", json={"yaml": TRIAL}, headers=API)
     assert started.status_code == 201
@@ -461,10 +461,10 @@ def test_an_experiment_through_the_api(web: Web):
 def test_cells_and_grid_through_the_api(trial: Web):
     world.fail_run(trial.hive, runs_of(trial, 1)[0])
     page = trial.client.get("/api/v1/experiments/trial/cells?limit=4").get_json()
-    assert [cell["number"] for cell in page["cells"]] == [1, 2, 3, 4]
+    assert [cell["cell"] for cell in page["cells"]] == [1, 2, 3, 4]
     assert page["cells"][0]["failures"] == {FailureReason.NO_TRAJECTORY.value: 1}
     rest = trial.client.get(page["next"]).get_json()
-    assert [cell["number"] for cell in rest["cells"]] == [5, 6]
+    assert [cell["cell"] for cell in rest["cells"]] == [5, 6]
     assert rest["next"] is None
     grid = trial.client.get("/api/v1/experiments/trial/grid?rows=nFeatures&columns=algorithm").get_json()["grid"]
     assert grid["rows"] == [500, 1000, 1500]
@@ -474,8 +474,8 @@ def test_cells_and_grid_through_the_api(trial: Web):
 
 def test_changes_through_the_api(trial: Web):
     address = "/api/v1/experiments/trial"
-    assert trial.client.post(f"{address}/pause", headers=API).get_json()["standing"] == "paused"
-    assert trial.client.post(f"{address}/resume", headers=API).get_json()["standing"] == "active"
+    assert trial.client.post(f"{address}/pause", headers=API).get_json()["state"] == "paused"
+    assert trial.client.post(f"{address}/resume", headers=API).get_json()["state"] == "active"
     assert trial.client.post(f"{address}/repeats", json={"count": 1}, headers=API).get_json()["runs"] == 18
     assert trial.client.post(f"{address}/cancel", headers=API).status_code == 202
     assert trial.client.post(f"{address}/pause").status_code == 403
