@@ -10,12 +10,15 @@ import click
 from slamhive import __version__
 from slamhive.cli import (
     algorithms,
+    analyse,
     configurations,
     datasets,
     evaluate,
+    experiments,
     maintenance,
     protocols,
     runs,
+    searching,
     serving,
     variants,
 )
@@ -42,6 +45,19 @@ def main(context: click.Context, data: Path | None, database_url: str | None, ve
     context.call_on_close(context.obj.close)
 
 
-for module in (datasets, variants, algorithms, configurations, runs, evaluate, protocols, serving, maintenance):
+for module in (
+    datasets,
+    variants,
+    algorithms,
+    configurations,
+    experiments,
+    runs,
+    searching,
+    evaluate,
+    protocols,
+    analyse,
+    serving,
+    maintenance,
+):
     for command in module.COMMANDS:
         main.add_command(command)

@@ -102,6 +102,7 @@ def run(cli: CliContext, algorithm: str, dataset: str, settings: tuple[str, ...]
 @click.group(invoke_without_command=True)
 @click.option("--state", "states", type=choice(RunState), multiple=True, help="Only these states.")
 @click.option("--reason", "reasons", type=choice(FailureReason), multiple=True, help="Only these failures.")
+@click.option("--experiment", "experiments", multiple=True, help="Only those of these experiments.")
 @click.option("--algorithm", "algorithms", multiple=True, help="Only these algorithms.")
 @click.option("--dataset", "datasets", multiple=True, help="Only these datasets.")
 @click.option("--sort", default="id", show_default=True, help="Column or metric, e.g. ate.rmse.")
@@ -118,6 +119,7 @@ def runs(context: click.Context, cli: CliContext, /, as_json: bool, **options: A
     wanted = matching(
         states=tuple(RunState(state) for state in options["states"]),
         reasons=tuple(FailureReason(reason) for reason in options["reasons"]),
+        experiments=options["experiments"],
         algorithms=options["algorithms"],
         datasets=options["datasets"],
     )

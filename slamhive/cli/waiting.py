@@ -9,12 +9,15 @@ from collections.abc import Callable, Sequence
 from slamhive.cli.output import counting_bar, messages
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, SlamHiveError
+from slamhive.services.experiments.records import Phase, Standing
 from slamhive.services.hive import Hive
 from slamhive.services.worker import Worker
 from slamhive.store import EvaluationState, RunRecord
 
 PAUSE_S = 0.3
 TAKE_OVER_S = 1.0
+WORKED_ON = 500
+"""Runs of an experiment that this process takes on at a time."""
 
 
 def run_to_end(
@@ -29,7 +32,7 @@ def run_to_end(
     If no worker runs on this machine, this process works on these runs itself. An interrupt (Ctrl-C) cancels what has
     not ended. ``on_end`` is called with each run as soon as it is complete.
     """
-    helper = _Helper(hive, run_ids)
+    helper = _Helper(hive, lambda: run_ids)
     helper.start()
     try:
         _show_until_complete(hive, run_ids, evaluate, on_end, helper.failure)
@@ -43,10 +46,31 @@ def run_to_end(
         raise helper.failure[0]
 
 
+def experiment_to_end(hive: Hive, name: str, *, on_end: Callable[[RunRecord], None] | None = None) -> None:
+    """Wait until all runs of an experiment have ended and been evaluated, or until somebody pauses it.
+
+    If no worker runs on this machine, this process works on these runs itself. An interrupt (Ctrl-C) leaves the
+    experiment as it is: the next worker, or the same command again, goes on. ``on_end`` as in :func:`run_to_end`.
+    """
+    helper = _Helper(hive, lambda: hive.experiments.unfinished(name)[:WORKED_ON])
+    helper.start()
+    try:
+        _show_experiment(hive, name, on_end, helper.failure)
+    except KeyboardInterrupt:
+        messages.print(
+            f"interrupted: what is queued stays queued; `slamhive experiment cancel {name}` cancels it", soft_wrap=True
+        )
+        raise
+    finally:
+        helper.stop()
+    if helper.failure:
+        raise helper.failure[0]
+
+
 class _Helper:
     """Works on the given runs whenever no other worker of this machine does."""
 
-    def __init__(self, hive: Hive, run_ids: Sequence[int]) -> None:
+    def __init__(self, hive: Hive, run_ids: Callable[[], Sequence[int]]) -> None:
         self.failure: list[BaseException] = []
         self._hive = hive
         self._run_ids = run_ids
@@ -65,7 +89,7 @@ class _Helper:
 
     def _work(self) -> None:
         while not self._ends.is_set():
-            self._worker = self._hive.worker(only=self._run_ids)
+            self._worker = self._hive.worker(only=self._run_ids())
             try:
                 self._worker.run(until_idle=True)
             except Conflict:
@@ -96,6 +120,30 @@ def _show_until_complete(
             show(len(run_ids) - len(waiting), "" if active is None else _activity(hive, active))
             if waiting:
                 time.sleep(PAUSE_S)
+
+
+def _show_experiment(
+    hive: Hive, name: str, on_end: Callable[[RunRecord], None] | None, failure: list[BaseException]
+) -> None:
+    waiting = hive.experiments.unfinished(name)
+    total = len(waiting)
+    with counting_bar("runs", total) as show:
+        while waiting and not failure:
+            began = time.monotonic()
+            left = hive.experiments.unfinished(name)
+            if on_end is not None:
+                for run_id in sorted(set(waiting).difference(left)):
+                    on_end(hive.run(run_id))
+            waiting = left
+            status = hive.experiments.status(name)
+            if status.standing is Standing.PAUSED and not status.counts[Phase.RUNNING]:
+                messages.print(f"experiment {name} is paused; `slamhive experiment resume {name}` lets it go on")
+                return
+            time_left = "" if status.left_s is None else f", about {status.left_s:.0f} s left"
+            show(max(0, total - len(waiting)), f"{status.counts[Phase.FAILED]} failed{time_left}")
+            if waiting:
+                # Looking at a large experiment takes a while: most of the time is left to what is looked at.
+                time.sleep(max(PAUSE_S, 5 * (time.monotonic() - began)))
 
 
 def _is_complete(hive: Hive, record: RunRecord, evaluate: bool) -> bool:

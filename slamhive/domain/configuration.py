@@ -10,6 +10,8 @@ from enum import StrEnum
 from slamhive.domain.parameters import Value
 from slamhive.domain.variant import Variant
 
+_as_json = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
+
 
 class PlaybackMode(StrEnum):
     """How the recording is fed: in real time (a slow algorithm loses frames) or one message after the other."""
@@ -47,8 +49,7 @@ class Configuration:
         }
         if self.variant:
             content["variant"] = [step.content for step in self.variant]
-        text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return hashlib.sha256(_as_json(content).encode()).hexdigest()
 
 
 def _tagged(value: Value) -> list[object]:

@@ -38,6 +38,8 @@ def request_to_json(run: RunRecord) -> dict[str, Any]:
         "timeout_s": run.timeout_s,
         "retry_of": run.retry_of,
         "stop_when": stop_when_to_json(run.stop_when),
+        "experiment": run.experiment,
+        "cell": run.cell,
         "protocol": None if run.protocol_override is None else run.protocol_override.content,
     }
 
@@ -114,15 +116,20 @@ def configuration_from_record(record: Mapping[str, Any]) -> Configuration:
     return Configuration(request["algorithm"], request["dataset"], parameters, playback, variant)
 
 
-def snapshot_from_record(record: Mapping[str, Any], configuration_id: int) -> RunSnapshot:
-    """The row that a record stands for; raises InvalidInput if the record does not hold together."""
+def snapshot_from_record(
+    record: Mapping[str, Any], configuration_id: int, experiment_id: int | None = None
+) -> RunSnapshot:
+    """The row that a record stands for; raises InvalidInput if the record does not hold together.
+
+    ``experiment_id`` is the row of the experiment that the record names, None if there is none.
+    """
     try:
-        return _snapshot(record, configuration_id)
+        return _snapshot(record, configuration_id, experiment_id)
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidInput(f"run record {record.get('id')!r} is not complete: {error!r}") from None
 
 
-def _snapshot(record: Mapping[str, Any], configuration_id: int) -> RunSnapshot:
+def _snapshot(record: Mapping[str, Any], configuration_id: int, experiment_id: int | None) -> RunSnapshot:
     request = record["request"]
     protocol = request.get("protocol")
     fields = RunFields(
@@ -152,6 +159,8 @@ def _snapshot(record: Mapping[str, Any], configuration_id: int) -> RunSnapshot:
             timeout_s=request["timeout_s"],
             retry_of=request["retry_of"],
             stop_when=stop_when_from_json(request.get("stop_when")),
+            experiment_id=experiment_id,
+            cell=None if experiment_id is None else request.get("cell"),
             protocol=None if protocol is None else protocol_from_content(protocol),
         ),
         state=RunState(record["state"]),

@@ -6,12 +6,13 @@ import json
 import logging
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from slamhive.catalogue.dataset_file import load_dataset
+from slamhive.domain.affinity import run_affinity
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.protocol import Protocol, protocol_from_content
@@ -20,6 +21,7 @@ from slamhive.evaluation.job import RESULT_FILE, Artefacts, EvaluationResult, re
 from slamhive.runs.folder import RunFolder
 from slamhive.services.driver_context import utc_now
 from slamhive.services.evaluations import PROTOCOL_FILE
+from slamhive.services.experiments.restoring import Restored
 from slamhive.services.hive import Hive
 from slamhive.services.record import configuration_from_record, snapshot_from_record
 from slamhive.store import AlgorithmVersion, Host, Transaction
@@ -46,10 +48,15 @@ class _Filed:
 
 @dataclass
 class ReindexReport:
-    """What was found: ``skipped`` are folders that could not be read, with the reason."""
+    """What was found: ``skipped`` are folders that could not be read, with the reason.
+
+    ``queued`` runs of ``experiments`` had no folder, because no worker had begun them, and are queued again.
+    """
 
     runs: int = 0
     evaluations: int = 0
+    experiments: int = 0
+    queued: int = 0
     skipped: list[tuple[Path, str]] = field(default_factory=list)
 
 
@@ -61,10 +68,14 @@ def run_folders(root: Path) -> list[RunFolder]:
 def reindex(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
     """File every run folder: rows that exist are made equal to their folder, missing ones are added.
 
-    Rows without a folder (queued runs) stay as they are. ``progress`` is called with done and total.
+    Rows without a folder (queued runs) stay as they are; runs of experiments that have neither are queued again.
+    ``progress`` is called with done and total.
     """
     folders = run_folders(hive.settings.runs_folder)
     report = ReindexReport()
+    for restored in hive.experiments.restore_rows():
+        report.experiments += restored.problem is None
+        _note(report, restored)
     for done, folder in enumerate(folders, start=1):
         try:
             report.evaluations += _file_run(hive, folder)
@@ -72,7 +83,15 @@ def reindex(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
         except SlamHiveError as error:
             report.skipped.append((folder.root, str(error)))
         progress(done, len(folders))
+    for restored in hive.experiments.restore_runs():
+        report.queued += restored.queued
+        _note(report, restored)
     return report
+
+
+def _note(report: ReindexReport, restored: Restored) -> None:
+    if restored.problem is not None:
+        report.skipped.append((restored.folder.root, restored.problem))
 
 
 def _file_run(hive: Hive, folder: RunFolder) -> int:
@@ -126,7 +145,10 @@ def _write(t: Transaction, hive: Hive, record: dict[str, Any], filed: _Filed) ->
     dataset_id = t.catalogue.put_dataset(filed.dataset, now)
     definitions = next((a.parameters for a in hive.catalogue.algorithms() if a.name == configuration.algorithm), ())
     configuration_id, _ = t.configurations.get_or_create(configuration, algorithm_id, dataset_id, now, definitions)
-    snapshot = snapshot_from_record(record, configuration_id)
+    experiment = t.experiments.find(str(record["request"].get("experiment")))
+    snapshot = snapshot_from_record(record, configuration_id, None if experiment is None else experiment.id)
+    affinity = run_affinity(configuration.dataset, configuration.variant, filed.package)
+    snapshot = replace(snapshot, request=replace(snapshot.request, affinity=affinity))
     t.runs.upsert_from_record(snapshot)
     if filed.version is not None:
         t.runs.update(snapshot.id, algorithm_version_id=t.catalogue.put_version(algorithm_id, filed.version, now))

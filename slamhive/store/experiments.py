@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, and_, case, func, insert, select, update
+from sqlalchemy import ColumnElement, and_, case, func, insert, or_, select, update
 from sqlalchemy.orm import Session
 
 from slamhive.domain.run import RunState
@@ -20,7 +20,7 @@ from slamhive.store.experiment_records import (
     StateCount,
 )
 from slamhive.store.metrics import MetricRepository
-from slamhive.store.models import Configuration, Experiment, ExperimentCell, Protocol, Run
+from slamhive.store.models import Configuration, Evaluation, Experiment, ExperimentCell, Protocol, Run
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.rows import changed, chunks, get_or_insert
 
@@ -161,6 +161,24 @@ class ExperimentRepository:
                 select(_RUNS.c.id).where(_RUNS.c.experiment_id == experiment_id).order_by(_RUNS.c.id)
             ).scalars()
         )
+
+    def strangers(self, experiment_id: int) -> int:
+        """How many runs have another configuration than their cell."""
+        same_place = and_(_CELLS.c.experiment_id == _RUNS.c.experiment_id, _CELLS.c.number == _RUNS.c.cell)
+        query = (
+            select(func.count())
+            .select_from(_RUNS.join(_CELLS, same_place))
+            .where(_RUNS.c.experiment_id == experiment_id, _RUNS.c.configuration_id != _CELLS.c.configuration_id)
+        )
+        return int(self._session.execute(query).scalar_one())
+
+    def unfinished(self, experiment_id: int) -> list[int]:
+        """The ids of its runs that have not ended, or that have an evaluation that has not, in order."""
+        mine = _RUNS.c.experiment_id == experiment_id
+        open_evaluations = select(Evaluation.run_id).where(Evaluation.open.is_not(None))
+        to_evaluate = and_(_RUNS.c.state == RunState.SUCCEEDED, _RUNS.c.id.in_(open_evaluations))
+        query = select(_RUNS.c.id).where(mine, or_(_RUNS.c.state.not_in(_ENDED), to_evaluate)).order_by(_RUNS.c.id)
+        return list(self._session.execute(query).scalars())
 
     def hold(self, experiment_id: int, *, held: bool) -> None:
         """Put what has not ended on hold, or let it go on; a run that a worker has goes on, unless it gives it back."""

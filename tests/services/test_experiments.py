@@ -191,7 +191,7 @@ def test_a_name_that_is_taken_is_refused_with_its_place(hive: Hive) -> None:
         (lambda text: text + "executor: dokcer\n", r"dokcer"),
     ],
 )
-def test_what_makes_no_sense_is_refused_before_anything_is_stored(hive: Hive, change, error) -> None:  # type: ignore[no-untyped-def]
+def test_what_makes_no_sense_is_refused_before_anything_is_stored(hive: Hive, change, error) -> None:
     with pytest.raises(SlamHiveError, match=error):
         hive.experiments.start(source(change(SIX)))
     assert set(everything(hive).values()) == {0}

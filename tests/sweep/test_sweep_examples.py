@@ -25,9 +25,8 @@ ROLES = {"mono": MONO, "mono-imu": {**MONO, "imu": IMU}, "stereo": STEREO, "ster
 @pytest.fixture(scope="module")
 def room() -> CatalogueView:
     """What is there after ``make demo``."""
-    algorithms = [
-        entry for folder in ("orb-slam3", "kiss-icp") for entry in load_algorithms(ROOT / "algorithms" / folder)
-    ]
+    folders = ("orb-slam3", "kiss-icp", "rko-lio")
+    algorithms = [entry for folder in folders for entry in load_algorithms(ROOT / "algorithms" / folder)]
     return CatalogueView({entry.name: entry for entry in algorithms}, {"room": ROOM}, RegisteredSteps())
 
 
@@ -66,7 +65,8 @@ def test_the_sensitivity_experiment_is_5_rates_4_resolutions_2_algorithms(room):
 
 
 def test_the_demo_is_over_in_minutes(room):
-    assert count(load_experiment(EXAMPLES / "room-demo.yaml"), room).runs == 4
+    size = count(load_experiment(EXAMPLES / "room-demo.yaml"), room)
+    assert (size.runs, size.axes) == (4, {"algorithm": 3, "image_rate + image_resolution": 2})
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda path: path.name)

@@ -22,6 +22,7 @@ from slamhive.services.experiments.records import (
     Grid,
     Standing,
 )
+from slamhive.services.experiments.restoring import Restored, restore_rows, restore_runs
 from slamhive.services.experiments.starting import add_repeats, check_same, start
 from slamhive.store.experiment_records import ExperimentState
 from slamhive.store.store import Transaction
@@ -117,6 +118,20 @@ class Experiments:
     def run_ids(self, name: str) -> tuple[int, ...]:
         """The ids of all its runs, retries too, in order."""
         return self._context.store.read(lambda t: tuple(t.experiments.run_ids(t.experiments.get(name).id)))
+
+    def unfinished(self, name: str) -> tuple[int, ...]:
+        """The ids of its runs that have not ended, or whose evaluation has not, in order."""
+        return self._context.store.read(lambda t: tuple(t.experiments.unfinished(t.experiments.get(name).id)))
+
+    def restore_rows(self) -> Iterator[Restored]:
+        """Reindex, first part: a row for each experiment folder."""
+        check_writable(self._context.settings)
+        return restore_rows(self._context)
+
+    def restore_runs(self) -> Iterator[Restored]:
+        """Reindex, second part, once run folders are filed: cells, and the runs that no worker has begun."""
+        check_writable(self._context.settings)
+        return restore_runs(self._context)
 
     def pause(self, name: str) -> ExperimentStatus:
         """Keep queued runs from being taken; those that a worker has go on. Raises Conflict if all have ended."""

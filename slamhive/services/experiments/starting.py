@@ -42,7 +42,8 @@ def start(context: ExperimentContext, source: ExperimentSource, executor: str | 
     expansion = _checked(context, repeated, stamp.executor)
     with folder.locked():
         stamp = _settled(folder, stamp, source)
-        stored = put_experiment(context, stamp, source.text, repeated, expansion.size)
+        size = expansion.size
+        stored = put_experiment(context, stamp, source.text, repeated, cells=size.configurations, runs=size.runs)
         fill(context, stored, repeated, expansion, progress)
     return experiment.name
 

@@ -20,7 +20,7 @@ from slamhive.services.experiments.previewing import chunks_of
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
 from slamhive.store.records import RunRequest
 from slamhive.store.store import Transaction
-from slamhive.sweep.expand import Expansion, PlannedRun, Size
+from slamhive.sweep.expand import Expansion, PlannedRun
 from slamhive.sweep.experiment import Experiment
 
 logger = logging.getLogger(__name__)
@@ -36,9 +36,9 @@ def run_uid(experiment_uid: str, *parts: object) -> str:
 
 
 def put_experiment(
-    context: ExperimentContext, stamp: ExperimentStamp, source: str, experiment: Experiment, size: Size
+    context: ExperimentContext, stamp: ExperimentStamp, source: str, experiment: Experiment, *, cells: int, runs: int
 ) -> ExperimentRecord:
-    """The row of an experiment of which nothing, or not all, is stored yet."""
+    """The row of an experiment of which nothing, or not all, is stored yet; as it is if there is one."""
     values = {
         "description": experiment.description,
         "content_hash": stamp.content_hash,
@@ -47,8 +47,8 @@ def put_experiment(
         "executor": stamp.executor,
         "priority": experiment.priority,
         "repeats": stamp.repeats,
-        "cells": size.configurations,
-        "runs": size.runs,
+        "cells": cells,
+        "runs": runs,
         "complete": False,
         "created_at": stamp.created_at,
     }
@@ -57,11 +57,12 @@ def put_experiment(
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Ids that configurations refer to, and the protocol of each pair."""
+    """Ids that configurations refer to, the protocol of each pair, and whether cells get no runs."""
 
     algorithms: Mapping[str, tuple[int, Algorithm]]
     datasets: Mapping[str, int]
     protocols: Mapping[Pair, Protocol | None]
+    cells_only: bool
 
 
 def fill(
@@ -70,13 +71,16 @@ def fill(
     experiment: Experiment,
     expansion: Expansion,
     progress: Progress,
+    *,
+    cells_only: bool = False,
 ) -> None:
     """Store every cell and run of ``expansion`` that is not stored yet, and mark the experiment as complete.
 
+    ``cells_only``: no run is added, as for a cancelled experiment out of its folder.
     Raises Conflict if cells that are stored differ, because the catalogue has changed, or if the experiment is
     cancelled meanwhile.
     """
-    rows = _prepare(context, experiment, expansion)
+    rows = _prepare(context, experiment, expansion, cells_only=cells_only)
     cells = runs = 0
     for chunk in chunks_of(expansion, CHUNK):
         now = utc_now()
@@ -88,7 +92,7 @@ def fill(
     logger.info("experiment %s: %d cells, %d runs", record.name, cells, runs)
 
 
-def _prepare(context: ExperimentContext, experiment: Experiment, expansion: Expansion) -> _Rows:
+def _prepare(context: ExperimentContext, experiment: Experiment, expansion: Expansion, *, cells_only: bool) -> _Rows:
     algorithms = {algorithm.name: algorithm for algorithm, _ in expansion.pairs}
     datasets = {dataset.name: dataset for _, dataset in expansion.pairs}
     pairs = [(algorithm.name, dataset.name) for algorithm, dataset in expansion.pairs]
@@ -99,6 +103,7 @@ def _prepare(context: ExperimentContext, experiment: Experiment, expansion: Expa
             {name: (transaction.catalogue.put_algorithm(entry), entry) for name, entry in algorithms.items()},
             {name: transaction.catalogue.put_dataset(dataset, now) for name, dataset in datasets.items()},
             {pair: protocol_of_pair(context, experiment, expansion, pair) for pair in pairs},
+            cells_only,
         )
 
     return context.store.write(work)
@@ -113,7 +118,7 @@ def _store(
     now: datetime,
 ) -> None:
     current = t.experiments.locked(record.name)
-    if current.state is ExperimentState.CANCELLED:
+    if current.state is ExperimentState.CANCELLED and not rows.cells_only:
         raise Conflict(f"experiment {record.name} was cancelled while it was being stored")
     heads = [cell[0] for cell in chunk]
     stored = t.experiments.cell_hashes(record.id, heads[0].cell, heads[-1].cell)
@@ -132,6 +137,8 @@ def _store(
             if head.cell not in stored
         ],
     )
+    if rows.cells_only:
+        return
     held = current.state is ExperimentState.PAUSED
     requests = [
         request

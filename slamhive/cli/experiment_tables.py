@@ -1,0 +1,139 @@
+"""Experiments on the terminal: the plan, the progress, the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import click
+
+from slamhive.cli.output import messages, print_table
+from slamhive.domain.parameters import Value
+from slamhive.services.experiments.records import (
+    Cell,
+    CellFigures,
+    ExperimentPreview,
+    ExperimentStatus,
+    Phase,
+    Spread,
+    Standing,
+)
+from slamhive.services.experiments.reporting import NO_FIGURES, failures_text
+
+FIGURES = (
+    ("ATE m", "ate.rmse", 1.0, "{:.4f}"),
+    ("tracked", "tracked_fraction", 1.0, "{:.3f}"),
+    ("CPU cores", "cpu.mean", 1.0, "{:.2f}"),
+    ("RAM MB", "ram.max", 1e-6, "{:.0f}"),
+    ("time s", "duration", 1.0, "{:.1f}"),
+)
+"""Heading, metric, factor and form of the figures of a report."""
+
+
+def print_preview(found: ExperimentPreview) -> None:
+    """What starting an experiment would do."""
+    merged = f", {found.merged} of them identical to another" if found.merged else ""
+    click.echo(f"{found.name}: {found.combinations:,} combinations, {found.cells:,} configurations{merged}")
+    varied = ", ".join(f"{axis} {count}" for axis, count in found.axes.items()) or "nothing varies"
+    click.echo(f"varied: {varied}")
+    click.echo(f"runs: {found.runs:,}; about {_time(found.time_s)} on {found.slots} slot(s), {_basis(found)}")
+    if found.known_cells:
+        click.echo(f"stored already: {found.known_cells:,} of the configurations, with {found.known_runs:,} runs")
+    missing = sum(not need.made for need in found.variants)
+    click.echo(
+        f"variants: {len(found.variants)} needed, {missing} to be made, {found.variant_bytes / 1e6:,.0f} MB at most; "
+        f"run folders: {found.run_bytes / 1e6:,.0f} MB; free: {found.free_bytes / 1e6:,.0f} MB"
+    )
+    if found.standing is not None:
+        click.echo(f"this experiment is there already: {found.standing}")
+    axes = [axis for axis in found.rows[0].values if len({str(row.values.get(axis)) for row in found.rows}) > 1]
+    print_table(
+        ("name", *axes, "runs so far"),
+        [(row.name, *(_value(row.values, axis) for axis in axes), row.known_runs or None) for row in found.rows],
+        right=("runs so far",),
+    )
+    if found.cells > len(found.rows):
+        click.echo(f"… and {found.cells - len(found.rows):,} more")
+    for text in found.warnings:
+        messages.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)
+    for text in found.refusals:
+        messages.print(f"refused: {text}", style="bold red", markup=False, soft_wrap=True)
+
+
+def _basis(found: ExperimentPreview) -> str:
+    if found.measured_runs == found.runs:
+        return "by earlier runs"
+    guess = "by the length of the recordings"
+    return guess if not found.measured_runs else f"{found.measured_runs:,} by earlier runs, the others {guess}"
+
+
+def print_status(status: ExperimentStatus) -> None:
+    """How far one experiment is."""
+    counts = ", ".join(f"{count:,} {phase}" for phase, count in status.counts.items() if count)
+    click.echo(f"{status.name}: {status.standing}; {status.runs:,} runs of {status.cells:,} configurations: {counts}")
+    if status.failures:
+        click.echo("failed: " + ", ".join(f"{reason} {count:,}" for reason, count in status.failures.items()))
+    if status.retried:
+        click.echo(f"{status.retried:,} failed runs were tried again")
+    if status.standing is Standing.STORING:
+        click.echo(f"{status.missing:,} runs are not stored yet; starting the same file again completes it")
+    if status.left_s and status.standing is Standing.ACTIVE:
+        click.echo(f"about {_time(status.left_s)} left")
+
+
+def print_statuses(found: Sequence[ExperimentStatus]) -> None:
+    """A line for each experiment."""
+    columns = ("name", "state", "configurations", "runs", *Phase, "created (UTC)")
+    rows = [
+        (
+            status.name,
+            status.standing.value,
+            status.cells,
+            status.runs,
+            *(status.counts[phase] or None for phase in Phase),
+            f"{status.created_at:%Y-%m-%d %H:%M}",
+        )
+        for status in found
+    ]
+    print_table(columns, rows, right=("configurations", "runs", *Phase))
+
+
+def print_report(status: ExperimentStatus, cells: Sequence[Cell], axes: Sequence[str]) -> None:
+    """A row for each cell and protocol: counts, and mean ± standard deviation of the figures."""
+    headings = tuple(heading for heading, *_ in FIGURES)
+    columns = ("cell", *axes, "runs", "good", "failed", "failures", *headings, "protocol")
+    rows = [_report_row(cell, figures, axes) for cell in cells for figures in cell.figures or (NO_FIGURES,)]
+    print_table(columns, rows, right=("cell", "runs", "good", "failed", *headings), spare=("failures", "time s"))
+    print_status(status)
+    click.echo("figures: mean ± standard deviation of the good runs; failed runs are counted, not averaged")
+
+
+def _report_row(cell: Cell, figures: CellFigures, axes: Sequence[str]) -> tuple[Any, ...]:
+    return (
+        cell.number,
+        *(_value(cell.values, axis) for axis in axes),
+        len(cell.runs),
+        cell.counts[Phase.GOOD],
+        sum(cell.failures.values()) or None,
+        failures_text(cell),
+        *(_spread(figures.metrics.get(key), factor, form) for _, key, factor, form in FIGURES),
+        figures.protocol[:8] if figures.protocol else None,
+    )
+
+
+def _spread(found: Spread | None, factor: float, form: str) -> str | None:
+    if found is None:
+        return None
+    mean = form.format(found.mean * factor)
+    return mean if found.std is None else f"{mean} ± {form.format(found.std * factor)}"
+
+
+def _value(values: Mapping[str, Value], axis: str) -> str | None:
+    value = values.get(axis)
+    return None if value is None else " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def _time(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

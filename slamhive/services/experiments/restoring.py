@@ -1,0 +1,67 @@
+"""Experiments out of their folders: rows before the runs are filed, cells and runs that no worker has begun after."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from slamhive.errors import SlamHiveError
+from slamhive.services.experiments.context import ExperimentContext, silent
+from slamhive.services.experiments.folder import ExperimentFolder, experiment_folders
+from slamhive.services.experiments.storing import fill, put_experiment
+from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
+from slamhive.sweep.experiment_file import parse_experiment
+
+
+@dataclass(frozen=True, slots=True)
+class Restored:
+    """One experiment: how many runs were queued again, and what keeps it from being whole."""
+
+    folder: ExperimentFolder
+    queued: int = 0
+    problem: str | None = None
+
+
+def restore_rows(context: ExperimentContext) -> Iterator[Restored]:
+    """Make the row of each experiment what its folder says."""
+    for folder in experiment_folders(context.settings.experiments_folder):
+        try:
+            stamp, source = folder.read(), folder.source()
+            if stamp is None:
+                continue
+            record = put_experiment(context, stamp, source, parse_experiment(source, str(folder.root)), cells=0, runs=0)
+            if (record.state, record.repeats) != (stamp.state, stamp.repeats):
+                values = {"state": stamp.state, "repeats": stamp.repeats, "complete": False}
+                context.store.write(lambda t, i=record.id, v=values: t.experiments.change(i, **v))  # type: ignore[misc]
+        except SlamHiveError as error:
+            yield Restored(folder, problem=str(error))
+        else:
+            yield Restored(folder)
+
+
+def restore_runs(context: ExperimentContext) -> Iterator[Restored]:
+    """Store the cells, and queue again what has no run folder, except in experiments that were cancelled."""
+    for record in context.store.read(lambda t: t.experiments.all()):
+        paused = record.state is ExperimentState.PAUSED
+        if record.complete:
+            if paused:
+                context.store.write(lambda t, i=record.id: t.experiments.hold(i, held=True))  # type: ignore[misc]
+            continue
+        folder = context.folder(record.name)
+        before = _run_count(context, record)
+        problem = None
+        try:
+            experiment = replace(parse_experiment(record.source, str(folder.root)), repeats=record.repeats)
+            cancelled = record.state is ExperimentState.CANCELLED
+            fill(context, record, experiment, context.expand(experiment), silent, cells_only=cancelled)
+            other = context.store.read(lambda t, i=record.id: t.experiments.strangers(i))  # type: ignore[misc]
+            if other:
+                problem = f"{other} runs have another configuration than their cell has now: the catalogue has changed"
+        except SlamHiveError as error:
+            problem = str(error)
+        context.store.write(lambda t, i=record.id, held=paused: t.experiments.hold(i, held=held))  # type: ignore[misc]
+        yield Restored(folder, _run_count(context, record) - before, problem)
+
+
+def _run_count(context: ExperimentContext, record: ExperimentRecord) -> int:
+    return len(context.store.read(lambda t: t.experiments.run_ids(record.id)))
