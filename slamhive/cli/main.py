@@ -18,7 +18,6 @@ from slamhive.cli import (
     maintenance,
     protocols,
     runs,
-    searching,
     serving,
     variants,
 )
@@ -52,7 +51,6 @@ for module in (
     configurations,
     experiments,
     runs,
-    searching,
     evaluate,
     protocols,
     analyse,
