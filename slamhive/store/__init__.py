@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.configuration_records import (
     ConfigurationFilter,
     ConfigurationPage,

@@ -11,6 +11,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.evaluation.job import Artefacts
+from slamhive.store.analysis_records import AnalysisState
 from slamhive.store.experiment_records import ExperimentState
 from slamhive.store.records import EvaluationState
 from slamhive.store.types import JsonText, LongText, Number, UtcDateTime, enum_column
@@ -42,7 +43,15 @@ class Base(DeclarativeBase):
         float: Number,
         **{
             kind: enum_column(kind)
-            for kind in (RunState, FailureReason, PlaybackMode, Artefacts, EvaluationState, ExperimentState)
+            for kind in (
+                RunState,
+                FailureReason,
+                PlaybackMode,
+                Artefacts,
+                EvaluationState,
+                ExperimentState,
+                AnalysisState,
+            )
         },
     }
     __table__: ClassVar[Table]
@@ -332,3 +341,24 @@ class SavedSearch(Base):
     descending: Mapped[bool]
     grouped: Mapped[bool]
     created_at: Mapped[datetime]
+
+
+class Analysis(Base):
+    """An analysis in the list and the queue; its folder ``analyses/<token>`` is the truth."""
+
+    __tablename__ = "analyses"
+    __table_args__ = (Index("ix_analyses_queue", "state", "id"), TABLE_OPTIONS)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    token: Mapped[str] = mapped_column(String(32), unique=True)
+    name: Mapped[str] = mapped_column(String(200))
+    state: Mapped[AnalysisState]
+    listed: Mapped[bool]
+    visitor: Mapped[bool]
+    created_at: Mapped[datetime]
+    content_hash: Mapped[str | None] = mapped_column(String(64), index=True)
+    reason: Mapped[str | None] = mapped_column(LongText)
+    size_bytes: Mapped[int | None] = mapped_column(BigInteger)
+    ended_at: Mapped[datetime | None]
+    attempt: Mapped[int]
+    lease_owner: Mapped[str | None] = mapped_column(String(190))
+    lease_expires_at: Mapped[datetime | None]

@@ -14,6 +14,7 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
 from slamhive.store import migrate
+from slamhive.store.analyses import AnalysisRepository
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.configuration_book import ConfigurationBook
 from slamhive.store.configurations import ConfigurationRepository
@@ -74,6 +75,11 @@ class Transaction:
     def experiments(self) -> ExperimentRepository:
         """Experiments and their cells."""
         return ExperimentRepository(self.session)
+
+    @cached_property
+    def analyses(self) -> AnalysisRepository:
+        """Analyses and their own little queue."""
+        return AnalysisRepository(self.session)
 
     @cached_property
     def durations(self) -> DurationRepository:

@@ -197,6 +197,20 @@ def test_saved_searches_keep_the_older_schema_away(engine: Engine) -> None:
     assert_whole_at(engine, "0005")
 
 
+def test_analyses_leave_with_their_table_since_folders_hold_them(engine: Engine) -> None:
+    migrate.upgrade(engine)
+    with engine.begin() as connection:
+        connection.exec_driver_sql(
+            "INSERT INTO analyses (token, name, state, listed, visitor, created_at, attempt) "
+            "VALUES ('t', 'n', 'done', 1, 0, '2026-05-04 03:02:01', 0)"
+        )
+    migrate.downgrade(engine, "0005")
+    assert "analyses" not in tables(engine)
+    migrate.upgrade(engine)
+    with engine.connect() as connection:
+        assert connection.exec_driver_sql("SELECT count(*) FROM analyses").scalar() == 0
+
+
 def assert_whole_at(engine: Engine, refused: str) -> None:
     """A refusal leaves tables that are what their version says: the newest on SQLite, the one that refused on MySQL."""
     assert migrate.current(engine) == (migrate.head() if engine.dialect.name == "sqlite" else refused)
@@ -252,7 +266,7 @@ def test_tables_of_a_newer_software_are_left_alone(engine: Engine) -> None:
     with engine.begin() as connection:
         connection.exec_driver_sql("UPDATE alembic_version SET version_num='9999'")
     for work in (migrate.upgrade, migrate.check_current):
-        with pytest.raises(Unavailable, match=r"is at schema 9999, which is newer than this software \(0005\)"):
+        with pytest.raises(Unavailable, match=r"is at schema 9999, which is newer than this software \(0006\)"):
             work(engine)
     assert tables(engine) == set(Base.metadata.tables)
 

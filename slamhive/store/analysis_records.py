@@ -1,0 +1,44 @@
+"""What the store knows of analyses: frozen values, never rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+
+
+class AnalysisState(StrEnum):
+    """Where an analysis is in its life."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+
+    @property
+    def ended(self) -> bool:
+        """Nothing more will happen unless it is computed anew."""
+        return self in (AnalysisState.DONE, AnalysisState.FAILED)
+
+
+@dataclass(frozen=True, slots=True)
+class AnalysisRecord:
+    """A stored analysis. Its folder is the truth, this is its place in lists and in the queue.
+
+    ``token`` (32 hex digits) is its permanent address and cannot be guessed. A ``visitor`` made it in view-only mode.
+    ``content_hash`` tells what it shows: the text of its file, over these runs with these figures; None until that is
+    known. ``reason``: why it failed. ``size_bytes``: the stored report, None while there is none.
+    """
+
+    token: str
+    name: str
+    state: AnalysisState
+    listed: bool
+    visitor: bool
+    created_at: datetime
+    content_hash: str | None = None
+    reason: str | None = None
+    size_bytes: int | None = None
+    ended_at: datetime | None = None
+    attempt: int = 0
+    lease_owner: str | None = None
