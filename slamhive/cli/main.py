@@ -18,6 +18,7 @@ from slamhive.cli import (
     maintenance,
     protocols,
     runs,
+    searching,
     serving,
     variants,
 )
@@ -51,6 +52,7 @@ for module in (
     configurations,
     experiments,
     runs,
+    searching,
     evaluate,
     protocols,
     analyse,

@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from slamhive.errors import SlamHiveError
+from slamhive.search.reader import FilterError
 
 STATE_STYLES = {"succeeded": "green", "failed": "red", "cancelled": "yellow", "running": "cyan", "queued": "dim"}
 PIPED_WIDTH = 160
@@ -43,6 +44,8 @@ class OneLineErrors(click.Group):
         try:
             return super().invoke(ctx)
         except SlamHiveError as error:
+            if isinstance(error, FilterError):
+                messages.print("\n".join(error.pointer), markup=False, soft_wrap=True)
             _print_error(str(error))
             ctx.exit(1)
         except click.UsageError as error:

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
 
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
 from slamhive.cli.output import messages, print_json, print_table
+from slamhive.cli.searching import (
+    GROUP_METRICS,
+    PAGE,
+    Pages,
+    counted,
+    print_export,
+    print_groups,
+    search_of,
+    split_columns,
+    write_parquet,
+)
 from slamhive.cli.variants import parse_steps, step_option
 from slamhive.cli.waiting import run_to_end
 from slamhive.domain.configuration import PlaybackMode
@@ -15,8 +27,11 @@ from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.stop_when import RULES, parse_stop_when
 from slamhive.errors import InvalidInput
-from slamhive.search.build import matching
+from slamhive.search.binding import Search
+from slamhive.search.words import in_words
+from slamhive.services.hive import Hive
 from slamhive.services.request import Submission, unwatchable
+from slamhive.services.run_export import RunExport
 from slamhive.services.run_json import evaluation_to_json, run_to_json, timestamp
 from slamhive.store import RunRecord, RunSort
 
@@ -35,6 +50,8 @@ COLUMNS = (
     "time s",
 )
 STOP_HELP = f"End early, with the reason: {', '.join(RULES)}; may be repeated."
+LISTS = ("states", "reasons", "experiments", "algorithms", "datasets")
+FILE_COLUMNS = ("id", "algorithm", "dataset", "configuration", "state", "reason", *GROUP_METRICS)
 NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 
 
@@ -100,36 +117,83 @@ def run(cli: CliContext, algorithm: str, dataset: str, settings: tuple[str, ...]
 
 
 @click.group(invoke_without_command=True)
+@click.option("--where", default="", metavar="FILTER", help="Only these, e.g. 'ate.rmse < 0.1 and dataset ~ MH_0*'.")
+@click.option("--saved", metavar="NAME", help="The filter, columns and order of a saved search.")
 @click.option("--state", "states", type=choice(RunState), multiple=True, help="Only these states.")
 @click.option("--reason", "reasons", type=choice(FailureReason), multiple=True, help="Only these failures.")
 @click.option("--experiment", "experiments", multiple=True, help="Only those of these experiments.")
 @click.option("--algorithm", "algorithms", multiple=True, help="Only these algorithms.")
 @click.option("--dataset", "datasets", multiple=True, help="Only these datasets.")
-@click.option("--sort", default="id", show_default=True, help="Column or metric, e.g. ate.rmse.")
+@click.option("--columns", default="", help="Keys of columns, metrics and parameters, with commas.")
+@click.option("--sort", help="Column, metric or parameter, e.g. ate.rmse.  [default: id]")
 @click.option("--ascending", is_flag=True, help="Smallest first.")
-@click.option("--limit", type=click.IntRange(1, 1000), default=50, show_default=True)
+@click.option("--group", type=click.Choice(["configuration"]), help="Mean and spread over the repeats.")
+@click.option("--limit", type=click.IntRange(1), help="At most so many.  [default: 50, files: all]")
+@click.option("--csv", "as_csv", is_flag=True, help="Print CSV.")
+@click.option("--parquet", type=click.Path(dir_okay=False, path_type=Path), help="Write a Parquet file.")
 @json_option
 @pass_cli
 @click.pass_context
 def runs(context: click.Context, cli: CliContext, /, as_json: bool, **options: Any) -> None:
-    """List runs, or look at one."""
+    """Search runs, or look at one. docs/search.md explains filters."""
     if context.invoked_subcommand is not None:
         return
+    if sum(bool(options[name]) for name in ("as_csv", "parquet", "group")) > 1 or (as_json and options["as_csv"]):
+        raise InvalidInput("--group, --csv, --json and --parquet say how to show the runs", "choose one of them")
     hive = cli.hive()
-    wanted = matching(
-        states=tuple(RunState(state) for state in options["states"]),
-        reasons=tuple(FailureReason(reason) for reason in options["reasons"]),
-        experiments=options["experiments"],
-        algorithms=options["algorithms"],
-        datasets=options["datasets"],
-    )
-    page = hive.runs(wanted, RunSort(options["sort"], not options["ascending"]), limit=options["limit"])
+    list_runs(hive, _with_saved(hive, options), as_json=as_json)
+
+
+def _with_saved(hive: Hive, options: dict[str, Any]) -> dict[str, Any]:
+    """The options, completed by a saved search where they say nothing."""
+    if options["saved"] is None:
+        return {**options, "sort": options["sort"] or ("configuration" if options["group"] else "id")}
+    saved = hive.searches.saved_named(options["saved"])
+    if options["where"]:
+        raise InvalidInput("--where and --saved exclude each other", "give one of them")
+    return {
+        **options,
+        "where": saved.filter_text,
+        "columns": options["columns"] or ",".join(saved.columns),
+        "sort": options["sort"] or saved.sort.key,
+        "ascending": options["ascending"] if options["sort"] else not saved.sort.descending,
+        "group": options["group"] or ("configuration" if saved.grouped else None),
+    }
+
+
+def list_runs(hive: Hive, options: dict[str, Any], *, as_json: bool) -> None:
+    """The runs that the options of ``slamhive runs`` ask for, in the form that they ask for."""
+    lists = {name.removesuffix("s"): options[name] for name in LISTS}
+    search = search_of(hive, options["where"], lists)
+    sort = RunSort(options["sort"], not options["ascending"])
+    columns = split_columns(options["columns"])
+    if options["parquet"] is not None:
+        pages = Pages(hive, search, sort, options["limit"])
+        write_parquet(hive, columns or FILE_COLUMNS, pages, options["parquet"])
+    elif options["as_csv"] or (as_json and columns and not options["group"]):
+        pages = Pages(hive, search, sort, options["limit"])
+        print_export(hive, columns or FILE_COLUMNS, pages, kind="csv" if options["as_csv"] else "json")
+    elif options["group"]:
+        print_groups(hive, search, sort, min(options["limit"] or 50, PAGE), columns, as_json=as_json)
+    else:
+        _print_page(hive, search, sort, options, columns, as_json=as_json)
+
+
+def _print_page(
+    hive: Hive, search: Search, sort: RunSort, options: dict[str, Any], columns: list[str], *, as_json: bool
+) -> None:
+    page = hive.runs(search, sort, limit=min(options["limit"] or 50, PAGE))
     if not page.records and not as_json and any(hive.counts().values()):
         messages.print("no run matches; `slamhive runs` lists all")
         return
-    print_runs(list(page.records), as_json)
+    if columns:
+        content = RunExport(columns, hive.searches.vocabulary())
+        print_table(columns, [tuple(row) for row in content.rows(lambda _: (page.records, None))])
+    else:
+        print_runs(list(page.records), as_json)
     if not as_json:
-        messages.print(f"{len(page.records)} of {page.total} runs")
+        words = in_words(search)
+        messages.print(f"{len(page.records)} of {counted(page.count)}{f': {words}' if words else ''}", markup=False)
 
 
 @runs.command("show")
@@ -246,6 +310,7 @@ def print_runs(entries: list[RunRecord], as_json: bool) -> None:
                 messages.print(f"run {entry.id}: {entry.detail}", markup=False, soft_wrap=True)
     else:
         messages.print("no runs; `slamhive run ALGORITHM DATASET` starts one")
+
 
 
 COMMANDS = (run, runs)

@@ -20,6 +20,9 @@ Value = int | float | str | bool | datetime
 LONGEST_TEXT = 190
 """Characters of a text value that the store can search by."""
 
+MOST_STARS = 4
+"""Of a pattern: the time to try one grows with the length of the text to the power of their number."""
+
 _WHOLE = re.compile(r"[-+]?\d{1,18}", re.ASCII)
 _FLAGS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 _ORDERED = (Sign.LESS, Sign.AT_MOST, Sign.MORE, Sign.AT_LEAST, Sign.BETWEEN)
@@ -133,6 +136,8 @@ class _Binder:
             )
         if meaning.kind is Kind.TIME:
             return self._time(meaning, leaf)
+        if leaf.sign in _PATTERNS and leaf.values[0].text.count("*") > MOST_STARS:
+            raise self._refusal("this pattern is too costly", f"use at most {MOST_STARS} stars", leaf.values[0].place)
         if meaning.kind is Kind.CHOICE and meaning.choices:
             return self._choice(meaning, leaf)
         readers: dict[Kind, Callable[[Field, Word], Value]] = {

@@ -47,6 +47,10 @@ class Searches:
         self._store = store
         self._catalogue = catalogue
 
+    def metrics(self) -> list[str]:
+        """The metrics that any run has a value of."""
+        return self._store.read(lambda t: t.searches.metrics())
+
     def vocabulary(self) -> Vocabulary:
         """The names that a filter may use: those of the catalogue, and those that runs were stored with."""
         algorithms = self._catalogue.algorithms()

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, FromClause, Select, and_, case, false, func, select
+from sqlalchemy import ColumnElement, FromClause, Select, and_, case, func, select
 from sqlalchemy.orm import Session
 
 from slamhive.domain.metrics import CATALOGUE
@@ -25,18 +25,15 @@ from slamhive.store.models import (
     Dataset,
     MetricValue,
     Protocol,
-    Run,
 )
 from slamhive.store.page_keys import behind, decode, encode, ordered
 from slamhive.store.records import GroupPage, GroupRecord, ProtocolLabel, RunSort, Spread
 from slamhive.store.run_listing import COUNTED, LARGEST_PAGE, Matches
 from slamhive.store.search_names import Names, look_up
-from slamhive.store.search_sql import Sql
+from slamhive.store.search_sql import RUNS, Sql
 
 SORT_KEYS = ("configuration", "runs", "failed", "algorithm", "dataset")
 """What groups can be sorted by, besides the mean of every metric."""
-
-_RUNS = Run.__table__
 
 
 def group_page(
@@ -72,12 +69,12 @@ class _Groups:
         return GroupPage(self._records(shown, metrics), runs, next_key)
 
     def _few(self, matches: Matches, key: list[Any] | None, limit: int) -> Select[Any]:
-        found, runs = matches.ids(COUNTED).subquery(), _RUNS.alias()
+        found, runs = matches.ids(COUNTED).subquery(), RUNS.alias()
         query = select(runs.c.configuration_id).select_from(found, runs).where(runs.c.id == found.c.id + 0)
         return self._aggregated(query, runs, key, limit)
 
     def _many(self, key: list[Any] | None, limit: int) -> Select[Any]:
-        runs = _RUNS.alias()
+        runs = RUNS.alias()
         if self.sort.key == "configuration":
             table = Configuration.__table__.alias()
             matching = select(runs.c.id).where(
@@ -132,7 +129,7 @@ class _Groups:
         counts = figures.c.is_current + 0 == 1
         if self.names.protocol_id is not None:
             counts = figures.c.protocol_id.in_([MEASURED_PROTOCOL_ID, self.names.protocol_id])
-        among = figures.c.metric_id.in_(ids) if ids else false()
+        among = figures.c.metric_id.in_(ids)
         return figures, and_(among, figures.c.run_id == runs.c.id, counts)
 
     def _cut(
@@ -145,7 +142,7 @@ class _Groups:
         return query.order_by(*by_value, *ordered(columns, descending=descending)).limit(limit)
 
     def _records(self, ids: Sequence[int], metrics: Sequence[str]) -> tuple[GroupRecord, ...]:
-        runs, table = _RUNS.alias(), Configuration.__table__
+        runs, table = RUNS.alias(), Configuration.__table__
         matching = [runs.c.configuration_id.in_(ids), self.sql.test(self.search.tree, runs)]
         failed = func.sum(case((runs.c.state == RunState.FAILED, 1), else_=0))
         counted = select(runs.c.configuration_id, func.count(), failed).where(*matching)

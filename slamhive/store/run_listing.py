@@ -13,17 +13,16 @@ from slamhive.search.binding import Condition, Search
 from slamhive.store.models import Run
 from slamhive.store.page_keys import behind, decode, encode, ordered
 from slamhive.store.records import Count, Page, RunSort
-from slamhive.store.run_order import Order, sorted_parameter
+from slamhive.store.run_order import Order, names_in_order, sorted_parameter
 from slamhive.store.run_rows import run_query, to_records
 from slamhive.store.search_names import look_up
-from slamhive.store.search_sql import RunIds, Sql
+from slamhive.store.search_sql import RUNS, RunIds, Sql
 
 LARGEST_PAGE = 1000
-COUNTED = 10_000
+COUNTED = 2_000
 """Matches are counted up to here; an exact number of more takes as long as looking at all of them."""
 
-_SAMPLE = 2_000
-_RUNS = Run.__table__
+_SAMPLE = COUNTED + 1
 
 
 def list_page(
@@ -34,7 +33,7 @@ def list_page(
         raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
     names = look_up(session, search, sorted_parameter(session, sort.key))
     sql = Sql(names)
-    order = Order(sort, sql)
+    order = Order(sort, sql, names_in_order(session, sort))
     key = None if after is None else decode(after, order.kinds)
     matches = Matches(session, search, sql)
     total, rows = matches.page(order, key, limit + 1)
@@ -67,7 +66,7 @@ class Matches:
     def page(self, order: Order, after: list[Any] | None, limit: int) -> tuple[Count, list[tuple[Any, ...]]]:
         """How many there are, and up to ``limit`` page keys from ``after`` on."""
         total = self.count_by_index()
-        if total is None or total.number <= COUNTED:
+        if self.search.tree is not None and (total is None or total.number <= COUNTED):
             rows, number = self._sorted(order, after, limit)
             if number <= COUNTED:
                 return Count(number), rows
@@ -94,13 +93,13 @@ class Matches:
         """The exact number where a single index knows it: of all runs, and of those that fit one comparison."""
         tree = self.search.tree
         if tree is None:
-            return Count(int(self.session.execute(select(func.count()).select_from(_RUNS)).scalar_one()))
+            return Count(int(self.session.execute(select(func.count()).select_from(RUNS)).scalar_one()))
         starts = self.sql.starts(tree) if isinstance(tree, Condition) else []
         return Count(self._number(starts[0].subquery())) if starts else None
 
     def ids(self, limit: int | None) -> Select[Any]:
         """The ids of the matches, in no order; ``limit`` of them."""
-        runs = _RUNS.alias()
+        runs = RUNS.alias()
         query = select(runs.c.id.label("id"))
         start = self._best_start()
         if start is not None:
@@ -110,7 +109,7 @@ class Matches:
 
     def _sorted(self, order: Order, after: list[Any] | None, limit: int) -> tuple[list[tuple[Any, ...]], int]:
         """The page if there are few matches, and how many of them there are (``COUNTED`` + 1: too many)."""
-        found, runs = self.ids(COUNTED + 1).subquery(), _RUNS.alias()
+        found, runs = self.ids(COUNTED + 1).subquery(), RUNS.alias()
         columns = [column.label(f"key_{place}") for place, column in enumerate(order.columns(runs))]
         keyed = (
             select(*columns, func.count().over().label("number"))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, FromClause, Select, Table, and_, select
+from sqlalchemy import Column, ColumnElement, FromClause, Select, Table, and_, literal, select
 from sqlalchemy.orm import Session
 
 from slamhive.domain.metrics import CATALOGUE
@@ -19,7 +19,7 @@ from slamhive.store.models import Algorithm, Configuration, Dataset, Experiment,
 from slamhive.store.page_keys import behind, ordered
 from slamhive.store.records import RunSort
 from slamhive.store.search_names import stored_parameters
-from slamhive.store.search_sql import Sql
+from slamhive.store.search_sql import NULLABLE, RUNS, Sql
 
 _RUNS: Table = Run.__table__
 COLUMNS: dict[str, Column[Any]] = {
@@ -43,8 +43,22 @@ _KINDS: dict[str, type] = {
     "state": RunState,
     "reason": FailureReason,
 }
+_TABLES: dict[str, Table] = {
+    "algorithm": Algorithm.__table__,
+    "dataset": Dataset.__table__,
+    "experiment": Experiment.__table__,
+}
 SORT_KEYS = (*COLUMNS, *NAMED)
 """What a list can be sorted by, besides every metric of the catalogue and every parameter."""
+
+
+def names_in_order(session: Session, sort: RunSort) -> tuple[tuple[int, str], ...]:
+    """The algorithms, datasets or experiments that runs are sorted by; none if by something else."""
+    if sort.key not in NAMED:
+        return ()
+    rows = session.execute(select(_TABLES[sort.key].c.id, _TABLES[sort.key].c.name))
+    found = [(int(row.id), str(row.name)) for row in rows]
+    return tuple(sorted(found, key=lambda entry: entry[1], reverse=sort.descending))
 
 
 def sorted_parameter(session: Session, key: str) -> tuple[str, ...]:
@@ -63,10 +77,12 @@ class Order:
     """One order. Runs without a value come last in both directions; ties are ordered by id.
 
     Repeats of a configuration have its parameters: there the ties are ordered by configuration first, as the index is.
+    ``names``: number and name of what the runs are sorted by, in order, if they are sorted by a name.
     """
 
     sort: RunSort
     sql: Sql
+    names: tuple[tuple[int, str], ...] = ()
 
     @property
     def kinds(self) -> tuple[type, ...]:
@@ -98,9 +114,12 @@ class Order:
             return [self._by_metric(tree, after, limit), missing]
         if self._parameter is not None:
             return [self._by_parameter(self._parameter, tree, after, limit), missing]
-        runs = _RUNS.alias()
+        if self.sort.key in NAMED:
+            named = [self._of_one_name(tree, number, name, after, limit) for number, name in self.names]
+            return [*(query for query in named if query is not None), missing]
+        runs = RUNS.alias()
         columns = self.columns(runs)
-        nullable = self.sort.key in NAMED or runs.c[self._column].nullable
+        nullable = self._column in NULLABLE
         there = [columns[0].is_not(None)] if nullable else []
         query = select(*_labelled(columns)).where(self.sql.test(tree, runs), *there, *self._from(columns, after))
         query = query.order_by(*ordered(columns, descending=self.sort.descending)).limit(limit)
@@ -135,7 +154,7 @@ class Order:
         return [near, behind(columns, after, descending=self.sort.descending)]
 
     def _without_value(self, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
-        runs = _RUNS.alias()
+        runs = RUNS.alias()
         columns = self.columns(runs)
         rest = columns[1:]
         conditions = [self.sql.test(tree, runs), columns[0].is_(None)]
@@ -144,8 +163,22 @@ class Order:
         query = select(*_labelled(columns)).where(*conditions)
         return query.order_by(*ordered(rest or columns, descending=self.sort.descending)).limit(limit)
 
+    def _of_one_name(
+        self, tree: Bound | None, number: int, name: str, after: list[Any] | None, limit: int
+    ) -> Select[Any] | None:
+        """The runs of one algorithm, dataset or experiment, by id; None if the page before has shown them all."""
+        runs = RUNS.alias()
+        conditions = [_is_named(self.sort.key, number, runs), self.sql.test(tree, runs)]
+        if after is not None:
+            if (name > after[0]) if self.sort.descending else (name < after[0]):
+                return None
+            if name == after[0]:
+                conditions.append(behind([runs.c.id], after[1:], descending=self.sort.descending))
+        query = select(*_labelled([literal(name), runs.c.id])).where(*conditions)
+        return query.order_by(*ordered([runs.c.id], descending=self.sort.descending)).limit(limit)
+
     def _by_metric(self, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
-        runs = _RUNS.alias()
+        runs = RUNS.alias()
         found = self.sql.figures(self.sort.key, by_value=True)
         if found is None:
             return select(*_labelled(self.columns(runs))).where(runs.c.id < 0)
@@ -158,7 +191,7 @@ class Order:
     def _by_parameter(self, name: str, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
         """First the configurations, in order, that have a matching run; then their runs."""
         values, among = self.sql.parameter_rows(name)
-        inner, runs = _RUNS.alias(), _RUNS.alias()
+        inner, runs = RUNS.alias(), RUNS.alias()
         descending = self.sort.descending
         matching = select(inner.c.id).where(
             inner.c.configuration_id == values.c.configuration_id, self.sql.test(tree, inner)
@@ -189,11 +222,18 @@ def _labelled(columns: Sequence[ColumnElement[Any]]) -> list[ColumnElement[Any]]
     return [column.label(f"key_{place}") for place, column in enumerate(columns)]
 
 
-def _name_of(key: str, runs: FromClause) -> ColumnElement[Any]:
+def _is_named(key: str, number: int, runs: FromClause) -> ColumnElement[bool]:
     if key == "experiment":
-        table = Experiment.__table__.alias()
+        return runs.c.experiment_id == number
+    rows = Configuration.__table__.alias()
+    query = select(literal(1)).where(rows.c.id == runs.c.configuration_id, rows.c[f"{key}_id"] + 0 == number)
+    return query.limit(1).scalar_subquery() == 1
+
+
+def _name_of(key: str, runs: FromClause) -> ColumnElement[Any]:
+    table = _TABLES[key].alias()
+    if key == "experiment":
         return select(table.c.name).where(table.c.id == runs.c.experiment_id).scalar_subquery()
-    table = (Algorithm if key == "algorithm" else Dataset).__table__.alias()
     rows = Configuration.__table__.alias()
     query = select(table.c.name).where(rows.c.id == runs.c.configuration_id, table.c.id == rows.c[f"{key}_id"])
     return query.scalar_subquery()

@@ -14,12 +14,14 @@ from sqlalchemy import (
     FromClause,
     Select,
     and_,
+    column,
     false,
     func,
     literal,
     not_,
     or_,
     select,
+    table,
     true,
     union,
 )
@@ -46,6 +48,17 @@ RunIds = Select[tuple[int]]
 
 _RUN_COLUMNS = {"configuration": "configuration_id", "experiment": "experiment_id", "evaluated": "current_protocol_id"}
 _INDEXED = frozenset({"id", "state", "reason", "executor", "configuration", "experiment", "created_at", "ended_at"})
+SEARCHED = (
+    *("id", "configuration_id", "experiment_id", "current_protocol_id", "executor", "state", "reason", "seed"),
+    *("priority", "exit_code", "created_at", "started_at", "ended_at"),
+)
+RUNS = table("runs", *(column(name, Run.__table__.c[name].type) for name in SEARCHED))
+"""What searches and orders need of ``runs``: an alias of the whole table costs more than many a query."""
+
+NULLABLE = frozenset(name for name in SEARCHED if Run.__table__.c[name].nullable)
+_NEVER = literal(0) == 1
+"""Unlike ``false()`` it is not folded, which would take the condition that joins two tables with it."""
+
 _COMPLEMENTS = frozenset({Sign.NOT_EQUAL, Sign.NOT_IN, Sign.UNLIKE, Sign.MISSING})
 _COMPARE: dict[Sign, Callable[[Any, Any], ColumnElement[bool]]] = {
     Sign.EQUAL: lambda column, value: column == value,
@@ -84,26 +97,27 @@ class Sql:
             return self._on_run(leaf, runs)
         if source is Source.METRIC:
             found = self._figures(leaf, by_value=False)
-            return false() if found is None else _any(found[1].where(found[0].c.run_id == runs.c.id))
+            return _NEVER if found is None else _any(found[1].where(found[0].c.run_id == runs.c.id))
         if source is Source.PARAMETER:
             values, query = self._parameter_values(leaf, by_value=False)
             return _any(query.where(values.c.configuration_id == runs.c.configuration_id))
-        table, query = self._configurations(leaf)
-        return _any(query.where(table.c.id == runs.c.configuration_id))
+        rows, query = self._configurations(leaf)
+        return _any(query.where(rows.c.id == runs.c.configuration_id))
 
     def _on_run(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
-        column = runs.c[_RUN_COLUMNS.get(leaf.field.name, leaf.field.name)]
+        name = _RUN_COLUMNS.get(leaf.field.name, leaf.field.name)
+        value = runs.c[name]
         if leaf.sign is Sign.HAS:
-            return column.is_not(None)
+            return value.is_not(None)
         if leaf.field.name == "evaluated":
             evaluated = leaf.values[0] is (leaf.sign is Sign.EQUAL)
-            return column.is_not(None) if evaluated else column.is_(None)
+            return value.is_not(None) if evaluated else value.is_(None)
         if leaf.field.name == "experiment":
             named = select(Experiment.id).where(self._compare(Experiment.__table__.c.name, leaf))
-            found: ColumnElement[bool] = column.in_(named)
+            found: ColumnElement[bool] = value.in_(named)
         else:
-            found = self._compare(column, leaf)
-        return func.coalesce(found, false()) if column.nullable else found
+            found = self._compare(value, leaf)
+        return func.coalesce(found, false()) if name in NULLABLE else found
 
     # -- runs to begin with ----------------------------------------------------------------------------------------
 
@@ -126,11 +140,11 @@ class Sql:
 
     def _start_one(self, leaf: Condition) -> RunIds | None:
         source = leaf.field.source
-        runs = Run.__table__.alias()
+        runs = RUNS.alias()
         if source is Source.METRIC and leaf.sign is not Sign.MISSING:
             found = self._figures(leaf, by_value=True)
             if found is None:
-                return select(runs.c.id.label("run_id")).where(false())
+                return select(runs.c.id.label("run_id")).where(_NEVER)
             return found[1].with_only_columns(found[0].c.run_id.label("run_id"))
         if leaf.sign in _COMPLEMENTS:
             return None
@@ -142,8 +156,8 @@ class Sql:
             chosen = query.with_only_columns(values.c.configuration_id.label("id"))
             many = len(self._names.parameters[leaf.field.name]) > 1  # an own key and another's general name may meet
             return _of_configurations((chosen.distinct() if many else chosen).subquery(), runs)
-        table, query = self._configurations(leaf)
-        return _of_configurations(query.with_only_columns(table.c.id).subquery(), runs)
+        rows, query = self._configurations(leaf)
+        return _of_configurations(query.with_only_columns(rows.c.id).subquery(), runs)
 
     def _on_run_plainly(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
         """The test without the guard against NULL, which would keep the index from being used."""
@@ -262,7 +276,7 @@ class Sql:
 
     def _like(self, column: Any, pattern: str) -> ColumnElement[bool]:
         if self._names.glob:
-            found: ColumnElement[bool] = column.op("GLOB")(pattern.replace("[", "[[]"))
+            found: ColumnElement[bool] = column.bool_op("GLOB")(pattern.replace("[", "[[]"))
             return found
         escaped = "".join(f"|{c}" if c in "|%_" else {"*": "%", "?": "_"}.get(c, c) for c in pattern)
         like: ColumnElement[bool] = column.like(escaped, escape="|")

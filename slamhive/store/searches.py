@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from slamhive.errors import unknown
 from slamhive.search.binding import Search
 from slamhive.search.fields import ParameterKind
-from slamhive.store.models import Run, SavedSearch
+from slamhive.store.models import Metric, Run, SavedSearch
 from slamhive.store.records import Count, GroupPage, RunSort, SavedSearchRecord
 from slamhive.store.rows import changed
 from slamhive.store.run_groups import group_page
@@ -36,6 +36,10 @@ class SearchRepository:
     def protocols(self) -> dict[str, str]:
         """{fingerprint: label} of the protocols that figures are filed under."""
         return stored_protocols(self._session)
+
+    def metrics(self) -> list[str]:
+        """The metrics that any run has a value of."""
+        return list(self._session.execute(select(Metric.key).order_by(Metric.id)).scalars())
 
     def exact_count(self, search: Search) -> int:
         """How many runs match, however long counting takes."""

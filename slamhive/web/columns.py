@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from types import MappingProxyType
 
 from slamhive.domain.metrics import CATALOGUE, Metric
 from slamhive.errors import unknown
@@ -62,7 +64,8 @@ DEFAULT_COLUMNS = (
 )
 
 
-def all_columns() -> dict[str, Column]:
+@cache
+def all_columns() -> Mapping[str, Column]:
     """Every column by key, in the order in which they are offered and shown."""
     own = (
         Column("id", "Run", Kind.RUN, lambda run: Cell(str(run.id)), sort="id"),
@@ -89,7 +92,7 @@ def all_columns() -> dict[str, Column]:
         _time_column("ended_at", "Ended"),
         Column("protocol", "Protocol", Kind.TEXT, _protocol, help="association and alignment of the errors shown"),
     )
-    return {column.key: column for column in (*own, *map(_metric_column, CATALOGUE.values()))}
+    return MappingProxyType({column.key: column for column in (*own, *map(_metric_column, CATALOGUE.values()))})
 
 
 def column(key: str, vocabulary: Vocabulary | None = None) -> Column:

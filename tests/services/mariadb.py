@@ -42,13 +42,15 @@ class DatabaseServer:
     Args:
         folder: For data, socket and log; must be empty.
         program: From :func:`find_server`.
+        options: Of the server; they win over those that keep it small.
     """
 
-    def __init__(self, folder: Path, program: str) -> None:
+    def __init__(self, folder: Path, program: str, *options: str) -> None:
         self.password = secrets.token_hex(8)
         self.port = _free_port()
         self._folder = folder
         self._program = program
+        self._options = options
         self._data = folder / "data"
         self._log = folder / "server.log"
         self._process: subprocess.Popen[bytes] | None = None
@@ -84,6 +86,7 @@ class DatabaseServer:
             "--bind-address=127.0.0.1",
             f"--port={self.port}",
             *_FAST_AND_SMALL,
+            *self._options,
             *_as_root(),
         ]
         with self._log.open("ab") as log:

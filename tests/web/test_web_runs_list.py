@@ -97,8 +97,9 @@ def test_the_address_holds_everything():
     query = RunQuery.from_args(MultiDict(address), Vocabulary())
     assert RunQuery.from_args(MultiDict(query.args()), Vocabulary()) == query
     assert query.search.text == (
-        "(cpu.mean < 2 or state = failed) and state in (failed, succeeded) and algorithm in (a) and configuration = 3 and "
-        "created_at >= 2026-01-01 and created_at <= 2026-01-31 and evaluated = no and ate.rmse >= 0.1 and ate.rmse <= 10 cm"
+        "(cpu.mean < 2 or state = failed) and state in (failed, succeeded) and algorithm in (a) and configuration = 3 "
+        "and created_at >= 2026-01-01 and created_at <= 2026-01-31 and evaluated = no "
+        "and ate.rmse >= 0.1 and ate.rmse <= 10 cm"
     )
     assert RunQuery.from_args(MultiDict(query.as_text().args()), Vocabulary()).search == query.search
 
@@ -119,14 +120,14 @@ def test_a_filter_that_matches_nothing_offers_all(shown: Web):
     assert "No run matches this filter." in shown.client.get("/runs?dataset=nowhere").text
 
 
-def test_a_full_page_takes_50_ms(web: Web):
+def test_a_full_page_takes_50_ms_of_the_processor(web: Web):
     for run_id in world.add_runs(web.hive, 50):
         world.advance(web.hive, run_id, RunState.PREPARING)
     times_s = []
     for _ in range(8):
-        began = time.perf_counter()
+        began = time.process_time()
         assert len(listed(web.client.get("/runs").text)) == 50
-        times_s.append(time.perf_counter() - began)
+        times_s.append(time.process_time() - began)
     assert min(times_s) < 0.05
 
 

@@ -72,12 +72,14 @@ def choices(
     return [_choice(name, title, groups, fields.get(name, ())) for name, (title, groups) in found.items()]
 
 
-def ranges(fields: Mapping[str, tuple[str, ...]]) -> dict[str, list[RangeField]]:
-    """{group of metrics: their fields}."""
+def ranges(fields: Mapping[str, tuple[str, ...]], stored: Iterable[str]) -> dict[str, list[RangeField]]:
+    """{group of metrics: their fields}, for the metrics that runs have values of, and those that were typed in."""
+    offered = set(stored)
     found: dict[str, list[RangeField]] = {}
     for key, metric in CATALOGUE.items():
         low, high = ("".join(fields.get(f"{bound}.{key}", ())) for bound in ("min", "max"))
-        found.setdefault(metric.group.value, []).append(RangeField(metric, low, high))
+        if key in offered or low or high:
+            found.setdefault(metric.group.value, []).append(RangeField(metric, low, high))
     return found
 
 
@@ -150,6 +152,10 @@ def _grouped(entries: Iterable[tuple[str, str, str]]) -> dict[str, tuple[tuple[s
     for group, value, label in sorted(entries):
         found[group] = (*found.get(group, ()), (value, label))
     return found
+
+
+def _algorithm(algorithm: Algorithm) -> tuple[str, str, str]:
+    return algorithm.package.name, algorithm.name, f"{algorithm.name} ({algorithm.setup.value})"
 
 
 def _sensors(dataset: Dataset) -> str:

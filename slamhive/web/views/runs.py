@@ -94,7 +94,7 @@ def _search_page(services: Hive, query: RunQuery, **content: Any) -> str:
         saved=[(entry, search.saved_args(entry)) for entry in services.searches.saved()],
         unevaluated=services.unevaluated(),
         choices=search.choices(query.fields, services.catalogue.algorithms(), services.catalogue.datasets()),
-        ranges=search.ranges(query.fields),
+        ranges=search.ranges(query.fields, services.searches.metrics()),
         parquet=find_spec("pyarrow") is not None,
         **content,
     )

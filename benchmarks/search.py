@@ -1,0 +1,191 @@
+"""How long a search takes over many runs, on SQLite and MariaDB, side by side with MLflow over the same rows.
+
+    python benchmarks/search.py --runs 100000 --mlflow /path/to/venv/bin/python
+    python benchmarks/search.py --runs 1000000 --only mariadb
+
+Every query is a page as the web server makes it: filter text read, matches counted, 50 runs with all their parameters
+and figures. Before each the values in the filter are drawn anew, so that nothing is answered from a cache of results.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from search_data import fill, make
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from slamhive.search.binding import read_search
+from slamhive.search.fields import Vocabulary, vocabulary_of
+from slamhive.store import RunSort, Store, open_store
+from tests.services.mariadb import DatabaseServer, find_server
+
+Draw = Callable[[np.random.Generator], str]
+LIMIT_MS = {100_000: 100.0, 1_000_000: 500.0}
+
+QUERIES: dict[str, tuple[Draw, RunSort]] = {
+    "newest runs": (lambda _: "", RunSort()),
+    "all, by ATE": (lambda _: "", RunSort("ate.rmse", descending=False)),
+    "all, by parameter": (lambda _: "", RunSort("nFeatures", descending=False)),
+    "all, by algorithm": (lambda _: "", RunSort("algorithm", descending=False)),
+    "metric, narrow": (lambda c: f"ate.rmse < {c.uniform(0.005, 0.02):.5f}", RunSort()),
+    "metric, wide": (lambda c: f"ate.rmse < {c.uniform(0.15, 0.3):.5f}", RunSort("ate.rmse", descending=False)),
+    "parameter": (lambda c: f"nFeatures >= {c.integers(1, 19) * 500}", RunSort()),
+    "state and reason": (lambda _: "state = failed and reason = timeout", RunSort("ended_at")),
+    "metric and parameter": (
+        lambda c: f"ate.rmse < {c.uniform(0.05, 0.3):.5f} and nFeatures >= {c.integers(1, 19) * 500}",
+        RunSort("ate.rmse", descending=False),
+    ),
+    "two metrics": (
+        lambda c: f"ate.rmse < {c.uniform(0.05, 0.3):.5f} and tracked_fraction > {c.uniform(0.5, 0.95):.4f}",
+        RunSort("cpu.mean", descending=False),
+    ),
+    "algorithm and dataset": (
+        lambda c: f"algorithm = kiss-icp and dataset ~ MH_0* and ate.rmse < {c.uniform(0.05, 0.4):.5f}",
+        RunSort(),
+    ),
+    "or, not": (
+        lambda c: f"(ate.rmse < {c.uniform(0.01, 0.05):.5f} or reason = timeout) and not dataset = MH_01",
+        RunSort("created_at"),
+    ),
+    "four conditions": (
+        lambda c: (
+            f"state = succeeded and ate.rmse < {c.uniform(0.1, 0.3):.5f} and nLevels <= {c.integers(4, 19) * 500} "
+            f"and ram.max < {c.uniform(2, 6):.3f} GB"
+        ),
+        RunSort("rpe.rmse", descending=False),
+    ),
+    "deep page": (lambda _: "", RunSort("cpu.mean")),
+    "by configuration": (lambda c: f"ate.rmse < {c.uniform(0.02, 0.3):.5f}", RunSort("configuration")),
+}
+GROUPED = frozenset({"by configuration"})
+DEEP = frozenset({"deep page"})
+
+
+def page(
+    store: Store, vocabulary: Vocabulary, text: str, sort: RunSort, after: str | None, *, grouped: bool
+) -> str | None:
+    """One page; the key of the next."""
+    search = read_search(text, vocabulary)
+    if grouped:
+        metrics = ["ate.rmse", "tracked_fraction", "cpu.mean"]
+        return store.read(lambda t: t.searches.groups(search, sort, after, 50, metrics)).next_key
+    return store.read(lambda t: t.runs.page(search, sort, after, 50, with_metrics=True)).next_key
+
+
+def measure(store: Store, repeats: int) -> dict[str, list[float]]:
+    """Milliseconds of each query, by class: on the clock, and of the processors (mean of a class)."""
+    stored, protocols = store.read(lambda t: (t.searches.parameters(), t.searches.protocols()))
+    vocabulary = vocabulary_of(stored, protocols=protocols)
+    found: dict[str, list[float]] = {}
+    for name, (draw, sort) in QUERIES.items():
+        chance = np.random.default_rng(5)
+        after: str | None = None
+        if name in DEEP:
+            for _ in range(40):
+                after = page(store, vocabulary, "", sort, after, grouped=False)
+        times_ms = []
+        for repeat in range(repeats + 1):
+            text = draw(chance)
+            began = time.perf_counter()
+            page(store, vocabulary, text, sort, after, grouped=name in GROUPED)
+            if repeat:  # the first compiles the statement
+                times_ms.append(1e3 * (time.perf_counter() - began))
+        found[name] = times_ms
+    return found
+
+
+def table(title: str, found: dict[str, list[float]], limit_ms: float | None) -> None:
+    """Print the median and the 95th percentile of each class and of all."""
+    print(f"\n{title}\n{'query':24}{'p50 ms':>10}{'p95 ms':>10}")
+    everything = [value for values in found.values() for value in values]
+    for name, values in {**found, "all": everything}.items():
+        high = float(np.percentile(values, 95))
+        over = "" if limit_ms is None or high <= limit_ms else f"  over {limit_ms:g} ms"
+        print(f"{name:24}{statistics.median(values):10.1f}{high:10.1f}{over}")
+
+
+@contextmanager
+def sqlite_store(folder: Path) -> Iterator[tuple[Store, Path]]:
+    """A store in a new file."""
+    path = folder / "runs.db"
+    store = open_store(f"sqlite:///{path}")
+    yield store, path
+    store.close()
+
+
+@contextmanager
+def mariadb_store(folder: Path) -> Iterator[Store]:
+    """A store on a server of its own, with 1 GB for its pages."""
+    program = find_server()
+    if program is None:
+        raise SystemExit("no MariaDB or MySQL server here; apt-get install mariadb-server-core")
+    server = DatabaseServer(folder, program, "--innodb-buffer-pool-size=1G", "--innodb-log-file-size=512M")
+    server.create()
+    server.start()
+    try:
+        store = open_store(server.create_database("slamhive_benchmark"))
+        yield store
+        store.close()
+    finally:
+        server.stop()
+
+
+def beside_mlflow(python: str, path: Path, ours: dict[str, list[float]]) -> None:
+    """The queries that MLflow's language can say, over the same rows."""
+    script = Path(__file__).with_name("search_mlflow.py")
+    result = subprocess.run([python, str(script), str(path)], capture_output=True, text=True, check=False)
+    if result.returncode != 0:
+        raise SystemExit(f"{script.name} failed: {result.stderr[-1500:]}")
+    theirs: dict[str, list[float]] = json.loads(result.stdout.splitlines()[-1])
+    print(f"\nbeside MLflow, SQLite, after ANALYZE\n{'query':24}{'ours ms':>10}{'MLflow ms':>12}{'times':>8}")
+    ratios = []
+    for name, values in theirs.items():
+        own, other = statistics.median(ours[name]), statistics.median(values)
+        ratios.append(other / own)
+        print(f"{name:24}{own:10.1f}{other:12.1f}{other / own:8.1f}")
+    print(f"median of the ratios {statistics.median(ratios):.1f}, smallest {min(ratios):.1f}")
+
+
+def main() -> None:
+    """Fill, measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=100_000)
+    parser.add_argument("--repeats", type=int, default=20, help="queries of each class")
+    parser.add_argument("--only", choices=("sqlite", "mariadb"))
+    parser.add_argument("--mlflow", metavar="PYTHON", help="a Python that has MLflow, to compare with")
+    options = parser.parse_args()
+    made = make(options.runs)
+    limit_ms = LIMIT_MS.get(options.runs)
+    with tempfile.TemporaryDirectory(prefix="slamhive-search-") as name:
+        folder = Path(name)
+        if options.only != "mariadb":
+            with sqlite_store(folder) as (store, path):
+                took_s = fill(store, made)
+                print(f"SQLite: {options.runs:,} runs stored in {took_s:.0f} s, {path.stat().st_size / 1e6:.0f} MB")
+                found = measure(store, options.repeats)
+                table(f"SQLite, {options.runs:,} runs", found, limit_ms)
+                if options.mlflow:
+                    beside_mlflow(options.mlflow, path, found)
+        if options.only != "sqlite":
+            (folder / "mariadb").mkdir()
+            with mariadb_store(folder / "mariadb") as store:
+                print(f"\nMariaDB: {options.runs:,} runs stored in {fill(store, made):.0f} s")
+                table(f"MariaDB, {options.runs:,} runs", measure(store, options.repeats), limit_ms)
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    print(f"\npeak memory of this process, filling included: {peak_mb:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""The numbers that a database plans its queries by, kept fresh by whoever writes.
+
+SQLite only looks at its tables when it is told to, so a file that has grown is planned for as if it were small. MySQL
+and MariaDB look by themselves once a tenth of a table has changed; after a bulk load they are told not to wait.
+"""
+
+from __future__ import annotations
+
+from sqlalchemy import Connection, Engine, text
+
+from slamhive.store.engine import WRITES
+
+GROWTH = 1.25
+"""Tables are looked at again when there are this many times the runs of the last time."""
+
+_SAMPLED_ROWS = 1_000
+_TABLES = ("runs", "configurations", "configuration_values", "metric_values")
+
+
+def refresh_if_grown(engine: Engine) -> bool:
+    """Look at the tables again if they have grown since; whether they had. Cheap if they had not."""
+    if engine.dialect.name != "sqlite":
+        return False
+    with engine.connect() as connection:
+        grown = _newest(connection) > GROWTH * max(_known(connection), 1)
+    if grown:
+        refresh(engine)
+    return grown
+
+
+def refresh(engine: Engine) -> None:
+    """Look at the tables now; some milliseconds, however large they are."""
+    with engine.execution_options(**{WRITES: True}).begin() as connection:
+        if engine.dialect.name == "sqlite":
+            connection.execute(text(f"PRAGMA analysis_limit={_SAMPLED_ROWS}"))
+            connection.execute(text("ANALYZE"))
+        else:
+            connection.execute(text(f"ANALYZE TABLE {', '.join(_TABLES)}"))
+
+
+def _newest(connection: Connection) -> int:
+    return int(connection.execute(text("SELECT coalesce(max(id), 0) FROM runs")).scalar_one())
+
+
+def _known(connection: Connection) -> int:
+    """How many runs there were when SQLite looked last; 0: it never did."""
+    exists = text("SELECT count(*) FROM sqlite_master WHERE name = 'sqlite_stat1'")
+    if not connection.execute(exists).scalar_one():
+        return 0
+    rows = connection.execute(text("SELECT stat FROM sqlite_stat1 WHERE tbl = 'runs'")).scalars()
+    return max((int(stat.split()[0]) for stat in rows if stat), default=0)
