@@ -124,8 +124,10 @@ class Matches:
         by_value = [keys[0].is_(None)] if len(keys) > 1 else []
         query = query.order_by(*by_value, *ordered(keys, descending=order.sort.descending)).limit(limit)
         rows = self.session.execute(query).all()
-        number = int(rows[0][-1]) if rows else self.count().number
-        return [tuple(row[:-1]) for row in rows], number
+        if rows:
+            return [tuple(row[:-1]) for row in rows], int(rows[0][-1])
+        total = self.count()
+        return [], total.number if total.exact else COUNTED + 1
 
     def _best_start(self) -> RunIds | None:
         """The shortest of the lists to begin with; those longer than a sample are not told apart."""

@@ -13,7 +13,7 @@ from sqlalchemy import Engine
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
-from slamhive.store import migrate
+from slamhive.store import migrate, statistics
 from slamhive.store.analyses import AnalysisRepository
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.configuration_book import ConfigurationBook
@@ -25,6 +25,7 @@ from slamhive.store.experiments import ExperimentRepository
 from slamhive.store.failures import explained, gave_up, is_transient, short
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.queue import QueueRepository
+from slamhive.store.run_table import RunTableRepository
 from slamhive.store.runs import RunRepository
 from slamhive.store.searches import SearchRepository
 
@@ -33,6 +34,8 @@ logger = logging.getLogger(__name__)
 
 FIRST_PAUSE_S = 0.05
 LONGEST_PAUSE_S = 2.0
+WRITES_BETWEEN_LOOKS = 500
+"""After so many transactions a writer asks whether the tables have grown; see :mod:`slamhive.store.statistics`."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,11 @@ class Transaction:
     def runs(self) -> RunRepository:
         """Runs: add, look at, list, move, cancel."""
         return RunRepository(self.session)
+
+    @cached_property
+    def run_table(self) -> RunTableRepository:
+        """Runs column by column, for analyses."""
+        return RunTableRepository(self.session)
 
     @cached_property
     def searches(self) -> SearchRepository:
@@ -122,6 +130,7 @@ class Store:
         self._retry_s = retry_s
         self._clock = clock
         self._sleep = sleep
+        self._written = 0
 
     @property
     def label(self) -> str:
@@ -134,11 +143,29 @@ class Store:
 
     def write(self, work: Callable[[Transaction], T]) -> T:
         """What ``work`` returns, once all it wrote is on disk; nothing of it is if it raises."""
-        return self.retried(lambda: self._attempt(self._writing, work))
+        result = self.retried(lambda: self._attempt(self._writing, work))
+        self._written += 1
+        if self._written % WRITES_BETWEEN_LOOKS == 0:
+            self._refresh_if_grown()
+        return result
+
+    def refresh_statistics(self) -> None:
+        """Let the database look at its tables, after a bulk of rows was written."""
+        self.retried(lambda: statistics.refresh(self.engine))
 
     def close(self) -> None:
         """Close all connections; the store can be used again after (a child process starts with this)."""
+        if self._written:
+            self._refresh_if_grown()
+            self._written = 0
         self.engine.dispose()
+
+    def _refresh_if_grown(self) -> None:
+        """What was written is on disk: that the tables could not be looked at now is no failure of it."""
+        try:
+            statistics.refresh_if_grown(self.engine)
+        except DBAPIError as error:
+            logger.info("database %s: statistics stay as they are: %s", self.label, short(error))
 
     def _attempt(self, engine: Engine, work: Callable[[Transaction], T]) -> T:
         with Session(engine, expire_on_commit=False) as session, session.begin():

@@ -159,12 +159,14 @@ def test_figures_keep_their_values_and_learn_which_count(engine: Engine) -> None
     with engine.begin() as connection:
         for number, fingerprint in ((2, "a"), (3, "b")):
             connection.exec_driver_sql(
-                f"INSERT INTO protocols (id, fingerprint, label, definition) VALUES ({number}, '{fingerprint}', '', '{{}}')"
+                "INSERT INTO protocols (id, fingerprint, label, definition) "
+                f"VALUES ({number}, '{fingerprint}', '', '{{}}')"
             )
         connection.exec_driver_sql(f"INSERT INTO metrics (id, {_key(engine)}) VALUES (1, 'ate.rmse')")
         connection.exec_driver_sql(
-            "INSERT INTO runs (id, uid, configuration_id, executor, seed, priority, evaluate, created_at, state, attempt, "
-            f"cancel_requested, current_protocol_id) VALUES (1, 'u', 1, 'docker', 0, 0, 0, {now}, 'succeeded', 0, 0, 3)"
+            "INSERT INTO runs (id, uid, configuration_id, executor, seed, priority, evaluate, created_at, state, "
+            "attempt, cancel_requested, current_protocol_id) "
+            f"VALUES (1, 'u', 1, 'docker', 0, 0, 0, {now}, 'succeeded', 0, 0, 3)"
         )
         for protocol in (1, 2, 3):
             connection.exec_driver_sql(f"INSERT INTO metric_values VALUES (1, 1, {protocol}, 0.{protocol})")

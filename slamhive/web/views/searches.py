@@ -76,6 +76,7 @@ class _Pages:
         self._query = query
 
     def __call__(self, after: str | None) -> tuple[Sequence[RunRecord], str | None]:
+        """The page after a key, and the key of the next."""
         page = self._services.runs(self._query.search, self._query.sort, after, EXPORT_LIMIT)
         return page.records, page.next_key
 
