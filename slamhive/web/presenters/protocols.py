@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.metrics import CATALOGUE, Group
 from slamhive.domain.protocol import ALIGNMENT_LABELS
 from slamhive.services.comparisons import NOT_EVALUATED, ToolFigures
 from slamhive.services.protocols import presets
@@ -16,10 +16,14 @@ from slamhive.web.presenters.runs import MetricRow, metric_rows
 
 @dataclass(frozen=True, slots=True)
 class ProtocolChoice:
-    """One protocol that a run has figures under. ``current``: lists show it; ``chosen``: this page does."""
+    """One protocol that a run has figures under.
+
+    ``preset``: what it is called, empty for one without a name; ``current``: lists show it; ``chosen``: this page does.
+    """
 
     fingerprint: str
     label: str
+    preset: str
     current: bool
     chosen: bool
 
@@ -40,17 +44,22 @@ def protocol_choices(
     labels = {protocol.fingerprint: protocol.label for protocol in succeeded}
     current = None if run.protocol is None else run.protocol.fingerprint
     chosen = asked if asked in labels else current
-    return [ProtocolChoice(key, label, key == current, key == chosen) for key, label in labels.items()]
+    names = {preset.protocol.fingerprint: name for name, preset in presets()}
+    return [
+        ProtocolChoice(key, label, names.get(key, ""), key == current, key == chosen) for key, label in labels.items()
+    ]
 
 
 def accuracy_rows(
     run: RunRecord, choices: Iterable[ProtocolChoice], figures: Mapping[str, dict[str, float]]
-) -> list[MetricRow]:
-    """The figures of the chosen protocol."""
+) -> dict[str, list[MetricRow]]:
+    """The figures of the chosen protocol: {what they are about: rows}, in the order of the catalogue's groups."""
     chosen = next((entry.fingerprint for entry in choices if entry.chosen), None)
     if chosen is None:
-        return []
-    return metric_rows(replace(run, metrics=figures.get(chosen, {})), needs_protocol=True)
+        return {}
+    rows = metric_rows(replace(run, metrics=figures.get(chosen, {})), needs_protocol=True)
+    groups = ((group.value, [row for row in rows if row.metric.group is group]) for group in Group)
+    return {name: members for name, members in groups if members}
 
 
 def tool_rows(tools: Iterable[ToolFigures]) -> list[ToolRow]:
