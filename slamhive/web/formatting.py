@@ -9,7 +9,9 @@ from datetime import UTC, datetime
 from slamhive.domain.metrics import Metric
 
 DASH = "–"
-PERCENT_METRICS = frozenset({"tracked_fraction", "frames.dropped_fraction"})
+PERCENT_METRICS = frozenset(
+    {"tracked_fraction", "frames.dropped_fraction", "deadline.missed_fraction", "relations.matched_fraction"}
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,3 +40,17 @@ def test_each_system_follows_the_room_within_ten_centimetres(hive: Hive, algorit
     assert about["version"] == run.version.version if run.version else False
     if algorithm.startswith("orb"):
         assert about["vocabulary"]["words"] > 5000
+
+
+def test_kiss_icp_leaves_its_map_if_asked(hive: Hive) -> None:
+    """Compared as its first pose has it: on so short a path positions alone leave some degrees of rotation open."""
+    asked = Submission(
+        "kiss-icp", "room", parameters={"save_map": True}, playback_mode="sequential", alignment="first_pose"
+    )
+    (queued,) = hive.submit(asked)
+    hive.worker(only=[queued.id]).run(until_idle=True)
+    metrics = hive.run(queued.id).metrics
+    assert metrics is not None
+    assert metrics["map.points"] > 10_000
+    assert metrics["map.accuracy.20cm"] > 0.9
+    assert metrics["map.fscore.20cm"] > 0.7

@@ -14,6 +14,8 @@ from kiss_icp.kiss_icp import KissICP
 from slamhive.runtime.app import run
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import Frame
+from slamhive.runtime.paths import run_paths
+from slamhive.runtime.pcd import write_pcd
 from slamhive.runtime.trajectory import Poses
 
 
@@ -31,6 +33,7 @@ class KissIcpOdometry:
         self._stamp = str(values.get("points_stamp", "start"))
         self._duration_s = float(values.get("points_scan_duration_s", 1.0 / float(values["points_rate_hz"])))
         self._odometry = KissICP(configure(values))
+        self._save_map = bool(values["save_map"])
         self._stamps_s: list[float] = []
         self._poses: list[np.ndarray] = []
 
@@ -49,7 +52,9 @@ class KissIcpOdometry:
         return True
 
     def finish(self) -> Poses:
-        """One pose for each scan."""
+        """One pose for each scan, and the map if it was asked for."""
+        if self._save_map:
+            write_pcd(run_paths().result / "Map.pcd", self._odometry.local_map.point_cloud())
         return Poses(np.array(self._stamps_s), np.array(self._poses).reshape(-1, 4, 4))
 
     def about(self) -> dict[str, Any]:

@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
+from slamhive.evaluation.evaluators.base import COVARIANCES, ROTATIONS_UNKNOWN, Figures, Paired, absent
 from slamhive.trajectory.model import FloatArray
 from slamhive.trajectory.table import parse_table, read_bounded
 from slamhive.trajectory.transforms import inverse_quats, multiply_quats, quats_from_rotations
 
-COVARIANCES = "covariances"
 LAYOUT = "timestamp and 21 numbers: the upper triangle, row by row, of the 6x6 covariance of x y z rx ry rz"
 FRAMES = ("body", "world")
 _HEADER = b"# orientation:"

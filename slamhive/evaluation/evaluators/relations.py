@@ -1,7 +1,7 @@
 """Errors against relations between poses that people have measured, where there is no ground-truth trajectory.
 
-Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27, 2009, equation (4); the
-relations are those that the Freiburg benchmark publishes beside recordings of 2D lasers.
+Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27, 2009; the relations are
+those that the Freiburg benchmark publishes beside recordings of 2D lasers.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.evaluation.evaluators.base import Figures, Paired, absent
+from slamhive.evaluation.evaluators.base import RELATIONS, Figures, Paired, absent
 from slamhive.evaluation.evaluators.pairs import statistics
 from slamhive.trajectory.interpolation import interpolate
 from slamhive.trajectory.model import FloatArray, Trajectory
@@ -27,7 +27,6 @@ from slamhive.trajectory.transforms import (
 
 BoolArray = npt.NDArray[np.bool_]
 
-RELATIONS = "relations"
 LAYOUT = "timestamp1 timestamp2 x y z roll pitch yaw"
 _NAMES = ("mean", "std", "max")
 

@@ -9,6 +9,8 @@ from slamhive.evaluation.evaluators.consistency import Consistency, read_covaria
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import multiply_quats
 
+pytestmark = pytest.mark.integration
+
 COUNT = 4000
 UPPER = np.triu_indices(6)
 
