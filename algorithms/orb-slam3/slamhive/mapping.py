@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 from orb_settings import distortion, settings_text, transform
+from orb_trajectory import without_repeats
 from pyorbslam3 import Sensor, Slam, TrackResult
 
 from slamhive.errors import InvalidInput
@@ -77,7 +78,8 @@ class OrbSlam3:
             return Poses(np.empty(0), np.empty((0, 4, 4)))
         path = Path(self._work.name) / "trajectory.txt"
         self._slam.save_trajectory_euroc(str(path))
-        table = np.loadtxt(path, ndmin=2, comments="#").reshape(-1, 8)
+        # For a frame that it could not place, ORB-SLAM3 writes the last pose once more, stamp and all.
+        table = without_repeats(np.loadtxt(path, ndmin=2, comments="#").reshape(-1, 8))
         poses = np.array([transform_from(row[1:4], row[4:8]) for row in table]).reshape(-1, 4, 4)
         if self._roles == {"left", "right"}:
             poses = poses @ self._T_rectified_left()
