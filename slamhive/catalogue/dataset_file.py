@@ -67,7 +67,7 @@ class _DatasetModel(BaseModel):
     licence: str = ""
     source: str = ""
     attributes: list[str] = Field(default_factory=list)
-    bag: str
+    bag: str | None = None
     duration_s: float = Field(ge=0)
     checksum: str
     sensors: list[_SensorModel]
@@ -84,7 +84,9 @@ class _DatasetModel(BaseModel):
 
     @field_validator("bag")
     @classmethod
-    def _stays_inside(cls, value: str) -> str:
+    def _stays_inside(cls, value: str | None) -> str | None:
+        if value is None:
+            return None
         path = PurePosixPath(value)
         if path.is_absolute() or ".." in path.parts or not path.parts:
             raise ValueError("must be a path inside the dataset folder")
@@ -109,11 +111,13 @@ def load_dataset(folder: Path) -> Dataset:
     for kind, file in files.items():
         if file is not None:
             _check_plain_file(path, kind, file)
+    if model.groundtruth is None and model.bag is None:
+        raise InvalidInput(f"{path}: it has neither a bag nor a groundtruth", "give one of them, or both")
     _check_sensors(path, model.sensors)
     return Dataset(
         name=model.name,
         folder=folder,
-        bag=model.bag,
+        bag=model.bag or "",
         duration_s=model.duration_s,
         sensors=tuple(_sensor(sensor) for sensor in model.sensors),
         groundtruth=None if model.groundtruth is None else GroundTruth(**model.groundtruth.model_dump()),
@@ -138,7 +142,7 @@ def dataset_to_yaml(dataset: Dataset) -> str:
         "licence": dataset.licence,
         "source": dataset.source,
         "attributes": list(dataset.attributes),
-        "bag": dataset.bag,
+        **({"bag": dataset.bag} if dataset.bag else {}),
         "duration_s": dataset.duration_s,
         "checksum": dataset.checksum,
         "sensors": [

@@ -2,71 +2,78 @@
 
 from __future__ import annotations
 
-import threading
+from dataclasses import replace
+from typing import Any
 
 import click
 
+from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
-from slamhive.cli.output import counting_bar, messages, print_json
+from slamhive.cli.output import messages, print_json
 from slamhive.cli.runs import print_runs
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.protocol_request import ProtocolRequest
+from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.job import Artefacts
+from slamhive.search.build import matching
+from slamhive.search.grammar import join
 from slamhive.services.current_protocols import CurrentProtocols
-from slamhive.services.evaluations import Evaluations
 from slamhive.services.hive import Hive
-from slamhive.services.identity import worker_identity
 from slamhive.services.run_json import run_to_json
 from slamhive.store import EvaluationRecord
-
-PAUSE_S = 0.5
 
 
 @click.command()
 @click.argument("run_ids", type=run_number, nargs=-1)
-@click.option("--all-unevaluated", is_flag=True, help="All runs that succeeded and have no evaluation.")
+@click.option("--all-unevaluated", is_flag=True, help="All that succeeded and have no evaluation, or wait for one.")
+@click.option("--where", metavar="FILTER", help="All that succeeded and match, e.g. 'dataset ~ MH_*'.")
 @click.option("--protocol", metavar="NAME|FILE", help="`slamhive protocol list` names them; default: by the sensors.")
 @click.option("--align", type=choice(Alignment), help="Short for a protocol of this alignment, the rest by default.")
 @click.option("--current", is_flag=True, help="Lists and pages shall show the figures of this protocol from now on.")
 @click.option("--plots", is_flag=True, help="Also draw the figures (trajectory, xyz, rpy, raw errors, error map).")
 @json_option
 @pass_cli
-def evaluate(
-    cli: CliContext,
-    /,
-    run_ids: tuple[int, ...],
-    all_unevaluated: bool,
-    current: bool,
-    plots: bool,
-    as_json: bool,
-    **protocol: str | None,
-) -> None:
+def evaluate(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **options: Any) -> None:
     """Evaluate runs RUN_IDS against their ground truth.
 
     A run keeps the figures of every protocol it was evaluated under. Shown are those of the first, until --current
-    or `slamhive protocol use` chooses another.
+    or `slamhive protocol use` chooses another. What is not done when this command is ended stays queued.
     """
-    if bool(run_ids) == all_unevaluated:
-        raise InvalidInput("name the runs to evaluate, or give --all-unevaluated", "slamhive runs lists them")
+    if bool(run_ids) + options["all_unevaluated"] + (options["where"] is not None) != 1:
+        raise InvalidInput(
+            "name the runs to evaluate, or give --all-unevaluated, or --where", "slamhive runs lists them"
+        )
     hive = cli.hive()
     hive.check_writable()
-    asked = _asked(hive, **protocol)
+    asked = _asked(hive, options["protocol"], options["align"])
     service = hive.evaluations_service
-    wanted = list(dict.fromkeys(run_ids)) or service.unevaluated()
-    if not wanted:
-        messages.print("every run that succeeded has been evaluated")
+    waiting: list[int] = []
+    if options["all_unevaluated"]:
+        wanted, waiting = service.unevaluated(), [record.id for record in service.waiting()]
+    else:
+        wanted = list(dict.fromkeys(run_ids)) if run_ids else _succeeded(hive, options["where"])
+    if not wanted and not waiting:
+        none = "every run that succeeded has been evaluated" if options["all_unevaluated"] else "no such run succeeded"
+        messages.print(none)
         print_json([]) if as_json else None
         return
-    evaluation_ids = service.queue(wanted, asked, Artefacts.PLOTS if plots else Artefacts.FILES)
+    evaluation_ids = service.queue(wanted, asked, Artefacts.PLOTS if options["plots"] else Artefacts.FILES)
+    ended = evaluate_to_end(service, list(dict.fromkeys([*waiting, *evaluation_ids])))
     place = {run_id: index for index, run_id in enumerate(wanted)}
-    ended = work_until_ended(service, evaluation_ids, frozenset(wanted))
-    ended.sort(key=lambda record: place[record.run_id])
-    if current:
+    ended.sort(key=lambda record: (place.get(record.run_id, -1), record.id))
+    if options["current"]:
         hive.current_protocols.make_current(ended)
     _report(hive.current_protocols, ended, as_json=as_json)
     if any(record.reason is not None for record in ended):
         raise click.exceptions.Exit(1)
+
+
+def _succeeded(hive: Hive, where: str) -> list[int]:
+    """The runs that match the filter and succeeded; raises InvalidInput pointing at a mistake in it."""
+    search, succeeded = hive.searches.read(where), matching(states=(RunState.SUCCEEDED,))
+    parts = [tree for tree in (search.tree, succeeded.tree) if tree is not None]
+    return hive.searches.run_ids(replace(search, tree=join("and", parts)))
 
 
 def _asked(hive: Hive, protocol: str | None, align: str | None) -> ProtocolRequest | None:
@@ -96,23 +103,6 @@ def _report(service: CurrentProtocols, ended: list[EvaluationRecord], *, as_json
             markup=False,
             soft_wrap=True,
         )
-
-
-def work_until_ended(
-    service: Evaluations, evaluation_ids: list[int], run_ids: frozenset[int]
-) -> list[EvaluationRecord]:
-    """Work on the evaluations, or wait for the worker that does; the evaluations as they ended."""
-    stopping = threading.Event()
-    with counting_bar("evaluating", len(evaluation_ids)) as show:
-        while True:
-            worked = service.work_once(worker_identity(), stopping, run_ids)
-            records = service.records(evaluation_ids)
-            ended = [record for record in records if record.ended_at is not None]
-            show(len(ended), "")
-            if len(ended) == len(records):
-                return records
-            if not worked:
-                stopping.wait(PAUSE_S)
 
 
 COMMANDS = (evaluate,)

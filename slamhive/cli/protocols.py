@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
+from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
-from slamhive.cli.evaluate import work_until_ended
 from slamhive.cli.output import print_json, print_table
 from slamhive.domain.metrics import metric
 from slamhive.errors import Conflict
@@ -89,7 +89,7 @@ def compare(cli: CliContext, run_id: int, as_json: bool) -> None:
     if hive.settings.mode is not Mode.VIEW_ONLY:
         evaluation_ids = hive.comparisons.queue(run_id)
         if evaluation_ids:
-            work_until_ended(hive.evaluations_service, evaluation_ids, frozenset({run_id}))
+            evaluate_to_end(hive.evaluations_service, evaluation_ids)
     rows = hive.comparisons.of(run_id)
     if as_json:
         print_json([_tool_json(row) for row in rows])

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
+from slamhive.cli.imports import import_runs
 from slamhive.cli.output import messages, print_json, print_table
 from slamhive.cli.searching import (
     GROUP_METRICS,
@@ -312,5 +313,7 @@ def print_runs(entries: list[RunRecord], as_json: bool) -> None:
         messages.print("no runs; `slamhive run ALGORITHM DATASET` starts one")
 
 
+
+runs.add_command(import_runs)
 
 COMMANDS = (run, runs)

@@ -64,8 +64,9 @@ class Algorithm:
     def assign(self, dataset: Dataset) -> dict[str, Sensor]:
         """Which sensor of ``dataset`` serves which role, in the dataset's order for each kind.
 
-        Raises InvalidInput, before anything starts, if the dataset lacks a sensor.
+        Raises InvalidInput, before anything starts, if the dataset lacks a sensor, or a recording.
         """
+        dataset.check_recorded()
         assigned: dict[str, Sensor] = {}
         for kind in SensorKind:
             roles = [entry.role for entry in self.inputs if entry.kind is kind]

@@ -1,4 +1,4 @@
-"""A dataset: a recording with known sensors, and the ground truth it may come with."""
+"""A dataset: a recording with known sensors, and the ground truth it may come with; or that alone."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.errors import lacks
+from slamhive.errors import InvalidInput, lacks
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +25,8 @@ class GroundTruth:
 class Dataset:
     """A recording as ``dataset.yaml`` describes it. ``folder`` holds the bag, the ground truth and the YAML.
 
+    ``bag`` is empty for a dataset that is a ground truth alone, for trajectories that were made elsewhere; ``checksum``
+    is then that of the ground truth.
     ``reference_map`` is a PCD file of the place in the world of the ground truth, ``relations`` a file of relative
     poses measured by people: ``timestamp1 timestamp2 x y z roll pitch yaw`` a line.
     """
@@ -46,8 +48,17 @@ class Dataset:
 
     @property
     def bag_path(self) -> Path:
-        """Where the recording lies: a file (ROS 1, MCAP) or a folder (ROS 2)."""
+        """Where the recording lies: a file (ROS 1, MCAP) or a folder (ROS 2); raises InvalidInput if there is none."""
+        self.check_recorded()
         return self.folder / self.bag
+
+    def check_recorded(self) -> None:
+        """Raise InvalidInput for a dataset without a recording."""
+        if not self.bag:
+            raise InvalidInput(
+                f"dataset {self.name} is a ground truth without a recording: nothing can be run on it",
+                "slamhive runs import adds trajectories that were made elsewhere",
+            )
 
     @property
     def groundtruth_path(self) -> Path | None:

@@ -46,7 +46,7 @@ def dataset_to_json(dataset: Dataset) -> dict[str, Any]:
         "source": dataset.source,
         "attributes": list(dataset.attributes),
         "duration_s": dataset.duration_s,
-        "bag": dataset.bag,
+        "bag": dataset.bag or None,
         "checksum": dataset.checksum,
         "sensors": [
             {

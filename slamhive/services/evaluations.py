@@ -7,12 +7,13 @@ import logging
 import tempfile
 import threading
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 
+from slamhive.domain.external import IMPORTED
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
-from slamhive.domain.sensors import Matrix4
+from slamhive.domain.sensors import IDENTITY4, Matrix4
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask, failed_result
 from slamhive.evaluation.runner import EvaluationRunner
@@ -21,6 +22,8 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.catalogue import Catalogue
 from slamhive.services.driver_context import utc_now
 from slamhive.services.evaluation_files import evaluation_files
+from slamhive.services.identity import owner_is_dead
+from slamhive.services.imports.external import algorithm_here_or_elsewhere
 from slamhive.services.protocols import fitting_protocol, reference_path
 from slamhive.settings import Settings
 from slamhive.store.records import EvaluationRecord, LeaseLost, RunRecord
@@ -70,8 +73,8 @@ class Evaluations:
         """
         runs = self._store.read(lambda t: t.runs.get_many(run_ids))
         by_protocol: dict[Protocol, list[int]] = defaultdict(list)
-        for run in runs:
-            by_protocol[self.protocol_of(run, asked)].append(run.id)
+        for protocol, members in self._by_protocol(runs, asked):
+            by_protocol[protocol] += members
         now = utc_now()
         return self._store.write(
             lambda t: [
@@ -81,9 +84,38 @@ class Evaluations:
             ]
         )
 
+    def _by_protocol(
+        self, runs: Iterable[RunRecord], asked: ProtocolRequest | None
+    ) -> Iterator[tuple[Protocol, list[int]]]:
+        """Runs that are evaluated alike, told once for all of one algorithm on one dataset."""
+        alike: dict[tuple[str, str, str | None], list[RunRecord]] = defaultdict(list)
+        for run in runs:
+            own = None if run.protocol_override is None else run.protocol_override.fingerprint
+            alike[run.algorithm, run.dataset, own].append(run)
+        for members in alike.values():
+            yield self.protocol_of(members[0], asked), [run.id for run in members]
+
     def records(self, evaluation_ids: Iterable[int]) -> list[EvaluationRecord]:
         """The evaluations with these ids, as they stand."""
-        return self._store.read(lambda t: [t.evaluations.get(evaluation_id) for evaluation_id in evaluation_ids])
+        return self._store.read(lambda t: t.evaluations.get_many(evaluation_ids))
+
+    def waiting(self) -> list[EvaluationRecord]:
+        """All evaluations that are queued or worked on."""
+        return self._store.read(lambda t: t.evaluations.open())
+
+    def still_open(self, evaluation_ids: Iterable[int]) -> set[int]:
+        """Those of these evaluations that have not ended."""
+        return self._store.read(lambda t: t.evaluations.still_open(evaluation_ids))
+
+    def unsettled(self, run_ids: Iterable[int]) -> list[int]:
+        """Those of these runs that have no successful evaluation."""
+        return self._store.read(lambda t: t.evaluations.unsettled_among(run_ids))
+
+    def take_over_from_the_dead(self) -> None:
+        """Put back what killed processes of this machine held, so that nobody waits for their leases to run out."""
+        for owner in self._store.read(lambda t: t.evaluations.owners()):
+            if owner_is_dead(owner):
+                self._store.write(lambda t, owner=owner: t.evaluations.release_all(owner))  # type: ignore[misc]
 
     def unevaluated(self) -> list[int]:
         """Runs that succeeded and have no evaluation yet."""
@@ -218,6 +250,8 @@ class Evaluations:
 
     def _trajectory_frame(self, run: RunRecord) -> Matrix4:
         """The pose, in the body frame, of the sensor whose poses the trajectory holds."""
+        if run.executor == IMPORTED:
+            return IDENTITY4
         algorithm = self._catalogue.algorithm(run.algorithm)
         return algorithm.assign(self._catalogue.dataset(run.dataset))[algorithm.trajectory_role].T_body_sensor
 
@@ -225,7 +259,7 @@ class Evaluations:
         """The protocol to evaluate ``run`` under: as asked for, as submitted, or as its sensors deserve."""
         if asked is None and run.protocol_override is not None:
             return run.protocol_override
-        algorithm = self._catalogue.algorithm(run.algorithm)
+        algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run.algorithm, run.package)
         return fitting_protocol(algorithm, self._catalogue.dataset(run.dataset), self._settings, asked)
 
     def _heartbeat(self, owner: str, evaluation_ids: list[int], ends: threading.Event) -> None:

@@ -27,13 +27,14 @@ from slamhive.services.driver_context import utc_now
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.service import Experiments
+from slamhive.services.imports.service import Imports
 from slamhive.services.lock import WorkerLock
 from slamhive.services.preparation import check_disk, check_package, check_recorded, recorded_topics
 from slamhive.services.progress import RunProgress, run_progress
 from slamhive.services.protocols import Protocols
 from slamhive.services.record import handle_from_json
 from slamhive.services.request import Submission, protocol_for
-from slamhive.services.retrying import retry_request
+from slamhive.services.retrying import check_retriable, retry_request
 from slamhive.services.searches import Searches
 from slamhive.services.series import RunSeries, run_series
 from slamhive.services.variants import Variants
@@ -73,6 +74,7 @@ class Hive:
         self.searches = Searches(settings, store, catalogue)
         self.configurations = Configurations(settings, store, catalogue, self.variants)
         self.protocols = Protocols(store)
+        self.imports = Imports(settings, store, catalogue)
         self.experiments = Experiments(
             ExperimentContext(settings, store, catalogue, self.variants, self.executor, self.executor_name)
         )
@@ -133,8 +135,7 @@ class Hive:
         """
         self.check_writable()
         old = self.run(run_id)
-        if not old.state.ended:
-            raise Conflict(f"run {run_id} is {old.state}", "only a run that has ended can be tried again")
+        check_retriable(old)
         self.configurations.check_runnable(old.configuration_id)
         uid, now = uuid.uuid4().hex, utc_now()
         (new_id,) = self.store.write(lambda t: t.runs.add_runs([retry_request(t, old, uid)], now))

@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+from slamhive.domain.external import IMPORTED
+from slamhive.errors import Conflict
 from slamhive.store.experiment_records import ExperimentState
 from slamhive.store.records import RunRecord, RunRequest
 from slamhive.store.store import Transaction
+
+
+def check_retriable(old: RunRecord) -> None:
+    """Raise Conflict for a run that has not ended, and for one that was made elsewhere."""
+    if old.executor == IMPORTED:
+        raise Conflict(f"run {old.id} was imported: it cannot be run again here", "import its next trial")
+    if not old.state.ended:
+        raise Conflict(f"run {old.id} is {old.state}", "only a run that has ended can be tried again")
 
 
 def retry_request(t: Transaction, old: RunRecord, uid: str) -> RunRequest:

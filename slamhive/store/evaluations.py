@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from datetime import datetime
 from typing import Any
 
 from sqlalchemy import ColumnElement, Row, Select, exists, func, insert, or_, select, update
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from slamhive.domain import protocol as domain
@@ -42,7 +43,24 @@ class EvaluationRepository:
         protocol_id = CatalogueRepository(self._session).put_protocol(protocol)
         values = {"state": EvaluationState.QUEUED, "artefacts": artefacts, "created_at": now, "attempt": 0}
         keys = {"protocol_id": protocol_id, "open": 1}
-        return [get_or_insert(self._session, Evaluation, {"run_id": run_id, **keys}, values)[0] for run_id in wanted]
+        ids: dict[int, int] = {}
+        for part in chunks(list(dict.fromkeys(wanted))):
+            ids.update(self._open_ids(part, protocol_id))
+            new = [{"run_id": run_id, **keys, **values} for run_id in part if run_id not in ids]
+            try:
+                if new:
+                    self._session.execute(insert(_TABLE), new)
+                ids.update(self._open_ids(part, protocol_id))
+            except IntegrityError:  # another process queues the same at the same time
+                for run_id in part:
+                    ids[run_id] = get_or_insert(self._session, Evaluation, {"run_id": run_id, **keys}, values)[0]
+        return [ids[run_id] for run_id in wanted]
+
+    def _open_ids(self, run_ids: Sequence[int], protocol_id: int) -> dict[int, int]:
+        query = select(_TABLE.c.run_id, _TABLE.c.id).where(
+            _TABLE.c.run_id.in_(run_ids), _TABLE.c.protocol_id == protocol_id, _TABLE.c.open == 1
+        )
+        return {row.run_id: row.id for row in self._session.execute(query)}
 
     def claim(
         self, owner: str, now: datetime, lease_s: float, limit: int = 100, runs: Collection[int] | None = None
@@ -171,6 +189,29 @@ class EvaluationRepository:
         query = select(Run.id).where(Run.state == RunState.SUCCEEDED, ~settled).order_by(Run.id)
         return list(self._session.execute(query).scalars())
 
+    def open(self) -> list[EvaluationRecord]:
+        """All that wait or are worked on, oldest first."""
+        return self._records(_TABLE.c.open == 1)
+
+    def still_open(self, evaluation_ids: Iterable[int]) -> set[int]:
+        """Those of these evaluations that have not ended."""
+        found: set[int] = set()
+        for part in chunks(list(evaluation_ids)):
+            query = select(_TABLE.c.id).where(_TABLE.c.id.in_(part), _TABLE.c.open == 1)
+            found.update(self._session.execute(query).scalars())
+        return found
+
+    def unsettled_among(self, run_ids: Iterable[int]) -> list[int]:
+        """Those of these runs that have no successful evaluation, in their order."""
+        wanted = list(run_ids)
+        settled: set[int] = set()
+        for part in chunks(wanted):
+            query = select(_TABLE.c.run_id).where(
+                _TABLE.c.run_id.in_(part), _TABLE.c.state == EvaluationState.SUCCEEDED
+            )
+            settled.update(self._session.execute(query).scalars())
+        return [run_id for run_id in wanted if run_id not in settled]
+
     def counts_by_state(self) -> dict[EvaluationState, int]:
         """How many evaluations are in each state; every state is there."""
         states = self._session.execute(select(_TABLE.c.state, func.count()).group_by(_TABLE.c.state)).all()
@@ -179,10 +220,18 @@ class EvaluationRepository:
 
     def get(self, evaluation_id: int) -> EvaluationRecord:
         """The evaluation with this id; raises NotFound."""
-        records = self._records(_TABLE.c.id == evaluation_id)
-        if not records:
-            raise NotFound(f"unknown evaluation {evaluation_id}")
-        return records[0]
+        return self.get_many([evaluation_id])[0]
+
+    def get_many(self, evaluation_ids: Iterable[int]) -> list[EvaluationRecord]:
+        """The evaluations with these ids, in this order; raises NotFound naming the first that is not there."""
+        wanted = list(evaluation_ids)
+        found: dict[int, EvaluationRecord] = {}
+        for part in chunks(wanted):
+            found.update((record.id, record) for record in self._records(_TABLE.c.id.in_(part)))
+        for evaluation_id in wanted:
+            if evaluation_id not in found:
+                raise NotFound(f"unknown evaluation {evaluation_id}")
+        return [found[evaluation_id] for evaluation_id in wanted]
 
     def for_run(self, run_id: int) -> list[EvaluationRecord]:
         """All evaluations of one run, oldest first."""

@@ -1,0 +1,116 @@
+"""``slamhive runs import``: trajectories that were made elsewhere become runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from slamhive.cli.batches import evaluate_to_end
+from slamhive.cli.context import CliContext, choice, json_option, pass_cli
+from slamhive.cli.output import messages, print_json, progress_bar
+from slamhive.domain.sensors import SensorSetup
+from slamhive.errors import InvalidInput
+from slamhive.services.imports.request import (
+    DEFAULT_GROUND_TRUTH,
+    DEFAULT_PATTERN,
+    DEFAULT_TIMES,
+    ImportReport,
+    ImportRequest,
+    TrajectoryFormat,
+)
+from slamhive.services.imports.sources import parse_setup
+
+_SHOWN_LEFT_OUT = 10
+_SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Without a name: all others."
+
+
+@click.command("import")
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option("--table", is_flag=True, help="SOURCE is a CSV: algorithm,dataset,trial,file[,sensors,groundtruth,...].")
+@click.option("--pattern", default=DEFAULT_PATTERN, show_default=True, help="Where trajectories lie in the folder.")
+@click.option("--groundtruth", default=DEFAULT_GROUND_TRUTH, show_default=True, help="Where ground truths lie.")
+@click.option("--times", default=DEFAULT_TIMES, show_default=True, help="Where the stamps of KITTI poses lie.")
+@click.option("--format", "wanted", type=choice(TrajectoryFormat), default="auto", show_default=True)
+@click.option("--sensors", multiple=True, metavar="[NAME=]SETUP", help=_SENSORS_HELP)
+@click.option("--gravity-aligned", is_flag=True, help="The z axis of the ground truths points up.")
+@click.option("--evaluate/--no-evaluate", default=True, show_default=True, help="Evaluate what has no evaluation yet.")
+@click.option("--dry-run", is_flag=True, help="Read everything, write nothing.")
+@json_option
+@pass_cli
+def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, **options: Any) -> None:
+    """Import trajectories from SOURCE, a folder or a table.
+
+    Poses are those of the body, in the frame that the ground truth describes. The same command again imports what is
+    new, and completes an import that was killed.
+    """
+    hive = cli.hive()
+    request = ImportRequest(
+        source=source,
+        table=options["table"],
+        pattern=options["pattern"],
+        ground_truth=options["groundtruth"],
+        times=options["times"],
+        format=TrajectoryFormat(options["wanted"]),
+        sensors=_sensors(options["sensors"]),
+        gravity_aligned=options["gravity_aligned"],
+    )
+    with progress_bar("reading" if dry_run else "importing") as show:
+        report = hive.imports.carry_out(
+            request, lambda done, total: show(done / total, f"{done}/{total} trajectories"), dry_run=dry_run
+        )
+    wanted = hive.evaluations_service.unsettled(report.run_ids) if options["evaluate"] else []
+    ended = evaluate_to_end(hive.evaluations_service, hive.evaluations_service.queue(wanted))
+    failures = {record.run_id: record.reason for record in ended if record.reason is not None}
+    evaluated = len(ended) - len(failures)
+    if as_json:
+        print_json(_as_json(report, evaluated, failures))
+    else:
+        _show(report, evaluated, failures)
+    if report.problems or failures:
+        raise click.exceptions.Exit(1)
+
+
+def _sensors(texts: tuple[str, ...]) -> dict[str, SensorSetup]:
+    """``NAME=SETUP`` texts by name, "" for one without; raises InvalidInput for a name given twice."""
+    setups: dict[str, SensorSetup] = {}
+    for text in texts:
+        name, _, setup = text.rpartition("=")
+        if name in setups:
+            raise InvalidInput(f"--sensors for {name or 'all others'} is given twice")
+        setups[name] = parse_setup(setup)
+    return setups
+
+
+def _show(report: ImportReport, evaluated: int, failures: dict[int, str]) -> None:
+    """What was done on stdout, what was not on stderr."""
+    for problem in report.problems:
+        messages.print(f"{problem.name}: {problem.text}", markup=False, soft_wrap=True)
+    for run_id, reason in failures.items():
+        messages.print(f"run {run_id} cannot be evaluated: {reason}", markup=False, soft_wrap=True)
+    if report.left_out:
+        shown = ", ".join(report.left_out[:_SHOWN_LEFT_OUT])
+        more = f" and {len(report.left_out) - _SHOWN_LEFT_OUT} more" if len(report.left_out) > _SHOWN_LEFT_OUT else ""
+        messages.print(f"left out, as they match no pattern: {shown}{more}", markup=False, soft_wrap=True)
+    would = "would be " if report.dry_run else ""
+    words = [f"{report.imported} runs {would}imported", f"{report.known} known already"]
+    words += [f"{len(report.datasets)} datasets {would}made of ground truths"] if report.datasets else []
+    words += [] if report.dry_run else [f"{evaluated} evaluated"]
+    words += [f"{len(report.problems)} problems"] if report.problems else []
+    words += [f"{len(failures)} evaluations failed"] if failures else []
+    click.echo(", ".join(words))
+
+
+def _as_json(report: ImportReport, evaluated: int, failures: dict[int, str]) -> dict[str, Any]:
+    return {
+        "dry_run": report.dry_run,
+        "runs": report.run_ids,
+        "imported": report.imported,
+        "known": report.known,
+        "datasets": report.datasets,
+        "evaluated": evaluated,
+        "failed_evaluations": {str(run_id): reason for run_id, reason in failures.items()},
+        "problems": [{"name": problem.name, "text": problem.text} for problem in report.problems],
+        "left_out": report.left_out,
+    }

@@ -1,0 +1,1 @@
+"""Runs made elsewhere: trajectories become runs like every other, marked as imported."""

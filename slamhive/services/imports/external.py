@@ -1,0 +1,54 @@
+"""The algorithm of a run: a package here, or one of which only trajectories are here."""
+
+from __future__ import annotations
+
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.external import EXTERNAL_PACKAGE, external_algorithm
+from slamhive.domain.sensors import SensorSetup
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.services.catalogue import Catalogue
+from slamhive.store.store import Store
+
+
+def algorithm_here_or_elsewhere(store: Store, catalogue: Catalogue, name: str, package: str) -> Algorithm:
+    """The algorithm called ``name``, of the package that runs were stored with; raises as the catalogue does."""
+    if package != EXTERNAL_PACKAGE:
+        return catalogue.algorithm(name)
+    return external_algorithm(name, SensorSetup(store.read(lambda t: t.catalogue.algorithm(name)).mode))
+
+
+def choose_algorithm(store: Store, catalogue: Catalogue, name: str, setup: SensorSetup | None) -> Algorithm:
+    """The algorithm that imported trajectories belong to.
+
+    Args:
+        store: Knows those that were imported before.
+        catalogue: Those that have a package.
+        name: Of the algorithm.
+        setup: What the user says that it senses with.
+
+    Raises InvalidInput if that is not known, or contradicts what is.
+    """
+    known = next((algorithm for algorithm in catalogue.algorithms() if algorithm.name == name), None)
+    if known is None:
+        known = _imported_before(store, name)
+    if known is None:
+        if setup is None:
+            raise InvalidInput(
+                f"algorithm {name} is not installed here, and what it senses with decides the default alignment",
+                f"say it with --sensors {name}=SETUP ({', '.join(SensorSetup)})",
+            )
+        return external_algorithm(name, setup)
+    if setup is not None and setup is not known.setup:
+        raise InvalidInput(
+            f"algorithm {name} senses with {known.setup.value} here, not with {setup.value}",
+            f"leave out its --sensors, or say --sensors {name}={known.setup.value}",
+        )
+    return known
+
+
+def _imported_before(store: Store, name: str) -> Algorithm | None:
+    try:
+        record = store.read(lambda t: t.catalogue.algorithm(name))
+    except NotFound:
+        return None
+    return external_algorithm(name, SensorSetup(record.mode)) if record.package == EXTERNAL_PACKAGE else None

@@ -1,0 +1,263 @@
+"""Importing runs that were made elsewhere: whole or not at all, and once however often it is asked for.
+
+Each run is filed in the database first and its folder renamed into place right after; an import that is killed in
+between, or anywhere else, is completed by the same command.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from slamhive.bags.variants.locks import Busy, exclusive
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.configuration import Configuration
+from slamhive.domain.dataset import Dataset
+from slamhive.errors import Conflict, InvalidInput, SlamHiveError, Unavailable
+from slamhive.runs.folder import RunFolder
+from slamhive.services.catalogue import Catalogue, check_writable
+from slamhive.services.driver_context import utc_now
+from slamhive.services.imports.external import choose_algorithm
+from slamhive.services.imports.reading import Loaded, load, trial_digits
+from slamhive.services.imports.request import Candidate, Found, ImportReport, ImportRequest, Problem
+from slamhive.services.imports.sources import find
+from slamhive.services.imports.truths import Truths
+from slamhive.services.preparation import check_disk
+from slamhive.services.record import begin_record, events_to_json
+from slamhive.settings import Settings
+from slamhive.store.imports import ImportedRun, ImportRepository
+from slamhive.store.records import RunRecord
+from slamhive.store.store import Store, Transaction
+
+BATCH = 50
+_LOCK = ".import.lock"
+_ASIDE = ".import-"
+
+Progress = Callable[[int, int], None]
+"""Called with how many files were dealt with, and how many there are."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Homes:
+    """What candidates belong to, by name."""
+
+    algorithms: dict[str, Algorithm]
+    datasets: dict[str, Dataset]
+
+
+class Imports:
+    """Imports into one installation.
+
+    Args:
+        settings: Mode and data root.
+        store: Where runs are filed.
+        catalogue: Algorithms and datasets that are here.
+    """
+
+    def __init__(self, settings: Settings, store: Store, catalogue: Catalogue) -> None:
+        self._settings = settings
+        self._store = store
+        self._catalogue = catalogue
+
+    def carry_out(self, request: ImportRequest, progress: Progress, *, dry_run: bool = False) -> ImportReport:
+        """Import everything that can be; what cannot is among the report's problems.
+
+        With ``dry_run`` everything is read and nothing is written.
+
+        Raises:
+            InvalidInput: The source, a pattern or a table cannot be used, or holds nothing to import.
+            Conflict: Another import is under way.
+            Unavailable: The disk or the database refuses; what was imported until then stays.
+        """
+        check_writable(self._settings)
+        found = find(request)
+        if not found.candidates and not found.problems:
+            raise _nothing(request, found)
+        report = ImportReport(dry_run, problems=found.problems, left_out=found.left_out)
+        with self._alone():
+            if not dry_run:
+                check_disk(self._settings)
+            homes = self._homes(request, found, report)
+            ready = [
+                entry
+                for entry in found.candidates
+                if entry.algorithm in homes.algorithms and entry.dataset in homes.datasets
+            ]
+            for start in range(0, len(ready), BATCH):
+                part = ready[start : start + BATCH]
+                self._batch(list(_loaded(part, report)), homes, report)
+                progress(start + len(part), len(ready))
+        report.problems.sort(key=lambda problem: problem.name)
+        return report
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """One import at a time; what killed ones have left aside goes."""
+        runs = self._settings.runs_folder
+        try:
+            with exclusive(runs / _LOCK):
+                for aside in runs.glob(f"{_ASIDE}*"):
+                    shutil.rmtree(aside, ignore_errors=True)
+                yield
+        except Busy:
+            raise Conflict("another import is under way", "wait for it to end") from None
+
+    def _homes(self, request: ImportRequest, found: Found, report: ImportReport) -> _Homes:
+        """Algorithms and datasets of the candidates; those that cannot be used are problems, told once each."""
+        homes = _Homes({}, {})
+        lost: dict[str, SlamHiveError] = {}
+        for name in sorted({entry.algorithm for entry in found.candidates}):
+            setup = found.setups.get(name) or request.sensors.get(name) or request.sensors.get("")
+            try:
+                homes.algorithms[name] = choose_algorithm(self._store, self._catalogue, name, setup)
+            except SlamHiveError as error:
+                lost[name] = error
+        self._note(lost, "algorithm", found.candidates, report)
+        self._check_sensor_names(request, found)
+        truths = Truths(self._catalogue, self._settings.datasets_folder, gravity_aligned=request.gravity_aligned)
+        lost = {}
+        usable = [entry for entry in found.candidates if entry.algorithm in homes.algorithms]
+        for name in sorted({entry.dataset for entry in usable}):
+            times = next((entry.times for entry in usable if entry.dataset == name and entry.times is not None), None)
+            truth = found.truths.get(name, found.truths.get(""))
+            try:
+                homes.datasets[name], new = truths.dataset(name, truth, times, dry_run=report.dry_run)
+                report.datasets += [name] if new else []
+            except Unavailable:
+                raise
+            except SlamHiveError as error:
+                lost[name] = error
+        self._note(lost, "dataset", usable, report)
+        return homes
+
+    def _check_sensor_names(self, request: ImportRequest, found: Found) -> None:
+        names = {entry.algorithm for entry in found.candidates}
+        for name in request.sensors:
+            if name and name not in names:
+                raise InvalidInput(
+                    f"--sensors names {name!r}, of which there is no trajectory",
+                    f"there are {', '.join(sorted(names))}",
+                )
+
+    def _note(
+        self, lost: dict[str, SlamHiveError], field: str, candidates: Iterable[Candidate], report: ImportReport
+    ) -> None:
+        counts: dict[str, int] = defaultdict(int)
+        for entry in candidates:
+            counts[getattr(entry, field)] += 1
+        for name, error in lost.items():
+            report.problems.append(Problem(f"{field} {name} ({counts[name]} files)", str(error)))
+
+    def _batch(self, loaded: list[Loaded], homes: _Homes, report: ImportReport) -> None:
+        """File what is new, and give every run its folder."""
+        beginnings = {trial_digits(entry.candidate) for entry in loaded}
+        known = self._store.read(lambda t: ImportRepository(t.session).known(beginnings))
+        trials = {uid[: len(uid) // 2]: run_id for uid, run_id in known.items()}
+        fresh: list[Loaded] = []
+        for entry in loaded:
+            other = trials.get(trial_digits(entry.candidate))
+            if entry.uid in known:
+                report.known += 1
+            elif other is not None:
+                trial = f"trial {entry.candidate.trial} of {entry.candidate.algorithm} on {entry.candidate.dataset}"
+                text = f"{trial} was imported as run {other} with another trajectory; give it a trial of its own"
+                report.problems.append(Problem(entry.candidate.name, text))
+            else:
+                fresh.append(entry)
+        report.imported += len(fresh)
+        if report.dry_run:
+            return
+        now = utc_now()
+        ids = self._store.write(lambda t: _file(t, fresh, homes, now)) if fresh else []
+        by_uid = {**known, **dict(zip((entry.uid for entry in fresh), ids, strict=True))}
+        here = {by_uid[entry.uid]: entry for entry in loaded if entry.uid in by_uid}
+        lacking = [run_id for run_id in here if not self._folder(run_id).record.exists()]
+        for run in self._store.read(lambda t: t.runs.get_many(lacking)):
+            self._make_folder(run, here[run.id], homes)
+        report.run_ids += here
+
+    def _make_folder(self, run: RunRecord, entry: Loaded, homes: _Homes) -> None:
+        """Write the run's folder aside and rename it."""
+        aside = RunFolder(self._settings.runs_folder / f"{_ASIDE}{run.uid}")
+        events = self._store.read(lambda t: t.runs.events(run.id))
+        algorithm = homes.algorithms[run.algorithm]
+        dataset = homes.datasets[run.dataset]
+        record = {
+            **begin_record(run),
+            "detail": run.detail,
+            "poses": run.poses,
+            "algorithm": {"package": algorithm.package.name, "mode": algorithm.mode},
+            "dataset": {"checksum": dataset.checksum, "duration_s": dataset.duration_s},
+            "imported": _origin(entry),
+            "events": events_to_json(events),
+        }
+        aside.create()
+        try:
+            aside.trajectory.write_bytes(entry.text)
+            aside.write_record(record)
+            aside.root.rename(self._folder(run.id).root)
+        except OSError as error:
+            shutil.rmtree(aside.root, ignore_errors=True)
+            raise Unavailable(
+                f"{self._folder(run.id).root} cannot be made: {error.strerror}", "check space and rights"
+            ) from None
+
+    def _folder(self, run_id: int) -> RunFolder:
+        return RunFolder(self._settings.runs_folder / str(run_id))
+
+
+def _nothing(request: ImportRequest, found: Found) -> InvalidInput:
+    if request.table:
+        return InvalidInput(f"{request.source} has no rows", "give one for each trajectory")
+    example = f"; the first of {len(found.left_out)} files is {found.left_out[0]!r}" if found.left_out else ""
+    return InvalidInput(
+        f"no file below {request.source} matches the pattern {request.pattern!r}{example}",
+        "say with --pattern how its folders are named",
+    )
+
+
+def _loaded(candidates: Iterable[Candidate], report: ImportReport) -> Iterator[Loaded]:
+    for candidate in candidates:
+        try:
+            yield load(candidate)
+        except SlamHiveError as error:
+            report.problems.append(Problem(candidate.name, str(error)))
+
+
+def _file(t: Transaction, entries: list[Loaded], homes: _Homes, now: datetime) -> list[int]:
+    configurations: dict[tuple[str, str], int] = {}
+    for name, dataset_name in sorted({(entry.candidate.algorithm, entry.candidate.dataset) for entry in entries}):
+        algorithm, dataset = homes.algorithms[name], homes.datasets[dataset_name]
+        configurations[name, dataset_name], _ = t.configurations.get_or_create(
+            Configuration(name, dataset_name, {}),
+            t.catalogue.put_algorithm(algorithm),
+            t.catalogue.put_dataset(dataset, now),
+            now,
+            (),
+        )
+    runs = [
+        ImportedRun(
+            uid=entry.uid,
+            configuration_id=configurations[entry.candidate.algorithm, entry.candidate.dataset],
+            poses=entry.poses,
+            why=f"imported from {entry.candidate.name}, trial {entry.candidate.trial}: {entry.poses} poses",
+            dataset_checksum=homes.datasets[entry.candidate.dataset].checksum,
+        )
+        for entry in entries
+    ]
+    return ImportRepository(t.session).add(runs, now)
+
+
+def _origin(entry: Loaded) -> dict[str, Any]:
+    """What is known of where a run comes from: the name of the file below the source, never the way to it."""
+    return {
+        "source": entry.candidate.name,
+        "trial": entry.candidate.trial,
+        "format": entry.format.value,
+        "checksum": entry.checksum,
+    }

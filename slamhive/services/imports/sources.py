@@ -1,0 +1,170 @@
+"""What lies at the source of an import: files that match the pattern of a folder, or the rows of a table."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+from slamhive.domain.names import check_name
+from slamhive.domain.sensors import SensorSetup
+from slamhive.errors import InvalidInput, SlamHiveError, nearest
+from slamhive.services.imports.pattern import FIELDS, PathPattern
+from slamhive.services.imports.request import Candidate, Found, ImportRequest, Problem, TrajectoryFormat
+from slamhive.trajectory.table import read_bounded
+
+_NEEDED = ("algorithm", "dataset", "file")
+_OPTIONAL = ("trial", "sensors", "groundtruth", "times", "format")
+_ONLY_TRIAL = "1"
+
+
+def find(request: ImportRequest) -> Found:
+    """The files at the source, sorted by name; nothing of them is read but a table.
+
+    What cannot be imported is among the problems. Raises InvalidInput or NotFound if there is nothing to begin with.
+    """
+    found = Found()
+    for candidate in _in_table(request, found) if request.table else _in_folder(request, found):
+        try:
+            _check(candidate)
+        except SlamHiveError as error:
+            found.problems.append(Problem(candidate.name, str(error)))
+        else:
+            found.candidates.append(candidate)
+    found.candidates = list(_without_doubles(found))
+    return found
+
+
+def parse_setup(text: str) -> SensorSetup:
+    """The sensor setup called ``text``; raises InvalidInput with the nearest."""
+    try:
+        return SensorSetup(text)
+    except ValueError:
+        known = [setup.value for setup in SensorSetup]
+        raise InvalidInput(f"sensors {text!r} are not known; {nearest(text, known)}") from None
+
+
+def _in_folder(request: ImportRequest, found: Found) -> Iterator[Candidate]:
+    root = request.source
+    if not root.is_dir():
+        raise InvalidInput(f"{root} is no folder", "give the folder that holds the trajectories, or --table for a CSV")
+    pattern = PathPattern(request.pattern, needed=("algorithm", "dataset"))
+    truth, times = (PathPattern(text, ("dataset",)) for text in (request.ground_truth, request.times))
+    paths = dict(_files(root, found))
+    stamps = {match.get("dataset", ""): path for name, path in paths.items() if (match := times.match(name))}
+    for name, path in paths.items():
+        match = truth.match(name)
+        if match is not None:
+            found.truths[match.get("dataset", "")] = path
+        elif times.match(name) is None:
+            match = pattern.match(name)
+            if match is None:
+                found.left_out.append(name)
+                continue
+            yield Candidate(
+                algorithm=match["algorithm"],
+                dataset=match["dataset"],
+                trial=match.get("trial", _ONLY_TRIAL),
+                path=path,
+                name=name,
+                format=request.format,
+                times=stamps.get(match["dataset"], stamps.get("")),
+            )
+
+
+def _files(root: Path, found: Found) -> Iterator[tuple[str, Path]]:
+    """All plain files below ``root``; links are named and not followed, hidden ones passed over."""
+    for folder, folders, files in os.walk(root):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for name in sorted([*files, *folders]):
+            path = Path(folder) / name
+            relative = path.relative_to(root).as_posix()
+            if path.is_symlink():
+                found.problems.append(Problem(relative, "is a link, and links are not followed; put the file there"))
+                folders[:] = [entry for entry in folders if entry != name]
+            elif name in files and not name.startswith("."):
+                yield relative, path
+
+
+def _in_table(request: ImportRequest, found: Found) -> Iterator[Candidate]:
+    path = request.source
+    try:
+        text = read_bounded(path).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InvalidInput(f"{path} is not a text file", "save the table as CSV in UTF-8") from None
+    reader = csv.DictReader(io.StringIO(text, newline=""))
+    columns = [name or "" for name in reader.fieldnames or []]
+    _check_columns(path, columns)
+    for number, row in enumerate(reader, start=2):
+        name = f"{path.name}, row {number}"
+        try:
+            yield _row(request, found, {key: (row.get(key) or "").strip() for key in columns}, name)
+        except SlamHiveError as error:
+            found.problems.append(Problem(name, str(error)))
+
+
+def _check_columns(path: Path, columns: list[str]) -> None:
+    known = [*_NEEDED, *_OPTIONAL]
+    for name in columns:
+        if name not in known:
+            raise InvalidInput(f"{path} has a column {name[:40]!r} that is not known; {nearest(name, known)}")
+    for name in _NEEDED:
+        if name not in columns:
+            raise InvalidInput(f"{path} lacks the column {name}", f"its first line has to name {', '.join(_NEEDED)}")
+
+
+def _row(request: ImportRequest, found: Found, row: dict[str, str], name: str) -> Candidate:
+    folder = request.source.parent
+    algorithm, dataset = row["algorithm"], row["dataset"]
+    if row.get("sensors"):
+        setup = parse_setup(row["sensors"])
+        if found.setups.setdefault(algorithm, setup) is not setup:
+            raise InvalidInput(f"{algorithm} has the sensors {found.setups[algorithm].value} in a row above")
+    if row.get("groundtruth"):
+        truth = _inside(folder, row["groundtruth"])
+        if found.truths.setdefault(dataset, truth) != truth:
+            raise InvalidInput(f"dataset {dataset} has the ground truth {found.truths[dataset].name} in a row above")
+    wanted = row.get("format") or request.format.value
+    known = [entry.value for entry in TrajectoryFormat]
+    if wanted not in known:
+        raise InvalidInput(f"format {wanted[:40]!r} is not known; {nearest(wanted, known)}")
+    return Candidate(
+        algorithm=algorithm,
+        dataset=dataset,
+        trial=row.get("trial") or _ONLY_TRIAL,
+        path=_inside(folder, row["file"]),
+        name=f"{name} ({row['file']})",
+        format=TrajectoryFormat(wanted),
+        times=_inside(folder, row["times"]) if row.get("times") else None,
+    )
+
+
+def _inside(folder: Path, text: str) -> Path:
+    """The file ``text`` below ``folder``; raises InvalidInput for one that is elsewhere, or a link."""
+    relative = PurePosixPath(text)
+    if not text or "\0" in text or relative.is_absolute() or ".." in relative.parts:
+        raise InvalidInput(f"file {text[:80]!r} is not below {folder}", "name files relative to the table")
+    path = folder / relative
+    if any(part.is_symlink() for part in (path, *path.parents) if part != folder and folder in part.parents):
+        raise InvalidInput(f"file {text[:80]!r} is a link, and links are not followed", "put the file there")
+    return path
+
+
+def _check(candidate: Candidate) -> None:
+    for kind in FIELDS:
+        check_name(kind, getattr(candidate, kind))
+
+
+def _without_doubles(found: Found) -> Iterator[Candidate]:
+    """Each trial once; a second file for one is a problem."""
+    seen: dict[tuple[str, str, str], str] = {}
+    for candidate in found.candidates:
+        key = (candidate.algorithm, candidate.dataset, candidate.trial)
+        first = seen.setdefault(key, candidate.name)
+        if first is candidate.name:
+            yield candidate
+        else:
+            text = f"trial {candidate.trial} of {candidate.algorithm} on {candidate.dataset} is there twice"
+            found.problems.append(Problem(candidate.name, f"{text}: {first} is the other; number the trials"))

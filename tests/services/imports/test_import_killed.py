@@ -1,0 +1,71 @@
+"""An import killed at any step is completed by the same import: nothing half, nothing twice."""
+
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from slamhive.domain.run import RunState
+from slamhive.domain.sensors import SensorSetup
+from slamhive.services.hive import open_hive
+from slamhive.services.imports.request import ImportRequest
+from slamhive.services.reindex import reindex
+from tests.services.imports.world import make_source, write
+
+pytestmark = pytest.mark.integration
+
+SCRIPT = Path(__file__).with_name("killed_import.py")
+STEP_STRIDE = 5
+"""Odd, so that deaths before and after a step are both met."""
+
+
+def test_whatever_kills_it_the_same_import_completes_it(hive, tmp_path):
+    source = make_source(tmp_path / "source", ("alpha",), trials=2)
+    hive.close()
+    data, fresh = hive.settings.data, tmp_path / "fresh"
+    shutil.copytree(data, fresh)
+    killed = 0
+    for step in range(1, 1000, STEP_STRIDE):
+        shutil.rmtree(data)
+        shutil.copytree(fresh, data)
+        ended = subprocess.run([sys.executable, str(SCRIPT), str(source), str(step)], timeout=60, check=False)
+        if ended.returncode == 0:
+            break
+        assert ended.returncode == -signal.SIGKILL
+        killed += 1
+        _check_completed(source)
+    assert killed >= 5, "every kind of step was met"
+
+
+def _check_completed(source: Path) -> None:
+    hive = open_hive()
+    try:
+        request = ImportRequest(source, sensors={"": SensorSetup.STEREO})
+        report = hive.imports.carry_out(request, lambda _done, _total: None)
+        assert (report.imported + report.known, report.problems) == (4, [])
+        assert hive.counts()[RunState.SUCCEEDED] == sum(hive.counts().values()) == 4
+        assert not list(hive.settings.runs_folder.glob(".import-*"))
+        for run_id in report.run_ids:
+            record = hive.record(run_id)
+            assert record["uid"] == hive.run(run_id).uid
+            found = hive.folder(run_id).trajectory.read_bytes()
+            assert found == (source / record["imported"]["source"]).read_bytes()
+        assert reindex(hive, lambda _done, _total: None).skipped == []
+        assert len(hive.evaluations_service.queue(report.run_ids)) == 4
+    finally:
+        hive.close()
+
+
+def test_a_folder_that_was_lost_is_made_again(hive, tmp_path):
+    source = make_source(tmp_path / "source", ("alpha",), trials=1)
+    request = ImportRequest(source, sensors={"": SensorSetup.STEREO})
+    first = hive.imports.carry_out(request, lambda _done, _total: None).run_ids[0]
+    shutil.rmtree(hive.folder(first).root)
+    write(hive.settings.runs_folder / ".import-rest" / "run.json", "{}")
+    hive.imports.carry_out(request, lambda _done, _total: None)
+    assert hive.folder(first).trajectory.exists()
+    assert hive.record(first)["imported"]["trial"] == "0"
+    assert not (hive.settings.runs_folder / ".import-rest").exists()
