@@ -89,8 +89,8 @@ def read_pcd(path: Path, name: str) -> FloatArray:
     if header.encoding not in readers:
         raise _malformed(name, f"DATA is {header.encoding[:40]!r}, not one of {', '.join(readers)}")
     with np.errstate(invalid="ignore", over="ignore"):
-        points_m = readers[header.encoding](data[header.offset :], header, name).astype(np.float64)
-    points_m = points_m[np.isfinite(points_m).all(axis=1)]
+        read = readers[header.encoding](data[header.offset :], header, name).astype(np.float64)
+    points_m: FloatArray = read[np.isfinite(read).all(axis=1)]
     if len(points_m) == 0:
         raise InvalidInput(f"{name} has no finite point", "the algorithm mapped nothing")
     return points_m

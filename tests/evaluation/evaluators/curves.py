@@ -33,7 +33,7 @@ def road(count: int = 2000, step_m: float = 0.6) -> Trajectory:
     heading = 0.2 * np.sin(np.arange(count) / 150.0)
     steps_m = step_m * np.column_stack([np.cos(heading), np.sin(heading), 0.02 * np.cos(heading)])
     positions_m = np.vstack([np.zeros(3), np.cumsum(steps_m[:-1], axis=0)])
-    return Trajectory(0.1 * np.arange(count), positions_m, rotation_z(heading))
+    return Trajectory(np.linspace(0.0, 0.1 * (count - 1), count), positions_m, rotation_z(heading))
 
 
 def scaled(trajectory: Trajectory, factor: float) -> Trajectory:

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from curves import SE3, loop, moved, paired, scaled
 
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.errors import InvalidInput
@@ -8,6 +7,7 @@ from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN
 from slamhive.evaluation.evaluators.consistency import Consistency, read_covariances
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import multiply_quats
+from tests.evaluation.evaluators.curves import SE3, loop, moved, paired, scaled
 
 pytestmark = pytest.mark.integration
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from curves import SE3, paired
 from evo.core import filters
 from evo.core.metrics import APE, RPE, PoseRelation, Unit
 from evo.core.trajectory import PoseTrajectory3D
@@ -21,6 +20,7 @@ from slamhive.evaluation.evaluators.rotation import RotationError
 from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.model import Poses, Trajectory
 from slamhive.trajectory.tum import parse_tum
+from tests.evaluation.evaluators.curves import SE3, paired
 
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
 EVO, RUNS, ACES = DATA / "evo_trajectories", DATA / "euroc_vio_runs", DATA / "radish_aces_2d"

@@ -2,12 +2,12 @@ import math
 
 import numpy as np
 import pytest
-from curves import loop, moved, paired
 
 from slamhive.domain.metrics.maps import MAP_THRESHOLDS_M
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.map_quality import MapQuality, make_cloud, map_entropy, spread, thin
 from slamhive.runtime.pcd import write_pcd
+from tests.evaluation.evaluators.curves import loop, moved, paired
 
 pytestmark = pytest.mark.integration
 

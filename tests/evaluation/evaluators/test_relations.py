@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-from curves import kept, loop, moved, paired
 
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.relations import RelationErrors, read_relations, relation_figures
 from slamhive.trajectory.transforms import rotations_from_quats
+from tests.evaluation.evaluators.curves import kept, loop, moved, paired
 
 
 @pytest.fixture

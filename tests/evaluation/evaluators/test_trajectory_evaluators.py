@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from curves import SE3, kept, loop, moved, noisy, paired, road, rotation_z, scaled
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Alignment, Association, Protocol, RpePairs
@@ -18,6 +17,7 @@ from slamhive.evaluation.evaluators.robustness import Robustness, count_losses
 from slamhive.evaluation.evaluators.rotation import RotationError
 from slamhive.evaluation.evaluators.segments import SegmentErrors
 from slamhive.trajectory.model import Trajectory
+from tests.evaluation.evaluators.curves import SE3, kept, loop, moved, noisy, paired, road, rotation_z, scaled
 
 ALL = (RotationError, RelativeErrors, KittiProtocol, SegmentErrors, ScaleErrors, StartEndDrift, Robustness)
 
