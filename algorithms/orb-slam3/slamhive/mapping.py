@@ -67,9 +67,9 @@ class OrbSlam3:
         self._imu = samples[~due]
         result = self._track(frame, samples[due] if "imu" in self._roles else None)
         self._stamps_s.append(frame.stamp_s)
-        tracked = bool(result.pose_valid)
-        self._tracked = self._tracked or tracked
-        return tracked
+        self._tracked = self._tracked or bool(result.pose_valid)
+        # A pose is "valid" also while it is guessed (RECENTLY_LOST), which is not tracking.
+        return bool(result.ok)
 
     def finish(self) -> Poses:
         """Stop all threads, then take the final trajectory. Saving when nothing was tracked would crash."""
