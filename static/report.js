@@ -26,6 +26,7 @@
       font: { color: ink.text, family: "system-ui, sans-serif", size: 12 },
       margin: { l: 64, r: 16, t: 36, b: 52 },
       hoverlabel: { namelength: -1 },
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: ink.grid, activecolor: ink.text },
       uirevision: "kept",
       autosize: true,
     };

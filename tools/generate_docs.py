@@ -12,6 +12,8 @@ from pathlib import Path
 import click
 
 from slamhive import cli
+from slamhive.analysis.analysis_file import analysis_schema
+from slamhive.analysis.forms import FORMS, FormOptions
 from slamhive.bags.variants.rules import RegisteredSteps, describe_options, explain_step
 from slamhive.catalogue.protocol_file import protocol_schema
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
@@ -45,6 +47,13 @@ STEPS_HEAD = """# Pre-processing steps
 What each step does, on which data, with which options. [Variants](variants.md) says how steps are used.
 """
 OPTIONS_HEAD = "| option | type | allowed | unit | default | meaning |\n|---|---|---|---|---|---|\n"
+
+FORMS_HEAD = """# Forms of analysis
+
+What each form shows, and its options beside `form`, `title` (instead of its own) and `text` (Markdown above it).
+[Analysis](analysis.md) says how they are used.
+"""
+FORMS_TABLE = "| option | default | meaning |\n|---|---|---|\n"
 
 METRICS_HEAD = """# Metrics
 
@@ -85,6 +94,21 @@ def steps_page() -> str:
     return NOTE + STEPS_HEAD + "".join(sections)
 
 
+def forms_page() -> str:
+    """``docs/analysis-forms.md``: every form of analysis with its options."""
+    sections = []
+    for key, form in FORMS:
+        own = {name: entry for name, entry in form.options.model_fields.items() if name not in FormOptions.model_fields}
+        rows = []
+        for name, entry in own.items():
+            default = "required" if entry.is_required() else f"`{entry.get_default(call_default_factory=True)}`"
+            rows.append(f"| `{name}` | {default} | {_cell(entry.description or '')} |\n")
+        table = "".join(rows)
+        options = f"\n{FORMS_TABLE}{table}" if table else ""
+        sections.append(f"\n## {key}\n\n{form.title}. {form.description}\n{options}")
+    return NOTE + FORMS_HEAD + "".join(sections)
+
+
 def metrics_page() -> str:
     """``docs/metrics.md``: the metric catalogue, group by group."""
     sections = []
@@ -105,6 +129,8 @@ PAGES: dict[str, Callable[[], str]] = {
     "cli.md": cli_page,
     "variant-steps.md": steps_page,
     "metrics.md": metrics_page,
+    "analysis-forms.md": forms_page,
+    "schemas/analysis.schema.json": analysis_schema,
     "schemas/experiment.schema.json": experiment_schema,
     "schemas/protocol.schema.json": protocol_schema,
 }

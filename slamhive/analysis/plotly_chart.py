@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamhive.analysis.chart import BARE_MARGIN, Axis, Boxes, Chart, FailedRuns, Segments
+from slamhive.analysis.chart import BARE_MARGIN, Axis, Bars, Boxes, Chart, FailedRuns, Segments
 from slamhive.analysis.plotly_marks import traces_of
 from slamhive.analysis.plotly_values import Json, drawable, escaped
 
@@ -56,6 +56,8 @@ def _layout(chart: Chart) -> Json:
     if chart.bare:
         x |= {"visible": False, "range": _bare_range(chart)}
         y |= {"visible": False}
+    if any(isinstance(mark, Bars) for mark in chart.marks):
+        y |= {"rangemode": "tozero"}
     if any(isinstance(mark, Boxes) for mark in chart.marks):
         layout["boxmode"] = "group"
     return layout | {"xaxis": x, "yaxis": y}

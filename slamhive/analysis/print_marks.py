@@ -28,6 +28,9 @@ from slamhive.analysis.density import bin_points, failed_rows
 DENSITY_FROM = 20_000
 """A printed page shows the density of more points; a file with each of them would be huge."""
 
+MOST_LEVEL_LABELS = 20
+"""Labels of more bars than these would overlap, they stand upright."""
+
 _REFERENCE_COLOUR = "#3d4247"
 _MARKERS = {
     "circle": "o", "square": "s", "triangle-up": "^", "diamond": "D",
@@ -105,9 +108,10 @@ def _bars(axes: Any, mark: Bars, chart: Chart) -> None:
         reach = np.stack([mark.heights - mark.low, mark.high - mark.heights])
         look |= {"yerr": np.where(np.isfinite(reach), np.maximum(reach, 0), 0), "error_kw": {"elinewidth": 0.9}}
     axes.bar(x, mark.heights, **look)
+    turned = {"rotation": 90} if len(mark.heights) / width > MOST_LEVEL_LABELS else {}
     for place, height, text in zip(x, mark.heights, mark.texts or (), strict=False):
         if np.isfinite(height):
-            axes.annotate(plain(text), (place, height), ha="center", va="bottom", fontsize=6)
+            axes.annotate(f" {plain(text)}", (place, height), ha="center", va="bottom", fontsize=6, **turned)
 
 
 def _boxes(axes: Any, mark: Boxes, chart: Chart) -> None:

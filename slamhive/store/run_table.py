@@ -18,6 +18,7 @@ from slamhive.store.models import (
     ConfigurationValue,
     Dataset,
     Experiment,
+    ExperimentCell,
     Host,
     Metric,
     MetricValue,
@@ -101,6 +102,16 @@ class RunTableRepository:
     def stored_metrics(self) -> list[str]:
         """The keys of the metrics that any run has a value of."""
         return sorted(self._session.execute(select(Metric.key)).scalars())
+
+    def axes(self, run_ids: Sequence[int]) -> dict[str, dict[int, Any]]:
+        """{axis of an experiment: {run: its value}}: also where a value means the recording as it is."""
+        joined = and_(ExperimentCell.experiment_id == Run.experiment_id, ExperimentCell.number == Run.cell)
+        query = select(Run.id, ExperimentCell.axis_values).join(ExperimentCell, joined)
+        found: dict[str, dict[int, Any]] = {}
+        for run_id, values in self._rows(query, Run.id, run_ids):
+            for axis, value in values.items():
+                found.setdefault(axis, {})[run_id] = value
+        return found
 
     def protocol_id(self, fingerprint: str) -> int:
         """The row of a protocol; raises NotFound naming those that exist."""

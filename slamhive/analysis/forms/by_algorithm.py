@@ -77,7 +77,7 @@ class ByAlgorithm(Form[ByAlgorithmOptions]):
             caption=caption(table, len(table.frame), protocol),
         )
         return FormResult(
-            charts=(means, failures),
+            charts=(means, failures) if len(table.failed()) else (means,),
             tables=(
                 summary_table("by_algorithm", table, [options.metric], ["algorithm", "dataset"]),
                 _best_table(everything, options.metric, chosen),
@@ -86,6 +86,7 @@ class ByAlgorithm(Form[ByAlgorithmOptions]):
             runs=len(table.frame),
             failed=len(table.failed()),
             protocol=protocol,
+            notes=() if len(table.failed()) else ("No run of the selection failed.",),
         )
 
 

@@ -15,6 +15,9 @@ from slamhive.errors import InvalidInput
 from slamhive.search.fields import VARIANT_PREFIX
 from slamhive.store.store import Store
 
+Columns = dict[str, list[Any]]
+ById = dict[str, dict[int, Any]]
+
 RULE_METRICS = ("ate.rmse", "tracked_fraction")
 """Every table holds what the rule of failures looks at."""
 
@@ -42,7 +45,7 @@ def load_table(store: Store, request: TableRequest, sensors_of: Callable[[str], 
     """
     metrics = sorted({key for key in request.keys if key in CATALOGUE} | set(RULE_METRICS))
 
-    def work(transaction: Any) -> tuple[dict[str, list[Any]], dict[str, dict[int, Any]], dict[str, dict[int, float]]]:
+    def work(transaction: Any) -> tuple[Columns, ById, ById, ById]:
         source = transaction.run_table
         facts = source.facts(request.run_ids)
         parameters = source.parameters(facts["configuration_id"])
@@ -51,17 +54,19 @@ def load_table(store: Store, request: TableRequest, sensors_of: Callable[[str], 
             count = len(facts["run_id"])
             facts["protocol"] = [request.protocol] * count
             facts["protocol_label"] = [source.protocol_label(request.protocol)] * count
-        return facts, parameters, figures
+        return facts, parameters, source.axes(facts["run_id"]), figures
 
-    facts, parameters, figures = store.read(work)
+    facts, parameters, axes, figures = store.read(work)
     variants = facts.pop("variant")
     facts["variant"] = [_variant_words(variant) for variant in variants]
     facts["sensors"] = _looked_up(facts["algorithm"], sensors_of)
-    columns = _by_configuration(parameters, facts["configuration_id"]) | _variant_columns(variants)
+    columns = _by_id(parameters, facts["configuration_id"]) | _variant_columns(variants)
+    new = {name: values for name, values in axes.items() if name not in columns and name not in facts}
+    columns |= _by_id(new, facts["run_id"])
     return make_table(
         facts,
         columns,
-        {key: [values.get(run_id) for run_id in facts["run_id"]] for key, values in figures.items()},
+        _by_id(figures, facts["run_id"]),
         request.rule,
     )
 
@@ -86,8 +91,8 @@ def _looked_up(names: Sequence[str], lookup: Callable[[str], str | None]) -> lis
     return [known[name] for name in names]
 
 
-def _by_configuration(parameters: Mapping[str, Mapping[int, Any]], ids: Sequence[int]) -> dict[str, list[Any]]:
-    return {key: [values.get(configuration_id) for configuration_id in ids] for key, values in parameters.items()}
+def _by_id(values: Mapping[str, Mapping[int, Any]], ids: Sequence[int]) -> Columns:
+    return {key: [entries.get(entry) for entry in ids] for key, entries in values.items()}
 
 
 def _variant_columns(variants: Sequence[Any]) -> dict[str, list[Any]]:

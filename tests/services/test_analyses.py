@@ -1,0 +1,117 @@
+"""Analyses out of a store: selection by every kind of set, the table, the report, and its files."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from io import BytesIO
+
+import pytest
+
+from slamhive.analysis.result import ResultTable, TableColumn
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.services.analyses.bundle import report_page, write_folder, zipped
+from slamhive.services.analyses.run import AnalysisLimits
+from slamhive.services.analyses.tables import latex, table_csv, table_latex
+from tests.web.web_world import add_runs, evaluate_run, fail_run, finish_run, make_hive
+
+pytestmark = pytest.mark.integration
+
+LIMITS = AnalysisLimits(runs=1000, time_s=120)
+
+
+def test_latex_and_spreadsheets_take_nothing_for_a_command():
+    table = ResultTable(
+        "t", "a title\nof two lines", (TableColumn("name", "Name_%"),), (("=cmd()",), (r"\input{x} $a$",))
+    )
+    assert table_csv(table).splitlines() == ["Name_%", "'=cmd()", r"\input{x} $a$"]
+    text = table_latex(table)
+    assert r"\textbackslash{}input\{x\} \$a\$" in text
+    assert text.startswith("% a title of two lines\n")
+    assert latex("a_b & 5 %") == r"a\_b \& 5 \%"
+
+
+@pytest.fixture
+def world(tmp_path):
+    """Two algorithms, four good runs and a failed one."""
+    hive = make_hive(tmp_path)
+    good = [*add_runs(hive, 2), *add_runs(hive, 2, "eye-slam-mono")]
+    for place, run_id in enumerate(good):
+        finish_run(hive, run_id)
+        evaluate_run(hive, run_id, 0.04 + 0.01 * place)
+    (bad,) = add_runs(hive, 1)
+    fail_run(hive, bad)
+    yield hive
+    hive.close()
+
+
+def compute(hive, select: str, form: str = "{form: distributions, metrics: [ate.rmse]}", use: str = "") -> dict:
+    head = "name: a <b>name</b>\ntext: 'see [x](javascript:alert(1)) <script>'"
+    text = f"{head}\nselect: {select}\n{use}\nforms:\n- {form}\n"
+    return hive.analyses.compute(hive.analyses.read(text), LIMITS)
+
+
+def test_a_report_counts_names_and_shows(world):
+    report = compute(world, "{all: {where: 'id >= 1'}}")
+    assert (report["runs"], report["failed"]) == (5, 1)
+    assert report["selection"] == "runs where id >= 1"
+    assert report["forms"][0]["error"] is None
+    page = report_page(report, world.catalogue.project_root)
+    assert "<b>name" not in page.split("<script")[0]
+    assert 'href="javascript:' not in page
+    assert "http://" not in page.split("<script")[0]
+
+
+def test_sets_and_their_algebra(world):
+    report = compute(world, "{a: {runs: [1, 2, 3]}, b: {where: 'algorithm = eye-slam-mono'}}", use="use: a - b")
+    assert report["runs"] == 2
+    assert report["selection"] == "(runs 1, 2, 3) but not (runs where algorithm = eye-slam-mono)"
+
+
+@pytest.mark.parametrize(
+    ("select", "error", "words"),
+    [
+        ("{a: {where: 'ate.rms < 1'}}", InvalidInput, "did you mean 'ate.rmse'"),
+        ("{a: {where: 'ate.rmse < 0'}}", InvalidInput, "the selection holds no run: a holds 0"),
+        ("{a: {experiment: nothing}}", NotFound, "unknown experiment 'nothing'"),
+        ("{a: {search: nothing}}", NotFound, "nothing"),
+        ("{a: {group: nothing}}", NotFound, "unknown group 'nothing'"),
+        ("{a: {runs: [1, 99]}}", NotFound, "unknown runs 99"),
+    ],
+)
+def test_selections_that_cannot_be(world, select, error, words):
+    with pytest.raises(error, match=words):
+        compute(world, select)
+
+
+def test_a_form_that_does_not_fit_leaves_the_others_alone(world):
+    report = compute(world, "{all: {where: 'id >= 1'}}", "{form: heatmap, x: nothing, y: seed}\n- {form: by_algorithm}")
+    refused, made = report["forms"]
+    assert "unknown metric or parameter 'nothing'" in refused["error"]
+    assert refused["result"] is None
+    assert made["error"] is None
+
+
+def test_too_many_runs_and_too_little_time_are_refused(world):
+    analysis = world.analyses.read("name: n\nselect: {a: {where: 'id >= 1'}}\nforms: [{form: by_algorithm}]")
+    with pytest.raises(InvalidInput, match="holds 5 runs, 4 are allowed"):
+        world.analyses.compute(analysis, AnalysisLimits(4, 120))
+    slow = world.analyses.compute(analysis, AnalysisLimits(5, 0))
+    assert "takes longer than 0 s" in slow["forms"][0]["error"]
+
+
+def test_trajectories_and_usage_come_from_the_run_folders(world):
+    report = compute(world, "{all: {where: 'id >= 1'}}", "{form: trajectories}\n- {form: usage}")
+    assert [form["error"] for form in report["forms"]] == [None, None]
+
+
+def test_the_files_of_a_report(world, tmp_path):
+    report = compute(world, "{all: {where: 'id >= 1'}}")
+    folder, root = tmp_path / "out", world.catalogue.project_root
+    names = {str(path.relative_to(folder)) for path in write_folder(report, root, folder, ["svg"])}
+    assert {"analysis.yaml", "report.html"} <= names
+    assert {"figures/01_distribution_ate.rmse.svg", "tables/01_distributions.tex"} <= names
+    again = json.loads(json.dumps(report))
+    with zipfile.ZipFile(BytesIO(zipped(again, root, []))) as archive:
+        assert archive.testzip() is None
+        assert "tables/01_distributions_raw.csv" in archive.namelist()
