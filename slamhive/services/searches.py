@@ -11,6 +11,7 @@ from slamhive.search.binding import Search, read_search
 from slamhive.search.fields import Kind, ParameterKind, Vocabulary, vocabulary_of
 from slamhive.services.catalogue import Catalogue, check_writable
 from slamhive.services.driver_context import utc_now
+from slamhive.services.imports.external import imported_algorithms
 from slamhive.settings import Settings
 from slamhive.store.records import GroupPage, RunSort, SavedSearchRecord
 from slamhive.store.store import Store
@@ -55,7 +56,7 @@ class Searches:
         """The names that a filter may use: those of the catalogue, and those that runs were stored with."""
         algorithms = self._catalogue.algorithms()
         sensors: dict[str, tuple[str, ...]] = {}
-        for algorithm in algorithms:
+        for algorithm in (*algorithms, *imported_algorithms(self._store)):
             sensors[algorithm.setup.value] = (*sensors.get(algorithm.setup.value, ()), algorithm.name)
         packages = {algorithm.package.name: algorithm.parameters for algorithm in algorithms}
         defined = [kind for parameters in packages.values() for entry in parameters for kind in _kinds(entry)]

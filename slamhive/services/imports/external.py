@@ -5,7 +5,7 @@ from __future__ import annotations
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.external import EXTERNAL_PACKAGE, external_algorithm
 from slamhive.domain.sensors import SensorSetup
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.errors import InvalidInput
 from slamhive.services.catalogue import Catalogue
 from slamhive.store.store import Store
 
@@ -15,6 +15,16 @@ def algorithm_here_or_elsewhere(store: Store, catalogue: Catalogue, name: str, p
     if package != EXTERNAL_PACKAGE:
         return catalogue.algorithm(name)
     return external_algorithm(name, SensorSetup(store.read(lambda t: t.catalogue.algorithm(name)).mode))
+
+
+def imported_algorithms(store: Store) -> tuple[Algorithm, ...]:
+    """All algorithms of which only trajectories are here."""
+    records = store.read(lambda t: t.catalogue.algorithms())
+    return tuple(
+        external_algorithm(record.name, SensorSetup(record.mode))
+        for record in records
+        if record.package == EXTERNAL_PACKAGE
+    )
 
 
 def choose_algorithm(store: Store, catalogue: Catalogue, name: str, setup: SensorSetup | None) -> Algorithm:
@@ -30,7 +40,7 @@ def choose_algorithm(store: Store, catalogue: Catalogue, name: str, setup: Senso
     """
     known = next((algorithm for algorithm in catalogue.algorithms() if algorithm.name == name), None)
     if known is None:
-        known = _imported_before(store, name)
+        known = next((algorithm for algorithm in imported_algorithms(store) if algorithm.name == name), None)
     if known is None:
         if setup is None:
             raise InvalidInput(
@@ -44,11 +54,3 @@ def choose_algorithm(store: Store, catalogue: Catalogue, name: str, setup: Senso
             f"leave out its --sensors, or say --sensors {name}={known.setup.value}",
         )
     return known
-
-
-def _imported_before(store: Store, name: str) -> Algorithm | None:
-    try:
-        record = store.read(lambda t: t.catalogue.algorithm(name))
-    except NotFound:
-        return None
-    return external_algorithm(name, SensorSetup(record.mode)) if record.package == EXTERNAL_PACKAGE else None

@@ -199,6 +199,12 @@ def test_alignment_follows_the_sensors(hive, source):
     assert labels == {"alpha": "sim3", "beta": "se3"}
 
 
+def test_runs_are_found_by_mark_and_sensors(hive, source):
+    runs = carry_out(hive, source, sensors={"alpha": SensorSetup.MONO, **STEREO}).run_ids
+    assert hive.searches.find("executor = imported") == runs
+    assert {hive.run(run_id).algorithm for run_id in hive.searches.find("sensor = mono")} == {"alpha"}
+
+
 def test_a_folder_in_which_nothing_matches_is_refused_with_an_example(hive, source):
     with pytest.raises(InvalidInput, match=r"matches the pattern '<algorithm>/<dataset>\.tum'; the first of"):
         carry_out(hive, source, pattern="<algorithm>/<dataset>.tum")
