@@ -235,7 +235,7 @@ class Hive:
 
     def unevaluated(self) -> int:
         """How many runs succeeded and have no evaluation yet."""
-        return len(self.evaluations_service.unevaluated())
+        return self.searches.unevaluated()
 
     @property
     def current_protocols(self) -> CurrentProtocols:

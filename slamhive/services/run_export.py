@@ -40,6 +40,7 @@ _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
     "id": lambda run: run.id,
     "algorithm": lambda run: run.algorithm,
     "dataset": lambda run: run.dataset,
+    "variant": lambda run: "; ".join(map(str, run.variant)) or None,
     "parameters": lambda run: json.dumps(run.parameters, sort_keys=True),
     "configuration": lambda run: run.configuration_id,
     "experiment": lambda run: run.experiment,

@@ -52,6 +52,14 @@ class Searches:
         """The metrics that any run has a value of."""
         return self._store.read(lambda t: t.searches.metrics())
 
+    def unevaluated(self) -> int:
+        """How many runs succeeded and have no evaluation, done or waiting."""
+        return self._store.read(lambda t: t.searches.unevaluated())
+
+    def names(self) -> tuple[list[str], list[str]]:
+        """The algorithms and the datasets that anything was stored for; their folders may be gone."""
+        return self._store.read(lambda t: t.searches.names())
+
     def vocabulary(self) -> Vocabulary:
         """The names that a filter may use: those of the catalogue, and those that runs were stored with."""
         algorithms = self._catalogue.algorithms()

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Row, delete, func, insert, select, update
+from sqlalchemy import Row, delete, func, insert, literal, select, update
 from sqlalchemy.orm import Session
 
+from slamhive.domain.run import RunState
 from slamhive.errors import unknown
 from slamhive.search.binding import Search
 from slamhive.search.fields import ParameterKind
-from slamhive.store.models import Metric, Run, SavedSearch
+from slamhive.store.models import Algorithm, Dataset, Evaluation, Metric, Run, SavedSearch
 from slamhive.store.records import Count, GroupPage, RunSort, SavedSearchRecord
 from slamhive.store.rows import changed
 from slamhive.store.run_groups import group_page
@@ -36,6 +37,21 @@ class SearchRepository:
     def protocols(self) -> dict[str, str]:
         """{fingerprint: label} of the protocols that figures are filed under."""
         return stored_protocols(self._session)
+
+    def unevaluated(self) -> int:
+        """How many runs succeeded, have no figures under any protocol, and no evaluation that waits or works."""
+        runs, evaluations = Run.__table__, Evaluation.__table__
+        waiting = select(literal(1)).where(evaluations.c.run_id == runs.c.id, evaluations.c.open == 1)
+        query = select(func.count()).where(
+            runs.c.current_protocol_id.is_(None), runs.c.state == RunState.SUCCEEDED, ~waiting.exists()
+        )
+        return int(self._session.execute(query).scalar_one())
+
+    def names(self) -> tuple[list[str], list[str]]:
+        """The algorithms and the datasets that anything was stored for."""
+        found = [select(table.__table__.c.name).order_by(table.__table__.c.name) for table in (Algorithm, Dataset)]
+        algorithms, datasets = (list(self._session.execute(query).scalars()) for query in found)
+        return algorithms, datasets
 
     def metrics(self) -> list[str]:
         """The metrics that any run has a value of."""

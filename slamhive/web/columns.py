@@ -80,8 +80,9 @@ def all_columns() -> Mapping[str, Column]:
             lambda run: Cell(str(run.configuration_id)),
             sort="configuration",
         ),
-        Column("experiment", "Experiment", Kind.TEXT, lambda run: Cell(run.experiment or DASH), sort="experiment"),
-        Column("experiment", "Experiment", Kind.EXPERIMENT, _experiment, help="what asked for the run"),
+        Column(
+            "experiment", "Experiment", Kind.EXPERIMENT, _experiment, sort="experiment", help="what asked for the run"
+        ),
         Column("executor", "Executor", Kind.TEXT, lambda run: Cell(run.executor), sort="executor"),
         Column("playback", "Playback", Kind.TEXT, _playback),
         Column("seed", "Seed", Kind.NUMBER, lambda run: Cell(str(run.seed)), sort="seed"),

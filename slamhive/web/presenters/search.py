@@ -14,6 +14,9 @@ from slamhive.executors.registry import EXECUTORS
 from slamhive.store.records import GroupRecord, ProtocolLabel, SavedSearchRecord, Spread
 from slamhive.web.formatting import DASH, Cell, display_unit, plural, significant, value_text
 
+GONE = "no longer there"
+"""The group of names that runs have and no folder."""
+
 
 @dataclass(frozen=True, slots=True)
 class Choice:
@@ -54,15 +57,20 @@ class GroupRow:
 
 
 def choices(
-    fields: Mapping[str, tuple[str, ...]], algorithms: Iterable[Algorithm], datasets: Iterable[Dataset]
+    fields: Mapping[str, tuple[str, ...]],
+    algorithms: Sequence[Algorithm],
+    datasets: Sequence[Dataset],
+    stored: tuple[list[str], list[str]],
 ) -> list[Choice]:
-    """What can be chosen from lists, grouped; values that are chosen already but no longer there stay."""
+    """What can be chosen from lists, grouped; ``stored`` algorithms and datasets whose folders are gone stay."""
+    there = ({entry.name for entry in algorithms}, {entry.name for entry in datasets})
+    gone = [[(GONE, name, name) for name in stored[place] if name not in there[place]] for place in (0, 1)]
     found = {
         "algorithm": (
             "Algorithms",
-            _grouped((a.package.name, a.name, f"{a.name} ({a.setup.value})") for a in algorithms),
+            _grouped([*((a.package.name, a.name, f"{a.name} ({a.setup.value})") for a in algorithms), *gone[0]]),
         ),
-        "dataset": ("Datasets", _grouped((_sensors(d), d.name, d.name) for d in datasets)),
+        "dataset": ("Datasets", _grouped([*((_sensors(d), d.name, d.name) for d in datasets), *gone[1]])),
         "sensor": ("Sensors", _plain(SensorSetup)),
         "state": ("State", _plain(RunState)),
         "reason": ("Reason of failure", _plain(FailureReason)),

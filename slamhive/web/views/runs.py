@@ -8,7 +8,18 @@ from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import Any
 
-from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, send_file
+from flask import (
+    Blueprint,
+    Response,
+    current_app,
+    flash,
+    jsonify,
+    make_response,
+    redirect,
+    render_template,
+    request,
+    send_file,
+)
 from flask import url_for as address
 
 from slamhive.analysis.colours import colour_of
@@ -85,6 +96,13 @@ def _group_page(services: Hive, query: RunQuery, shown: list[Column], left_out: 
     )
 
 
+def _analysis_url(query: RunQuery) -> str | None:
+    """Where an analysis of these runs begins, if there is such a page."""
+    if "analyses.new" not in current_app.view_functions:
+        return None
+    return address("analyses.new", where=query.search.text)
+
+
 def _search_page(services: Hive, query: RunQuery, **content: Any) -> str:
     """The page with its form; without rows it says what could not be read."""
     return render_template(
@@ -93,7 +111,13 @@ def _search_page(services: Hive, query: RunQuery, **content: Any) -> str:
         all_columns=all_columns(),
         saved=[(entry, search.saved_args(entry)) for entry in services.searches.saved()],
         unevaluated=services.unevaluated(),
-        choices=search.choices(query.fields, services.catalogue.algorithms(), services.catalogue.datasets()),
+        choices=search.choices(
+            query.fields,
+            services.catalogue.algorithms(),
+            services.catalogue.datasets(),
+            services.searches.names(),
+        ),
+        analysis_url=_analysis_url(query),
         ranges=search.ranges(query.fields, services.searches.metrics()),
         parquet=find_spec("pyarrow") is not None,
         **content,

@@ -86,4 +86,7 @@ def _parquet(content: RunExport, page: Page) -> Response:
     with tempfile.TemporaryDirectory(prefix="slamhive-export-") as folder:
         path = Path(folder) / "runs.parquet"
         content.parquet(page, path)
-        return send_file(path.open("rb"), mimetype=Format.PARQUET.media_type)
+        stream = path.open("rb")  # outlives the folder: the file goes when it is closed
+    response = send_file(stream, mimetype=Format.PARQUET.media_type)
+    response.call_on_close(stream.close)
+    return response
