@@ -100,7 +100,7 @@ class _Groups:
 
     def _value(self, runs: FromClause, query: Select[Any]) -> ColumnElement[Any]:  # noqa: ARG002
         if self.sort.key == "failed":
-            return func.sum(case((runs.c.state == RunState.FAILED, 1), else_=0))
+            return func.count(case((runs.c.state == RunState.FAILED, 1)))
         if self.sort.key in {"algorithm", "dataset"}:
             table = (Algorithm if self.sort.key == "algorithm" else Dataset).__table__.alias()
             rows = Configuration.__table__.alias()
@@ -144,7 +144,7 @@ class _Groups:
     def _records(self, ids: Sequence[int], metrics: Sequence[str]) -> tuple[GroupRecord, ...]:
         runs, table = RUNS.alias(), Configuration.__table__
         matching = [runs.c.configuration_id.in_(ids), self.sql.test(self.search.tree, runs)]
-        failed = func.sum(case((runs.c.state == RunState.FAILED, 1), else_=0))
+        failed = func.count(case((runs.c.state == RunState.FAILED, 1)))
         counted = select(runs.c.configuration_id, func.count(), failed).where(*matching)
         counted = counted.group_by(runs.c.configuration_id)
         numbers = {row[0]: (int(row[1]), int(row[2])) for row in self.session.execute(counted)}
