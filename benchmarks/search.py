@@ -25,10 +25,10 @@ from pathlib import Path
 
 import numpy as np
 import psutil
-from search_data import fill, make
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.search_data import fill, make
 from slamhive.search.binding import read_search
 from slamhive.search.fields import Vocabulary, vocabulary_of
 from slamhive.store import RunSort, Store, open_store

@@ -1,6 +1,7 @@
 """MLflow's own search over the rows of one of our SQLite files; run by ``search.py`` with a Python that has MLflow.
 
-Prints one line of JSON: {query: milliseconds of processor time}. The rows are copied into MLflow's own tables, and ANALYZE is run.
+Prints one line of JSON: {query: milliseconds of processor time}. The rows are copied into MLflow's own tables, and
+ANALYZE is run.
 """
 
 from __future__ import annotations
