@@ -161,13 +161,14 @@ class RunTableRepository:
     def _rows(self, query: Any, key: Any, ids: Sequence[int]) -> Iterator[Any]:
         """The rows whose ``key`` is among ``ids``, by run or configuration."""
         wanted = sorted(set(ids))
+        connection = self._session.connection()  # plain rows: the session would look at each for objects
         if len(wanted) < SCANNED_FROM:
             for part in chunks(wanted):
-                yield from self._session.execute(query.where(key.in_(part)).order_by(key))
+                yield from connection.execute(query.where(key.in_(part)).order_by(key))
             return
         chosen = set(wanted)
         scanned = query.add_columns(key.label("scanned")).where(and_(key >= wanted[0], key <= wanted[-1]))
-        for row in self._session.execute(scanned.order_by(key).execution_options(yield_per=10_000)):
+        for row in connection.execute(scanned.order_by(key), execution_options={"yield_per": 10_000}):
             if row[-1] in chosen:
                 yield row[:-1]
 

@@ -94,6 +94,8 @@ class Form(ABC, Generic[OptionsT]):
     title: ClassVar[str]
     description: ClassVar[str]
     options: ClassVar[type[FormOptions]]
+    all_protocols: ClassVar[bool] = False
+    """Whether the form reads :attr:`FormData.every_protocol`, which is empty otherwise."""
 
     @abstractmethod
     def needs(self, options: OptionsT) -> frozenset[str]:

@@ -30,6 +30,7 @@ class Protocols(Form[ProtocolsOptions]):
     title = "Protocols side by side"
     description = "One metric of the same runs under each protocol they were evaluated under; the only form that may."
     options = ProtocolsOptions
+    all_protocols = True
 
     def needs(self, options: ProtocolsOptions) -> frozenset[str]:
         """The metric."""

@@ -91,7 +91,9 @@ def run_analysis(
     table = load_table(sources.store, asked, sources.sensors_of)
     for key in analysis.one:
         one_value(table, key, "the analysis")
-    every = load_every_protocol(sources.store, keys, run_ids)
+    compared = [request for request in analysis.forms if request.form.all_protocols]
+    compared_keys = {key for request in compared for key in request.form.needs(request.options)}
+    every = load_every_protocol(sources.store, compared_keys, run_ids)
     protocols = dict(zip(table.frame["run_id"].tolist(), table.frame["protocol"].tolist(), strict=True))
     files = StoredRunFiles(sources.settings.runs_folder, protocols)
     outcomes = []
