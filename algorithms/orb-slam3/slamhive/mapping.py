@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 from orb_settings import distortion, settings_text, transform
-from orb_trajectory import without_repeats
+from orb_trajectory import save_trajectory, without_repeats
 from pyorbslam3 import Sensor, Slam, TrackResult
 
 from slamhive.errors import InvalidInput
@@ -72,12 +72,11 @@ class OrbSlam3:
         return bool(result.ok)
 
     def finish(self) -> Poses:
-        """Stop all threads, then take the final trajectory. Saving when nothing was tracked would crash."""
+        """Stop all threads, then take the final trajectory: none where nothing was tracked, or the map was lost."""
         self._slam.shutdown()
-        if not self._tracked:
+        path = save_trajectory(self._slam, Path(self._work.name)) if self._tracked else None
+        if path is None:
             return Poses(np.empty(0), np.empty((0, 4, 4)))
-        path = Path(self._work.name) / "trajectory.txt"
-        self._slam.save_trajectory_euroc(str(path))
         # For a frame that it could not place, ORB-SLAM3 writes the last pose once more, stamp and all.
         table = without_repeats(np.loadtxt(path, ndmin=2, comments="#").reshape(-1, 8))
         poses = np.array([transform_from(row[1:4], row[4:8]) for row in table]).reshape(-1, 4, 4)

@@ -1,12 +1,81 @@
-"""What ORB-SLAM3 writes as its trajectory, put right."""
+"""What ORB-SLAM3 writes as its trajectory: taken without hanging, and put right."""
 
 from __future__ import annotations
 
+import os
+import re
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
+
+from slamhive.errors import InvalidInput
+
+SAVING_LIMIT_S = 30.0
+_LOOK_EVERY_S = 0.01
+_KEYFRAMES = re.compile(r"Map \d+ has (\d+) KFs")
+
+
+class Savable(Protocol):
+    """A :class:`pyorbslam3.Slam` that was shut down."""
+
+    def save_keyframe_trajectory_tum(self, path: str) -> None:
+        """Write the keyframes of the current map."""
+
+    def save_trajectory_euroc(self, path: str) -> None:
+        """Write the frames of the map with most keyframes."""
+
+
+def save_trajectory(slam: Savable, folder: Path, limit_s: float = SAVING_LIMIT_S) -> Path | None:
+    """The file with the final trajectory, in ``folder``; None if no map holds a keyframe.
+
+    Without any keyframe ``SaveTrajectoryEuRoC`` goes on with a map that it never chose: it crashes, or waits for ever
+    for a lock somewhere in memory. ``SaveKeyFrameTrajectoryTUM`` does no such thing, but tells of the current map only.
+    If that one is empty (tracking was lost, and the map begun anew), whether an older one holds keyframes is tried in a
+    child process, which inherits no held lock: on an empty map no thread works.
+
+    Raises InvalidInput if there are keyframes, but saving crashes or takes more than ``limit_s``.
+    """
+    path, keyframes, log = (folder / name for name in ("trajectory.txt", "keyframes.txt", "saving.log"))
+    slam.save_keyframe_trajectory_tum(str(keyframes))
+    if keyframes.stat().st_size:
+        slam.save_trajectory_euroc(str(path))
+        return path
+    if _saved_by_child(slam, path, log, limit_s):
+        return path
+    if any(int(count) for count in _KEYFRAMES.findall(log.read_text(errors="replace"))):
+        raise InvalidInput(f"ORB-SLAM3 has keyframes, but did not save its trajectory within {limit_s:g} s")
+    return None
 
 
 def without_repeats(table: NDArray[np.float64]) -> NDArray[np.float64]:
     """The rows of ``table`` (n, 8: stamp, position, quaternion) without those whose stamp an earlier row has."""
     _, first = np.unique(table[:, 0], return_index=True)
     return table[np.sort(first)]
+
+
+def _saved_by_child(slam: Savable, path: Path, log: Path, limit_s: float) -> bool:
+    """Whether a child process wrote the file; ``log`` takes what it prints."""
+    sys.stdout.flush()
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), 1)
+            slam.save_trajectory_euroc(str(path))
+            code = 0
+        finally:  # An exception must not go on in a second copy of the program.
+            os._exit(code)
+    end_s = time.monotonic() + limit_s
+    while time.monotonic() < end_s:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            return status == 0
+        time.sleep(_LOOK_EVERY_S)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return False
