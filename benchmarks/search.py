@@ -4,8 +4,9 @@
     python benchmarks/search.py --runs 1000000 --only mariadb
 
 "clock" is what a user waits for, "CPU" what client and server worked for it: on a machine that does other things at the
-same time only the second tells anything. Every query is a page as the web server makes it: filter text read, matches counted, 50 runs with all their parameters
-and figures. Before each the values in the filter are drawn anew, so that nothing is answered from a cache of results.
+same time only the second tells anything. Every query is a page as the web server makes it: filter text read, matches
+counted, 50 runs with all their parameters and figures. The values in the filter are drawn anew before each, so that
+nothing is answered from a cache of results.
 """
 
 from __future__ import annotations
