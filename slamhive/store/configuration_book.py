@@ -12,7 +12,7 @@ from slamhive.errors import Conflict, NotFound
 from slamhive.store.configuration_listing import configuration_records, list_configurations
 from slamhive.store.configuration_models import ConfigurationGroup, ConfigurationLabel
 from slamhive.store.configuration_records import ConfigurationFilter, ConfigurationPage, ConfigurationRecord
-from slamhive.store.models import Configuration, ConfigurationValue, Run
+from slamhive.store.models import Configuration, ConfigurationValue, Run, VariantOption
 from slamhive.store.rows import changed
 
 _LABELS = ConfigurationLabel.__table__
@@ -95,7 +95,7 @@ class ConfigurationBook:
             raise Conflict(f"{record.label} is part of experiment {record.experiments[0]}", "it stays as long as that")
         if record.runs:
             raise _has_runs(record.label, f"{record.runs} run{'s' if record.runs > 1 else ''}")
-        for table in (_LABELS, _GROUPS, ConfigurationValue.__table__):
+        for table in (_LABELS, _GROUPS, ConfigurationValue.__table__, VariantOption.__table__):
             self._session.execute(delete(table).where(table.c.configuration_id == configuration_id))
         table = Configuration.__table__
         try:

@@ -23,8 +23,10 @@ from slamhive.store.models import (
     ConfigurationValue,
     Dataset,
     Parameter,
+    VariantOption,
 )
 from slamhive.store.rows import chunks, get_or_insert
+from slamhive.store.variant_options import option_rows
 
 ROWS_OF_A_STATEMENT = 100
 """Few enough for PyMySQL to send as one INSERT, which happens whole or not at all if another transaction inserts the
@@ -132,10 +134,12 @@ class ConfigurationRepository:
         return inserted
 
     def _insert_values(self, entries: Mapping[int, NewConfiguration]) -> None:
-        """The parameters of configurations that are new, by id."""
+        """The parameters, and the options of the variants, of configurations that are new, by id."""
         ids: dict[tuple[object, ...], dict[str, int]] = {}
         rows: list[dict[str, Any]] = []
+        options: list[dict[str, Any]] = []
         for configuration_id, entry in entries.items():
+            options += option_rows(configuration_id, entry.configuration.variant)
             values = entry.configuration.parameters
             signature = (entry.algorithm_id, *((key, type(value)) for key, value in values.items()))
             if signature not in ids:
@@ -145,6 +149,8 @@ class ConfigurationRepository:
                 rows.append({**columns, **_columns(value)})
         if rows:
             self._session.execute(insert(ConfigurationValue.__table__), rows)
+        if options:
+            self._session.execute(insert(VariantOption.__table__), options)
 
     def _parameter_ids(
         self, algorithm_id: int, values: Mapping[str, Value], definitions: Sequence[Definition]

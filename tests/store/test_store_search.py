@@ -10,15 +10,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from slamhive.domain.configuration import Configuration
 from slamhive.domain.run import RunState
+from slamhive.domain.variant import Variant, VariantStep
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.search.binding import Search, read_search
-from slamhive.store import RunSort, Store, open_store, run_groups, run_listing
+from slamhive.search.fields import vocabulary_of
+from slamhive.search.reader import FilterError
+from slamhive.store import RunSort, Store, Transaction, open_store, run_groups, run_listing
 from slamhive.store.records import SavedSearchRecord
 from tests.store import search_world as world
 from tests.store.conftest import BOTH
 from tests.store.search_world import BEGIN, Known, Probe
-from tests.store.store_samples import SE3, SIM3
+from tests.store.store_samples import SE3, SIM3, Samples, dataset
 
 pytestmark = pytest.mark.integration
 
@@ -239,3 +243,36 @@ def test_searches_are_saved_replaced_listed_and_deleted(filled: World):
 
 def test_state_of_everything(filled: World):
     assert {run.columns["state"] for run in filled.runs} >= {RunState.SUCCEEDED.value, RunState.FAILED.value}
+
+
+def test_options_of_variants_are_searched_and_sorted_by(store: Store, samples: Samples):
+    left = VariantStep("resolution", ("left",), {"scale": 0.5})
+    right = VariantStep("resolution", ("right",), {"scale": 1.0})
+    rates = [VariantStep("rate", ("left", "right"), {"keep": keep, "way": "even"}) for keep in (3, 2)]
+    variants = [(left, right), (rates[0],), (rates[1], left)]
+
+    def add(tx: Transaction, variant: Variant) -> int:
+        algorithm_id = tx.catalogue.put_algorithm_named("a", "a", "a")
+        dataset_id = tx.catalogue.put_dataset(dataset(), BEGIN)
+        content = Configuration("a", "room", {}, variant=variant)
+        return tx.configurations.get_or_create(content, algorithm_id, dataset_id, BEGIN)[0]
+
+    stored = [store.write(lambda tx, chosen=variant: add(tx, chosen)) for variant in variants]  # type: ignore[misc]
+    ids = [samples.queued(configuration_id=number)[0] for number in stored]
+    plain = samples.queued()[0]
+    names = store.read(lambda tx: vocabulary_of(tx.searches.parameters()))
+
+    def found(text: str, sort: str = "id") -> list[int]:
+        search = read_search(text, names)
+        return [run.id for run in store.read(lambda tx: tx.runs.page(search, RunSort(sort, descending=False))).records]
+
+    assert found("variant.rate.keep >= 2", "variant.rate.keep") == [ids[2], ids[1]]
+    assert found("variant.rate.way = even and variant.rate.keep@left = 3") == [ids[1]]
+    assert found("variant.resolution.scale = 0.5") == [ids[2]]  # the first has two scales, so none of its own
+    assert found("variant.resolution.scale@left = 0.5") == [ids[0], ids[2]]
+    assert found("variant = true") == ids
+    assert found("variant = false") == [plain]
+    with pytest.raises(FilterError, match=r"did you mean 'variant\.rate\.keep'"):
+        found("variant.rate.kep = 1")
+    without_runs = store.write(lambda tx: add(tx, (left,)))
+    store.write(lambda tx: tx.configuration_book.delete(without_runs))
