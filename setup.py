@@ -6,7 +6,7 @@ from pathlib import Path
 
 from setuptools import setup
 
-FOLDERS = ("algorithms", "datasets", "docker", "docs/examples", "evaluation", "static", "templates")
+FOLDERS = ("algorithms", "datasets", "docker", "docs", "evaluation", "static", "templates")
 LEFT_OUT = {"__pycache__", ".venv"}
 
 

@@ -69,6 +69,16 @@ class Settings:
     variant_cache_bytes: int = setting(
         50_000_000_000, "Room for pre-processed variants of datasets; unused ones go", unit="bytes", minimum=0
     )
+    analysis_max_runs: int = setting(200_000, "Most runs of one analysis on the web", minimum=1)
+    analysis_time_limit_s: float = setting(600.0, "Longest that one analysis may compute", unit="s", minimum=1)
+    analysis_memory_mb: int = setting(4000, "Most address space of a process that computes one", unit="MB", minimum=500)
+    analyses_max_stored: int = setting(
+        500, "View-only mode keeps so many analyses of visitors; the oldest go. Those of the owner stay", minimum=1
+    )
+    analyses_per_hour_per_address: int = setting(
+        20, "View-only mode takes so many analyses an hour from one network address", minimum=1
+    )
+    no_new_analysis: bool = setting(False, "View-only mode takes no analyses of visitors: true or false")
     orb_vocabulary: str = setting("", "ORB vocabulary file for ORB-SLAM3; empty means the small one of the image")
 
     @property
@@ -90,6 +100,11 @@ class Settings:
     def experiments_folder(self) -> Path:
         """Where the files of experiments lie."""
         return self.data / "experiments"
+
+    @property
+    def analyses_folder(self) -> Path:
+        """Where stored analyses lie."""
+        return self.data / "analyses"
 
     @property
     def runs_folder(self) -> Path:
@@ -218,7 +233,7 @@ def _typed(entry: Field[Any], raw: Any, source: str) -> Any:
     what = f"{entry.name.upper()}={raw!r} from {source}"
     try:
         value = _converted(target, raw)
-    except (ValueError, TypeError, OverflowError):
+    except (ValueError, TypeError, OverflowError, KeyError):
         expected = f"one of {', '.join(target)}" if issubclass(target, StrEnum) else target.__name__
         raise InvalidInput(f"{what}: expected {expected}") from None
     minimum, maximum = entry.metadata["minimum"], entry.metadata["maximum"]
@@ -231,9 +246,18 @@ def _typed(entry: Field[Any], raw: Any, source: str) -> Any:
 
 def _converted(target: type, raw: Any) -> Any:
     """``raw`` as ``target``, read if it is text; raises ValueError, TypeError or OverflowError if it is neither."""
+    if target is bool:
+        return _truth(raw)
     if isinstance(raw, bool) or (target is str and not isinstance(raw, str)):
         raise TypeError
     value = target(raw)
     if target is int and isinstance(raw, float) and value != raw:
         raise ValueError
     return value
+
+
+def _truth(raw: Any) -> bool:
+    """``True`` of a configuration file, ``true`` or ``1`` of a variable, and their opposites."""
+    if isinstance(raw, bool):
+        return raw
+    return {"true": True, "1": True, "false": False, "0": False}[str(raw).lower()]

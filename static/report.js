@@ -63,6 +63,8 @@
   }, { rootMargin: "800px" });
   const places = () => document.querySelectorAll("[data-chart]");
   const begin = () => places().forEach((place) => watcher.observe(place));
+  // A policy of the server forbids styles in attributes; the room is taken before anything is drawn, so nothing jumps.
+  places().forEach((place) => { place.style.minHeight = `${place.dataset.height}px`; });
   const again = () => places().forEach((place) => { if (place.classList.contains("js-plotly-plot")) draw(place); });
   window.addEventListener("beforeprint", () => places().forEach(draw));
   document.addEventListener("themechange", again);

@@ -18,19 +18,21 @@ from slamhive.settings import settings_in_force
 @json_option
 @pass_cli
 def reindex_command(cli: CliContext, as_json: bool) -> None:
-    """Rebuild the database rows of all runs and experiments from their folders."""
+    """Rebuild the database rows of all runs, experiments and analyses from their folders."""
     hive = cli.hive(indexed=False)
     hive.check_writable()
     with counting_bar("reading run folders", len(run_folders(hive.settings.runs_folder))) as show:
         report = reindex(hive, lambda done, _total: show(done, ""))
     if as_json:
         skipped = [{"folder": str(folder), "reason": reason} for folder, reason in report.skipped]
-        counts = {name: getattr(report, name) for name in ("runs", "evaluations", "experiments", "queued")}
+        counts = {name: getattr(report, name) for name in ("runs", "evaluations", "experiments", "analyses", "queued")}
         print_json({**counts, "skipped": skipped})
     else:
         click.echo(f"{report.runs} runs and {report.evaluations} evaluations filed, {len(report.skipped)} left out")
         if report.experiments:
             click.echo(f"{report.experiments} experiments filed, {report.queued} runs of theirs queued again")
+        if report.analyses:
+            click.echo(f"{report.analyses} analyses filed")
         for folder, reason in report.skipped:
             messages.print(f"left out: {folder}: {reason}", markup=False, soft_wrap=True)
     if report.skipped:

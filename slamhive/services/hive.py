@@ -6,8 +6,9 @@ import logging
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slamhive.domain.affinity import run_affinity
 from slamhive.domain.run import RunEvent, RunState
@@ -19,6 +20,8 @@ from slamhive.executors.registry import AUTO, ExecutorContext, choose_executor, 
 from slamhive.project import project_root
 from slamhive.runs.folder import RunFolder
 from slamhive.search.binding import Search
+from slamhive.services.analyses.jobs import AnalysisJobs
+from slamhive.services.analyses.stored import StoredAnalyses
 from slamhive.services.catalogue import Catalogue, check_writable
 from slamhive.services.comparisons import Comparisons
 from slamhive.services.configurations import Configurations
@@ -50,6 +53,9 @@ from slamhive.store import (
     Transaction,
     open_store,
 )
+
+if TYPE_CHECKING:
+    from slamhive.services.analyses.service import Analyses
 
 logger = logging.getLogger(__name__)
 
@@ -246,6 +252,25 @@ class Hive:
     def comparisons(self) -> Comparisons:
         """Runs the way published tools count."""
         return Comparisons(self.store, self.evaluations_service, self.settings.runs_folder)
+
+    # -- analyses --------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def analyses(self) -> Analyses:
+        """Analysis files and reports; loaded when first used, since matplotlib, pandas and scipy take two seconds."""
+        from slamhive.services.analyses.service import Analyses  # noqa: PLC0415
+
+        return Analyses(self.settings, self.store, self.catalogue, self.searches)
+
+    @property
+    def stored_analyses(self) -> StoredAnalyses:
+        """Analyses with an address of their own."""
+        return StoredAnalyses(self.settings, self.store, lambda text: self.analyses.read(text).name)
+
+    @property
+    def analysis_jobs(self) -> AnalysisJobs:
+        """What computes them; the worker does, and in view-only mode the web server."""
+        return AnalysisJobs(self.settings, self.store, self.catalogue.project_root)
 
     # -- machinery -------------------------------------------------------------------------------------------------
 

@@ -56,6 +56,7 @@ class ReindexReport:
     runs: int = 0
     evaluations: int = 0
     experiments: int = 0
+    analyses: int = 0
     queued: int = 0
     skipped: list[tuple[Path, str]] = field(default_factory=list)
 
@@ -86,6 +87,10 @@ def reindex(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
     for restored in hive.experiments.restore_runs():
         report.queued += restored.queued
         _note(report, restored)
+    for path, problem in hive.stored_analyses.restore():
+        report.analyses += problem is None
+        if problem is not None:
+            report.skipped.append((path, problem))
     return report
 
 

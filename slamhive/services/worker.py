@@ -17,6 +17,7 @@ from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.executors.base import EngineUnavailable, Executor
 from slamhive.executors.registry import AUTO
 from slamhive.search.build import matching
+from slamhive.services.analyses.jobs import AnalysisJobs
 from slamhive.services.catalogue import Catalogue
 from slamhive.services.driver import RunDriver
 from slamhive.services.driver_context import DriverContext, WorkerStopping, utc_now
@@ -65,6 +66,7 @@ class Worker:
         self._store = store
         self._catalogue = catalogue
         self._evaluations = evaluations
+        self._analyses = AnalysisJobs(settings, store, catalogue.project_root)
         self._only = None if only is None else frozenset(only)
         self._held = HeldRuns()
         self._stopping = threading.Event()
@@ -154,7 +156,9 @@ class Worker:
         # Between runs, not beside them; not after each one either: a start of the engine serves many runs.
         self._next_evaluation_s = time.monotonic() + EVALUATION_INTERVAL_S
         evaluated = self._evaluations.work_once(self.owner, self._stopping, self._only, cores=cores)
-        return run is not None or evaluated > 0
+        # In the turn of a run as well, on the cores of this slot: no run of another slot is measured wrongly by it.
+        analysed = self._only is None and self._analyses.work_once(self.owner, self._stopping)
+        return run is not None or evaluated > 0 or analysed
 
     def _waits_for_engine(self) -> bool:
         """Whether runs are left that could go on if an engine answered."""
@@ -262,11 +266,11 @@ class Worker:
 
     def _take_over_from_the_dead(self) -> None:
         """Free what a killed worker of this machine held, so that nobody waits for its lease to run out."""
-        owners = self._store.read(lambda t: t.queue.owners() | t.evaluations.owners())
+        owners = self._store.read(lambda t: t.queue.owners() | t.evaluations.owners() | t.analyses.owners())
         for owner in owners:
             if owner != self.owner and owner_is_dead(owner):
                 logger.info("worker %s is gone, its runs are taken over", owner)
-                self._store.write(lambda t, owner=owner: (t.queue.release_all(owner), t.evaluations.release_all(owner)))  # type: ignore[misc]
+                self._store.write(lambda t, owner=owner: _release(t, owner))  # type: ignore[misc]
 
     def _sweep(self) -> None:
         """Remove containers that a killed worker left behind although their runs have ended."""
@@ -288,3 +292,10 @@ class Worker:
             self._store.write(lambda t: t.queue.release_all(self.owner))
         except SlamHiveError as error:
             logger.warning("leases run out by themselves: %s", error)
+
+
+def _release(transaction: Transaction, owner: str) -> None:
+    """Put back whatever ``owner``, known to be dead, holds."""
+    transaction.queue.release_all(owner)
+    transaction.evaluations.release_all(owner)
+    transaction.analyses.release_all(owner)

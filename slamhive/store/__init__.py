@@ -33,6 +33,8 @@ from slamhive.store.store import Store, Transaction, open_store
 __all__ = [
     "AlgorithmRecord",
     "AlgorithmVersion",
+    "AnalysisRecord",
+    "AnalysisState",
     "ConfigurationFilter",
     "ConfigurationPage",
     "ConfigurationRecord",

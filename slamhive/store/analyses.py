@@ -39,10 +39,11 @@ class AnalysisRepository:
             "reason": cut(record.reason, REASON_LENGTH),
             "size_bytes": record.size_bytes,
             "ended_at": record.ended_at,
+            "attempt": 0,
             **_FREE,
         }
         if not changed(self._session, update(_TABLE).where(_TABLE.c.token == record.token).values(values)):
-            self._session.execute(insert(_TABLE).values(token=record.token, attempt=0, **values))
+            self._session.execute(insert(_TABLE).values(token=record.token, **values))
 
     def get(self, token: str) -> AnalysisRecord:
         """The analysis at this address; raises NotFound."""
@@ -116,11 +117,15 @@ class AnalysisRepository:
         if changed(self._session, update(_TABLE).where(*held).values(values)) != 1:
             raise LeaseLost(f"analysis {record.token} was deleted, or taken over by another worker")
 
-    def release(self, owner: str, token: str | None = None) -> None:
-        """Put back into the queue what ``owner`` holds, all or one."""
+    def release(self, token: str, owner: str) -> None:
+        """Put back what ``owner`` holds and did not end; that it tried does not count."""
+        held = [_TABLE.c.token == token, _TABLE.c.lease_owner == owner, _TABLE.c.state == AnalysisState.RUNNING]
+        values = {"state": AnalysisState.QUEUED, "attempt": _TABLE.c.attempt - 1, **_FREE}
+        self._session.execute(update(_TABLE).where(*held).values(values))
+
+    def release_all(self, owner: str) -> None:
+        """Put back what ``owner``, known to be dead, still holds."""
         held = [_TABLE.c.lease_owner == owner, _TABLE.c.state == AnalysisState.RUNNING]
-        if token is not None:
-            held.append(_TABLE.c.token == token)
         self._session.execute(update(_TABLE).where(*held).values(state=AnalysisState.QUEUED, **_FREE))
 
     def owners(self) -> set[str]:

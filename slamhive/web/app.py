@@ -8,20 +8,28 @@ from typing import Any
 from flask import Flask
 from flask_bootstrap import Bootstrap5
 from flask_wtf.csrf import CSRFProtect
+from markupsafe import Markup
 
 from slamhive import __version__
 from slamhive.domain.run import RunState
+from slamhive.services.analyses.stored import may_analyse
 from slamhive.services.hive import Hive
+from slamhive.services.markdown import markdown_html
 from slamhive.settings import Mode
 from slamhive.web import assets, context, formatting
+from slamhive.web.analysis_computer import AnalysisComputer
+from slamhive.web.analysis_files import AnalysisFiles
+from slamhive.web.caching import add_caching
 from slamhive.web.columns import Kind
 from slamhive.web.errors import handle_errors
 from slamhive.web.live import LiveHub
 from slamhive.web.presenters import catalogue as catalogue_presenter
+from slamhive.web.rates import visitor_limits
 from slamhive.web.security import protect, secret_key
 from slamhive.web.variant_maker import VariantMaker
 from slamhive.web.views import (
     algorithms,
+    analyses,
     api,
     api_experiments,
     configurations,
@@ -33,6 +41,7 @@ from slamhive.web.views import (
     searches,
     start,
 )
+from slamhive.web.views import help as help_pages
 
 MOST_UPLOAD_BYTES = 1_000_000
 MOST_STREAMS = 8
@@ -62,8 +71,12 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     app.extensions[context.EXTENSION] = hive
     app.extensions[context.LIVE_EXTENSION] = LiveHub(hive, MOST_STREAMS)
     app.extensions[context.VARIANTS_EXTENSION] = VariantMaker(hive)
+    app.extensions[context.COMPUTER_EXTENSION] = _analysis_computer(hive)
+    app.extensions[context.FILES_EXTENSION] = AnalysisFiles(hive)
+    app.extensions[context.RATES_EXTENSION] = visitor_limits(hive.settings.analyses_per_hour_per_address)
     app.jinja_options["trim_blocks"] = True
     app.jinja_options["lstrip_blocks"] = True
+    add_caching(app)
     protect(app, hive.settings, host or hive.settings.host)
     Bootstrap5(app)
     csrf = CSRFProtect(app)
@@ -80,6 +93,8 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
         experiments.blueprint,
         experiment_builder.blueprint,
         searches.blueprint,
+        analyses.blueprint,
+        help_pages.blueprint,
         api.blueprint,
         api_experiments.blueprint,
         assets.blueprint,
@@ -89,12 +104,20 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     return app
 
 
+def _analysis_computer(hive: Hive) -> AnalysisComputer | None:
+    """In view-only mode no worker runs, and the web server computes the analyses of visitors, if any are taken."""
+    if hive.settings.mode is not Mode.VIEW_ONLY or not may_analyse(hive.settings):
+        return None
+    return AnalysisComputer(hive)
+
+
 def _add_template_words(app: Flask, hive: Hive) -> None:
     """The filters and names that every template may use."""
     app.jinja_env.filters.update(
         duration=formatting.duration,
         exact_time=formatting.exact_time,
         iso_time=formatting.iso_time,
+        markdown=lambda text: Markup(markdown_html(text)),  # noqa: S704 - HTML in it is shown as text
         plural=formatting.plural,
         significant=formatting.significant,
         size=formatting.size,
@@ -106,6 +129,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         RunState=RunState,
         asset=assets.asset_url,
         catalogue=catalogue_presenter,
+        help_of=help_pages.OF_PAGE,
         relative_time=formatting.relative_time,
         version=__version__,
         view_only=hive.settings.mode is Mode.VIEW_ONLY,

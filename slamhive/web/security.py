@@ -11,8 +11,11 @@ from urllib.parse import urlsplit
 from flask import Flask, Response, request
 
 from slamhive.errors import Forbidden, InvalidInput, Unavailable
+from slamhive.services.analyses.stored import may_analyse
 from slamhive.settings import Mode, Settings
 
+VISITOR_ENDPOINTS = frozenset({"analyses.create", "analyses.check"})
+"""What view-only mode lets visitors do, unless NO_NEW_ANALYSIS is set: an analysis of their own, not listed."""
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 API_HEADER = "X-SLAM-Hive"
 LOOPBACK_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
@@ -60,7 +63,7 @@ def protect(app: Flask, settings: Settings, host: str) -> None:
 
     @app.before_request
     def refuse_changes_where_only_viewing() -> None:
-        if request.method not in SAFE_METHODS and settings.mode is Mode.VIEW_ONLY:
+        if request.method not in SAFE_METHODS and not _may_change(settings, request.endpoint):
             raise Forbidden(
                 "this installation only shows results: nothing can be started, cancelled or evaluated here",
                 "MODE = view-only is set; use an installation in workstation mode",
@@ -79,6 +82,11 @@ def protect(app: Flask, settings: Settings, host: str) -> None:
         if request.endpoint and not response.cache_control.max_age:
             response.headers.setdefault("Cache-Control", "no-cache")
         return response
+
+
+def _may_change(settings: Settings, endpoint: str | None) -> bool:
+    """Whether this mode takes changes at ``endpoint``."""
+    return settings.mode is not Mode.VIEW_ONLY or (endpoint in VISITOR_ENDPOINTS and may_analyse(settings))
 
 
 def require_api_header() -> None:

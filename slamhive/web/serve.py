@@ -17,8 +17,9 @@ from waitress import wasyncore
 
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.services.hive import Hive
+from slamhive.web.analysis_computer import AnalysisComputer
 from slamhive.web.app import MOST_STREAMS, create_app
-from slamhive.web.context import LIVE_EXTENSION
+from slamhive.web.context import COMPUTER_EXTENSION, LIVE_EXTENSION
 from slamhive.web.live import LiveHub
 
 THREADS = MOST_STREAMS + 8
@@ -44,6 +45,7 @@ class WebServer:
         listener = _bind(host, port)
         app = create_app(hive, host)
         self._hub = cast("LiveHub", app.extensions[LIVE_EXTENSION])
+        self._computer = cast("AnalysisComputer | None", app.extensions[COMPUTER_EXTENSION])
         self._connections: dict[int, Any] = {}
         self._server: Any = waitress.create_server(
             app,
@@ -58,12 +60,16 @@ class WebServer:
 
     def run(self) -> None:
         """Answer requests; returns after SIGINT or SIGTERM (in the main thread), or after :meth:`close`."""
+        if self._computer is not None:
+            self._computer.wake()
         with self._ended_by_signals():
             while not self._ended.is_set():
                 wasyncore.loop(timeout=WAKE_S, map=self._connections, use_poll=True, count=1)
             self._hub.close()
             self._server.task_dispatcher.shutdown()
             wasyncore.close_all(self._connections)
+        if self._computer is not None:
+            self._computer.close()
 
     def close(self) -> None:
         """Make :meth:`run` return; may be called from any thread, and more than once."""

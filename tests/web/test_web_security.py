@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import stat
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,7 @@ VALUES = {
     "key": "log.txt",
     "version": "1",
     "filename": "theme.js",
+    "token": "0" * 32,
 }
 
 
@@ -43,7 +45,9 @@ def every_change(web: Web) -> list[tuple[str, str]]:
 
 @pytest.fixture
 def viewing(web: Web, tmp_path: Path, compiled: Path) -> Web:
-    return make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+    hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
+    hive.settings = replace(hive.settings, no_new_analysis=True)
+    return make_web(hive, compiled)
 
 
 def test_view_only_refuses_every_change_in_the_whole_map(web: Web, viewing: Web):

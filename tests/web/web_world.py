@@ -62,7 +62,7 @@ LIDAR_MODES = "  lidar: {title: LiDAR odometry, setup: lidar, inputs: {points: l
 
 def make_project(root: Path) -> Path:
     """A project root with the real pages and two algorithm packages of its own."""
-    for name in ("templates", "static"):
+    for name in ("templates", "static", "docs"):
         (root / name).symlink_to(project_root() / name)
     for package, modes in (("eye-slam", CAMERA_MODES), ("beam-odometry", LIDAR_MODES)):
         folder = root / "algorithms" / package

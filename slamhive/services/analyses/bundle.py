@@ -18,8 +18,9 @@ from slamhive.analysis.print_chart import FORMATS, print_chart
 from slamhive.analysis.result import FormResult, ResultTable
 from slamhive.analysis.result_json import from_json
 from slamhive.files import write_aside
-from slamhive.services.analyses.report import SHOWN_ROWS, excluded_words, file_name, markdown_html
+from slamhive.services.analyses.report import SHOWN_ROWS, excluded_words, file_name
 from slamhive.services.analyses.tables import table_csv, table_latex
+from slamhive.services.markdown import markdown_html
 
 PLOTLY_FILE = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
 PAGE = "report.html"

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
-from markdown_it import MarkdownIt
-
 from slamhive.analysis.analysis_file import set_words
 from slamhive.analysis.result_json import to_json
 from slamhive.analysis.table import FAILED
@@ -18,13 +16,6 @@ from slamhive.services.run_json import timestamp
 FORMAT = 1
 SHOWN_ROWS = 200
 """A page shows so many rows of a table; the CSV file has all of them."""
-
-_MARKDOWN = MarkdownIt("commonmark", {"html": False, "linkify": False}).enable("table").disable("image")
-
-
-def markdown_html(text: str) -> str:
-    """Markdown as HTML: tags in it are shown as text, addresses of scripts are refused, pictures are left out."""
-    return str(_MARKDOWN.render(text))
 
 
 def report_json(outcome: AnalysisOutcome, now: datetime) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from slamhive.analysis.paper_file import PaperNames
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.services.analyses.report import report_json
 from slamhive.services.analyses.run import AnalysisLimits, AnalysisSources, run_analysis
+from slamhive.services.analyses.selection import select_runs
 from slamhive.services.catalogue import Catalogue
 from slamhive.services.driver_context import utc_now
 from slamhive.services.searches import Searches
@@ -62,10 +63,18 @@ class Analyses:
             settings=self._settings,
             store=self._store,
             find=self._searches.find,
-            saved_search=lambda name: self._searches.saved_named(name).filter_text,
+            saved_search=self._saved_search,
             sensors_of=self._sensors,
         )
         return report_json(run_analysis(analysis, sources, limits, progress), utc_now())
+
+    def fingerprint(self, analysis: Analysis) -> str:
+        """Which runs are selected now, with which figures; raises as :meth:`compute`."""
+        run_ids = select_runs(analysis, self._store, self._searches.find, self._saved_search)
+        return self._store.read(lambda t: t.analyses.fingerprint(run_ids))
+
+    def _saved_search(self, name: str) -> str:
+        return self._searches.saved_named(name).filter_text
 
     def _sensors(self, algorithm: str) -> str | None:
         try:

@@ -1,0 +1,113 @@
+"""The process that computes one analysis: ``python -m slamhive.services.analyses.child FOLDER``.
+
+It reads the settings from the first line of its input, limits itself, and tells the end in one line of JSON. It ends
+when its input does: whoever started it is gone then.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import resource
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+MAX_FILE_BYTES = 1_000_000_000
+PROGRESS_INTERVAL_S = 0.3
+
+
+def main() -> int:
+    """Compute; 0 if there is a report, 1 if there is a reason why not."""
+    asked = json.loads(sys.stdin.readline())
+    limit_process(asked["memory_bytes"], asked["time_limit_s"])
+    threading.Thread(target=_end_with_input, daemon=True).start()
+    try:
+        outcome = {"content_hash": _compute(asked, Path(sys.argv[1]))}
+    except MemoryError:
+        outcome = {"error": f"the analysis needs more than {asked['memory_bytes'] // 10**6} MB of memory"}
+    except Exception as error:
+        from slamhive.errors import SlamHiveError  # noqa: PLC0415 - the limits hold for what is imported, too
+
+        if not isinstance(error, SlamHiveError):
+            raise
+        outcome = {"error": str(error)}
+    sys.stdout.write(json.dumps(outcome) + "\n")
+    return int("error" in outcome)
+
+
+def limit_process(memory_bytes: int, time_limit_s: float) -> None:
+    """Bound address space, CPU time, and the size of files; let everything else on the machine go first."""
+    cpu_s = int(2 * time_limit_s) + 10
+    for kind, most in (
+        (resource.RLIMIT_AS, memory_bytes),
+        (resource.RLIMIT_CPU, cpu_s),
+        (resource.RLIMIT_FSIZE, MAX_FILE_BYTES),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        _, hard = resource.getrlimit(kind)
+        allowed = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(kind, (allowed, allowed))
+    os.nice(10)
+
+
+def _compute(asked: dict[str, Any], root: Path) -> str:
+    from slamhive.services.analyses import folder as parts  # noqa: PLC0415
+    from slamhive.services.analyses.bundle import figures_json  # noqa: PLC0415
+    from slamhive.services.analyses.page import page_json  # noqa: PLC0415
+    from slamhive.services.analyses.run import AnalysisLimits  # noqa: PLC0415
+    from slamhive.services.analyses.service import Analyses  # noqa: PLC0415
+    from slamhive.services.catalogue import Catalogue  # noqa: PLC0415
+    from slamhive.services.searches import Searches  # noqa: PLC0415
+    from slamhive.settings import load_settings  # noqa: PLC0415
+    from slamhive.store.store import open_store  # noqa: PLC0415
+
+    folder = parts.AnalysisFolder(root)
+    settings = load_settings(Path(asked["project_root"]), environment={}, options=asked["settings"])
+    store = open_store(settings.effective_database_url, settings.database_retry_s, upgrade=False)
+    catalogue = Catalogue(settings, Path(asked["project_root"]))
+    analyses = Analyses(settings, store, catalogue, Searches(settings, store, catalogue))
+    tell = _Teller(folder)
+    tell(0.0, "reading the file")
+    analysis = analyses.read(folder.source)
+    digest = hashlib.sha256(f"{asked['version']}\n{analyses.fingerprint(analysis)}\n".encode())
+    digest.update(analysis.source.encode())
+    content_hash = digest.hexdigest()
+    for token in store.read(lambda t: t.analyses.same(content_hash)):
+        other = parts.AnalysisFolder(root.parent / token)
+        if token != root.name and other.whole:
+            folder.link_results(other)
+            return content_hash
+    limits = AnalysisLimits(settings.analysis_max_runs, settings.analysis_time_limit_s)
+    report = analyses.compute(analysis, limits, lambda share, doing: tell(0.8 * share, doing))
+    tell(0.8, "drawing")
+    folder.write_result(parts.FIGURES, figures_json(report))
+    tell(0.9, "storing")
+    folder.write_result(parts.PAGE, page_json(report))
+    folder.write_result(parts.REPORT, report)
+    return content_hash
+
+
+class _Teller:
+    """Writes progress, not more often than anybody looks."""
+
+    def __init__(self, folder: Any) -> None:
+        self._folder = folder
+        self._next_s = 0.0
+
+    def __call__(self, share: float, doing: str) -> None:
+        if time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + PROGRESS_INTERVAL_S
+            self._folder.write_progress(share, doing)
+
+
+def _end_with_input() -> None:
+    sys.stdin.read()
+    os._exit(2)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,165 @@
+"""The folder of a stored analysis: its file, its state, and what was computed. The folder is the truth."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import json
+import shutil
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from slamhive.errors import InvalidInput, NotFound, Unavailable
+from slamhive.files import write_aside
+from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
+
+FORMAT = 1
+SOURCE, STATE, PROGRESS = "analysis.yaml", "state.json", "progress.json"
+REPORT, FIGURES, PAGE = "report.json.gz", "figures.json.gz", "page.json.gz"
+RESULTS = (REPORT, FIGURES, PAGE)
+
+
+class AnalysisFolder:
+    """``<data>/analyses/<token>``.
+
+    Args:
+        root: The folder; its name is the token.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    @property
+    def source(self) -> str:
+        """The analysis file as it was given; raises NotFound if it is gone."""
+        try:
+            return (self.root / SOURCE).read_text(encoding="utf-8")
+        except FileNotFoundError:
+            raise NotFound(f"{self.root} holds no {SOURCE}") from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise Unavailable(f"{self.root / SOURCE} cannot be read: {error}") from None
+
+    def create(self, source: str, record: AnalysisRecord) -> None:
+        """Make the folder; it is there with all that belongs into it, or not at all."""
+        aside = self.root.with_name(f".{self.root.name}")
+        try:
+            aside.mkdir(parents=True, exist_ok=True)
+            write_aside(aside / SOURCE, source)
+            AnalysisFolder(aside).write_state(record)
+            aside.rename(self.root)
+        except OSError as error:
+            shutil.rmtree(aside, ignore_errors=True)
+            raise Unavailable(f"{self.root} cannot be made: {error.strerror}", "check space and rights") from None
+        except Unavailable:
+            shutil.rmtree(aside, ignore_errors=True)
+            raise
+
+    def write_state(self, record: AnalysisRecord) -> None:
+        """Write what the table is to know; one that is being computed counts as waiting, for whoever finds it."""
+        content = {
+            "format": FORMAT,
+            "name": record.name,
+            "state": (record.state if record.state.ended else AnalysisState.QUEUED).value,
+            "listed": record.listed,
+            "visitor": record.visitor,
+            "created_at": record.created_at.isoformat(),
+            "ended_at": None if record.ended_at is None else record.ended_at.isoformat(),
+            "content_hash": record.content_hash,
+            "reason": record.reason,
+        }
+        write_aside(self.root / STATE, json.dumps(content, indent=2) + "\n")
+
+    def read_state(self) -> AnalysisRecord:
+        """What :meth:`write_state` wrote; waiting again if the report is not whole. Raises InvalidInput."""
+        path = self.root / STATE
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            ended_at = content["ended_at"]
+            state = AnalysisState(content["state"])
+            if state is AnalysisState.DONE and not self.whole:
+                state = AnalysisState.QUEUED
+            return AnalysisRecord(
+                token=self.root.name,
+                name=str(content["name"])[:200],
+                state=state,
+                listed=bool(content["listed"]),
+                visitor=bool(content["visitor"]),
+                created_at=_aware(content["created_at"]),
+                content_hash=content["content_hash"],
+                reason=content["reason"],
+                size_bytes=self.size_bytes,
+                ended_at=None if ended_at is None else _aware(ended_at),
+            )
+        except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InvalidInput(f"{path} cannot be used: {error!r}", "restore it, or remove the folder") from None
+
+    @property
+    def whole(self) -> bool:
+        """Everything that was computed is there."""
+        return all((self.root / name).is_file() for name in RESULTS)
+
+    @property
+    def size_bytes(self) -> int | None:
+        """What the computed files take; None if they are not all there."""
+        return sum((self.root / name).stat().st_size for name in RESULTS) if self.whole else None
+
+    def write_result(self, name: str, content: Any) -> None:
+        """One of :data:`RESULTS`; equal content gives equal bytes."""
+        text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+        write_aside(self.root / name, gzip.compress(text.encode(), 6, mtime=0))
+
+    def link_results(self, other: AnalysisFolder) -> None:
+        """Take over what was computed for another analysis that shows the same."""
+        for name in RESULTS:
+            (self.root / name).unlink(missing_ok=True)
+            (self.root / name).hardlink_to(other.root / name)
+
+    def clear_results(self) -> None:
+        """Remove what was computed."""
+        for name in (*RESULTS, PROGRESS):
+            (self.root / name).unlink(missing_ok=True)
+
+    def read_result(self, name: str) -> Any:
+        """What :meth:`write_result` wrote; raises NotFound if it is not there, Unavailable if it is damaged."""
+        try:
+            return json.loads(gzip.decompress(self.result_bytes(name)))
+        except (OSError, EOFError, ValueError) as error:
+            remedy = "compute the analysis anew"
+            raise Unavailable(f"{self.root / name} is damaged: {error}", remedy) from None
+
+    def result_bytes(self, name: str) -> bytes:
+        """The same as it lies on disk, compressed by gzip."""
+        try:
+            return (self.root / name).read_bytes()
+        except FileNotFoundError:
+            raise NotFound("this analysis has not been computed", "wait, or compute it anew") from None
+        except OSError as error:
+            raise Unavailable(f"{self.root / name} cannot be read: {error.strerror}") from None
+
+    def write_progress(self, share: float, doing: str) -> None:
+        """For the page; not worth a flush to disk."""
+        aside = self.root / f".{PROGRESS}"
+        aside.write_text(json.dumps({"share": share, "doing": doing}), encoding="utf-8")
+        aside.replace(self.root / PROGRESS)
+
+    def read_progress(self) -> tuple[float, str]:
+        """The share done, and what is being done; nothing yet if that is not known."""
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            content = json.loads((self.root / PROGRESS).read_text(encoding="utf-8"))
+            return float(content["share"]), str(content["doing"])
+        return 0.0, ""
+
+    def remove(self) -> None:
+        """Remove the folder in one step, then its content."""
+        aside = self.root.with_name(f".{self.root.name}")
+        with contextlib.suppress(FileNotFoundError):
+            self.root.rename(aside)
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _aware(text: str) -> datetime:
+    moment = datetime.fromisoformat(text)
+    if moment.tzinfo is None:
+        raise ValueError(f"{text} has no time zone")
+    return moment

@@ -1,0 +1,180 @@
+"""Computing stored analyses, one at a time, each in a process of its own that may not take more than its share."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import IO, Any
+
+import slamhive
+from slamhive.errors import Conflict, SlamHiveError
+from slamhive.services.analyses.folder import AnalysisFolder
+from slamhive.services.driver_context import utc_now
+from slamhive.settings import Settings
+from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
+from slamhive.store.records import LeaseLost
+from slamhive.store.store import Store
+
+logger = logging.getLogger(__name__)
+
+CHILD = "slamhive.services.analyses.child"
+LOOK_S = 0.1
+BEAT_S = 1.0
+MOST_ATTEMPTS = 3
+MOST_SAID_BYTES = 100_000
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class AnalysisJobs:
+    """Takes analyses out of the queue.
+
+    Args:
+        settings: In force; also those of the process that computes.
+        store: The queue.
+        project_root: Where algorithms lie.
+    """
+
+    def __init__(self, settings: Settings, store: Store, project_root: Path) -> None:
+        self._settings = settings
+        self._store = store
+        self._project_root = project_root
+
+    def work_once(self, owner: str, stopping: threading.Event) -> bool:
+        """Compute one analysis, if one waits; whether one did. It goes back into the queue if ``stopping`` is set."""
+        if not self._store.read(lambda t: t.analyses.waiting()):  # an idle worker asks often, and need not write
+            return False
+        record = self._store.write(lambda t: t.analyses.claim(owner, utc_now(), self._settings.lease_s))
+        if record is None:
+            return False
+        folder = AnalysisFolder(self._settings.analyses_folder / record.token)
+        if not folder.root.is_dir():
+            self._store.write(lambda t: t.analyses.delete(record.token))
+            return True
+        try:
+            if record.attempt > MOST_ATTEMPTS:
+                said = {"error": f"{MOST_ATTEMPTS} workers ended while they computed it"}
+            else:
+                said = self._computed(record, folder, owner, stopping)
+        except (LeaseLost, _Stopping) as error:
+            logger.info("%s", error)
+            self._store.write(lambda t: t.analyses.release(record.token, owner))
+            return True
+        self._end(record, folder, owner, said)
+        return True
+
+    def _end(self, record: AnalysisRecord, folder: AnalysisFolder, owner: str, said: dict[str, Any]) -> None:
+        problem = said.get("error")
+        done = problem is None and folder.whole
+        ended = replace(
+            record,
+            state=AnalysisState.DONE if done else AnalysisState.FAILED,
+            content_hash=said.get("content_hash"),
+            reason=None if done else str(problem),
+            size_bytes=folder.size_bytes,
+            ended_at=utc_now(),
+        )
+        try:
+            # Listed or not may have changed since it was claimed: the folder knows.
+            folder.write_state(replace(ended, listed=folder.read_state().listed))
+            self._store.write(lambda t: t.analyses.finish(ended, owner))
+        except (LeaseLost, SlamHiveError) as error:
+            logger.info("analysis %s: %s", record.token, error)
+            self._store.write(lambda t: t.analyses.release(record.token, owner))
+            return
+        logger.info("analysis %s: %s%s", record.token, ended.state, f" ({ended.reason})" if ended.reason else "")
+
+    def _computed(
+        self, record: AnalysisRecord, folder: AnalysisFolder, owner: str, stopping: threading.Event
+    ) -> dict[str, Any]:
+        """What the process said at its end, or what became of it; raises LeaseLost or _Stopping after ending it."""
+        folder.clear_results()
+        limit_s = self._settings.analysis_time_limit_s
+        deadline_s = time.monotonic() + limit_s
+        next_beat_s = 0.0
+        with (
+            tempfile.TemporaryFile() as output,
+            tempfile.TemporaryFile() as errors,
+            self._child(folder, output, errors) as child,
+        ):
+            while child.poll() is None:
+                if stopping.wait(LOOK_S):
+                    raise _Stopping(f"analysis {record.token} waits for the next worker")
+                if time.monotonic() > deadline_s:
+                    return {"error": f"the analysis takes longer than {limit_s:g} s; select fewer runs"}
+                if time.monotonic() >= next_beat_s:
+                    next_beat_s = time.monotonic() + BEAT_S
+                    self._beat(record, owner)
+            return _said(child.returncode, _tail(output), _tail(errors))
+
+    def _beat(self, record: AnalysisRecord, owner: str) -> None:
+        now = utc_now()
+        if not self._store.write(lambda t: t.analyses.heartbeat(record.token, owner, now, self._settings.lease_s)):
+            raise LeaseLost(f"analysis {record.token} was deleted, or is to be computed anew")
+
+    @contextmanager
+    def _child(self, folder: AnalysisFolder, output: IO[bytes], errors: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
+        """The process, ended on the way out. If this process dies, the input of that one ends, and so does it."""
+        package = Path(slamhive.__file__).parent.parent
+        paths = os.pathsep.join(filter(None, (str(package), os.environ.get("PYTHONPATH"))))
+        environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONPATH": paths, "MPLBACKEND": "agg"}
+        child = subprocess.Popen(
+            [sys.executable, "-m", CHILD, str(folder.root)],
+            stdin=subprocess.PIPE, stdout=output, stderr=errors, env=environment, start_new_session=True,
+        )  # fmt: skip
+        assert child.stdin is not None
+        try:
+            child.stdin.write(json.dumps(self._asked()).encode() + b"\n")
+            child.stdin.flush()
+            yield child
+        except BrokenPipeError:
+            raise Conflict("the process that computes analyses ends at once", "see the log of the worker") from None
+        finally:
+            child.kill()
+            child.wait()
+            child.stdin.close()
+
+    def _asked(self) -> dict[str, Any]:
+        settings = self._settings
+        given = {entry.name: getattr(settings, entry.name) for entry in fields(settings)}
+        given.update({name: str(value) for name, value in given.items() if isinstance(value, Path | str)})
+        return {
+            "settings": given,
+            "project_root": str(self._project_root),
+            "version": slamhive.__version__,
+            "memory_bytes": settings.analysis_memory_mb * 1_000_000,
+            "time_limit_s": settings.analysis_time_limit_s,
+        }
+
+
+class _Stopping(Exception):
+    """The worker ends."""
+
+
+def _said(code: int, output: str, errors: str) -> dict[str, Any]:
+    try:
+        said = json.loads(output.strip().rpartition("\n")[2])
+        if code in (0, 1) and isinstance(said, dict):
+            return said
+    except ValueError:
+        pass
+    if "MemoryError" in errors or "cannot allocate" in errors.lower():
+        return {"error": "the analysis needs more memory than ANALYSIS_MEMORY_MB; select fewer runs"}
+    logger.error("the process that computes an analysis ended with %d: %s", code, errors[-5000:])
+    ended = f"by signal {-code}" if code < 0 else f"with {code}"
+    return {"error": f"the process that computed it ended {ended}; the log of the worker tells more"}
+
+
+def _tail(stream: IO[bytes]) -> str:
+    stream.seek(0, os.SEEK_END)
+    stream.seek(max(0, stream.tell() - MOST_SAID_BYTES))
+    return stream.read().decode(errors="replace")

@@ -1,0 +1,57 @@
+"""What the page of an analysis needs: the report without the data that only figures and files show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from slamhive.analysis.print_chart import FORMATS
+from slamhive.analysis.result import FormResult
+from slamhive.analysis.result_json import from_json, to_json
+from slamhive.services.analyses.bundle import shown_form
+from slamhive.services.analyses.report import file_name
+
+
+def page_json(report: Mapping[str, Any]) -> dict[str, Any]:
+    """The report for :func:`page_forms`: charts without marks, tables cut to what is shown, names of all files."""
+    return {
+        **{key: value for key, value in report.items() if key != "forms"},
+        "forms": [_light(form) for form in report["forms"]],
+        "files": {name: place for form in report["forms"] for name, place in _files(form)},
+    }
+
+
+def _light(form: dict[str, Any]) -> dict[str, Any]:
+    shown = shown_form(form)
+    charts = [to_json(replace(chart, marks=())) for chart in shown["charts"]]
+    tables = [
+        {"table": to_json(replace(entry["table"], rows=entry["rows"])), "more": entry["more"]}
+        for entry in shown["tables"]
+    ]
+    return {**shown, "charts": charts, "tables": tables}
+
+
+def page_forms(page: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The forms as templates take them, out of :func:`page_json`."""
+    forms = []
+    for form in page["forms"]:
+        tables = []
+        for entry in form["tables"]:
+            table = from_json(entry["table"])
+            tables.append({"table": table, "rows": table.rows, "more": entry["more"]})
+        forms.append({**form, "charts": [from_json(chart) for chart in form["charts"]], "tables": tables})
+    return forms
+
+
+def _files(form: dict[str, Any]) -> list[tuple[str, list[Any]]]:
+    """Each file of a form by its name: the place of the form, and the key of its figure or table."""
+    if form["result"] is None:
+        return []
+    result: FormResult = from_json(form["result"])
+    place = form["place"]
+    found = [(file_name(place, chart.key, ending), [place, chart.key]) for chart in result.charts for ending in FORMATS]
+    for table in result.tables:
+        endings = ("csv", "parquet") if table.raw else ("csv", "parquet", "tex")
+        found += [(file_name(place, table.key, ending), [place, table.key]) for ending in endings]
+    return found

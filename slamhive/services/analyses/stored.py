@@ -1,0 +1,142 @@
+"""Stored analyses: made, listed, looked at, removed. What computes them is :mod:`slamhive.services.analyses.jobs`."""
+
+from __future__ import annotations
+
+import re
+import secrets
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from slamhive.errors import Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.services.analyses.folder import AnalysisFolder
+from slamhive.services.catalogue import check_writable
+from slamhive.services.driver_context import utc_now
+from slamhive.settings import Mode, Settings
+from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
+from slamhive.store.store import Store
+
+MAX_TEXT_BYTES = 100_000
+"""YAML of this size is read in about a second, which a request may take; larger files are for ``slamhive analyse``."""
+MOST_WAITING = 50
+_TOKEN = re.compile(r"[0-9a-f]{32}")
+
+
+def may_analyse(settings: Settings) -> bool:
+    """Whether new analyses are taken at all; those of visitors, in view-only mode, are not listed."""
+    return settings.mode is not Mode.VIEW_ONLY or not settings.no_new_analysis
+
+
+class StoredAnalyses:
+    """The analyses of an installation, each a folder.
+
+    Args:
+        settings: In force.
+        store: Their list and queue.
+        name_of: The name in a file; raises InvalidInput, with the line, for one that cannot be used.
+    """
+
+    def __init__(self, settings: Settings, store: Store, name_of: Callable[[str], str]) -> None:
+        self._settings = settings
+        self._store = store
+        self._name_of = name_of
+
+    def check(self, text: str) -> str:
+        """The name of the analysis that ``text`` states; raises InvalidInput with the line."""
+        if len(text.encode()) > MAX_TEXT_BYTES:
+            remedy = "slamhive analyse takes larger ones"
+            raise InvalidInput(f"the analysis file is larger than {MAX_TEXT_BYTES // 1000} kB", remedy)
+        return self._name_of(text)
+
+    def create(self, text: str, *, listed: bool = True) -> AnalysisRecord:
+        """Store an analysis and queue it. In view-only mode it is a visitor's: not listed, and removed some day.
+
+        Raises Forbidden where none are taken, Unavailable while too many wait.
+        """
+        if not may_analyse(self._settings):
+            raise Forbidden("this installation takes no new analyses", "NO_NEW_ANALYSIS is set; use one of your own")
+        visitor = self._settings.mode is Mode.VIEW_ONLY
+        name = self.check(text)
+        if self._store.read(lambda t: t.analyses.waiting()) >= MOST_WAITING:
+            raise Unavailable(f"{MOST_WAITING} analyses wait to be computed", "try again later")
+        record = AnalysisRecord(
+            token=secrets.token_hex(16),
+            name=name,
+            state=AnalysisState.QUEUED,
+            listed=listed and not visitor,
+            visitor=visitor,
+            created_at=utc_now(),
+        )
+        if visitor:
+            self._make_room()
+        folder = self.folder(record.token)
+        folder.create(text, record)
+        try:
+            self._store.write(lambda t: t.analyses.put(record))
+        except SlamHiveError:
+            folder.remove()
+            raise
+        return record
+
+    def get(self, token: str) -> AnalysisRecord:
+        """One analysis; raises NotFound."""
+        if not _TOKEN.fullmatch(token):
+            raise NotFound("there is no analysis at this address", "check that the address is whole")
+        return self._store.read(lambda t: t.analyses.get(token))
+
+    def listed(self, limit: int = 500) -> list[AnalysisRecord]:
+        """Those that are listed, newest first."""
+        return self._store.read(lambda t: t.analyses.listed(limit))
+
+    def folder(self, token: str) -> AnalysisFolder:
+        """The folder of an analysis."""
+        return AnalysisFolder(self._settings.analyses_folder / token)
+
+    def list_or_not(self, token: str, *, listed: bool) -> AnalysisRecord:
+        """Show it in the list, or only at its address."""
+        check_writable(self._settings)
+        record = self.get(token)
+        folder = self.folder(token)
+        folder.write_state(replace(folder.read_state(), listed=listed))
+        self._store.write(lambda t: t.analyses.list_or_not(token, listed=listed))
+        return replace(record, listed=listed)
+
+    def recompute(self, token: str) -> AnalysisRecord:
+        """Queue it anew, over the runs that there are now."""
+        check_writable(self._settings)
+        self.get(token)
+        folder = self.folder(token)
+        record = replace(folder.read_state(), state=AnalysisState.QUEUED, content_hash=None, reason=None, ended_at=None)
+        folder.write_state(record)
+        self._store.write(lambda t: t.analyses.put(replace(record, size_bytes=None)))
+        return record
+
+    def delete(self, token: str) -> None:
+        """Remove it; a computation that goes on is ended."""
+        check_writable(self._settings)
+        self.get(token)
+        self._remove(token)
+
+    def restore(self) -> Iterator[tuple[Path, str | None]]:
+        """File every folder again (reindex): each with None, or why it could not be."""
+        root = self._settings.analyses_folder
+        for path in sorted(root.iterdir()) if root.is_dir() else ():
+            if not _TOKEN.fullmatch(path.name) or path.is_symlink():
+                continue
+            try:
+                record = AnalysisFolder(path).read_state()
+                self._store.write(lambda t, record=record: t.analyses.put(record))  # type: ignore[misc]
+            except SlamHiveError as error:
+                yield path, str(error)
+            else:
+                yield path, None
+
+    def _make_room(self) -> None:
+        """The oldest analyses of visitors go, so that one more may come."""
+        kept = self._store.read(lambda t: t.analyses.visitors())
+        for record in kept[: max(0, len(kept) - self._settings.analyses_max_stored + 1)]:
+            self._remove(record.token)
+
+    def _remove(self, token: str) -> None:
+        self._store.write(lambda t: t.analyses.delete(token))
+        self.folder(token).remove()

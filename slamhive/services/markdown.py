@@ -1,0 +1,34 @@
+"""Markdown as HTML that cannot do harm, whoever wrote it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from markdown_it import MarkdownIt
+
+_MARKDOWN = MarkdownIt("commonmark", {"html": False, "linkify": False}).enable("table").disable("image")
+_NO_SLUG = re.compile(r"[^\w\- ]")
+
+
+def markdown_html(text: str, link: Callable[[str], str] | None = None) -> str:
+    """Markdown as HTML: tags in it are shown as text, addresses of scripts are refused, pictures are left out.
+
+    Args:
+        text: The Markdown.
+        link: What each address in it becomes; headings then get an ``id`` to lead to.
+    """
+    tokens = _MARKDOWN.parse(text)
+    if link is not None:
+        for token, inside in zip(tokens, [*tokens[1:], None], strict=True):
+            if token.type == "heading_open" and inside is not None:
+                token.attrSet("id", slug(inside.content))
+            for child in token.children or ():
+                if child.type == "link_open":
+                    child.attrSet("href", link(str(child.attrGet("href") or "")))
+    return str(_MARKDOWN.renderer.render(tokens, _MARKDOWN.options, {}))
+
+
+def slug(heading: str) -> str:
+    """``What protects it`` is led to as ``#what-protects-it``, as on the documentation site."""
+    return re.sub(r"[\s-]+", "-", _NO_SLUG.sub("", heading).strip().lower())

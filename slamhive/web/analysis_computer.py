@@ -1,0 +1,73 @@
+"""What computes the analyses of visitors in view-only mode, where no worker runs: one thread, one process at a time."""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+from slamhive.errors import SlamHiveError
+from slamhive.services.hive import Hive
+from slamhive.services.identity import owner_is_dead, worker_identity
+
+logger = logging.getLogger(__name__)
+
+IDLE_S = 30.0
+TROUBLE_S = 5.0
+
+
+class AnalysisComputer:
+    """Takes analyses out of the queue as a worker does; begins with the first :meth:`wake`.
+
+    Args:
+        hive: The services.
+    """
+
+    def __init__(self, hive: Hive) -> None:
+        self._hive = hive
+        self._owner = worker_identity()
+        self._asked = threading.Event()
+        self._stopping = threading.Event()
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+
+    def wake(self) -> None:
+        """There may be something to compute."""
+        self._asked.set()
+        with self._lock:
+            if self._thread is None and not self._stopping.is_set():
+                self._thread = threading.Thread(target=self._work, name="slamhive-analyses", daemon=True)
+                self._thread.start()
+
+    def close(self) -> None:
+        """End; what is being computed goes back into the queue."""
+        self._stopping.set()
+        self._asked.set()
+        with self._lock:
+            thread = self._thread
+        if thread is not None:
+            thread.join()
+
+    def _work(self) -> None:
+        self._free_what_the_dead_hold()
+        while not self._stopping.is_set():
+            self._asked.clear()
+            try:
+                while not self._stopping.is_set() and self._hive.analysis_jobs.work_once(self._owner, self._stopping):
+                    pass
+            except SlamHiveError as error:
+                logger.warning("analyses: %s; trying again in %.0f s", error, TROUBLE_S)
+                self._stopping.wait(TROUBLE_S)
+                continue
+            except Exception:
+                logger.exception("a fault while computing analyses; trying again in %.0f s", TROUBLE_S)
+                self._stopping.wait(TROUBLE_S)
+                continue
+            self._asked.wait(IDLE_S)
+
+    def _free_what_the_dead_hold(self) -> None:
+        try:
+            for owner in self._hive.store.read(lambda t: t.analyses.owners()):
+                if owner != self._owner and owner_is_dead(owner):
+                    self._hive.store.write(lambda t, owner=owner: t.analyses.release_all(owner))  # type: ignore[misc]
+        except SlamHiveError as error:
+            logger.warning("analyses: %s", error)

@@ -1,0 +1,95 @@
+"""Files of a stored analysis, made when they are asked for: one at a time, since printing a figure takes a second."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from slamhive.errors import NotFound, Unavailable
+from slamhive.services.analyses.folder import PAGE, REPORT, SOURCE, AnalysisFolder
+from slamhive.services.hive import Hive
+
+MOST_WAIT_S = 30.0
+MOST_KEPT_BYTES = 50_000_000
+MEDIA_TYPES = {
+    "pdf": "application/pdf",
+    "svg": "image/svg+xml",
+    "png": "image/png",
+    "csv": "text/csv",
+    "tex": "text/x-tex",
+    "parquet": "application/vnd.apache.parquet",
+    "html": "text/html",
+    "zip": "application/zip",
+    "yaml": "application/yaml",
+}
+PAGE_FILE, ZIP_FILE = "report.html", "report.zip"
+
+
+class AnalysisFiles:
+    """Makes files and keeps the latest in memory; nothing is written.
+
+    Args:
+        hive: The services.
+    """
+
+    def __init__(self, hive: Hive) -> None:
+        self._hive = hive
+        self._making = threading.Lock()
+        self._kept: OrderedDict[tuple[str, str, str], bytes] = OrderedDict()
+        self._kept_bytes = 0
+
+    def get(self, token: str, name: str) -> bytes:
+        """One file; raises NotFound for a name that the analysis does not have, Unavailable while too much is made."""
+        record = self._hive.stored_analyses.get(token)
+        folder = self._hive.stored_analyses.folder(token)
+        if name == SOURCE:
+            return folder.source.encode()
+        place = None if name in (PAGE_FILE, ZIP_FILE) else folder.read_result(PAGE)["files"].get(name)
+        if place is None and name not in (PAGE_FILE, ZIP_FILE):
+            raise NotFound(f"the analysis has no file {name[:100]!r}", "its page lists them")
+        key = token, name, str(record.ended_at)
+        with self._one_at_a_time():
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+            content = self._make(folder, name, place)
+            self._keep(key, content)
+        return content
+
+    def _make(self, folder: AnalysisFolder, name: str, place: tuple[int, str] | None) -> bytes:
+        # matplotlib, pandas and plotly take two seconds to load, which no other page should wait for.
+        from slamhive.analysis.print_chart import FORMATS, print_chart  # noqa: PLC0415
+        from slamhive.analysis.result_json import from_json  # noqa: PLC0415
+        from slamhive.services.analyses.bundle import report_page, zipped  # noqa: PLC0415
+        from slamhive.services.analyses.tables import table_csv, table_latex, table_parquet  # noqa: PLC0415
+
+        report = folder.read_result(REPORT)
+        root = self._hive.catalogue.project_root
+        if place is None:
+            return zipped(report, root) if name == ZIP_FILE else report_page(report, root).encode()
+        number, wanted = place
+        result = from_json(report["forms"][number - 1]["result"])
+        ending = name.rpartition(".")[2]
+        if ending in FORMATS:
+            return print_chart(next(chart for chart in result.charts if chart.key == wanted), ending)
+        table = next(entry for entry in result.tables if entry.key == wanted)
+        if ending == "parquet":
+            return table_parquet(table)
+        return (table_csv(table) if ending == "csv" else table_latex(table)).encode()
+
+    def _keep(self, key: tuple[str, str, str], content: bytes) -> None:
+        self._kept[key] = content
+        self._kept_bytes += len(content)
+        while self._kept_bytes > MOST_KEPT_BYTES:
+            self._kept_bytes -= len(self._kept.popitem(last=False)[1])
+
+    @contextmanager
+    def _one_at_a_time(self) -> Iterator[None]:
+        if not self._making.acquire(timeout=MOST_WAIT_S):
+            raise Unavailable("many files of analyses are being made", "try again in a minute")
+        try:
+            yield
+        finally:
+            self._making.release()

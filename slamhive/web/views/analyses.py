@@ -1,0 +1,203 @@
+"""Analyses: the list, a new one, one page each at a permanent address, its files, and what can be done to it."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
+from flask import url_for as address
+
+from slamhive.errors import Forbidden, InvalidInput, SlamHiveError
+from slamhive.services.analyses.folder import FIGURES, PAGE
+from slamhive.services.analyses.page import page_forms
+from slamhive.services.analyses.stored import MAX_TEXT_BYTES, may_analyse
+from slamhive.settings import Mode
+from slamhive.store.analysis_records import AnalysisState
+from slamhive.web import context
+from slamhive.web.analysis_files import MEDIA_TYPES
+from slamhive.web.analysis_text import BOUNDS, first_text, form_helps, selector_text
+from slamhive.web.context import hive
+from slamhive.web.errors import status_of
+from slamhive.web.rates import CHECKS, CREATIONS
+
+blueprint = Blueprint("analyses", __name__, url_prefix="/analyses")
+
+_LINE = re.compile(r" line (\d+)")
+
+
+@blueprint.get("")
+def index() -> str:
+    """The listed analyses."""
+    return render_template("analyses/index.html", analyses=hive().stored_analyses.listed(), taken=_taken())
+
+
+@blueprint.get("/new")
+def new() -> str:
+    """An editor with a first analysis, of the runs that ``where`` finds."""
+    return _editor(first_text(request.args.get("where", "")[:50_000]))
+
+
+@blueprint.post("/check")
+def check() -> Response:
+    """Whether a text can be used: its name, or what is wrong with it and where. Nothing is stored."""
+    _count(CHECKS, "texts to check")
+    try:
+        name = hive().stored_analyses.check(_text())
+    except SlamHiveError as error:
+        found = _LINE.search(error.message)
+        line = int(found[1]) if found else None
+        return make_response(jsonify(ok=False, message=error.message, remedy=error.remedy, line=line))
+    return make_response(jsonify(ok=True, message=f"{name}: this can be computed.", remedy=None, line=None))
+
+
+@blueprint.post("")
+def create() -> Response:
+    """Store the analysis in the form, and go to its page."""
+    services = hive()
+    text = _text()
+    if request.form.get("do") == "check":
+        return _checked(text)
+    _count(CREATIONS, "analyses")
+    try:
+        record = services.stored_analyses.create(text, listed="unlisted" not in request.form)
+    except InvalidInput as error:
+        return make_response(_editor(text, error), status_of(error))
+    computer = context.analysis_computer()
+    if computer is not None:
+        computer.wake()
+    return make_response(redirect(address("analyses.show", token=record.token), 303))
+
+
+@blueprint.get("/select")
+def select() -> str:
+    """The constraint selector: bounds in, an analysis file out."""
+    args = request.args
+    text, problem = "", None
+    asked = any(args.get(name) for name in (*BOUNDS, "sensors", "datasets"))
+    if asked:
+        try:
+            text = selector_text(args, args.getlist("sensors")[:20], args.getlist("datasets")[:200])
+        except InvalidInput as error:
+            problem = error
+    services = hive()
+    datasets = sorted(entry.name for entry in services.store.read(lambda t: t.catalogue.datasets()))
+    return render_template(
+        "analyses/select.html", args=args, text=text, problem=problem, taken=_taken(), datasets=datasets
+    )
+
+
+@blueprint.get("/<token>")
+def show(token: str) -> Response:
+    """The report; how far it is while it is computed; why there is none."""
+    services = hive()
+    record = services.stored_analyses.get(token)
+    folder = services.stored_analyses.folder(token)
+    page: dict[str, Any] | None = None
+    if record.state is AnalysisState.DONE:
+        page = folder.read_result(PAGE)
+    return make_response(
+        render_template(
+            "analyses/show.html",
+            analysis=record,
+            source=folder.source,
+            page=page,
+            forms=[] if page is None else page_forms(page),
+            file_names=() if page is None else page["files"],
+            progress=folder.read_progress(),
+            waits_for_worker=services.settings.mode is Mode.WORKSTATION and not services.worker_alive(),
+            kept=services.settings.analyses_max_stored,
+        )
+    )
+
+
+@blueprint.get("/<token>/figures.json")
+def figures(token: str) -> Response:
+    """All figures of the report, as plotly draws them."""
+    services = hive()
+    record = services.stored_analyses.get(token)
+    content = services.stored_analyses.folder(token).result_bytes(FIGURES)
+    response = Response(content, mimetype="application/json", headers={"Content-Encoding": "gzip", "Vary": "Accept"})
+    response.set_etag(f"{record.content_hash}-{record.ended_at}".replace(" ", "T"), weak=True)
+    return response
+
+
+@blueprint.get("/<token>/files/<name>")
+def file(token: str, name: str) -> Response:
+    """A figure for print, a table, the self-contained page, or everything as a zip file."""
+    content = context.analysis_files().get(token, name)
+    response = Response(content, mimetype=MEDIA_TYPES[name.rpartition(".")[2]])
+    response.headers["Content-Disposition"] = f'attachment; filename="{name}"'
+    return response
+
+
+@blueprint.post("/<token>/list")
+def put_in_list(token: str) -> Response:
+    """Show it in the list, or only at its address."""
+    listed = request.form.get("listed") == "yes"
+    hive().stored_analyses.list_or_not(token, listed=listed)
+    flash("The analysis is in the list." if listed else "The analysis is found at its address alone.", "success")
+    return _to_page(token)
+
+
+@blueprint.post("/<token>/recompute")
+def recompute(token: str) -> Response:
+    """Compute it anew, over the runs that there are now."""
+    hive().stored_analyses.recompute(token)
+    return _to_page(token)
+
+
+@blueprint.post("/<token>/delete")
+def delete(token: str) -> Response:
+    """Delete it for good."""
+    hive().stored_analyses.delete(token)
+    flash("The analysis is deleted.", "info")
+    return make_response(redirect(address("analyses.index"), 303))
+
+
+def _taken() -> bool:
+    return may_analyse(hive().settings)
+
+
+def _editor(text: str, error: InvalidInput | None = None, notice: str | None = None) -> str:
+    return render_template(
+        "analyses/new.html",
+        text=text,
+        error=error,
+        notice=notice,
+        forms=form_helps(),
+        taken=_taken(),
+        most_bytes=MAX_TEXT_BYTES,
+    )
+
+
+def _checked(text: str) -> Response:
+    """The answer to the button, for browsers without scripts."""
+    try:
+        name = hive().stored_analyses.check(text)
+    except InvalidInput as error:
+        return make_response(_editor(text, error), status_of(error))
+    return make_response(_editor(text, notice=f"{name}: this can be computed."))
+
+
+def _text() -> str:
+    upload = request.files.get("file")
+    if upload is not None and upload.filename:
+        try:
+            return upload.stream.read(MAX_TEXT_BYTES + 1).decode()
+        except UnicodeDecodeError:
+            raise InvalidInput("the file is not text in UTF-8", "open an analysis file") from None
+    return request.form.get("yaml", "").replace("\r\n", "\n")
+
+
+def _count(limit: str, what: str) -> None:
+    """Visitors may ask so often; the owner as often as wanted."""
+    settings = hive().settings
+    if settings.mode is Mode.VIEW_ONLY:
+        if not may_analyse(settings):
+            raise Forbidden("this installation takes no new analyses", "use one of your own")
+        context.rate_limit(limit).take(request.remote_addr or "", what)
+
+
+def _to_page(token: str) -> Response:
+    return make_response(redirect(address("analyses.show", token=token), 303))
