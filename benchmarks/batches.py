@@ -19,12 +19,12 @@ from typing import TypeVar
 
 import numpy as np
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])  # instead of this folder, whose queue.py would hide another
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from slamhive.cli.batches import evaluate_to_end  # noqa: E402
-from slamhive.domain.sensors import SensorSetup  # noqa: E402
-from slamhive.services.hive import Hive, open_hive  # noqa: E402
-from slamhive.services.imports.request import ImportRequest  # noqa: E402
+from slamhive.cli.batches import evaluate_to_end
+from slamhive.domain.sensors import SensorSetup
+from slamhive.services.hive import Hive, open_hive
+from slamhive.services.imports.request import ImportRequest
 
 T = TypeVar("T")
 GROUPS = 10

@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[0] = str(ROOT)  # instead of this folder, whose queue.py would hide that of the standard library
+sys.path.insert(0, str(ROOT))
 
 from slamhive.domain.protocol import Alignment, Protocol  # noqa: E402  (the checkout this file lies in)
 from slamhive.evaluation.job import Artefacts, EvaluationTask  # noqa: E402

@@ -1,20 +1,57 @@
-"""Fixtures that tests of several packages share."""
+"""Fixtures that tests of several packages share, and which files a selection of marks leaves unread.
+
+Databases and Docker's SDK are imported where a fixture needs them: loading them takes longer than all unit tests.
+"""
 
 from __future__ import annotations
 
+import functools
+import itertools
+import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+from _pytest.mark.expression import Expression
 
-from slamhive.store import open_store
-from tests.services.docker_base import make_base_image
-from tests.services.mariadb import DatabaseServer, find_server
+if TYPE_CHECKING:
+    from tests.services.mariadb import DatabaseServer
+
+MARKS = ("integration", "docker", "mysql", "shared_data")
+PYTESTMARK = re.compile(r"^pytestmark = (\[[^\]]*\]|.*)", re.MULTILINE)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Nothing is imported of a file, or a folder, of which ``-m`` can select no test."""
+    if not config.option.markexpr:
+        return None
+    wanted = Expression.compile(config.option.markexpr)
+    if collection_path.is_dir():
+        files = list(collection_path.rglob("test_*.py"))
+        return True if files and not any(may_be_selected(path, wanted) for path in files) else None
+    return True if collection_path.suffix == ".py" and not may_be_selected(collection_path, wanted) else None
+
+
+@functools.cache
+def may_be_selected(path: Path, wanted: Expression) -> bool:
+    """Whether tests of a file can be wanted, whatever marks they add to those of the file."""
+    found = PYTESTMARK.search(path.read_text(encoding="utf-8"))
+    own = set(re.findall(r"mark\.(\w+)", found[1])) if found else set()
+    more = itertools.chain.from_iterable(itertools.combinations(MARKS, count) for count in range(len(MARKS) + 1))
+    return any(wanted.evaluate(functools.partial(is_among, own.union(some))) for some in more)
+
+
+def is_among(marks: set[str], name: str, /, **_: object) -> bool:
+    """Whether a test with ``marks`` carries the one of that name."""
+    return name in marks
 
 
 @pytest.fixture(scope="session")
 def database_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DatabaseServer]:
     """A private MariaDB or MySQL server, started once when the first test asks for it."""
+    from tests.services.mariadb import DatabaseServer, find_server  # noqa: PLC0415
+
     program = find_server()
     if program is None:
         pytest.skip("no MariaDB or MySQL server here; enable: apt-get install mariadb-server-core")
@@ -28,12 +65,16 @@ def database_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Databa
 @pytest.fixture(scope="session")
 def base_image() -> str:
     """A small Docker image with python3."""
+    from tests.services.docker_base import make_base_image  # noqa: PLC0415
+
     return make_base_image()
 
 
 @pytest.fixture(scope="session")
 def sqlite_template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A migrated SQLite file to copy from."""
+    from slamhive.store import open_store  # noqa: PLC0415
+
     path = tmp_path_factory.mktemp("sqlite") / "template.db"
     open_store(f"sqlite:///{path}").close()
     return path

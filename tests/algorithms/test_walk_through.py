@@ -15,6 +15,8 @@ from slamhive.project import project_root
 from slamhive.trajectory.tum import read_tum
 from tests.algorithms.algorithm_runs import run_mapping
 
+pytestmark = pytest.mark.integration
+
 BLOCK = re.compile(r'^```\w+ title="(?P<path>[^"]+)"\n(?P<text>.*?)^```$', re.MULTILINE | re.DOTALL)
 
 

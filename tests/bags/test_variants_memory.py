@@ -11,6 +11,8 @@ from rosbags.rosbag1 import Writer
 from slamhive.project import project_root
 from tests.bags.variant_bags import IMAGE, START_NS, STORE, image
 
+pytestmark = pytest.mark.integration
+
 BOUND_BYTES = 300_000_000
 SCRIPT = """
 import sys

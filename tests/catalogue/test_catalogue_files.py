@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -35,7 +36,8 @@ def test_a_reference_map_and_relations_come_back(tmp_path):
 
 @pytest.mark.parametrize("key", ["reference_map", "relations"])
 def test_a_reference_map_and_relations_lie_in_the_folder(tmp_path, key):
-    dataset = replace(make_dataset(tmp_path), **{key: "../secret"})
+    outside: dict[str, Any] = {key: "../secret"}
+    dataset = replace(make_dataset(tmp_path), **outside)
     (dataset.folder / "dataset.yaml").write_text(dataset_to_yaml(dataset))
     with pytest.raises(InvalidInput, match=f"{key.replace('_', ' ')} file '../secret' must be a plain file name"):
         load_dataset(dataset.folder)

@@ -11,6 +11,8 @@ from click.testing import CliRunner, Result
 from slamhive.cli import main
 from tests.services.tiny_project import environment, make_dataset, make_project
 
+pytestmark = pytest.mark.integration
+
 
 @pytest.fixture
 def slamhive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

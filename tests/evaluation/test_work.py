@@ -17,6 +17,8 @@ from slamhive.evaluation.artefacts import run_task
 from slamhive.evaluation.job import EvaluationResult, EvaluationTask, job_to_json
 from slamhive.evaluation.references import References
 
+pytestmark = pytest.mark.integration
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 
 

@@ -11,7 +11,6 @@ from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import Executor, Limits, Mount, RunHandle, RunSpec
 from slamhive.executors.registry import ExecutorContext, open_executor
 from slamhive.runs.folder import RunFolder
-from tests.services.docker_base import run_docker
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 
@@ -97,6 +96,8 @@ def bench(request, tmp_path: Path, test_package: AlgorithmPackage, environment_d
     executor = open_executor(name, context)
     image = request.getfixturevalue("base_image") if name == "docker" else test_package.image
     if name == "docker":
+        from tests.services.docker_base import run_docker  # noqa: PLC0415 - the SDK takes long to load
+
         identity = run_docker("image", "inspect", "--format", "{{.Id}}", image).stdout.strip()
     else:
         identity = executor.build(test_package, lambda line: None)

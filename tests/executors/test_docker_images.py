@@ -20,6 +20,8 @@ from slamhive.executors.cgroup import cgroup_of
 from slamhive.executors.docker_build import choose_base, follow_build
 from slamhive.executors.docker_image import find_image, make_image
 
+pytestmark = pytest.mark.integration
+
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / "docker" / "base" / "make-base.sh"
 

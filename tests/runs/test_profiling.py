@@ -166,6 +166,7 @@ def test_weighted_percentile():
     assert weighted_percentile(values, np.array([1.0, 1.0, 98.0]), 50) == 3.0
 
 
+@pytest.mark.integration
 def test_plots(folder):
     write_plots(folder)
     assert not folder.profiling_cpu_plot.exists()

@@ -13,6 +13,8 @@ from slamhive.runs.folder import RunFolder
 from slamhive.runs.untrusted import DEEPEST_JSON, measured_number, read_numeric_columns, read_untrusted_json
 from slamhive.services.evidence import read_about
 
+pytestmark = pytest.mark.integration
+
 HOSTILE_JSON = {
     "nothing": "",
     "a list": "[1]",

@@ -191,9 +191,7 @@ def test_patterns():
 
 
 def test_searches_made_in_code():
-    made = matching(
-        states=[RunState.FAILED], algorithms=("a", "b"), datasets=(), evaluated=True, configuration_id=3
-    )
+    made = matching(states=[RunState.FAILED], algorithms=("a", "b"), datasets=(), evaluated=True, configuration_id=3)
     assert in_words(made) == "state failed and algorithm one of a, b and configuration 3 and evaluated"
     assert matching().tree is None
 
@@ -217,6 +215,7 @@ TREES = st.recursive(
 )
 
 
+@pytest.mark.integration
 @given(TREES)
 def test_every_filter_can_be_written_and_read_again(tree):
     assert parse_filter(filter_text(tree)) == tree

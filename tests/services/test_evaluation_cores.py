@@ -6,10 +6,14 @@ import threading
 from pathlib import Path
 from unittest.mock import Mock
 
+import pytest
+
 from slamhive.evaluation.job import EvaluationTask
 from slamhive.services.evaluations import Evaluations
 from slamhive.settings import Settings
 from slamhive.store.records import EvaluationRecord
+
+pytestmark = pytest.mark.integration
 
 
 def test_cores_reach_the_runner(tmp_path, monkeypatch):

@@ -12,6 +12,8 @@ from slamhive.services.hive import Hive
 from slamhive.services.lock import WorkerLock
 from slamhive.settings import Settings
 
+pytestmark = pytest.mark.integration
+
 
 @pytest.fixture
 def hive(tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from slamhive.bags.variants.build import build_variant
 from slamhive.domain.run import RunState
 from slamhive.domain.variant import VariantStep
 from slamhive.executors.base import EngineUnavailable, Exited, Running, RunSpec
@@ -70,7 +71,7 @@ def test_two_slots_make_a_variant_once_and_stay_on_their_cores(hive, monkeypatch
         time.sleep(0.3)
         return make(*arguments)
 
-    make = variants_module.build_variant
+    make = build_variant
     monkeypatch.setattr(variants_module, "build_variant", build)
     together = threading.Barrier(2, timeout=20)
 

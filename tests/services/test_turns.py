@@ -3,8 +3,12 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
 from slamhive.domain.affinity import run_affinity
 from slamhive.services.turns import MOST_IN_A_ROW, AbsentExecutors, Turns
+
+pytestmark = pytest.mark.integration
 
 ROOM, OTHER, KITTI = (run_affinity(*of) for of in (("room", (), "a"), ("room", (), "b"), ("kitti", (), "a")))
 

@@ -21,6 +21,8 @@ from slamhive.store.engine import make_engine
 from tests.services.mariadb import DatabaseServer, find_server
 from tests.store.store_samples import Samples
 
+pytestmark = pytest.mark.integration
+
 NOW = datetime(2026, 5, 4, 3, 2, 1, tzinfo=UTC)
 WRITER = """
 import sys

@@ -66,7 +66,9 @@ def test_the_sensitivity_experiment_is_5_rates_4_resolutions_2_algorithms(room):
 
 def test_the_demo_is_over_in_minutes(room):
     size = count(load_experiment(EXAMPLES / "room-demo.yaml"), room)
-    assert (size.runs, size.axes) == (4, {"algorithm": 3, "image_rate + image_resolution": 2})
+    # The LiDAR algorithms listen to no camera, so they have no rate to link: the named depth images alone are scaled.
+    assert size.axes == {"algorithm": 3, "image_rate + image_resolution": 2, "image_resolution": 2}
+    assert size.runs == 4
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda path: path.name)

@@ -241,6 +241,7 @@ def test_variants_are_shared_by_algorithms():
     assert count(parse_experiment(text), view(algorithms, EUROC)).variants == 4
 
 
+@pytest.mark.integration
 @settings(max_examples=40, deadline=None)
 @given(
     rates=st.lists(st.sampled_from([20, 10, 5, 4, 2]), min_size=1, max_size=4, unique=True),

@@ -71,7 +71,7 @@ def refusal(text: str, **options) -> str:
         (HEAD + "stop_when:\n  memory: 1\n", "e.yaml line 5: unknown key 'stop_when.memory'; did you mean 'memory_m"),
         (HEAD + "playback: {mode: fast}\n", "e.yaml line 4: playback.mode: 'fast' is none of realtime, sequential"),
         (HEAD + "playback: {rate: 0}\n", "playback rates are numbers from 0.01 to 100"),
-        (HEAD + "evaluate: {alignment: x}\n", "e.yaml line 4: evaluate.alignment: must be 'none', 'se3'"),
+        (HEAD + "evaluate: {alignment: x}\n", "e.yaml line 4: evaluate.alignment: must be 'none', 'first_pose', 'se3'"),
         ("algorithms: mono\ndatasets: room\n", "e.yaml: name is missing"),
         (HEAD.replace("name: t", "name: ../t"), "e.yaml line 1: name: experiment name '../t' is not"),
         (HEAD.replace("name: t", "name: a..b"), "e.yaml line 1: name: experiment name 'a..b' is not allowed"),

@@ -12,6 +12,8 @@ from slamhive.trajectory.association import associate, match_nearest, match_one_
 from slamhive.trajectory.interpolation import interpolate
 from slamhive.trajectory.model import Trajectory
 
+pytestmark = pytest.mark.integration
+
 HALF = np.sqrt(0.5)
 
 
