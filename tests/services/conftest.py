@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.services.hive import Hive, open_hive
-from tests.services.tiny_project import environment, make_dataset, make_project
+if TYPE_CHECKING:
+    from slamhive.services.hive import Hive
 
 
 @pytest.fixture
 def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hive]:
     """Opened in a process environment that leads to it, so that commands started by a test find it too."""
+    from slamhive.services.hive import open_hive  # noqa: PLC0415 - loads all there is, for seconds
+    from tests.services.tiny_project import environment, make_dataset, make_project  # noqa: PLC0415
+
     make_project(tmp_path / "project")
     make_dataset(tmp_path / "data")
     for key, value in environment(tmp_path / "project", tmp_path / "data").items():
