@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, and_, case, func, insert, or_, select, update
+from sqlalchemy import ColumnElement, and_, func, insert, or_, select, update
 from sqlalchemy.orm import Session
 
-from slamhive.domain.run import RunState
+from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import unknown
 from slamhive.store.experiment_records import (
     CellRecord,
@@ -129,29 +129,33 @@ class ExperimentRepository:
             for row in rows
         ]
 
-    def cell_counts(self, experiment_id: int) -> list[tuple[int, RunState, int]]:
-        """How many runs each cell has in each state, retried ones left out."""
+    def cell_counts(self, experiment_id: int) -> list[tuple[int, RunState, FailureReason | None, int]]:
+        """How many runs each cell has in each state for each reason, retried ones left out."""
         query = (
-            select(_RUNS.c.cell, _RUNS.c.state, func.count())
-            .where(_RUNS.c.experiment_id == experiment_id, ~self._retried(experiment_id))
-            .group_by(_RUNS.c.cell, _RUNS.c.state)
+            select(_RUNS.c.cell, _RUNS.c.state, _RUNS.c.reason, func.count())
+            .where(_RUNS.c.experiment_id == experiment_id)
+            .group_by(_RUNS.c.cell, _RUNS.c.state, _RUNS.c.reason)
         )
-        return [(cell, state, count) for cell, state, count in self._session.execute(query)]
+        retried = Counter((row.cell, row.state, row.reason) for row in self._all_retried(experiment_id))
+        found = ((tuple(row[:3]), row[3]) for row in self._session.execute(query))
+        return [(*key, count - retried[key]) for key, count in found if count > retried[key]]
 
     # -- its runs as a whole ---------------------------------------------------------------------------------------
 
     def all_counts(self, experiment_id: int | None = None) -> dict[int, list[StateCount]]:
         """How many runs are in each state for each reason, by experiment: of one, or of all."""
-        retried = case((self._retried(experiment_id), 1), else_=0).label("retried")
         owner = _RUNS.c.experiment_id
         query = (
-            select(owner, _RUNS.c.state, _RUNS.c.reason, retried, func.count())
+            select(owner, _RUNS.c.state, _RUNS.c.reason, func.count())
             .where(owner.is_not(None) if experiment_id is None else owner == experiment_id)
-            .group_by(owner, _RUNS.c.state, _RUNS.c.reason, retried)
+            .group_by(owner, _RUNS.c.state, _RUNS.c.reason)
         )
+        retried = Counter((row.experiment_id, row.state, row.reason) for row in self._all_retried(experiment_id))
         found: dict[int, list[StateCount]] = defaultdict(list)
-        for number, state, reason, again, count in self._session.execute(query):
-            found[number].append(StateCount(state, reason, bool(again), count))
+        for number, state, reason, count in self._session.execute(query):
+            again = retried[number, state, reason]
+            parts = ((False, count - again), (True, again))
+            found[number] += [StateCount(state, reason, is_retried, part) for is_retried, part in parts if part]
         return found
 
     def run_ids(self, experiment_id: int) -> list[int]:
@@ -211,12 +215,24 @@ class ExperimentRepository:
         )
         return list(self._session.execute(query.order_by(_RUNS.c.id)).scalars())
 
-    def _retried(self, experiment_id: int | None) -> ColumnElement[bool]:
-        """Whether another run of the experiment (None: of any) has taken the place of a failed or cancelled one."""
+    def _all_retried(self, experiment_id: int | None) -> Sequence[Any]:
+        """The runs that another has taken the place of, looked up from the few retries: not asked of each run."""
         later = _RUNS.alias("later")
-        replaced = select(later.c.retry_of).where(later.c.retry_of.is_not(None))
-        if experiment_id is not None:
-            replaced = replaced.where(later.c.experiment_id == experiment_id)
+        columns = (_RUNS.c[name] for name in ("id", "experiment_id", "cell", "state", "reason"))
+        owner = _RUNS.c.experiment_id
+        query = (
+            select(*columns)
+            .distinct()
+            .select_from(later.join(_RUNS, _RUNS.c.id == later.c.retry_of))
+            .where(owner.is_not(None) if experiment_id is None else owner + 0 == experiment_id)
+            .where(later.c.retry_of.is_not(None), _RUNS.c.state.in_(_REPLACEABLE))
+        )
+        return self._session.execute(query).all()
+
+    def _retried(self, experiment_id: int) -> ColumnElement[bool]:
+        """Whether another run of the experiment has taken the place of a failed or cancelled one."""
+        later = _RUNS.alias("later")
+        replaced = select(later.c.retry_of).where(later.c.retry_of.is_not(None), later.c.experiment_id == experiment_id)
         return and_(_RUNS.c.state.in_(_REPLACEABLE), _RUNS.c.id.in_(replaced))
 
 

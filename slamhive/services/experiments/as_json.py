@@ -117,7 +117,14 @@ def grid_to_json(grid: Grid) -> dict[str, Any]:
         "rows": [None if value is None else plain(value) for value in grid.rows],
         "columns": [None if value is None else plain(value) for value in grid.columns],
         "cells": [
-            {"row": row, "column": column, "cells": cell.cells, "first": cell.first, "counts": _counts(cell.counts)}
+            {
+                "row": row,
+                "column": column,
+                "cells": cell.cells,
+                "first": cell.first,
+                "counts": _counts(cell.counts),
+                "failures": {reason.value: count for reason, count in cell.failures.items()},
+            }
             for (row, column), cell in grid.cells.items()
         ],
     }

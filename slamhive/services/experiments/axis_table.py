@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
+from collections import Counter, OrderedDict, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamhive.domain.parameters import Value
-from slamhive.domain.run import RunState
+from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import unknown
 from slamhive.services.experiments.records import Grid, GridCell, Phase
 from slamhive.store.experiment_records import CellRecord, ExperimentRecord
@@ -22,6 +22,8 @@ MOST_TABLES = 8
 
 Integers = NDArray[np.int32]
 Key = tuple[str, Value | None]
+CellCount = tuple[int, RunState, FailureReason | None, int]
+"""Number of the cell, state, reason, and how many runs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +66,12 @@ class AxisTable:
         """The axes with their values, in the order of the file."""
         return {axis: tuple(value for value in values if value is not None) for axis, values in self.values.items()}
 
-    def grid(self, axes: tuple[str, str], counts: Iterable[tuple[int, RunState, int]], name: str) -> Grid:
+    def grid(self, axes: tuple[str, str], counts: Iterable[CellCount], name: str) -> Grid:
         """Runs by phase over two axes.
 
         Args:
             axes: Of the rows and of the columns.
-            counts: Number of the cell, state, and how many runs.
+            counts: The runs of the cells.
             name: Of the experiment, for messages.
         """
         rows, columns = (self._axis(axis, name) for axis in axes)
@@ -78,17 +80,25 @@ class AxisTable:
         place = rows.astype(np.int64) * shape[1] + columns
         used, first, members = np.unique(place, return_index=True, return_counts=True)
         index = {state: phases.index(Phase.of(state)) for state in RunState}
-        table = np.array([(cell, index[state], count) for cell, state, count in counts], dtype=np.int64).reshape(-1, 3)
+        entries = list(counts)
+        table = np.array([(cell, index[state], n) for cell, state, _, n in entries], dtype=np.int64).reshape(-1, 3)
         of_cell = place[np.searchsorted(self.numbers, table[:, 0])]
         sums = np.zeros((shape[0] * shape[1], len(phases)), dtype=np.int64)
         np.add.at(sums, (of_cell, table[:, 1]), table[:, 2])
+        failures: dict[int, Counter[FailureReason]] = defaultdict(Counter)
+        for at, (_, state, reason, count) in zip(of_cell, entries, strict=True):
+            if state is RunState.FAILED and reason is not None:
+                failures[int(at)][reason] += count
         return Grid(
             *axes,
             rows=self.values[axes[0]],
             columns=self.values[axes[1]],
             cells={
                 divmod(int(at), shape[1]): GridCell(
-                    int(number), int(self.numbers[start]), dict(zip(phases, map(int, sums[at]), strict=True))
+                    int(number),
+                    int(self.numbers[start]),
+                    dict(zip(phases, map(int, sums[at]), strict=True)),
+                    dict(failures.get(int(at), {})),
                 )
                 for at, start, number in zip(used, first, members, strict=True)
             },

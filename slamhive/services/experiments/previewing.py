@@ -9,6 +9,7 @@ from itertools import groupby
 from slamhive.services.experiments.checks import find_room, pair_problems, room_problems, warnings
 from slamhive.services.experiments.context import ExperimentContext, Progress, guessed_duration_s
 from slamhive.services.experiments.records import ExperimentPreview, PreviewRow, Standing
+from slamhive.services.request import unwatchable
 from slamhive.store.durations import Pairing
 from slamhive.store.experiment_records import KnownConfiguration
 from slamhive.sweep.expand import Expansion, PlannedRun
@@ -85,10 +86,16 @@ def preview(
         variant_bytes=room.variant_bytes,
         run_bytes=room.run_bytes,
         free_bytes=room.free_bytes,
-        warnings=tuple(warnings(room)),
+        warnings=(*_unseen(experiment, expansion), *warnings(room)),
         refusals=tuple(refusals),
         standing=standing,
     )
+
+
+def _unseen(experiment: Experiment, expansion: Expansion) -> Iterator[str]:
+    text = unwatchable(experiment.stop_when, (algorithm for algorithm, _ in expansion.pairs))
+    if text is not None:
+        yield f"stop_when: {text}"
 
 
 def _sum_up(context: ExperimentContext, expansion: Expansion, progress: Progress) -> _Sums:

@@ -195,11 +195,15 @@ class CellPage:
 
 @dataclass(frozen=True, slots=True)
 class GridCell:
-    """The cells of an experiment that share two values: how many, the first one, and their runs by phase."""
+    """The cells of an experiment that share two values: how many, the first one, and their runs by phase.
+
+    ``counts`` and ``failures`` (runs by reason) as in :class:`ExperimentStatus`.
+    """
 
     cells: int
     first: int
     counts: Mapping[Phase, int]
+    failures: Mapping[FailureReason, int]
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ from slamhive.services.experiments.records import (
 )
 from slamhive.services.experiments.restoring import Restored, restore_rows, restore_runs
 from slamhive.services.experiments.starting import add_repeats, check_same, start
+from slamhive.services.experiments.time_left import TimeLeft
 from slamhive.store.experiment_records import ExperimentState
 from slamhive.store.store import Transaction
 from slamhive.sweep.experiment_file import parse_experiment
@@ -39,6 +40,7 @@ class Experiments:
     def __init__(self, context: ExperimentContext) -> None:
         self._context = context
         self._tables = AxisTables()
+        self._time_left = TimeLeft(context.settings.worker_slots)
 
     def preview(
         self, source: ExperimentSource, executor: str | None = None, progress: Progress = silent
@@ -85,7 +87,7 @@ class Experiments:
 
     def status(self, name: str) -> ExperimentStatus:
         """How far an experiment is; raises NotFound."""
-        return self._context.store.read(lambda t: watching.status(self._context, t, name))
+        return self._context.store.read(lambda t: watching.status(t, name, self._time_left))
 
     def source(self, name: str) -> ExperimentSource:
         """The file of an experiment as it was given."""

@@ -8,7 +8,7 @@ from statistics import fmean, stdev
 
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput
-from slamhive.services.experiments.context import ExperimentContext, guessed_duration_s
+from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.records import (
     Cell,
     CellFigures,
@@ -18,6 +18,7 @@ from slamhive.services.experiments.records import (
     Spread,
     Standing,
 )
+from slamhive.services.experiments.time_left import TimeLeft
 from slamhive.store.experiment_records import CellRecord, CellRun, ExperimentRecord, ExperimentState, StateCount
 from slamhive.store.store import Transaction
 
@@ -35,11 +36,12 @@ def all_statuses(t: Transaction) -> tuple[ExperimentStatus, ...]:
     return tuple(status_of(record, counts.get(record.id, [])) for record in t.experiments.all())
 
 
-def status(context: ExperimentContext, t: Transaction, name: str) -> ExperimentStatus:
+def status(t: Transaction, name: str, time_left: TimeLeft) -> ExperimentStatus:
     """The experiment called ``name``; raises NotFound."""
     record = t.experiments.get(name)
     counts = t.experiments.all_counts(record.id).get(record.id, [])
-    return status_of(record, counts, _left_s(context, t, record))
+    waiting = sum(entry.count for entry in counts if not entry.state.ended)
+    return status_of(record, counts, time_left.of(t, record, waiting))
 
 
 def status_of(record: ExperimentRecord, found: Sequence[StateCount], left_s: float | None = None) -> ExperimentStatus:
@@ -82,20 +84,6 @@ def standing_of(record: ExperimentRecord, counts: Mapping[Phase, int]) -> Standi
     if not counts.get(Phase.QUEUED) and not counts.get(Phase.RUNNING):
         return Standing.FINISHED
     return _STANDINGS[record.state]
-
-
-def _left_s(context: ExperimentContext, t: Transaction, record: ExperimentRecord) -> float | None:
-    """Time for what has not ended, by the runs of the experiment itself, or by those of others, or by recordings."""
-    waiting = t.durations.unfinished(record.id)
-    if not waiting:
-        return 0.0
-    own, others = t.durations.of_pairings(record.id), t.durations.of_pairings()
-    recordings_s = {dataset.name: dataset.duration_s for dataset in t.catalogue.datasets()}
-    total_s = 0.0
-    for pairing, count in waiting.items():
-        mean_s = own.get(pairing, others.get(pairing))
-        total_s += count * (guessed_duration_s(pairing, recordings_s[pairing[1]]) if mean_s is None else mean_s)
-    return total_s / context.settings.worker_slots
 
 
 # -- cells -----------------------------------------------------------------------------------------------------------

@@ -247,12 +247,13 @@ def _entry(found: GridCell | None, values: Mapping[str, Value | None], search: S
     told = (Phase.FAILED, Phase.RUNNING, Phase.CANCELLED)
     where = ", ".join(f"{axis} {axis_text(value)}" for axis, value in values.items())
     several = f" in {plural(found.cells, 'configuration')}" if found.cells > 1 else ""
+    why = f"; failures: {failures_in_words(found.failures)}" if found.failures else ""
     return GridEntry(
         total=sum(found.counts.values()),
         ended=ended,
         segments=segments(found.counts),
         notes=tuple(f"{thousands(found.counts[phase])} {phase.value}" for phase in told if found.counts.get(phase)),
-        explanation=f"{where}: {counts_in_words(found.counts)}{several}",
+        explanation=f"{where}: {counts_in_words(found.counts)}{several}{why}",
         number=found.first if found.cells == 1 else None,
         search=None if found.cells == 1 else search(values),
     )

@@ -1,0 +1,61 @@
+"""What plans warn of, and what progress is counted from."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.services.experiments.axis_table import AxisTable
+from slamhive.services.experiments.records import Phase
+from slamhive.services.experiments.time_left import KEPT_S, MANY_RUNS, TimeLeft
+from slamhive.services.hive import Hive
+from slamhive.store.experiment_records import CellRecord
+from tests.services.test_experiments import SIX, source
+
+
+@pytest.mark.integration
+def test_a_plan_warns_once_where_lost_tracking_cannot_be_watched(hive: Hive) -> None:
+    assert hive.experiments.preview(source(SIX)).warnings == ()
+    warned = hive.experiments.preview(source(SIX.replace("time_s: 30", "lost_tracking_s: 2"))).warnings
+    text = "stop_when: lost_tracking_s has no effect on tiny, which does not say which frames are tracked"
+    assert warned == (text,)
+
+
+def test_the_grid_counts_failures_by_reason() -> None:
+    cells = [CellRecord(number, "", number, {"rate": number % 2, "seed": 1}) for number in (1, 2, 3)]
+    crashed, timeout = FailureReason.NONZERO_EXIT, FailureReason.TIMEOUT
+    counts = [
+        (1, RunState.FAILED, crashed, 2),
+        (3, RunState.FAILED, crashed, 1),
+        (3, RunState.FAILED, timeout, 1),
+        (2, RunState.SUCCEEDED, None, 4),
+    ]
+    grid = AxisTable.of(cells).grid(("rate", "seed"), counts, "e")
+    assert [dict(cell.failures) for cell in grid.cells.values()] == [{crashed: 3, timeout: 1}, {}]
+    assert [cell.counts[Phase.FAILED] for cell in grid.cells.values()] == [4, 0]
+
+
+def test_the_mean_of_many_runs_is_kept_for_a_minute_and_of_few_never() -> None:
+    looks: list[int] = []
+    now_s = [0.0]
+    pairing = ("a", "d", "realtime", 1.0)
+
+    def unfinished(experiment_id: int) -> dict[Any, int]:
+        looks.append(experiment_id)
+        return {pairing: 10}
+
+    durations = SimpleNamespace(unfinished=unfinished, of_pairings=lambda _id=None: {pairing: 3.0})
+    t = cast("Any", SimpleNamespace(durations=durations, catalogue=SimpleNamespace(datasets=list)))
+    record = cast("Any", SimpleNamespace(id=7))
+    left = TimeLeft(2, lambda: now_s[0])
+    assert left.of(t, record, MANY_RUNS) == MANY_RUNS * 1.5
+    assert left.of(t, record, MANY_RUNS + 2) == (MANY_RUNS + 2) * 1.5
+    assert looks == [7]
+    now_s[0] = KEPT_S + 1
+    left.of(t, record, MANY_RUNS)
+    assert left.of(t, record, 0) == 0
+    assert left.of(t, record, 10) == 15
+    assert looks == [7, 7, 7]
