@@ -54,7 +54,14 @@ def lacks(owner: str, kind: str, name: str, known: list[str]) -> NotFound:
     return NotFound(f"{owner} has no {kind} {name!r}; {nearest(name, known)}")
 
 
+_MAX_NAMED = 40
+
+
 def nearest(name: str, known: list[str]) -> str:
-    """The known name that is most like ``name`` as a question, or all known names."""
+    """The known name that is most like ``name`` as a question, or the known names, as many as fit into a line."""
     near = get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(sorted(set(known))) or 'none'}"
+    if near:
+        return f"did you mean {near[0]!r}?"
+    names = sorted(set(known))
+    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+    return f"known: {', '.join(names[:_MAX_NAMED]) or 'none'}{more}"

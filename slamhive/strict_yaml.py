@@ -98,6 +98,9 @@ def _without_base_60(resolvers: dict[str, list[tuple[str, re.Pattern[str]]]]) ->
 
 _StrictLoader.yaml_implicit_resolvers = _without_base_60(yaml.SafeLoader.yaml_implicit_resolvers)
 
+_SCIENTIFIC = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$")
+"""1e-9: text in YAML 1.1, as it lacks a point; a number in YAML 1.2 (section 10.3.2)."""
+
 
 class _Dumper(yaml.SafeDumper):
     """SafeDumper without aliases."""
@@ -113,6 +116,9 @@ def _represent_list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.Node:
 
 
 _Dumper.add_representer(list, _represent_list)
+
+for _yaml in (_StrictLoader, _Dumper):  # the dumper, too: text that looks like a number is to be quoted
+    _yaml.add_implicit_resolver("tag:yaml.org,2002:float", _SCIENTIFIC, list("-+0123456789"))
 
 
 def _refusal(problem: str, mark: yaml.Mark) -> yaml.MarkedYAMLError:

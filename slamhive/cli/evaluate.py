@@ -42,7 +42,8 @@ def evaluate(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **opti
     """
     if bool(run_ids) + options["all_unevaluated"] + (options["where"] is not None) != 1:
         raise InvalidInput(
-            "name the runs to evaluate, or give --all-unevaluated, or --where", "slamhive runs lists them"
+            "name the runs to evaluate, or give --all-unevaluated, or --where: one of the three",
+            "slamhive runs lists them",
         )
     hive = cli.hive()
     hive.check_writable()

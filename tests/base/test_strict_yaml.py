@@ -61,3 +61,16 @@ def test_lines_are_told_for_keys_and_items():
     content, lines = strict_yaml.parse_with_lines(text, "x")
     assert content == {"a": 1, "b": ["x", {"c": 2, "d": 3}]}
     assert lines == {("a",): 1, ("b",): 2, ("b", 0): 3, ("b", 1): 4, ("b", 1, "c"): 4, ("b", 1, "d"): 5}
+
+
+@pytest.mark.parametrize("text", ["1e-9", "1E6", "-2e+3", "+5e0"])
+def test_a_power_of_ten_needs_no_point_to_be_a_number(text):
+    assert strict_yaml.parse(f"key: {text}", "f")["key"] == float(text)
+
+
+def test_text_that_looks_like_a_power_of_ten_stays_text():
+    assert strict_yaml.parse(strict_yaml.dump({"key": "1e5"}), "f") == {"key": "1e5"}
+
+
+def test_what_only_begins_like_a_power_of_ten_is_text():
+    assert strict_yaml.parse("a: 1e\nb: 1e5f\nc: 500:1e3\n", "f") == {"a": "1e", "b": "1e5f", "c": "500:1e3"}
