@@ -11,6 +11,7 @@ from slamhive import __version__
 from slamhive.cli import (
     algorithms,
     analyse,
+    archive,
     configurations,
     datasets,
     evaluate,
@@ -56,6 +57,7 @@ for module in (
     evaluate,
     protocols,
     analyse,
+    archive,
     serving,
     maintenance,
 ):

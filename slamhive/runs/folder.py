@@ -132,7 +132,12 @@ class RunFolder:
 
     def write_record(self, record: dict[str, Any]) -> None:
         """Replace ``run.json`` in one step."""
-        write_aside(self.record, json.dumps(record, indent=1, allow_nan=False) + "\n")
+        write_aside(self.record, self.record_text(record))
+
+    @staticmethod
+    def record_text(record: dict[str, Any]) -> str:
+        """The content of ``run.json`` for ``record``."""
+        return json.dumps(record, indent=1, allow_nan=False) + "\n"
 
     def write_current_protocol(self, fingerprint: str) -> None:
         """Replace ``evaluations/current`` in one step."""

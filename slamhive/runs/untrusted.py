@@ -44,8 +44,11 @@ def read_untrusted_json(path: Path, limit_bytes: int) -> dict[str, Any] | None:
     Unicode, and nothing is nested deeper than :data:`DEEPEST_JSON`.
     """
     data = read_regular_file(path, limit_bytes + 1)
-    if data is None or len(data) > limit_bytes:
-        return None
+    return None if data is None or len(data) > limit_bytes else parse_untrusted_json(data)
+
+
+def parse_untrusted_json(data: bytes) -> dict[str, Any] | None:
+    """The JSON object that ``data`` is, under the same conditions as :func:`read_untrusted_json`."""
     try:
         content = json.loads(data, parse_constant=_refuse, parse_float=_finite, parse_int=_integer)
         _check_values(content)

@@ -48,6 +48,20 @@ def run_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
     return figures
 
 
+def still_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
+    """The two figures of a run on a page without a server: ``path`` in its best plane, and ``error``."""
+    figures: dict[str, Figure] = {}
+    estimate = None if series.estimate is None else (name, series.estimate, colour)
+    shown = series.groundtruth or series.estimate
+    if shown is not None:
+        figures["path"] = _plane_figure(best_plane(shown), series.groundtruth, estimate)
+    if series.error is not None:
+        figures["error"] = _over_time(
+            series.error, name, colour, "time since the first matched pose [s]", "position error [m]"
+        )
+    return figures
+
+
 def path_figures(groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> dict[str, Figure]:
     """The path in its three planes and in 3D, ground truth dashed, equal aspect, start and end marked.
 

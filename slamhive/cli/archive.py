@@ -1,0 +1,136 @@
+"""``slamhive archive``: runs with all that belongs to them as one file, and as pages without a server."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from slamhive.cli.context import CliContext, choice, json_option, pass_cli
+from slamhive.cli.output import messages, print_json, progress_bar
+from slamhive.errors import InvalidInput
+from slamhive.services.archive.checking import check_archive
+from slamhive.services.archive.exporting import ExportRequest, Part, export_archive
+from slamhive.services.archive.importing import ArchiveImport
+from slamhive.services.archive.reading import open_archive
+from slamhive.services.hive import Hive
+
+_FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+@click.group()
+def archive() -> None:
+    """Take runs from one installation to another, or publish them. docs/archive.md explains archives."""
+
+
+@archive.command("export")
+@click.argument("file", type=_FILE)
+@click.option("--all", "everything", is_flag=True, help="All runs, and all else that is stored.")
+@click.option("--where", metavar="FILTER", help="Only runs that a filter finds.")
+@click.option("--experiment", metavar="NAME", help="Only the runs of an experiment.")
+@click.option("--without", type=choice(Part), multiple=True, help="Leave out files of a kind; may be repeated.")
+@click.option("--replace", is_flag=True, help="Write over a file that exists.")
+@json_option
+@pass_cli
+def export(cli: CliContext, /, file: Path, as_json: bool, **options: object) -> None:
+    """Write runs that have ended, with their folders, to FILE (zip)."""
+    hive = cli.hive()
+    run_ids = _chosen(hive, bool(options["everything"]), options["where"], options["experiment"])
+    request = ExportRequest(
+        path=file,
+        run_ids=run_ids,
+        without=tuple(Part(str(name)) for name in options["without"]),  # type: ignore[attr-defined]
+        replace=bool(options["replace"]),
+    )
+    with progress_bar("exporting") as show:
+        report = export_archive(
+            hive.settings, hive.store, request, lambda done, total: show(done / total, f"{done}/{total} runs")
+        )
+    if as_json:
+        counts = dict(sorted(report.counts.items()))
+        print_json({"counts": counts, "left_out": dict(report.left_out), "size_bytes": report.size_bytes})
+        return
+    click.echo(f"{report.counts['runs']} runs exported to {file}, {report.size_bytes / 1e6:.1f} MB")
+    for why, number in report.left_out.items():
+        messages.print(f"left out: {number} runs that {why}", markup=False)
+
+
+@archive.command("verify")
+@click.argument("file", type=_FILE)
+@json_option
+def verify(file: Path, as_json: bool) -> None:
+    """Check FILE as an import would, and change nothing."""
+    with progress_bar("checking") as show, open_archive(file) as opened:
+        check_archive(opened, show)
+        manifest = opened.manifest
+    if as_json:
+        print_json({"made_at": manifest.made_at, "software": manifest.software, "counts": manifest.counts})
+    else:
+        click.echo(f"{file} is whole: {manifest.counts.get('runs', 0)} runs, made {manifest.made_at}")
+
+
+@archive.command("import")
+@click.argument("file", type=_FILE)
+@json_option
+@pass_cli
+def import_archive(cli: CliContext, file: Path, as_json: bool) -> None:
+    """Merge FILE into this installation.
+
+    Runs that are here already are recognised. The same command completes an import that was killed.
+    """
+    hive = cli.hive()
+    with progress_bar("importing") as show:
+        report = ArchiveImport(hive.settings, hive.store, hive.catalogue).carry_out(file, show)
+    if as_json:
+        print_json(
+            {
+                "imported": report.imported,
+                "known": report.known,
+                "completed": report.completed,
+                "kept_numbers": report.kept_numbers,
+                "counts": dict(sorted(report.counts.items())),
+                "notes": report.notes,
+            }
+        )
+        return
+    numbers = "under the numbers that they had" if report.kept_numbers else "under numbers of this installation"
+    text = f"{report.imported} runs imported {numbers}, {report.known} known already"
+    click.echo(text + (f", {report.completed} completed" if report.completed else ""))
+    for note in report.notes:
+        messages.print(f"note: {note}", markup=False, soft_wrap=True)
+
+
+@archive.command("site")
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
+@click.option("--where", metavar="FILTER", help="Only runs that a filter finds; default: all.")
+@click.option("--experiment", metavar="NAME", help="Only the runs of an experiment.")
+@click.option("--title", default="SLAM Hive", show_default=True, help="Heads the pages.")
+@pass_cli
+def site(cli: CliContext, folder: Path, where: str | None, experiment: str | None, title: str) -> None:
+    """Write pages of runs into FOLDER, which need no server and no network."""
+    from slamhive.web.static_site import SiteRequest, StaticSite  # noqa: PLC0415 - Plotly takes a second
+
+    hive = cli.hive()
+    run_ids = _chosen(hive, where is None and experiment is None, where, experiment)
+    query = where or (f"experiment = {experiment}" if experiment else "")
+    with progress_bar("writing") as show:
+        written = StaticSite(hive, SiteRequest(folder, run_ids, title, query)).write(
+            lambda done, total: show(done / total, f"{done}/{total} runs")
+        )
+    click.echo(f"{written} runs published in {folder}; open {folder / 'index.html'}")
+
+
+def _chosen(hive: Hive, everything: bool, where: object, experiment: object) -> Sequence[int] | None:
+    """The numbers of the runs that were asked for, None for all."""
+    if (everything, where is not None, experiment is not None).count(True) != 1:
+        raise click.UsageError("say which runs: one of --all, --where FILTER and --experiment NAME")
+    if everything:
+        return None
+    chosen = hive.searches.find(str(where)) if where is not None else hive.experiments.run_ids(str(experiment))
+    if not chosen:
+        raise InvalidInput("no run is like that", "slamhive runs --where FILTER shows what a filter finds")
+    return chosen
+
+
+COMMANDS = (archive,)

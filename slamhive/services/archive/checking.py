@@ -1,0 +1,107 @@
+"""Everything in an archive that will be filed is read once before anything is filed."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
+from slamhive.domain.names import check_name
+from slamhive.errors import InvalidInput
+from slamhive.services.archive import layout, lines
+from slamhive.services.archive.reading import ArchiveReader
+from slamhive.services.experiments.folder import RECORD, SOURCE
+from slamhive.store.experiment_records import ExperimentRecord
+from slamhive.sweep.experiment_file import parse_experiment
+
+Progress = Callable[[float, str], None]
+"""Called with the share done (0..1) and what is being done."""
+
+
+@dataclass
+class Contents:
+    """What is known of an archive that was checked: uids of its runs with their numbers, and its experiments."""
+
+    runs: dict[str, int] = field(default_factory=dict)
+    datasets: list[str] = field(default_factory=list)
+    experiments: list[ExperimentRecord] = field(default_factory=list)
+    runs_of_experiment: dict[str, int] = field(default_factory=dict)
+
+
+def check_archive(archive: ArchiveReader, progress: Progress) -> Contents:
+    """Compare every member with its checksum and read every row; raises InvalidInput for the first that is wrong."""
+    archive.verify(lambda done, total: progress(0.8 * done / max(total, 1), "comparing checksums"))
+    contents = Contents()
+    _check_runs(archive, contents, progress)
+    _check_datasets(archive, contents)
+    configurations = {lines.configuration_from_line(content).id for content in archive.lines(layout.CONFIGURATIONS)}
+    contents.experiments = [lines.experiment_from_line(content) for content in archive.lines(layout.EXPERIMENTS)]
+    names = {record.name for record in contents.experiments}
+    if len(names) < len(contents.experiments):
+        raise InvalidInput("the archive has two experiments of one name", "export it again")
+    for record in contents.experiments:
+        parse_experiment(record.source, f"experiment {record.name} of the archive")
+    for content in archive.lines(layout.CELLS):
+        experiment, cell = lines.cell_from_line(content)
+        if experiment not in names or cell.configuration_id not in configurations:
+            raise InvalidInput(f"a cell of the archive refers to what it lacks: {experiment[:64]}, {cell.name}")
+    for content in archive.lines(layout.SEARCHES):
+        lines.search_from_line(content)
+    for content in archive.lines(layout.ANALYSES):
+        lines.analysis_from_line(content)
+    for content in archive.lines(layout.ALGORITHMS):
+        lines.algorithm_from_line(content)
+    _check_folders(archive, contents, names)
+    return contents
+
+
+def _check_runs(archive: ArchiveReader, contents: Contents, progress: Progress) -> None:
+    expected = max(archive.manifest.counts.get("runs", 0), 1)
+    numbers: set[int] = set()
+    for content in archive.lines(layout.RUNS):
+        line = lines.run_from_line(content)
+        if line.uid in contents.runs or line.id in numbers:
+            raise InvalidInput(f"the archive has run {line.id} twice", "export it again")
+        record = archive.json(f"runs/{line.id}/run.json") if line.record is None else line.record
+        lines.check_record(record, line)
+        contents.runs[line.uid] = line.id
+        numbers.add(line.id)
+        if line.experiment is not None:
+            name = check_name("experiment", line.experiment)
+            contents.runs_of_experiment[name] = contents.runs_of_experiment.get(name, 0) + 1
+        progress(0.8 + 0.2 * min(len(numbers) / expected, 1.0), "reading records")
+    if len(numbers) != archive.manifest.counts.get("runs", 0):
+        raise InvalidInput(f"the archive has {len(numbers)} runs and says to have another number", "export it again")
+
+
+def _check_datasets(archive: ArchiveReader, contents: Contents) -> None:
+    for content in archive.lines(layout.DATASETS):
+        name, _ = lines.dataset_from_line(content)
+        contents.datasets.append(name)
+        description = f"datasets/{name}/{DATASET_FILE}"
+        if not archive.has(description):
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            archive.unpack(description, Path(folder) / name / DATASET_FILE)
+            dataset = load_dataset(Path(folder) / name)
+        if dataset.name != name:
+            raise InvalidInput(f"dataset {name} of the archive is described as {dataset.name}")
+
+
+def _check_folders(archive: ArchiveReader, contents: Contents, experiments: set[str]) -> None:
+    """No member is outside the folders of what is filed."""
+    numbers = set(contents.runs.values())
+    datasets = set(contents.datasets)
+    for name in archive.names:
+        kind, *rest = PurePosixPath(name).parts
+        belongs = (
+            not rest
+            or kind == "rows"
+            or (kind == "runs" and int(rest[0]) in numbers)
+            or (kind == "datasets" and rest[0] in datasets and len(rest) == 2)
+            or (kind == "experiments" and rest[0] in experiments and rest[1:] in ([SOURCE], [RECORD]))
+        )
+        if not belongs:
+            raise InvalidInput(f"{layout.shown(name)} belongs to nothing in the archive", "it is not imported")

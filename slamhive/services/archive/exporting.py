@@ -1,0 +1,285 @@
+"""Exporting runs with all that belongs to them: streamed, and a file that is whole or not there."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from slamhive import __version__
+from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
+from slamhive.domain.run import RunEvent
+from slamhive.errors import Conflict, InvalidInput, SlamHiveError
+from slamhive.runs.folder import RunFolder
+from slamhive.services.analyses.folder import AnalysisFolder
+from slamhive.services.archive import layout, lines
+from slamhive.services.archive.writing import ArchiveWriter, archive_writer
+from slamhive.services.driver_context import utc_now
+from slamhive.services.experiments.folder import RECORD, SOURCE
+from slamhive.settings import Settings
+from slamhive.store.archives import ArchiveRepository, EndedEvaluation
+from slamhive.store.configuration_listing import configuration_records
+from slamhive.store.experiment_records import ExperimentRecord
+from slamhive.store.records import RunRecord
+from slamhive.store.store import Store, Transaction
+
+BATCH = 200
+_MOST_ANALYSES = 100_000
+NOT_ENDED = "had not ended"
+
+Progress = Callable[[int, int], None]
+"""Called with how many runs are done, and how many there are."""
+
+
+class Part(StrEnum):
+    """Files of runs that an export may go without."""
+
+    TRAJECTORIES = "trajectories"
+    MAPS = "maps"
+    LOGS = "logs"
+    PICTURES = "pictures"
+
+
+_LEFT_OUT: dict[Part, Callable[[str], bool]] = {
+    Part.TRAJECTORIES: lambda name: name.endswith((".tum", "/traj.txt", "/keyframe.txt", "/errors.csv", "pe.zip")),
+    Part.MAPS: lambda name: name.endswith(".pcd"),
+    Part.LOGS: lambda name: name in ("log.txt", "preparation.txt"),
+    Part.PICTURES: lambda name: name.endswith(".png"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ExportRequest:
+    """What to export: all runs (``run_ids`` None) with everything else that is stored, or these with what they need."""
+
+    path: Path
+    run_ids: Sequence[int] | None = None
+    without: tuple[Part, ...] = ()
+    replace: bool = False
+
+
+@dataclass
+class ExportReport:
+    """How many rows of each kind are in the archive, and which runs are not, by reason."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    left_out: Counter[str] = field(default_factory=Counter)
+    size_bytes: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Batch:
+    """Some runs with what is exported of their rows."""
+
+    runs: tuple[RunRecord, ...]
+    originals: Mapping[int, str]
+    evaluations: Mapping[int, list[EndedEvaluation]]
+    events: Mapping[int, list[RunEvent]]
+
+
+def export_archive(settings: Settings, store: Store, request: ExportRequest, progress: Progress) -> ExportReport:
+    """Write the archive; raises Conflict if the file exists, InvalidInput if there is nothing to export."""
+    if request.path.exists() and not request.replace:
+        raise Conflict(f"{request.path} exists already", "choose another file, or say --replace")
+    if not request.path.absolute().parent.is_dir():
+        raise InvalidInput(f"the folder of {request.path} does not exist", "make it first")
+    report = ExportReport()
+    run_ids = _ended(store, request, report)
+    if not run_ids:
+        raise InvalidInput("there is no run to export that has ended", "slamhive runs lists them")
+    with archive_writer(request.path.absolute()) as archive:
+        export = _Export(settings, store, archive, request, report)
+        for start in range(0, len(run_ids), BATCH):
+            for _ in export.runs(run_ids[start : start + BATCH]):
+                report.counts["runs"] += 1
+                progress(report.counts["runs"], len(run_ids))
+        export.rest(run_ids)
+        archive.finish(
+            {
+                "made_at": utc_now().isoformat(timespec="seconds"),
+                "software": __version__,
+                "counts": dict(report.counts),
+                "without": tuple(part.value for part in request.without),
+                "left_out": dict(report.left_out),
+            }
+        )
+    report.size_bytes = request.path.stat().st_size
+    return report
+
+
+def _ended(store: Store, request: ExportRequest, report: ExportReport) -> list[int]:
+    def work(t: Transaction) -> tuple[list[int], int]:
+        rows = ArchiveRepository(t.session)
+        if request.run_ids is None:
+            return rows.ended(), rows.total()
+        return rows.ended_among(request.run_ids), len(set(request.run_ids))
+
+    ended, asked = store.read(work)
+    if asked > len(ended):
+        report.left_out[NOT_ENDED] = asked - len(ended)
+    return ended
+
+
+class _Export:
+    def __init__(
+        self, settings: Settings, store: Store, archive: ArchiveWriter, request: ExportRequest, report: ExportReport
+    ) -> None:
+        self._settings = settings
+        self._store = store
+        self._archive = archive
+        self._request = request
+        self._report = report
+        self._algorithms: set[str] = set()
+        self._datasets: set[str] = set()
+        self._experiments: set[str] = set()
+        self._modes = {record.name: record.mode for record in store.read(lambda t: t.catalogue.algorithms())}
+
+    def runs(self, run_ids: Sequence[int]) -> Iterator[int]:
+        """Add runs with their folders; the number of each."""
+        batch = self._store.read(lambda t: _batch(t, run_ids))
+        for run in batch.runs:
+            self._run(run, batch)
+            yield run.id
+
+    def rest(self, run_ids: Sequence[int]) -> None:
+        """Add what the runs refer to, and if all are exported, everything else."""
+        experiments = self._experiments_of_runs()
+        ids = [record.id for record in experiments]
+        if self._request.run_ids is None:
+            configurations = self._store.read(lambda t: ArchiveRepository(t.session).all_configurations())
+            searches = self._store.read(lambda t: ArchiveRepository(t.session).saved_searches())
+            for search, at in searches:
+                self._line(layout.SEARCHES, lines.search_to_line(search, at))
+            self._analyses()
+        else:
+            configurations = self._store.read(lambda t: ArchiveRepository(t.session).configurations_of(run_ids, ids))
+        self._configurations(configurations)
+        for record in experiments:
+            self._experiment(record)
+        for algorithm in self._store.read(lambda t: t.catalogue.algorithms()):
+            if algorithm.name in self._algorithms:
+                content = {"name": algorithm.name, "package": algorithm.package, "mode": algorithm.mode}
+                self._line(layout.ALGORITHMS, content)
+        for dataset in self._store.read(lambda t: t.catalogue.datasets()):
+            if dataset.name in self._datasets:
+                self._line(layout.DATASETS, lines.dataset_to_line(dataset))
+                self._dataset_folder(dataset.name)
+
+    def _analyses(self) -> None:
+        """The listed ones, as they are stated."""
+        for record in self._store.read(lambda t: t.analyses.listed(_MOST_ANALYSES)):
+            try:
+                source = AnalysisFolder(self._settings.analyses_folder / record.token).source
+            except SlamHiveError:
+                continue
+            self._line(layout.ANALYSES, lines.analysis_to_line(record, source))
+
+    def _line(self, member: str, content: dict[str, Any]) -> None:
+        self._archive.add_line(member, content)
+        if member != layout.RUNS:
+            self._report.counts[Path(member).stem] += 1
+
+    # -- runs ------------------------------------------------------------------------------------------------------
+
+    def _run(self, run: RunRecord, batch: _Batch) -> None:
+        folder = RunFolder(self._settings.runs_folder / str(run.id))
+        events = batch.events[run.id]
+        record = self._sealed(folder, run, events)
+        instead = None
+        if record is None:
+            instead = lines.row_as_record(run, self._modes.get(run.algorithm, ""), events)
+        else:
+            self._folder(folder, record)
+        original = None if run.retry_of is None else batch.originals.get(run.retry_of)
+        evaluations = batch.evaluations.get(run.id, [])
+        self._line(layout.RUNS, lines.run_to_line(run, original, evaluations, instead))
+        self._algorithms.add(run.algorithm)
+        self._datasets.add(run.dataset)
+        if run.experiment is not None:
+            self._experiments.add(run.experiment)
+
+    def _sealed(self, folder: RunFolder, run: RunRecord, events: list[RunEvent]) -> dict[str, Any] | None:
+        """The record in the run's folder; None if there is none, or that of another run."""
+        try:
+            record = folder.read_record()
+        except SlamHiveError:
+            return None
+        if (record.get("id"), record.get("uid")) != (run.id, run.uid):
+            return None
+        return lines.completed(record, run, events)
+
+    def _folder(self, folder: RunFolder, record: dict[str, Any]) -> None:
+        own = f"runs/{folder.root.name}/"
+        as_it_is = record == folder.read_record()
+        for name, path in _files(folder.root):
+            if any(_LEFT_OUT[part](name) for part in self._request.without):
+                continue
+            if name == folder.record.name and not as_it_is:
+                self._archive.add_bytes(f"{own}{name}", RunFolder.record_text(record).encode(), path.stat().st_mtime)
+            elif layout.is_safe(name):
+                self._archive.add_file(f"{own}{name}", path)
+
+    # -- what runs refer to ----------------------------------------------------------------------------------------
+
+    def _experiments_of_runs(self) -> list[ExperimentRecord]:
+        found = self._store.read(lambda t: t.experiments.all())
+        return [
+            record for record in reversed(found) if self._request.run_ids is None or record.name in self._experiments
+        ]
+
+    def _experiment(self, record: ExperimentRecord) -> None:
+        self._line(layout.EXPERIMENTS, lines.experiment_to_line(record))
+        for name in (SOURCE, RECORD):
+            self._archive.add_file(
+                f"experiments/{record.name}/{name}", self._settings.experiments_folder / record.name / name
+            )
+        after = -1
+        while cells := self._store.read(lambda t: t.experiments.cells(record.id, after, BATCH)):  # noqa: B023
+            for cell in cells:
+                self._line(layout.CELLS, lines.cell_to_line(record.name, cell))
+            after = cells[-1].number
+
+    def _configurations(self, ids: Sequence[int]) -> None:
+        for start in range(0, len(ids), BATCH):
+            part = ids[start : start + BATCH]
+            for record in self._store.read(lambda t: configuration_records(t.session, part)):  # noqa: B023
+                self._line(layout.CONFIGURATIONS, lines.configuration_to_line(record))
+                self._algorithms.add(record.configuration.algorithm)
+                self._datasets.add(record.configuration.dataset)
+
+    def _dataset_folder(self, name: str) -> None:
+        """Its description and its ground truth; the recording stays where it is."""
+        folder = self._settings.datasets_folder / name
+        try:
+            dataset = load_dataset(folder)
+        except SlamHiveError:
+            return
+        self._archive.add_file(f"datasets/{name}/{DATASET_FILE}", folder / DATASET_FILE)
+        truth = None if dataset.groundtruth is None else dataset.groundtruth.file
+        for file in (truth, dataset.relations):
+            if file is not None:
+                self._archive.add_file(f"datasets/{name}/{file}", folder / file)
+
+
+def _batch(t: Transaction, run_ids: Sequence[int]) -> _Batch:
+    runs = t.runs.get_many(run_ids)
+    rows = ArchiveRepository(t.session)
+    originals = rows.uids(run.retry_of for run in runs if run.retry_of is not None)
+    return _Batch(runs, originals, rows.evaluations(run_ids), rows.events(run_ids))
+
+
+def _files(root: Path) -> Iterator[tuple[str, Path]]:
+    """The files of a run folder by name, sorted; not what is scratch, or a write that was cut off."""
+    for folder, folders, files in os.walk(root):
+        place = Path(folder).relative_to(root)
+        inside = place.parts[:1] == ("result",)
+        folders[:] = sorted(name for name in folders if inside or not name.startswith("."))
+        if not place.parts:
+            folders[:] = [name for name in folders if name != "work"]
+        for name in sorted(files):
+            if inside or not name.startswith("."):
+                yield (place / name).as_posix(), Path(folder) / name

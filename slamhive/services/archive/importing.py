@@ -1,0 +1,253 @@
+"""Importing an archive: merged with what is here, whole or completed by the same command, nothing twice.
+
+Each batch of runs is unpacked aside, filed in one transaction and renamed into place right after; an import that is
+killed in between, or anywhere else, is completed by the same command.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from slamhive.bags.variants.locks import Busy, exclusive
+from slamhive.errors import Conflict, InvalidInput, Unavailable
+from slamhive.runs.folder import RunFolder
+from slamhive.services.archive import layout, lines
+from slamhive.services.archive.checking import Contents, Progress, check_archive
+from slamhive.services.archive.reading import ArchiveReader, open_archive
+from slamhive.services.archive.surroundings import Surroundings
+from slamhive.services.catalogue import Catalogue, check_writable
+from slamhive.services.driver_context import utc_now
+from slamhive.services.filing import (
+    Filed,
+    FoundEvaluation,
+    file_evaluations,
+    file_run,
+    found_evaluations,
+    put_configuration,
+    read_filed,
+)
+from slamhive.services.record import snapshot_from_record
+from slamhive.settings import Settings
+from slamhive.store.archives import ArchiveRepository
+from slamhive.store.store import Store, Transaction
+
+BATCH = 50
+_LOCK = ".import.lock"
+_ASIDE = ".archive-"
+_MB = 1_000_000
+
+
+@dataclass
+class ArchiveReport:
+    """What became of the runs of an archive, in numbers, and what was done otherwise than one may think."""
+
+    imported: int = 0
+    known: int = 0
+    completed: int = 0
+    kept_numbers: bool = True
+    counts: Counter[str] = field(default_factory=Counter)
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class _Unpacked:
+    """A run of the archive, unpacked aside (``folder`` None if it has no folder)."""
+
+    line: lines.RunLine
+    record: dict[str, Any]
+    filed: Filed
+    folder: RunFolder | None
+    evaluations: list[FoundEvaluation]
+
+
+class ArchiveImport:
+    """Imports archives into one installation.
+
+    Args:
+        settings: Mode and data root.
+        store: Where rows are filed.
+        catalogue: The algorithms that are here.
+    """
+
+    def __init__(self, settings: Settings, store: Store, catalogue: Catalogue) -> None:
+        self._settings = settings
+        self._store = store
+        self._catalogue = catalogue
+
+    def carry_out(self, path: Path, progress: Progress) -> ArchiveReport:
+        """Check the archive as a whole, then import it.
+
+        Raises:
+            InvalidInput: The archive is damaged, tampered with or none of ours; nothing has changed.
+            Conflict: Another import is under way.
+            Unavailable: The disk or the database refuses; what was imported until then stays.
+        """
+        check_writable(self._settings)
+        report = ArchiveReport()
+        with open_archive(path) as archive:
+            self._check_space(archive)
+            contents = check_archive(archive, lambda share, text: progress(0.4 * share, text))
+            with self._alone():
+                around = Surroundings(self._settings, self._store, self._catalogue, archive, contents, report.notes)
+                around.import_before_runs(report.counts)
+                self._runs(archive, contents, around, report, progress)
+                around.import_after_runs(report.counts, kept_numbers=report.kept_numbers)
+        self._store.refresh_statistics()
+        return report
+
+    def _check_space(self, archive: ArchiveReader) -> None:
+        free = shutil.disk_usage(self._settings.data).free
+        needed = archive.size_bytes + self._settings.min_free_disk_mb * _MB
+        if free < needed:
+            raise Unavailable(
+                f"{self._settings.data} has {free / _MB:.0f} MB free, the archive needs {needed / _MB:.0f} MB",
+                "free some space, or move the data root (SLAMHIVE_DATA)",
+            )
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """One import at a time; what killed ones have left aside goes."""
+        runs = self._settings.runs_folder
+        try:
+            with exclusive(runs / _LOCK):
+                for aside in runs.glob(f"{_ASIDE}*"):
+                    shutil.rmtree(aside, ignore_errors=True)
+                yield
+        except Busy:
+            raise Conflict("another import is under way", "wait for it to end") from None
+
+    # -- runs ------------------------------------------------------------------------------------------------------
+
+    def _runs(
+        self,
+        archive: ArchiveReader,
+        contents: Contents,
+        around: Surroundings,
+        report: ArchiveReport,
+        progress: Progress,
+    ) -> None:
+        """``members`` of each run are looked up once: the list of all is long."""
+        known = self._store.read(lambda t: ArchiveRepository(t.session).known(list(contents.runs)))
+        numbers = dict(known)
+        others = self._store.read(lambda t: ArchiveRepository(t.session).total()) > len(known)
+        report.kept_numbers = not others and all(contents.runs[uid] == number for uid, number in known.items())
+        members = _members_by_run(archive)
+        stream = iter(archive.lines(layout.RUNS))
+        done = 0
+        while batch := [lines.run_from_line(content) for content in islice(stream, BATCH)]:
+            self._batch(archive, batch, members, numbers, around, report)
+            done += len(batch)
+            progress(0.4 + 0.6 * done / len(contents.runs), f"{done}/{len(contents.runs)} runs")
+
+    def _batch(
+        self,
+        archive: ArchiveReader,
+        batch: list[lines.RunLine],
+        members: dict[int, list[str]],
+        numbers: dict[str, int],
+        around: Surroundings,
+        report: ArchiveReport,
+    ) -> None:
+        wanted = [line for line in batch if line.uid not in numbers or self._lacks_folder(line, numbers[line.uid])]
+        report.known += len(batch) - len(wanted)
+        unpacked = [self._unpack(archive, line, members.get(line.id, []), around) for line in wanted]
+        new = [entry for entry in unpacked if entry.line.uid not in numbers]
+        report.completed += len(unpacked) - len(new)
+        keep = report.kept_numbers and not any(self._folder(entry.line.id).root.exists() for entry in new)
+        try:
+            given = self._store.write(lambda t: _file(t, self._catalogue, new, numbers, keep=keep)) if new else {}
+        except OverflowError:
+            raise InvalidInput("a run of the archive holds a number that no database can hold") from None
+        report.kept_numbers = report.kept_numbers and all(given[entry.line.uid] == entry.line.id for entry in new)
+        numbers.update(given)
+        report.imported += len(new)
+        for entry in unpacked:
+            if entry.folder is not None:
+                self._put_in_place(entry, numbers)
+
+    def _lacks_folder(self, line: lines.RunLine, number: int) -> bool:
+        return line.record is None and not self._folder(number).record.exists()
+
+    def _unpack(
+        self, archive: ArchiveReader, line: lines.RunLine, members: list[str], around: Surroundings
+    ) -> _Unpacked:
+        record = line.record
+        folder = None
+        evaluations: list[FoundEvaluation] = []
+        if record is None:
+            folder = RunFolder(self._settings.runs_folder / f"{_ASIDE}{line.uid}")
+            try:
+                for name in members:
+                    archive.unpack(name, folder.root / name.split("/", 2)[2])
+            except OSError as error:
+                raise Unavailable(f"{folder.root} cannot be made: {error.strerror}", "check space and rights") from None
+            record = folder.read_record()
+            evaluations = found_evaluations(folder)
+        record = {**record, "request": {**record["request"], "experiment": around.experiment_name(line.experiment)}}
+        filed = read_filed(self._settings, record, f"the record of run {line.id}")
+        return _Unpacked(line, record, filed, folder, evaluations)
+
+    def _put_in_place(self, entry: _Unpacked, numbers: dict[str, int]) -> None:
+        """Give the record its numbers here, and rename the folder."""
+        if entry.folder is None:
+            return
+        number = numbers[entry.line.uid]
+        record = _renumbered(entry, numbers)
+        if record != entry.folder.read_record():
+            entry.folder.write_record(record)
+        try:
+            entry.folder.root.rename(self._folder(number).root)
+        except OSError as error:
+            raise Unavailable(
+                f"{self._folder(number).root} cannot be made: {error.strerror}", "check space and rights"
+            ) from None
+
+    def _folder(self, number: int) -> RunFolder:
+        return RunFolder(self._settings.runs_folder / str(number))
+
+
+def _members_by_run(archive: ArchiveReader) -> dict[int, list[str]]:
+    found: dict[int, list[str]] = {}
+    for name in archive.below("runs/"):
+        found.setdefault(int(name.split("/", 2)[1]), []).append(name)
+    return found
+
+
+def _renumbered(entry: _Unpacked, numbers: dict[str, int]) -> dict[str, Any]:
+    """The record with the numbers that runs have here; a run that repeats one that is not here repeats none."""
+    original = None if entry.line.retry_of is None else numbers.get(entry.line.retry_of)
+    record = entry.record
+    return {**record, "id": numbers[entry.line.uid], "request": {**record["request"], "retry_of": original}}
+
+
+def _file(
+    t: Transaction, catalogue: Catalogue, entries: list[_Unpacked], known: dict[str, int], *, keep: bool
+) -> dict[str, int]:
+    """File runs with all that is known of them; {uid: number here}."""
+    rows = ArchiveRepository(t.session)
+    keep = keep and not rows.taken([entry.line.id for entry in entries])
+    numbers = dict(known)
+    for entry in entries:
+        number = entry.line.id if keep else _new_number(t, catalogue, entry)
+        numbers[entry.line.uid] = number
+        file_run(t, catalogue, _renumbered(entry, numbers), entry.filed)
+        rows.complete(number, entry.line.attempt, entry.line.evaluations)
+        done = {protocol.fingerprint for protocol, result, _ in entry.evaluations if result.succeeded}
+        current = entry.line.current_protocol
+        file_evaluations(t, number, entry.evaluations, current if current in done else None)
+    return {entry.line.uid: numbers[entry.line.uid] for entry in entries}
+
+
+def _new_number(t: Transaction, catalogue: Catalogue, entry: _Unpacked) -> int:
+    """A number of this installation: that of a row which is made what the record says right after."""
+    record = {**entry.record, "request": {**entry.record["request"], "retry_of": None}}
+    _, configuration_id = put_configuration(t, catalogue, entry.filed)
+    request = snapshot_from_record(record, configuration_id).request
+    return t.runs.add_runs([request], utc_now())[0]

@@ -1,0 +1,217 @@
+"""What archives need of the database besides what pages need: rows as they are, found and filed in bulk."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import ColumnElement, func, insert, select, update
+from sqlalchemy.orm import Session
+
+from slamhive.domain import protocol as domain
+from slamhive.domain.run import RunEvent, RunState
+from slamhive.evaluation.job import Artefacts
+from slamhive.store.catalogue import CatalogueRepository
+from slamhive.store.configurations import ConfigurationRepository
+from slamhive.store.experiment_records import NewCell, NewConfiguration
+from slamhive.store.experiments import ExperimentRepository
+from slamhive.store.models import (
+    Algorithm,
+    Configuration,
+    Dataset,
+    Evaluation,
+    Experiment,
+    ExperimentCell,
+    Protocol,
+    Run,
+    SavedSearch,
+)
+from slamhive.store.models import RunEvent as EventRow
+from slamhive.store.records import EvaluationState, SavedSearchRecord
+from slamhive.store.rows import chunks, get_or_insert
+from slamhive.store.searches import SearchRepository
+
+_RUNS = Run.__table__
+_CELLS = ExperimentCell.__table__
+_EVENTS = EventRow.__table__
+_EVALUATIONS = Evaluation.__table__
+_ENDED = tuple(state for state in RunState if state.ended)
+
+
+@dataclass(frozen=True, slots=True)
+class EndedEvaluation:
+    """An evaluation that has ended, as it is filed."""
+
+    protocol: domain.Protocol
+    state: EvaluationState
+    reason: str | None
+    artefacts: Artefacts
+    engine: str | None
+    created_at: datetime
+    started_at: datetime | None
+    ended_at: datetime | None
+    attempt: int
+
+
+_AS_FILED = tuple(name for name in EndedEvaluation.__dataclass_fields__ if name != "protocol")
+
+
+class ArchiveRepository:
+    """Rows by the identities that they keep in every installation: uid of a run, name or content of the rest."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    # -- out -------------------------------------------------------------------------------------------------------
+
+    def ended(self) -> list[int]:
+        """All runs that have ended, by number."""
+        query = select(_RUNS.c.id).where(_RUNS.c.state.in_(_ENDED)).order_by(_RUNS.c.id)
+        return list(self._session.execute(query).scalars())
+
+    def ended_among(self, run_ids: Sequence[int]) -> list[int]:
+        """Those of these runs that have ended, by number."""
+        found: list[int] = []
+        for part in chunks(sorted(set(run_ids))):
+            query = select(_RUNS.c.id).where(_RUNS.c.id.in_(part), _RUNS.c.state.in_(_ENDED))
+            found += self._session.execute(query.order_by(_RUNS.c.id)).scalars()
+        return found
+
+    def uids(self, run_ids: Iterable[int]) -> dict[int, str]:
+        """{number: uid} of runs."""
+        found: dict[int, str] = {}
+        for part in chunks(sorted(set(run_ids))):
+            for row in self._session.execute(select(_RUNS.c.id, _RUNS.c.uid).where(_RUNS.c.id.in_(part))):
+                found[row.id] = row.uid
+        return found
+
+    def configurations_of(self, run_ids: Iterable[int], experiment_ids: Collection[int]) -> list[int]:
+        """The configurations of these runs, and of the cells of these experiments, by number."""
+        found: set[int] = set()
+        for part in chunks(sorted(set(run_ids))):
+            found.update(
+                self._session.execute(select(_RUNS.c.configuration_id).where(_RUNS.c.id.in_(part)).distinct()).scalars()
+            )
+        cells = select(_CELLS.c.configuration_id).where(_CELLS.c.experiment_id.in_(experiment_ids)).distinct()
+        return sorted(found | set(self._session.execute(cells).scalars()))
+
+    def all_configurations(self) -> list[int]:
+        """Every configuration, by number."""
+        return list(self._session.execute(select(Configuration.id).order_by(Configuration.id)).scalars())
+
+    def evaluations(self, run_ids: Collection[int]) -> dict[int, list[EndedEvaluation]]:
+        """The evaluations of these runs that have ended, oldest first."""
+        query = (
+            select(_EVALUATIONS, Protocol.definition)
+            .join(Protocol, Protocol.id == _EVALUATIONS.c.protocol_id)
+            .where(_EVALUATIONS.c.run_id.in_(run_ids), _EVALUATIONS.c.ended_at.is_not(None))
+            .order_by(_EVALUATIONS.c.id)
+        )
+        found: dict[int, list[EndedEvaluation]] = defaultdict(list)
+        for row in self._session.execute(query):
+            values = {name: getattr(row, name) for name in _AS_FILED}
+            found[row.run_id].append(EndedEvaluation(domain.protocol_from_content(row.definition), **values))
+        return found
+
+    def events(self, run_ids: Collection[int]) -> dict[int, list[RunEvent]]:
+        """The moves of these runs, oldest first."""
+        query = select(_EVENTS).where(_EVENTS.c.run_id.in_(run_ids)).order_by(_EVENTS.c.id)
+        found: dict[int, list[RunEvent]] = defaultdict(list)
+        for row in self._session.execute(query):
+            found[row.run_id].append(RunEvent(row.at, row.from_state, row.to_state, row.why))
+        return found
+
+    def saved_searches(self) -> list[tuple[SavedSearchRecord, datetime]]:
+        """All saved searches and when each was saved."""
+        rows = self._session.execute(select(SavedSearch.name, SavedSearch.created_at))
+        from_name = {row.name: row.created_at for row in rows}
+        return [(record, from_name[record.name]) for record in SearchRepository(self._session).saved()]
+
+    # -- in --------------------------------------------------------------------------------------------------------
+
+    def known(self, uids: Sequence[str]) -> dict[str, int]:
+        """{uid: number} of the runs that are here."""
+        found: dict[str, int] = {}
+        for part in chunks(uids):
+            for row in self._session.execute(select(_RUNS.c.uid, _RUNS.c.id).where(_RUNS.c.uid.in_(part))):
+                found[row.uid] = row.id
+        return found
+
+    def total(self) -> int:
+        """How many runs there are."""
+        return int(self._session.execute(select(func.count()).select_from(_RUNS)).scalar_one())
+
+    def taken(self, run_ids: Sequence[int]) -> set[int]:
+        """Those of these numbers that a run has."""
+        return set(self._session.execute(select(_RUNS.c.id).where(_RUNS.c.id.in_(run_ids))).scalars())
+
+    def complete(self, run_id: int, attempt: int, evaluations: Sequence[EndedEvaluation]) -> None:
+        """File what a run's folder does not tell; once, for a run that has just been filed."""
+        self._session.execute(update(_RUNS).where(_RUNS.c.id == run_id).values(attempt=attempt))
+        catalogue = CatalogueRepository(self._session)
+        there = select(_EVALUATIONS.c.id).where(_EVALUATIONS.c.run_id == run_id).limit(1)
+        if self._session.execute(there).first() is not None or not evaluations:
+            return
+        rows = [
+            {
+                "run_id": run_id,
+                "protocol_id": catalogue.put_protocol(entry.protocol),
+                "open": None,
+                **{name: getattr(entry, name) for name in _AS_FILED},
+            }
+            for entry in evaluations
+        ]
+        self._session.execute(insert(_EVALUATIONS), rows)
+
+    def dataset_if_absent(self, name: str, values: Mapping[str, Any]) -> int:
+        """The dataset of this name, as it is here if it is, else as ``values`` say."""
+        return get_or_insert(self._session, Dataset, {"name": name}, values)[0]
+
+    def algorithm_if_absent(self, name: str, package: str, mode: str) -> int:
+        """The algorithm of this name, as it is here if it is."""
+        return get_or_insert(self._session, Algorithm, {"name": name}, {"package": package, "mode": mode})[0]
+
+    def put_configurations(
+        self, entries: Sequence[NewConfiguration], created_at: Sequence[datetime]
+    ) -> list[tuple[int, bool]]:
+        """The number of each configuration, and whether it is new; a new one has the time it was first created at."""
+        found = ConfigurationRepository(self._session).get_or_create_many(entries, max(created_at))
+        for (number, new), at in zip(found, created_at, strict=True):
+            if new:
+                table = Configuration.__table__
+                self._session.execute(update(table).where(table.c.id == number).values(created_at=at))
+        return found
+
+    def experiment(self, uid: str) -> str | None:
+        """The name of the experiment with this uid, None if it is not here."""
+        return self._session.execute(select(Experiment.name).where(Experiment.uid == uid)).scalar_one_or_none()
+
+    def put_experiment(self, uid: str, name: str, values: Mapping[str, Any]) -> int:
+        """The row of the experiment with this uid, made if there is none; a free ``name`` is chosen by the caller."""
+        return get_or_insert(self._session, Experiment, {"uid": uid}, {"name": name, **values})[0]
+
+    def add_cells(self, experiment_id: int, cells: Sequence[NewCell]) -> None:
+        """Store those of the cells that are not here."""
+        if cells:
+            numbers = _CELLS.c.number.between(cells[0].number, cells[-1].number)
+            here = self._numbers(_CELLS.c.number, _CELLS.c.experiment_id == experiment_id, numbers)
+            missing = [cell for cell in cells if cell.number not in here]
+            ExperimentRepository(self._session).add_cells(experiment_id, missing)
+
+    def saved_search_if_absent(self, record: SavedSearchRecord, created_at: datetime) -> None:
+        """Save a search unless its name is taken."""
+        values = {
+            "filter_text": record.filter_text,
+            "shown_columns": list(record.columns),
+            "sort": record.sort.key,
+            "descending": record.sort.descending,
+            "grouped": record.grouped,
+            "created_at": created_at,
+        }
+        get_or_insert(self._session, SavedSearch, {"name": record.name}, values)
+
+    def _numbers(self, column: ColumnElement[int], *conditions: ColumnElement[bool]) -> set[int]:
+        return set(self._session.execute(select(column).where(*conditions)).scalars())

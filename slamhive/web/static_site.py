@@ -1,0 +1,258 @@
+"""A site of runs that needs no server: a table, a page for each run, a page for each analysis, all plain files."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+from markupsafe import Markup
+
+from slamhive import __version__
+from slamhive.analysis.colours import colour_of
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.errors import Conflict, InvalidInput, Unavailable
+from slamhive.runs.folder import RunFolder
+from slamhive.services.analyses.bundle import report_page
+from slamhive.services.analyses.folder import REPORT, AnalysisFolder
+from slamhive.services.driver_context import utc_now
+from slamhive.services.hive import Hive
+from slamhive.services.series import RunSeries, Samples, Track, run_series, thin_keeping_extremes
+from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
+from slamhive.store.archives import ArchiveRepository
+from slamhive.store.records import RunRecord
+from slamhive.web.assets import PLOTLY_FILE
+from slamhive.web.figures import captions, still_figures
+from slamhive.web.formatting import display_unit, duration, exact_time, plural
+from slamhive.web.presenters.runs import metric_rows, outcome, parameter_rows, wall_time_s
+
+BATCH = 100
+_MOST_ANALYSES = 1000
+POINTS = 600
+"""Points of a line in a figure: a page of a run stays below 100 kB."""
+MARK = "site.json"
+"""A folder with this file is a site of ours, and may be made anew."""
+_ASSETS = ("report.css", "report.js", "site.css", "site.js")
+_METRICS = ("ate.rmse", "ate.max", "rpe.trans_rmse", "tracked_fraction", "cpu.mean", "ram.max", "duration")
+"""Come first in the table, if any run has them; all others are on the pages of the runs."""
+
+Progress = Callable[[int, int], None]
+"""Called with how many runs are done, and how many there are."""
+
+
+@dataclass(frozen=True, slots=True)
+class SiteRequest:
+    """What to publish: the runs with these numbers (None: all) that have ended; ``query`` says which in words."""
+
+    folder: Path
+    run_ids: Sequence[int] | None = None
+    title: str = "SLAM Hive"
+    query: str = ""
+
+
+class StaticSite:
+    """Writes one site; a folder that is there already must be an older one of ours.
+
+    Args:
+        hive: The installation.
+        request: What to publish, and where.
+    """
+
+    def __init__(self, hive: Hive, request: SiteRequest) -> None:
+        self._hive = hive
+        self._request = request
+        self._algorithms = {algorithm.name: algorithm for algorithm in hive.catalogue.algorithms()}
+        self._root = hive.catalogue.project_root
+
+    def write(self, progress: Progress) -> int:
+        """Write the site aside and put it in place; how many runs it has.
+
+        Raises Conflict if the folder holds something else, InvalidInput if there is no run, or Unavailable.
+        """
+        folder = self._request.folder.absolute()
+        if folder.exists() and not (folder / MARK).is_file() and (not folder.is_dir() or any(folder.iterdir())):
+            raise Conflict(f"{folder} holds something that is no site", "choose an empty folder, or a new one")
+        run_ids = self._run_ids()
+        if not run_ids:
+            raise InvalidInput("there is no run to publish that has ended", "slamhive runs lists them")
+        aside = folder.with_name(f".{folder.name}.partial")
+        try:
+            shutil.rmtree(aside, ignore_errors=True)
+            self._write(aside, run_ids, progress)
+            if folder.exists():
+                shutil.rmtree(folder)
+            aside.rename(folder)
+        except OSError as error:
+            raise Unavailable(f"{folder} cannot be written: {error.strerror}", "check space and rights") from None
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+        return len(run_ids)
+
+    def _run_ids(self) -> list[int]:
+        asked = self._request.run_ids
+        if asked is None:
+            return self._hive.store.read(lambda t: ArchiveRepository(t.session).ended())
+        return self._hive.store.read(lambda t: ArchiveRepository(t.session).ended_among(asked))
+
+    def _write(self, folder: Path, run_ids: list[int], progress: Progress) -> None:
+        for part in ("assets", "runs"):
+            (folder / part).mkdir(parents=True)
+        shutil.copyfile(PLOTLY_FILE, folder / "assets" / "plotly.min.js")
+        for name in _ASSETS:
+            shutil.copyfile(self._root / "static" / name, folder / "assets" / name)
+        site = {
+            "title": self._request.title,
+            "query": self._request.query,
+            "runs": len(run_ids),
+            "made_at": exact_time(utc_now()),
+            "software": __version__,
+        }
+        environment = _environment(self._root)
+        page = environment.get_template("published/run.html")
+        rows = []
+        for done, run in enumerate(self._runs(run_ids), start=1):
+            (folder / "runs" / f"{run.id}.html").write_text(self._page(page, site, run), encoding="utf-8")
+            rows.append(_row(run))
+            progress(done, len(run_ids))
+        (folder / "assets" / "runs.js").write_text(_table_script(rows), encoding="utf-8")
+        index = environment.get_template("published/index.html").render(
+            site=site, root="", analyses=self._analyses(folder)
+        )
+        (folder / "index.html").write_text(index, encoding="utf-8")
+        (folder / MARK).write_text(json.dumps(site, indent=1) + "\n", encoding="utf-8")
+
+    def _analyses(self, folder: Path) -> list[AnalysisRecord]:
+        """Write a page for each listed analysis that was computed, if all runs are published; which ones."""
+        if self._request.run_ids is not None:
+            return []
+        listed = self._hive.store.read(lambda t: t.analyses.listed(_MOST_ANALYSES))
+        done = [record for record in listed if record.state is AnalysisState.DONE]
+        for record in done:
+            report = AnalysisFolder(self._hive.settings.analyses_folder / record.token).read_result(REPORT)
+            (folder / "analyses").mkdir(exist_ok=True)
+            text = report_page(report, self._root)
+            (folder / "analyses" / f"{record.token}.html").write_text(text, encoding="utf-8")
+        return done
+
+    def _runs(self, run_ids: list[int]) -> Iterator[RunRecord]:
+        for start in range(0, len(run_ids), BATCH):
+            part = run_ids[start : start + BATCH]
+            yield from self._hive.store.read(lambda t: t.runs.get_many(part, with_metrics=True))  # noqa: B023
+
+    def _page(self, page: Template, site: dict[str, Any], run: RunRecord) -> str:
+        series = _thinned(run_series(run, RunFolder(self._hive.settings.runs_folder / str(run.id))))
+        figures = still_figures(series, run.algorithm, colour_of(run.algorithm, self._algorithms))
+        return page.render(
+            site=site,
+            root="../",
+            run=run,
+            outcome=outcome(run),
+            figures=figures,
+            figures_json=_script_json(figures),
+            captions=captions(series, None if run.protocol is None else run.protocol.label),
+            reasons=series.reasons,
+            metrics=[
+                ("Accuracy", metric_rows(run, needs_protocol=True)),
+                ("Measured while it ran", metric_rows(run, needs_protocol=False)),
+            ],
+            parameters=parameter_rows(run, self._algorithms.get(run.algorithm)),
+            facts=_facts(run, self._algorithms.get(run.algorithm)),
+        )
+
+
+def _environment(project_root: Path) -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(project_root / "templates"), autoescape=True, undefined=StrictUndefined
+    )
+    environment.filters["plural"] = plural
+    return environment
+
+
+def _facts(run: RunRecord, algorithm: Algorithm | None) -> list[tuple[str, object]]:
+    """What is known of a run besides figures and parameters; what is not known is left out."""
+    facts: list[tuple[str, object]] = [
+        ("Run", run.uid),
+        ("Algorithm", run.algorithm if algorithm is None else f"{run.algorithm}: {algorithm.title}"),
+        ("Dataset", run.dataset),
+        ("Dataset checksum", run.dataset_checksum),
+        ("Variant of the dataset", "; ".join(map(str, run.variant)) or None),
+        ("Experiment", run.experiment),
+        ("Repeats run", run.retry_of),
+        ("State", run.state.value),
+        ("Reason", None if run.reason is None else run.reason.value),
+        ("Created", exact_time(run.created_at)),
+        ("Started", None if run.started_at is None else exact_time(run.started_at)),
+        ("Ended", None if run.ended_at is None else exact_time(run.ended_at)),
+        ("Wall time", duration(wall_time_s(run, run.ended_at)) if run.started_at and run.ended_at else None),
+        ("Executor", run.executor),
+        ("Playback", f"{run.playback.mode.value} × {run.playback.rate:g}"),
+        ("Seed", run.seed),
+        ("Exit code", run.exit_code),
+        ("Version", None if run.version is None else f"{run.version.version} ({run.version.identity})"),
+        ("Machine", None if run.host is None else f"{run.host.cpu_model}, {run.host.cpu_count} CPUs, {run.host.os}"),
+    ]
+    return [(name, value) for name, value in facts if value is not None]
+
+
+def _row(run: RunRecord) -> dict[str, Any]:
+    """A run in the table; figures in the unit in which they are shown."""
+    figures = run.metrics or {}
+    return {
+        "id": run.id,
+        "algorithm": run.algorithm,
+        "dataset": run.dataset,
+        "state": run.state.value if run.reason is None else f"{run.state.value}: {run.reason.value}",
+        "experiment": run.experiment,
+        "parameters": ", ".join(f"{key} {value}" for key, value in run.parameters.items()),
+        "protocol": None if run.protocol is None else run.protocol.label,
+        **{key: figures[key] * display_unit(CATALOGUE[key]).factor for key in _METRICS if key in figures},
+    }
+
+
+def _table_script(rows: list[dict[str, Any]]) -> str:
+    """The table as a script, since pages out of a folder cannot fetch files."""
+    present = {key for row in rows for key, value in row.items() if value is not None}
+    plain = ("id", "algorithm", "dataset", "state", "experiment", "parameters", "protocol")
+    columns = [{"key": key, "label": key, "unit": ""} for key in plain if key in present]
+    columns[0]["label"] = "run"
+    columns += [
+        {"key": key, "label": CATALOGUE[key].label, "unit": display_unit(CATALOGUE[key]).unit}
+        for key in _METRICS
+        if key in present
+    ]
+    content = {"columns": columns, "rows": [[row.get(column["key"]) for column in columns] for row in rows]}
+    return f"window.slamhiveRuns = {_script_json(content)};\n"
+
+
+def _script_json(content: dict[str, Any]) -> Markup:
+    """JSON inside a script: nothing in it can end the element."""
+    text = json.dumps(content, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))  # noqa: S704 - escaped
+
+
+def _thinned(series: RunSeries) -> RunSeries:
+    return replace(
+        series,
+        estimate=_thin_track(series.estimate),
+        groundtruth=_thin_track(series.groundtruth),
+        error=_thin_samples(series.error),
+    )
+
+
+def _thin_track(track: Track | None) -> Track | None:
+    if track is None:
+        return None
+    kept = np.unique(np.linspace(0, len(track.times_s) - 1, min(len(track.times_s), POINTS)).astype(np.int64))
+    return Track(track.times_s[kept], track.positions_m[kept], track.poses)
+
+
+def _thin_samples(samples: Samples | None) -> Samples | None:
+    if samples is None:
+        return None
+    return Samples(*thin_keeping_extremes(samples.times_s, samples.values, POINTS), samples.count)

@@ -1,0 +1,82 @@
+"""``slamhive archive``: out, checked, in again, and as pages without a server."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from slamhive.cli import main
+from slamhive.services.hive import open_hive
+from tests.services.archive_world import make_runs
+from tests.services.tiny_project import environment, make_dataset, make_project
+
+pytestmark = pytest.mark.integration
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+def call(*arguments: str) -> Result:
+    return CliRunner().invoke(main, arguments)
+
+
+@pytest.fixture
+def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_template: Path) -> Path:
+    """Twelve runs."""
+    (make_project(tmp_path / "project") / "templates").rmdir()
+    for name in ("templates", "static"):
+        (tmp_path / "project" / name).symlink_to(CHECKOUT / name)
+    make_dataset(tmp_path / "data")
+    shutil.copy(sqlite_template, tmp_path / "data" / "slamhive.db")
+    (tmp_path / "other").mkdir()
+    shutil.copy(sqlite_template, tmp_path / "other" / "slamhive.db")
+    for key, value in environment(tmp_path / "project", tmp_path / "data").items():
+        monkeypatch.setenv(key, value)
+    hive = open_hive()
+    make_runs(hive, 12)
+    hive.close()
+    return tmp_path
+
+
+def test_out_checked_and_in_again(world: Path) -> None:
+    file = str(world / "a.zip")
+    assert "one of --all, --where" in call("archive", "export", file).stderr
+    assert "no run is like that" in call("archive", "export", file, "--where", "seed = 99").stderr
+    found = json.loads(call("archive", "export", file, "--where", "state = succeeded", "--json").stdout)
+    assert found["counts"]["runs"] == 11
+    assert "exists already" in call("archive", "export", file, "--all").stderr
+    assert "12 runs exported" in call("archive", "export", file, "--all", "--replace").stdout
+    assert json.loads(call("archive", "verify", file, "--json").stdout)["counts"]["runs"] == 12
+    other = ("--data", str(world / "other"))
+    assert "12 runs imported under the numbers" in call(*other, "archive", "import", file).stdout
+    assert json.loads(call(*other, "archive", "import", file, "--json").stdout)["known"] == 12
+    (world / "b.zip").write_bytes((world / "a.zip").read_bytes()[:-50])
+    for command in ("import", "verify"):
+        result = call("archive", command, str(world / "b.zip"))
+        assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
+        assert "cut short" in result.stderr
+
+
+def test_a_site_has_every_run_and_no_markup_of_strangers(world: Path) -> None:
+    site = world / "site"
+    title = "<script>alert(1)</script>"
+    assert "12 runs published" in call("archive", "site", str(site), "--title", title).stdout
+    assert sorted(path.stem for path in (site / "runs").iterdir()) == sorted(map(str, range(1, 13)))
+    script = (site / "assets" / "runs.js").read_text()
+    table = json.loads(script.removeprefix("window.slamhiveRuns = ").removesuffix(";\n"))
+    assert [row[0] for row in table["rows"]] == list(range(1, 13))
+    page = (site / "runs" / "3.html").read_text()
+    assert 'data-chart="path"' in page
+    assert "0.0400" in page
+    for path in site.rglob("*.html"):
+        text = path.read_text()
+        assert "<script>alert" not in text
+        assert "http" not in text.replace("https://plot.ly", "")
+    assert "12 runs published" in call("archive", "site", str(site)).stdout
+    (world / "mine").mkdir()
+    (world / "mine" / "thesis.tex").write_text("x")
+    assert "no site" in call("archive", "site", str(world / "mine")).stderr
+    assert (world / "mine" / "thesis.tex").exists()

@@ -1,0 +1,203 @@
+"""An archive goes out, comes back into an empty and into a filled installation, and equals itself."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from slamhive.domain.run import RunState
+from slamhive.errors import Conflict, Forbidden, InvalidInput
+from slamhive.services.archive.exporting import ExportReport, ExportRequest, Part, export_archive
+from slamhive.services.archive.importing import ArchiveImport, ArchiveReport
+from slamhive.services.experiments.records import ExperimentSource
+from slamhive.services.hive import Hive, open_hive
+from slamhive.services.reindex import reindex
+from slamhive.services.request import Submission
+from slamhive.store import RunSort
+from slamhive.store.records import SavedSearchRecord
+from tests.services.archive_world import all_files, all_rows, make_runs
+from tests.services.tiny_project import environment, make_dataset
+
+pytestmark = pytest.mark.integration
+
+SOME = "name: some\nalgorithms: tiny\ndatasets: track\nparameters: {behaviour: good | crash, seconds: 0 | 0.01}\n"
+ANALYSIS = "name: one\nselect: {all: {where: 'id >= 1'}}\nforms:\n- {form: distributions, metrics: [ate.rmse]}\n"
+
+
+def export(hive: Hive, path: Path, **options: object) -> ExportReport:
+    return export_archive(hive.settings, hive.store, ExportRequest(path, **options), lambda _done, _total: None)  # type: ignore[arg-type]
+
+
+def import_archive(hive: Hive, path: Path) -> ArchiveReport:
+    return ArchiveImport(hive.settings, hive.store, hive.catalogue).carry_out(path, lambda _share, _text: None)
+
+
+@pytest.fixture
+def world(hive: Hive) -> Hive:
+    """Runs that succeeded, failed and were repeated, one of them cancelled before it began, with all that is said."""
+    make_runs(hive, 30)
+    (run,) = hive.submit(Submission("tiny", "track"))
+    hive.cancel(run.id)
+    hive.store.write(lambda t: t.configuration_book.describe(1, "the first", "a <note>"))
+    hive.store.write(lambda t: t.configuration_book.add_to_group("mine", [1, 2]))
+    hive.searches.save(SavedSearchRecord("good", "ate.rmse < 1", ("id",), RunSort(), False))
+    hive.experiments.start(ExperimentSource(SOME))
+    hive.experiments.cancel("some")
+    hive.stored_analyses.create(ANALYSIS)
+    return hive
+
+
+@pytest.fixture
+def other(world: Hive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_template: Path) -> Iterator[Hive]:
+    """A second installation, empty."""
+    (tmp_path / "other").mkdir()
+    shutil.copy(sqlite_template, tmp_path / "other" / "slamhive.db")
+    for key, value in environment(tmp_path / "project", tmp_path / "other").items():
+        monkeypatch.setenv(key, value)
+    opened = open_hive()
+    yield opened
+    opened.close()
+
+
+def test_an_archive_into_an_empty_installation_equals_itself(world: Hive, other: Hive, tmp_path: Path) -> None:
+    report = export(world, tmp_path / "a.zip")
+    assert report.counts["runs"] == 35
+    assert not report.left_out
+    result = import_archive(other, tmp_path / "a.zip")
+    assert (result.imported, result.kept_numbers, result.notes) == (35, True, [])
+    before, after = all_rows(world), all_rows(other)
+    for name, rows in before.items():
+        assert after[name] == rows, name
+    assert all_files(other) == all_files(world)
+    (analysis,) = other.stored_analyses.listed()
+    assert analysis == replace(world.stored_analyses.listed()[0], attempt=0)
+    assert other.stored_analyses.folder(analysis.token).source == ANALYSIS
+    truth = "datasets/track/groundtruth.txt"
+    assert (other.settings.data / truth).read_bytes() == (world.settings.data / truth).read_bytes()
+    assert not list((other.settings.data / "datasets" / "track").glob("*.bag"))
+    reindex(other, lambda _done, _total: None)
+    assert all_rows(other) == after
+
+
+def test_an_archive_into_a_filled_installation_is_merged(world: Hive, other: Hive, tmp_path: Path) -> None:
+    make_dataset(other.settings.data)
+    make_runs(other, 7, salt=9)
+    other.experiments.start(ExperimentSource(SOME.replace("0.01", "0.02")))
+    own = all_rows(other)
+    export(world, tmp_path / "a.zip")
+    result = import_archive(other, tmp_path / "a.zip")
+    assert (result.imported, result.kept_numbers) == (35, False)
+    assert any("some-2" in note for note in result.notes)
+    assert any("analyses" in note for note in result.notes)
+    after = all_rows(other)
+    for name in ("runs", "events", "evaluations", "figures"):
+        assert set(after[name]) == set(all_rows(world)[name]) | set(own[name]), name
+    theirs = all_files(world)
+    assert {name: content for name, content in all_files(other).items() if name in theirs} == theirs
+    reindex(other, lambda _done, _total: None)
+    assert all_rows(other) == after
+    again = import_archive(other, tmp_path / "a.zip")
+    assert (again.imported, again.known) == (0, 35)
+    assert all_rows(other) == after
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from slamhive.runs.folder import RunFolder
+from slamhive.services.archive import importing
+from slamhive.services.hive import open_hive
+from slamhive.store import Store
+importing.BATCH = 10
+left = [int(sys.argv[2])]
+def dying(function):
+    def wrapped(*arguments):
+        left[0] -= 1
+        if left[0] == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return function(*arguments)
+    return wrapped
+Store.write = dying(Store.write)
+Path.rename = dying(Path.rename)
+hive = open_hive()
+importing.ArchiveImport(hive.settings, hive.store, hive.catalogue).carry_out(Path(sys.argv[1]), lambda *_: None)
+"""
+
+
+@pytest.mark.parametrize("step", [2, 9, 25, 40])
+def test_an_import_that_was_killed_is_completed_and_nothing_is_doubled(
+    world: Hive, other: Hive, tmp_path: Path, step: int
+) -> None:
+    export(world, tmp_path / "a.zip")
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "a.zip"), str(step)]
+    assert subprocess.run(command, env=os.environ, timeout=120, check=False).returncode == -signal.SIGKILL
+    result = import_archive(other, tmp_path / "a.zip")
+    assert result.imported + result.known + result.completed == 35
+    assert all_rows(other) == all_rows(world)
+    assert all_files(other) == all_files(world)
+    assert not list(other.settings.runs_folder.glob(".archive-*"))
+
+
+def test_a_part_goes_out_with_what_it_needs(world: Hive, other: Hive, tmp_path: Path) -> None:
+    without = (Part.TRAJECTORIES, Part.LOGS)
+    report = export(world, tmp_path / "a.zip", run_ids=[3, 11, 12], without=without)
+    assert (report.counts["runs"], report.counts["saved_searches"]) == (3, 0)
+    with zipfile.ZipFile(tmp_path / "a.zip") as file:
+        names = file.namelist()
+    assert not any(name.endswith(("traj.txt", ".tum", "log.txt")) for name in names)
+    import_archive(other, tmp_path / "a.zip")
+    assert [run.id for run in other.runs(sort=RunSort("id", False)).records] == [3, 11, 12]
+    assert other.run(12).retry_of == 11
+    assert other.run(3).metrics == world.run(3).metrics
+
+
+def test_a_part_of_an_experiment_queues_nothing(hive: Hive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hive.experiments.start(ExperimentSource(SOME))
+    hive.cancel(1)
+    report = export(hive, tmp_path / "a.zip")
+    assert (report.counts["runs"], dict(report.left_out)) == (1, {"had not ended": 3})
+    for key, value in environment(tmp_path / "project", tmp_path / "other").items():
+        monkeypatch.setenv(key, value)
+    other = open_hive()
+    result = import_archive(other, tmp_path / "a.zip")
+    assert any("counts as cancelled" in note for note in result.notes)
+    reindex(other, lambda _done, _total: None)
+    assert other.store.read(lambda t: t.runs.counts_by_state())[RunState.QUEUED] == 0
+    other.close()
+
+
+def test_an_export_that_fails_leaves_no_file(world: Hive, tmp_path: Path) -> None:
+    def full(done: int, _total: int) -> None:
+        if done == 20:
+            raise OSError(28, "No space left on device")
+
+    request = ExportRequest(tmp_path / "out" / "a.zip")
+    (tmp_path / "out").mkdir()
+    with pytest.raises(Exception, match="No space left"):
+        export_archive(world.settings, world.store, request, full)
+    assert list((tmp_path / "out").iterdir()) == []
+    request.path.write_text("mine")
+    with pytest.raises(Conflict, match="exists already"):
+        export_archive(world.settings, world.store, request, full)
+
+
+def test_what_cannot_be_exported_or_imported_is_said(
+    world: Hive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(InvalidInput, match="no run to export"):
+        export(world, tmp_path / "a.zip", run_ids=[])
+    export(world, tmp_path / "a.zip")
+    monkeypatch.setenv("SLAMHIVE_MODE", "view-only")
+    readonly = open_hive()
+    with pytest.raises(Forbidden, match="view-only"):
+        import_archive(readonly, tmp_path / "a.zip")
+    readonly.close()
