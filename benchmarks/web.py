@@ -25,8 +25,7 @@ from urllib.parse import urlsplit
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from search_data import fill, make
-
+from benchmarks.search_data import fill, make
 from slamhive.services.hive import open_hive
 
 ROOT = Path(__file__).resolve().parents[1]
