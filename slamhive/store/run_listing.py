@@ -22,7 +22,7 @@ LARGEST_PAGE = 1000
 COUNTED = 2_000
 """Matches are counted up to here; an exact number of more takes as long as looking at all of them."""
 
-_SAMPLE = COUNTED + 1
+_SAMPLE = 5_000
 
 
 def list_page(
