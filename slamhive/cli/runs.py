@@ -313,7 +313,6 @@ def print_runs(entries: list[RunRecord], as_json: bool) -> None:
         messages.print("no runs; `slamhive run ALGORITHM DATASET` starts one")
 
 
-
 runs.add_command(import_runs)
 
 COMMANDS = (run, runs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 from io import BytesIO
+from typing import Any
 
 import pytest
 
@@ -45,10 +46,13 @@ def world(tmp_path):
     hive.close()
 
 
-def compute(hive, select: str, form: str = "{form: distributions, metrics: [ate.rmse]}", use: str = "") -> dict:
+def compute(
+    hive, select: str, form: str = "{form: distributions, metrics: [ate.rmse]}", use: str = ""
+) -> dict[str, Any]:
     head = "name: a <b>name</b>\ntext: 'see [x](javascript:alert(1)) <script>'"
     text = f"{head}\nselect: {select}\n{use}\nforms:\n- {form}\n"
-    return hive.analyses.compute(hive.analyses.read(text), LIMITS)
+    report: dict[str, Any] = hive.analyses.compute(hive.analyses.read(text), LIMITS)
+    return report
 
 
 def test_a_report_counts_names_and_shows(world):
