@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -166,8 +166,15 @@ def _steps(dataset: Dataset, kind: str, option: str, factors: Mapping[str, Scala
         if topic.lstrip("/") not in sensors:
             raise unknown(f"topic of dataset {dataset.name}", topic, [sensor.topic for sensor in dataset.sensors])
         by_factor.setdefault(factor, []).append(sensors[topic.lstrip("/")])
+    named = {sensors.get(topic.lstrip("/")) for topic in factors}
     for factor, names in by_factor.items():
-        yield VariantStep(kind, tuple(names), {option: factor})
+        shared = _sharing_pixels(dataset, names) if kind == "resolution" else ()
+        yield VariantStep(kind, (*names, *(name for name in shared if name not in named)), {option: factor})
+
+
+def _sharing_pixels(dataset: Dataset, cameras: Sequence[str]) -> tuple[str, ...]:
+    """Depth sensors registered to these cameras: the published files scale images alone, which would part the two."""
+    return tuple(sensor.name for sensor in dataset.sensors if sensor.calibration.get("registered_to") in cameras)
 
 
 def _notes(config: RunConfig, ours: RunConfig, algorithm: Algorithm) -> Iterator[str]:

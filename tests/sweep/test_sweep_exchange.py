@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from slamhive.catalogue.run_config import build_run_config
@@ -8,7 +10,7 @@ from slamhive.domain.variant import VariantStep
 from slamhive.errors import SlamHiveError
 from slamhive.runtime.config import to_yaml
 from slamhive.sweep.exchange import configuration_from_yaml, configuration_to_yaml
-from tests.sweep.sweep_world import view
+from tests.sweep.sweep_world import ROOM, view
 
 CONFIGURATION = Configuration(
     "stereo",
@@ -77,6 +79,17 @@ def test_a_published_configuration_becomes_steps_and_parameters():
             VariantStep("resolution", ("cam0",), {"scale": 0.5}),
         ),
     )
+
+
+def test_a_depth_image_is_scaled_with_the_camera_whose_pixels_it_shares():
+    sensors = tuple(
+        replace(sensor, calibration={**sensor.calibration, "registered_to": "cam0"})
+        if sensor.name == "depth0"
+        else sensor
+        for sensor in ROOM.sensors
+    )
+    imported = configuration_from_yaml(PUBLISHED, view(datasets=[replace(ROOM, sensors=sensors)]))
+    assert imported.configuration.variant[-1] == VariantStep("resolution", ("cam0", "depth0"), {"scale": 0.5})
 
 
 def test_what_is_not_taken_over_is_told():
