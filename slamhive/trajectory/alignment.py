@@ -173,5 +173,5 @@ def _check_rank(p: FloatArray, q: FloatArray, singular_values: FloatArray) -> No
         raise InvalidInput(
             f"alignment is not possible: the {len(p)} matched poses lie on a straight line (rank below 2), "
             "so the rotation about it is open",
-            "choose the alignment 'yaw_position' or 'none', or a run with a turn",
+            "choose the alignment 'first_pose' or 'none' ('yaw_position' where z points up), or a run with a turn",
         )

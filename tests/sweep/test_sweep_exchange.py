@@ -82,11 +82,9 @@ def test_a_published_configuration_becomes_steps_and_parameters():
 
 
 def test_a_depth_image_is_scaled_with_the_camera_whose_pixels_it_shares():
+    shared = {"depth0": {"registered_to": "cam0"}}
     sensors = tuple(
-        replace(sensor, calibration={**sensor.calibration, "registered_to": "cam0"})
-        if sensor.name == "depth0"
-        else sensor
-        for sensor in ROOM.sensors
+        replace(sensor, calibration={**sensor.calibration, **shared.get(sensor.name, {})}) for sensor in ROOM.sensors
     )
     imported = configuration_from_yaml(PUBLISHED, view(datasets=[replace(ROOM, sensors=sensors)]))
     assert imported.configuration.variant[-1] == VariantStep("resolution", ("cam0", "depth0"), {"scale": 0.5})
