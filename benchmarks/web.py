@@ -37,7 +37,9 @@ forms:
 """
 SERVER = """
 import sys
+import logging
 import waitress
+logging.getLogger("waitress").setLevel(logging.ERROR)
 from slamhive.services.hive import open_hive
 from slamhive.web.app import create_app
 server = waitress.create_server(create_app(open_hive()), host="127.0.0.1", port=0, threads=8)
@@ -48,7 +50,7 @@ server.run()
 
 def addresses(runs: int, token: str) -> list[str]:
     """The mix: each address as often as it stands here."""
-    some = [f"/runs/{1 + place * (runs // 10)}" for place in range(4)]
+    some = [f"/runs/{1 + place * (runs // 4)}" for place in range(4)]
     return [
         "/runs",
         "/runs?sort=ate.rmse",

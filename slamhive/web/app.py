@@ -19,7 +19,7 @@ from slamhive.settings import Mode
 from slamhive.web import assets, context, formatting
 from slamhive.web.analysis_computer import AnalysisComputer
 from slamhive.web.analysis_files import AnalysisFiles
-from slamhive.web.caching import add_caching
+from slamhive.web.caching import PageCache, add_caching, keep_pages
 from slamhive.web.columns import Kind
 from slamhive.web.errors import handle_errors
 from slamhive.web.live import LiveHub
@@ -78,6 +78,8 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     app.jinja_options["lstrip_blocks"] = True
     add_caching(app)
     protect(app, hive.settings, host or hive.settings.host)
+    if hive.settings.mode is Mode.VIEW_ONLY:
+        keep_pages(app, PageCache())
     Bootstrap5(app)
     csrf = CSRFProtect(app)
     for blueprint in (api.blueprint, api_experiments.blueprint):

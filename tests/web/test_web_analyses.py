@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from flask import Response
 
 from slamhive.analysis.forms import FORMS
 from slamhive.services.analyses.jobs import AnalysisJobs
@@ -21,6 +22,7 @@ from slamhive.services.hive import Hive
 from slamhive.settings import Mode
 from slamhive.store import AnalysisState
 from slamhive.web.analysis_text import ALL, first_text, form_helps
+from slamhive.web.caching import PageCache
 from slamhive.web.context import COMPUTER_EXTENSION
 from slamhive.web.security import API_HEADER
 from slamhive.web.views.help import OF_PAGE
@@ -222,6 +224,37 @@ def test_pages_and_assets_are_kept(shown: Web, web: Web, tmp_path: Path, compile
         assert "immutable" in kept.headers["Cache-Control"]
         assert "immutable" not in asked.headers["Cache-Control"]
     viewing.hive.close()
+
+
+def test_a_server_that_only_shows_keeps_pages_for_seconds(web: Web, tmp_path: Path, compiled: Path):
+    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+    before = viewing.client.get("/runs")
+    world.add_runs(web.hive, 3)
+    kept = viewing.client.get("/runs")
+    assert (kept.data, kept.headers["ETag"]) == (before.data, before.headers["ETag"])
+    assert "Content-Security-Policy" in kept.headers
+    assert viewing.client.get("/runs", headers={"If-None-Match": kept.headers["ETag"]}).status_code == 304
+    assert viewing.client.get("/runs?sort=id").data != before.data
+    assert viewing.client.get("/runs", headers={"Host": "evil.example"}).status_code == 400
+    own = [viewing.app.test_client().get("/analyses/new").text for _ in range(2)]
+    assert own[0] != own[1], "a form with a token belongs to one visitor"
+    assert web.client.get("/runs").data != before.data
+    viewing.hive.close()
+
+
+def test_kept_pages_grow_old_and_few():
+    now = [0.0]
+    cache = PageCache(5.0, lambda: now[0])
+    for place in range(80):
+        cache.put((str(place), ""), Response(b"x" * 1_900_000))
+    assert cache.get(("0", "")) is None
+    newest = cache.get(("79", ""))
+    assert newest is not None
+    assert len(newest.get_data()) == 1_900_000
+    cache.put(("large", ""), Response(b"x" * 3_000_000))
+    assert cache.get(("large", "")) is None
+    now[0] = 5.1
+    assert cache.get(("79", "")) is None
 
 
 # -- view-only -----------------------------------------------------------------------------------------------------

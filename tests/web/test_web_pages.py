@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
+import shutil
 
 import pytest
 
@@ -181,3 +182,10 @@ def test_a_progress_fragment_is_json_safe(shown: Web):
     assert active["id"] == shown.runs["running"]
     assert active["percent"] == 50.0
     assert json.dumps(state)
+
+
+def test_a_run_whose_dataset_is_gone_still_has_its_page(web: Web):
+    shutil.rmtree(web.hive.settings.datasets_folder / "room")
+    page = web.client.get(f"/runs/{web.runs['done']}")
+    assert page.status_code == 200
+    assert "0.0457" in page.text

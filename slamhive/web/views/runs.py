@@ -26,11 +26,12 @@ from slamhive.analysis.colours import colour_of
 from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.search.reader import FilterError
+from slamhive.services.comparisons import ToolFigures
 from slamhive.services.current_protocols import missing_figures
 from slamhive.services.downloads import list_downloads, open_download
 from slamhive.services.hive import Hive
 from slamhive.services.searches import LeftOut
-from slamhive.store.records import EvaluationRecord, EvaluationState
+from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.web.columns import Column, all_columns, column
 from slamhive.web.context import hive, now
 from slamhive.web.errors import status_of, wants_json
@@ -133,7 +134,7 @@ def show(run_id: int) -> str:
     algorithm = next((entry for entry in services.catalogue.algorithms() if entry.name == run.algorithm), None)
     choices = protocols.protocol_choices(run, evaluations, request.args.get("protocol"))
     chosen = next((entry for entry in choices if entry.chosen), None)
-    tools = services.comparisons.of(run_id) if run.state is RunState.SUCCEEDED else []
+    tools = _tools(services, run)
     return render_template(
         "runs/show.html",
         run=run,
@@ -257,6 +258,16 @@ def evaluate_many() -> Response:
         queued = hive().queue_evaluations(_ticked(request.form.getlist("run")))
     flash(f"{plural(queued, 'evaluation')} queued." if queued else "There was nothing to evaluate.", "info")
     return make_response(redirect(address("runs.index"), 303))
+
+
+def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:
+    """The figures as published tools count; none for a run whose dataset or algorithm has left the installation."""
+    if run.state is not RunState.SUCCEEDED:
+        return []
+    try:
+        return services.comparisons.of(run.id)
+    except NotFound:
+        return []
 
 
 def _ticked(texts: list[str]) -> list[int]:
