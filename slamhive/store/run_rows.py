@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Row, Select, and_, select
+from sqlalchemy import Integer, Row, Select, func, literal, select
 from sqlalchemy.orm import Session
 
 from slamhive.domain.configuration import Playback
@@ -58,9 +58,7 @@ def run_query(protocol_id: int | None = None) -> Select[Any]:
 
     ``protocol_id``: the protocol whose figures are shown, None for each run's current one.
     """
-    shown = Protocol.id == Run.current_protocol_id
-    if protocol_id is not None:
-        shown = and_(Protocol.id == protocol_id, Run.id.is_not(None))
+    shown = func.coalesce(literal(protocol_id, Integer), Run.current_protocol_id)
     return (
         select(
             Run.__table__,
@@ -85,7 +83,7 @@ def run_query(protocol_id: int | None = None) -> Select[Any]:
         .join(Configuration, Configuration.id == Run.configuration_id)
         .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
         .join(Dataset, Dataset.id == Configuration.dataset_id)
-        .outerjoin(Protocol, shown)
+        .outerjoin(Protocol, Protocol.id == shown)
         .outerjoin(AlgorithmVersion, AlgorithmVersion.id == Run.algorithm_version_id)
         .outerjoin(Host, Host.id == Run.host_id)
         .outerjoin(Experiment, Experiment.id == Run.experiment_id)
