@@ -41,10 +41,12 @@ def pages(entries) -> list[str]:
     return found
 
 
+@pytest.mark.integration  # loads the whole command line and every form of analysis
 def test_generated_pages_are_up_to_date(generator):
     assert generator.out_of_date() == []
 
 
+@pytest.mark.integration
 def test_check_names_the_stale_page_and_the_command(generator, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(generator, "DOCS", tmp_path)
     assert generator.main(["--check"]) == 1
