@@ -81,6 +81,15 @@ def test_the_page_of_an_analysis(computed: tuple[Web, str]):
     assert HOSTILE not in web.client.get("/analyses").text
 
 
+def test_only_the_page_with_figures_lets_plotly_make_functions(computed: tuple[Web, str]):
+    web, token = computed
+    policy = web.client.get(f"/analyses/{token}").headers["Content-Security-Policy"]
+    assert "script-src 'self' 'unsafe-eval';" in policy
+    assert "unsafe-inline" not in policy
+    for address in ("/analyses", "/analyses/new", f"/analyses/{token}/figures.json"):
+        assert "unsafe" not in web.client.get(address).headers["Content-Security-Policy"]
+
+
 def test_figures_are_a_resource_of_their_own_that_is_kept(computed: tuple[Web, str]):
     web, token = computed
     address = f"/analyses/{token}/figures.json"

@@ -20,6 +20,7 @@ from slamhive.web.analysis_text import BOUNDS, first_text, form_helps, selector_
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of
 from slamhive.web.rates import CHECKS, CREATIONS
+from slamhive.web.security import FIGURES_POLICY
 
 blueprint = Blueprint("analyses", __name__, url_prefix="/analyses")
 
@@ -96,7 +97,7 @@ def show(token: str) -> Response:
     page: dict[str, Any] | None = None
     if record.state is AnalysisState.DONE:
         page = folder.read_result(PAGE)
-    return make_response(
+    response = make_response(
         render_template(
             "analyses/show.html",
             analysis=record,
@@ -109,6 +110,9 @@ def show(token: str) -> Response:
             kept=services.settings.analyses_max_stored,
         )
     )
+    if page is not None:
+        response.headers["Content-Security-Policy"] = FIGURES_POLICY
+    return response
 
 
 @blueprint.get("/<token>/figures.json")
