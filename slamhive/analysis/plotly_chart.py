@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamhive.analysis.chart import BARE_MARGIN, Axis, Bars, Boxes, Chart, FailedRuns, Segments
+from slamhive.analysis.chart import BARE_MARGIN, Axis, Bars, Boxes, Chart, FailedRuns, Line, Points, Segments
 from slamhive.analysis.plotly_marks import traces_of
 from slamhive.analysis.plotly_values import Json, drawable, escaped
+
+LEGEND_MOST = 40
+"""A longer legend would hide the plot; hovering tells what a mark is."""
 
 _FAILED_BAND = (0.9, 1.0)
 
@@ -26,6 +29,7 @@ def _layout(chart: Chart) -> Json:
         "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.02, "xanchor": "left", "x": 0.0},
         "height": round(440 * chart.height),
         "hovermode": "closest",
+        "showlegend": 1 < sum(isinstance(mark, Points | Line | Bars | Boxes) for mark in chart.marks) <= LEGEND_MOST,
     }
     if chart.z is not None:
         scene = {f"{name}axis": _axis(axis) for name, axis in zip("xyz", (chart.x, chart.y, chart.z), strict=True)}
