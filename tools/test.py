@@ -99,8 +99,8 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("imports", ((str(BIN / "lint-imports"),),)),
         Tier("unit", marks="not integration and not docker and not mysql", workers=2, limit_s=UNIT_LIMIT_S),
         Tier("docs", (with_site,)),
-        Tier("mysql", marks="mysql and not docker", prepare=prepare_database),
-        Tier("integration", marks="integration and not docker and not mysql", prepare=prepare_libraries),
+        Tier("mysql", marks="mysql and not docker", workers=2, prepare=prepare_database),
+        Tier("integration", marks="integration and not docker and not mysql", workers=2, prepare=prepare_libraries),
         Tier("docker", marks="docker", engine=True, prepare=lambda: prepare_database() + prepare_engine(engine)),
     ]
 

@@ -112,7 +112,7 @@ def test_sqlite_is_durable_and_checks_references(sqlite_path: Path) -> None:
         ]
     assert found == ["wal", 2, 1]
     with pytest.raises(IntegrityError):
-        store.write(lambda tx: tx.session.execute(text("INSERT INTO metric_values VALUES (1, 1, 1, 0.5)")))
+        store.write(lambda tx: tx.session.execute(text("INSERT INTO metric_values VALUES (1, 1, 1, 0.5, 1)")))
     store.close()
 
 
