@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,11 +43,6 @@ class Analysis:
     rule: FailureRule
     forms: tuple[FormRequest, ...]
     source: str
-
-    @property
-    def content_hash(self) -> str:
-        """SHA-256 of the file's text, in hex: the same text over the same runs gives the same result."""
-        return hashlib.sha256(self.source.encode()).hexdigest()
 
     @property
     def selection_words(self) -> str:

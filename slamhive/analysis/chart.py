@@ -7,7 +7,7 @@ A form states marks and axes; :mod:`slamhive.analysis.plotly_chart` makes the in
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -194,7 +194,6 @@ class Chart:
     bare: bool = False
     height: float = 1.0
     """Relative to the usual height."""
-    notes: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "key", re.sub(r"[^A-Za-z0-9_.-]+", "_", self.key)[:100])

@@ -19,6 +19,7 @@ from slamhive.analysis.forms.base import (
     spans_decades,
     summary_table,
 )
+from slamhive.analysis.forms.places import value_words
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import FAILED, Column, RunTable
@@ -97,11 +98,6 @@ def distinct_values(values: pd.Series, key: str) -> list[object]:
             f"{key!r} has {len(found)} values, {MOST_VALUES} can be told apart", "choose a parameter, or use a scatter"
         )
     return found
-
-
-def value_words(value: object) -> str:
-    """A value as an axis shows it: 20, not 20.0."""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _axis(column: Column, values: list[object]) -> Axis:

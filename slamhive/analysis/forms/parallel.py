@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from slamhive.analysis.chart import Array, Axis, Chart, Dimension, Parallel
+from slamhive.analysis.chart import Axis, Chart, Dimension, Parallel
 from slamhive.analysis.forms.base import (
     FORMS,
     Form,
@@ -18,7 +17,7 @@ from slamhive.analysis.forms.base import (
     raw_table,
     require_runs,
 )
-from slamhive.analysis.forms.places import places_on
+from slamhive.analysis.forms.places import places_on, value_words
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.table import Column
 from slamhive.errors import InvalidInput
@@ -87,18 +86,12 @@ class ParallelCoordinates(Form[ParallelOptions]):
 
 def _dimension(column: Column, shown: pd.DataFrame) -> Dimension:
     """Numbers as they are; words, and numbers that some runs lack, as categories with a place for "none"."""
-    values: Array
     if column.numeric and shown[column.key].notna().all():
         return Dimension(Axis(column.label, column.unit), number_column(shown, column.key))
-    words = shown[column.key].map(lambda value: "none" if pd.isna(value) else _words(value))
+    words = shown[column.key].map(lambda value: "none" if pd.isna(value) else value_words(value))
     order = sorted(set(words), key=lambda word: (word != "none", _number(word), word))
     axis = Axis(column.label, column.unit, categories=tuple(order))
-    values = places_on(axis, words)
-    return Dimension(axis, values)
-
-
-def _words(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
+    return Dimension(axis, places_on(axis, words))
 
 
 def _number(word: str) -> float:

@@ -30,3 +30,8 @@ def failed_marks(table: RunTable, axis: Axis, key: str) -> Iterator[FailedRuns]:
             colour=colours[str(algorithm)],
             name=f"{algorithm}, failed",
         )
+
+
+def value_words(value: object) -> str:
+    """A value as axes and tables show it: 20, not 20.0."""
+    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from slamhive.analysis.chart import Array, Axis, Bars, Chart
 from slamhive.analysis.forms.base import FORMS, Form, FormData, FormOptions, number_column, raw_table, require_runs
+from slamhive.analysis.forms.places import value_words
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, RunTable
@@ -130,15 +131,11 @@ def _settings(table: RunTable) -> pd.Series:
     varied = [column.key for column in table.varied()]
 
     def words(row: pd.Series) -> str:
-        return ", ".join(f"{key} {_short(row[key])}" for key in varied if not pd.isna(row[key]))
+        return ", ".join(f"{key} {value_words(row[key])}" for key in varied if not pd.isna(row[key]))
 
     unique = table.frame[["configuration_id", *varied]].drop_duplicates("configuration_id")
     named = dict(zip(unique["configuration_id"], unique.apply(words, axis=1), strict=True)) if len(unique) else {}
     return table.frame["configuration_id"].map(named)
-
-
-def _short(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
 
 
 def _candidates(table: RunTable, bounds: list[Bound], rank_by: str) -> list[Candidate]:

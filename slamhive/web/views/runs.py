@@ -11,7 +11,6 @@ from typing import Any
 from flask import (
     Blueprint,
     Response,
-    current_app,
     flash,
     jsonify,
     make_response,
@@ -97,10 +96,8 @@ def _group_page(services: Hive, query: RunQuery, shown: list[Column], left_out: 
     )
 
 
-def _analysis_url(query: RunQuery) -> str | None:
-    """Where an analysis of these runs begins, if there is such a page."""
-    if "analyses.new" not in current_app.view_functions:
-        return None
+def _analysis_url(query: RunQuery) -> str:
+    """Where an analysis of these runs begins."""
     return address("analyses.new", where=query.search.text)
 
 
