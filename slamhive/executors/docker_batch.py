@@ -9,7 +9,7 @@ import tempfile
 import threading
 import uuid
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -66,9 +66,13 @@ class DockerStarter:
 
         with contextlib.closing(connect()) as client:
             self._ensure_image(client)
-            container = self._start(client, batch)
+            container = self._create(client, batch)
             try:
-                given_up = LineFeed(_lines_of(container)).follow(batch.timeout_s, take, stopping)
+                with engine_errors("starting the evaluation", Unavailable):
+                    # Attached before the start: following the log instead loses the last words of a short container.
+                    output = container.attach(stdout=True, stderr=False, stream=True)
+                    container.start()
+                given_up = LineFeed(_lines_of(output)).follow(batch.timeout_s, take, stopping)
                 return given_up or _how_it_ended(container, last)
             finally:
                 with engine_errors("removing the evaluation container", EngineUnavailable):
@@ -89,17 +93,16 @@ class DockerStarter:
             digest = build_image(client, self._image, context, content, root, logger.debug)
         name_image(client, digest, self._image)
 
-    def _start(self, client: docker.DockerClient, batch: Batch) -> Any:
+    def _create(self, client: docker.DockerClient, batch: Batch) -> Any:
         mounts = [
             Mount(entry.target, str(entry.source.resolve()), type="bind", read_only=entry.read_only)
             for entry in batch.mounts
         ]
-        with engine_errors("starting the evaluation", Unavailable):
+        with engine_errors("making the evaluation container", Unavailable):
             try:
-                return client.containers.run(
+                return client.containers.create(
                     self._image,
                     [batch.job],
-                    detach=True,
                     mounts=mounts,
                     labels={
                         KEY_LABEL: f"{EVALUATION_KEY}{uuid.uuid4().hex}",
@@ -115,15 +118,15 @@ class DockerStarter:
                 raise Unavailable(f"image {self._image} was removed from outside", "try again") from None
 
 
-def _lines_of(container: Any) -> Iterator[str]:
-    """Standard output line by line; ends also if the connection breaks: the exit code tells the rest."""
+def _lines_of(output: Iterable[bytes]) -> Iterator[str]:
+    """An attached standard output line by line; ends also if the connection breaks: the exit code tells the rest."""
     rest = b""
     try:
-        for chunk in container.logs(stdout=True, stderr=False, stream=True, follow=True):
+        for chunk in output:
             *whole, rest = (rest + chunk).split(b"\n")
             for line in whole:
                 yield line.decode(errors="replace")
-    except (requests.exceptions.RequestException, docker.errors.APIError):
+    except (requests.exceptions.RequestException, docker.errors.APIError, OSError):
         pass
     if rest:
         yield rest.decode(errors="replace")

@@ -44,7 +44,9 @@ def run(base_image, tmp_path: Path, monkeypatch) -> Run:
     return run_script
 
 
-def test_lines_and_good_end(run: Run):
+@pytest.mark.parametrize("attempt", range(6))
+def test_lines_and_good_end(run: Run, attempt: int):
+    # Several times: an engine's log loses the last words of a short container now and then.
     assert run("print('one')\nprint('two', end='')\n") == (None, ["one", "two"])
 
 
