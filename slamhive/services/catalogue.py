@@ -90,6 +90,14 @@ class Catalogue:
                 raise InvalidInput(f"dataset {name!r} cannot be used: {entry.problem}")
         raise unknown("dataset", name, list(by_name), "slamhive dataset list shows all")
 
+    def dataset_folder(self, name: str) -> Path:
+        """Where the dataset called ``name`` lies, or would lie."""
+        return self._settings.datasets_folder / name
+
+    def dataset_in_folder(self, name: str) -> Dataset:
+        """The dataset in the folder called ``name``, without a look at the others; raises InvalidInput."""
+        return self._load(self.dataset_folder(name) / DATASET_FILE, load_dataset)
+
     def broken(self) -> tuple[BrokenEntry, ...]:
         """Folders of algorithms and datasets that cannot be read, with the reason."""
         return (*self._scan_algorithms()[1], *self._scan_datasets()[1])
@@ -114,7 +122,7 @@ class Catalogue:
 
     def _new_dataset_folder(self, name: str, *, replace: bool = False) -> Path:
         check_writable(self._settings)
-        folder = self._settings.datasets_folder / check_name("dataset", name)
+        folder = self.dataset_folder(check_name("dataset", name))
         if folder.exists() and not replace:
             raise Conflict(f"dataset {name!r} exists already", "choose another --name, or remove it first")
         try:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from slamhive.catalogue.dataset_file import load_dataset
 from slamhive.domain.affinity import run_affinity
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
@@ -23,8 +22,9 @@ from slamhive.services.catalogue import Catalogue
 from slamhive.services.driver_context import utc_now
 from slamhive.services.evaluations import PROTOCOL_FILE
 from slamhive.services.record import configuration_from_record, snapshot_from_record
-from slamhive.settings import Settings
-from slamhive.store.records import AlgorithmVersion, Host
+from slamhive.store.experiment_records import NewConfiguration
+from slamhive.store.filed_runs import EndedEvaluation, FiledRun
+from slamhive.store.records import AlgorithmVersion, EvaluationState, Host, RunSnapshot
 from slamhive.store.store import Transaction
 
 logger = logging.getLogger(__name__)
@@ -49,48 +49,79 @@ class Filed:
     metrics: dict[str, float]
 
 
-def read_filed(settings: Settings, record: dict[str, Any], source: str) -> Filed:
+@dataclass(frozen=True, slots=True)
+class FolderRun:
+    """A run out of its folder, to be filed.
+
+    ``found``: the evaluations in the folder, oldest first; ``history``: what is known of those that were filed
+    elsewhere. ``current``: the protocol whose figures are shown.
+    """
+
+    record: dict[str, Any]
+    filed: Filed
+    found: Sequence[FoundEvaluation] = ()
+    current: str | None = None
+    history: Sequence[EndedEvaluation] = ()
+    attempt: int = 1
+
+
+def read_filed(catalogue: Catalogue, record: dict[str, Any], source: str) -> Filed:
     """What the record tells; raises InvalidInput, naming ``source``, if something is missing or none of ours."""
     try:
-        return _read(settings, record)
+        return _read(catalogue, record)
     except _NOT_A_RECORD as error:
         raise InvalidInput(f"{source} is not complete: {error!r}", "restore it, or remove the folder") from None
 
 
-def file_run(t: Transaction, catalogue: Catalogue, record: dict[str, Any], filed: Filed) -> None:
-    """Make the row of the run, its events and measured figures what the record says."""
+def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -> None:
+    """Make the rows of some hundreds of runs, their events, evaluations and figures what their folders say."""
     now = utc_now()
-    configuration = filed.configuration
-    algorithm_id, configuration_id = put_configuration(t, catalogue, filed)
-    experiment = t.experiments.find(str(record["request"].get("experiment")))
-    snapshot = snapshot_from_record(record, configuration_id, None if experiment is None else experiment.id)
-    affinity = run_affinity(configuration.dataset, configuration.variant, filed.package)
-    snapshot = replace(snapshot, request=replace(snapshot.request, affinity=affinity))
-    t.runs.upsert_from_record(snapshot)
-    if filed.version is not None:
-        t.runs.update(snapshot.id, algorithm_version_id=t.catalogue.put_version(algorithm_id, filed.version, now))
-    if filed.host is not None:
-        t.runs.update(snapshot.id, host_id=t.catalogue.put_host(filed.host))
-    t.metrics.put(snapshot.id, None, filed.metrics)
+    places = put_configurations(t, catalogue, [run.filed for run in runs])
+    named = {run.record["request"].get("experiment") for run in runs} - {None}
+    experiments = {name: found.id for name in named if (found := t.experiments.find(str(name))) is not None}
+    machines = {run.filed.host for run in runs if run.filed.host is not None}
+    hosts = {host: t.catalogue.put_host(host) for host in machines}
+    versions: dict[tuple[int, AlgorithmVersion], int] = {}
+    rows = []
+    for run, (algorithm_id, configuration_id) in zip(runs, places, strict=True):
+        experiment_id = experiments.get(run.record["request"].get("experiment"))
+        snapshot = snapshot_from_record(run.record, configuration_id, experiment_id)
+        fields = snapshot.fields.copy()
+        version = run.filed.version
+        if version is not None:
+            key = algorithm_id, version
+            if key not in versions:
+                versions[key] = t.catalogue.put_version(algorithm_id, version, now)
+            fields["algorithm_version_id"] = versions[key]
+        if run.filed.host is not None:
+            fields["host_id"] = hosts[run.filed.host]
+        configuration = run.filed.configuration
+        affinity = run_affinity(configuration.dataset, configuration.variant, run.filed.package)
+        request = replace(snapshot.request, affinity=affinity)
+        rows.append(_filed_run(run, replace(snapshot, request=request, fields=fields, attempt=run.attempt)))
+    t.filed_runs.file(rows)
 
 
-def put_configuration(t: Transaction, catalogue: Catalogue, filed: Filed) -> tuple[int, int]:
-    """The rows of the run's algorithm and configuration, made if they are new."""
+def put_configurations(t: Transaction, catalogue: Catalogue, entries: Sequence[Filed]) -> list[tuple[int, int]]:
+    """The rows of algorithm and configuration of each, made if they are new."""
     now = utc_now()
-    configuration = filed.configuration
-    algorithm_id = t.catalogue.put_algorithm_named(configuration.algorithm, filed.package, filed.mode)
-    dataset_id = t.catalogue.put_dataset(filed.dataset, now)
-    definitions = next((a.parameters for a in catalogue.algorithms() if a.name == configuration.algorithm), ())
-    configuration_id, _ = t.configurations.get_or_create(configuration, algorithm_id, dataset_id, now, definitions)
-    return algorithm_id, configuration_id
-
-
-def file_evaluations(t: Transaction, run_id: int, evaluations: Iterable[FoundEvaluation], current: str | None) -> None:
-    """File what was found in a run's folder, once; ``current`` is the protocol whose figures are shown."""
-    for protocol, result, at in evaluations:
-        t.evaluations.record(run_id, protocol, result, at, Artefacts.FILES)
-    if current is not None:
-        t.evaluations.use([run_id], current)
+    modes = {entry.configuration.algorithm: (entry.package, entry.mode) for entry in entries}
+    algorithms = {name: t.catalogue.put_algorithm_named(name, *mode) for name, mode in modes.items()}
+    known = {entry.dataset.name: entry.dataset for entry in entries}
+    datasets = {name: t.catalogue.put_dataset(dataset, now) for name, dataset in known.items()}
+    definitions = {algorithm.name: algorithm.parameters for algorithm in catalogue.algorithms()}
+    wanted = [
+        NewConfiguration(
+            entry.configuration,
+            entry.configuration.content_hash,
+            algorithms[entry.configuration.algorithm],
+            datasets[entry.dataset.name],
+            definitions.get(entry.configuration.algorithm, ()),
+        )
+        for entry in entries
+    ]
+    found = t.configurations.get_or_create_many(wanted, now)
+    return [(entry.algorithm_id, number) for entry, (number, _) in zip(wanted, found, strict=True)]
 
 
 def found_evaluations(folder: RunFolder) -> list[FoundEvaluation]:
@@ -125,7 +156,24 @@ def current_protocol(folder: RunFolder, evaluations: Iterable[FoundEvaluation]) 
     return succeeded[-1] if succeeded else None
 
 
-def _read(settings: Settings, record: dict[str, Any]) -> Filed:
+def _filed_run(run: FolderRun, snapshot: RunSnapshot) -> FiledRun:
+    known = {(entry.protocol.fingerprint, entry.state) for entry in run.history}
+    found = [_ended(protocol, result, at) for protocol, result, at in run.found]
+    return FiledRun(
+        snapshot,
+        measured=run.filed.metrics,
+        evaluations=[*run.history, *(e for e in found if (e.protocol.fingerprint, e.state) not in known)],
+        figures={result.fingerprint: result.metrics for _, result, _ in run.found if result.succeeded},
+        current=run.current,
+    )
+
+
+def _ended(protocol: Protocol, result: EvaluationResult, at: datetime) -> EndedEvaluation:
+    state = EvaluationState.SUCCEEDED if result.succeeded else EvaluationState.FAILED
+    return EndedEvaluation(protocol, state, result.reason, Artefacts.FILES, result.engine, at, None, at, attempt=1)
+
+
+def _read(catalogue: Catalogue, record: dict[str, Any]) -> Filed:
     configuration = configuration_from_record(record)
     part, host = record.get("algorithm", {}), record.get("host")
     metrics = {str(key): float(value) for key, value in record.get("metrics", {}).items()}
@@ -133,7 +181,7 @@ def _read(settings: Settings, record: dict[str, Any]) -> Filed:
         raise ValueError("a metric is not finite")
     return Filed(
         configuration=configuration,
-        dataset=_dataset(settings, configuration.dataset, record),
+        dataset=_dataset(catalogue, configuration.dataset, record),
         package=part.get("package", configuration.algorithm),
         mode=part.get("mode", ""),
         version=AlgorithmVersion(part["identity"], part["package_hash"], part["version"])
@@ -144,16 +192,15 @@ def _read(settings: Settings, record: dict[str, Any]) -> Filed:
     )
 
 
-def _dataset(settings: Settings, name: str, record: dict[str, Any]) -> Dataset:
+def _dataset(catalogue: Catalogue, name: str, record: dict[str, Any]) -> Dataset:
     """The dataset as its folder says, or what the record knows of one that is gone."""
-    folder = settings.datasets_folder / name
     try:
-        return load_dataset(folder)
+        return catalogue.dataset_in_folder(name)
     except SlamHiveError:
         known = record.get("dataset", {})
         return Dataset(
             name=name,
-            folder=folder,
+            folder=catalogue.dataset_folder(name),
             bag="",
             duration_s=float(known.get("duration_s", 0.0)),
             sensors=(),

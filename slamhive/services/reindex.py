@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.runs.folder import RunFolder
 from slamhive.services.experiments.restoring import Restored
-from slamhive.services.filing import current_protocol, file_evaluations, file_run, found_evaluations, read_filed
+from slamhive.services.filing import FolderRun, current_protocol, file_runs, found_evaluations, read_filed
 from slamhive.services.hive import Hive
+
+BATCH = 100
+"""Folders that are filed in one transaction."""
 
 
 @dataclass
@@ -44,13 +47,10 @@ def reindex(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
     for restored in hive.experiments.restore_rows():
         report.experiments += restored.problem is None
         _note(report, restored)
-    for done, folder in enumerate(folders, start=1):
-        try:
-            report.evaluations += _file_run(hive, folder)
-            report.runs += 1
-        except SlamHiveError as error:
-            report.skipped.append((folder.root, str(error)))
-        progress(done, len(folders))
+    for start in range(0, len(folders), BATCH):
+        part = folders[start : start + BATCH]
+        report.skipped += _file_folders(hive, part, report)
+        progress(start + len(part), len(folders))
     for restored in hive.experiments.restore_runs():
         report.queued += restored.queued
         _note(report, restored)
@@ -66,19 +66,34 @@ def _note(report: ReindexReport, restored: Restored) -> None:
         report.skipped.append((restored.folder.root, restored.problem))
 
 
-def _file_run(hive: Hive, folder: RunFolder) -> int:
+def _file_folders(hive: Hive, folders: Sequence[RunFolder], report: ReindexReport) -> list[tuple[Path, str]]:
+    """File them together; the folders that were left out, with the reason. One of them keeps none else from filing."""
+    runs, left_out = [], []
+    for folder in folders:
+        try:
+            runs.append(_read(hive, folder))
+        except SlamHiveError as error:
+            left_out.append((folder.root, str(error)))
+    try:
+        if runs:
+            hive.store.write(lambda t: file_runs(t, hive.catalogue, runs))
+    except (SlamHiveError, OverflowError) as error:
+        if len(folders) > 1:
+            return [entry for folder in folders for entry in _file_folders(hive, [folder], report)]
+        too_large = f"{folders[0].record} holds a number that no database can hold"
+        return [(folders[0].root, str(error) if isinstance(error, SlamHiveError) else too_large)]
+    report.runs += len(runs)
+    report.evaluations += sum(len(run.found) for run in runs)
+    return left_out
+
+
+def _read(hive: Hive, folder: RunFolder) -> FolderRun:
     record = folder.read_record()
     if str(record.get("id")) != folder.root.name:
         raise InvalidInput(f"{folder.record} is the record of run {record.get('id')!r}", "folders must not be renamed")
-    filed = read_filed(hive.settings, record, str(folder.record))
-    evaluations = found_evaluations(folder)
-    current = current_protocol(folder, evaluations)
-    try:
-        hive.store.write(lambda t: file_run(t, hive.catalogue, record, filed))
-        hive.store.write(lambda t: file_evaluations(t, int(record["id"]), evaluations, current))
-    except OverflowError:
-        raise InvalidInput(f"{folder.record} holds a number that no database can hold") from None
-    return len(evaluations)
+    filed = read_filed(hive.catalogue, record, str(folder.record))
+    found = found_evaluations(folder)
+    return FolderRun(record, filed, found, current_protocol(folder, found))
 
 
 def _number(path: Path) -> int:

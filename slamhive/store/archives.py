@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, func, insert, select, update
+from sqlalchemy import ColumnElement, func, select, update
 from sqlalchemy.orm import Session
 
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunEvent, RunState
-from slamhive.evaluation.job import Artefacts
-from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.experiment_records import NewCell, NewConfiguration
 from slamhive.store.experiments import ExperimentRepository
+from slamhive.store.filed_runs import AS_FILED, EndedEvaluation
 from slamhive.store.models import (
     Algorithm,
     Configuration,
@@ -30,7 +28,7 @@ from slamhive.store.models import (
     SavedSearch,
 )
 from slamhive.store.models import RunEvent as EventRow
-from slamhive.store.records import EvaluationState, SavedSearchRecord
+from slamhive.store.records import SavedSearchRecord
 from slamhive.store.rows import chunks, get_or_insert
 from slamhive.store.searches import SearchRepository
 
@@ -39,24 +37,6 @@ _CELLS = ExperimentCell.__table__
 _EVENTS = EventRow.__table__
 _EVALUATIONS = Evaluation.__table__
 _ENDED = tuple(state for state in RunState if state.ended)
-
-
-@dataclass(frozen=True, slots=True)
-class EndedEvaluation:
-    """An evaluation that has ended, as it is filed."""
-
-    protocol: domain.Protocol
-    state: EvaluationState
-    reason: str | None
-    artefacts: Artefacts
-    engine: str | None
-    created_at: datetime
-    started_at: datetime | None
-    ended_at: datetime | None
-    attempt: int
-
-
-_AS_FILED = tuple(name for name in EndedEvaluation.__dataclass_fields__ if name != "protocol")
 
 
 class ArchiveRepository:
@@ -112,7 +92,7 @@ class ArchiveRepository:
         )
         found: dict[int, list[EndedEvaluation]] = defaultdict(list)
         for row in self._session.execute(query):
-            values = {name: getattr(row, name) for name in _AS_FILED}
+            values = {name: getattr(row, name) for name in AS_FILED}
             found[row.run_id].append(EndedEvaluation(domain.protocol_from_content(row.definition), **values))
         return found
 
@@ -147,24 +127,6 @@ class ArchiveRepository:
     def taken(self, run_ids: Sequence[int]) -> set[int]:
         """Those of these numbers that a run has."""
         return set(self._session.execute(select(_RUNS.c.id).where(_RUNS.c.id.in_(run_ids))).scalars())
-
-    def complete(self, run_id: int, attempt: int, evaluations: Sequence[EndedEvaluation]) -> None:
-        """File what a run's folder does not tell; once, for a run that has just been filed."""
-        self._session.execute(update(_RUNS).where(_RUNS.c.id == run_id).values(attempt=attempt))
-        catalogue = CatalogueRepository(self._session)
-        there = select(_EVALUATIONS.c.id).where(_EVALUATIONS.c.run_id == run_id).limit(1)
-        if self._session.execute(there).first() is not None or not evaluations:
-            return
-        rows = [
-            {
-                "run_id": run_id,
-                "protocol_id": catalogue.put_protocol(entry.protocol),
-                "open": None,
-                **{name: getattr(entry, name) for name in _AS_FILED},
-            }
-            for entry in evaluations
-        ]
-        self._session.execute(insert(_EVALUATIONS), rows)
 
     def dataset_if_absent(self, name: str, values: Mapping[str, Any]) -> int:
         """The dataset of this name, as it is here if it is, else as ``values`` say."""

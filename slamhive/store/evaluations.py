@@ -168,21 +168,6 @@ class EvaluationRepository:
         rows = self._session.execute(query)
         return [(domain.protocol_from_content(definition), runs) for definition, runs in rows]
 
-    def record(
-        self, run_id: int, protocol: domain.Protocol, result: EvaluationResult, at: datetime, artefacts: Artefacts
-    ) -> None:
-        """File an evaluation that was found in a run folder (reindex); once, however often it is called."""
-        protocol_id = CatalogueRepository(self._session).put_protocol(protocol)
-        ending = _ending(result, at)
-        same = select(_TABLE.c.id).where(
-            _TABLE.c.run_id == run_id, _TABLE.c.protocol_id == protocol_id, _TABLE.c.state == ending["state"]
-        )
-        if self._session.execute(same.limit(1)).first() is None:
-            row = {"run_id": run_id, "protocol_id": protocol_id, "artefacts": artefacts, "created_at": at, "attempt": 1}
-            self._session.execute(insert(_TABLE).values(**row, **ending))
-        if result.succeeded:
-            self._store_figures(run_id, protocol_id, result)
-
     def unevaluated_run_ids(self) -> list[int]:
         """Succeeded runs without a successful, waiting or working evaluation, oldest first."""
         settled = exists().where(_TABLE.c.run_id == Run.id, _TABLE.c.state.in_((*_OPEN, EvaluationState.SUCCEEDED)))

@@ -94,6 +94,16 @@ class MetricRepository:
             ram_max_bytes=measured.get("ram.max"),
         )
 
+    def ids(self, keys: Iterable[str]) -> dict[str, int]:
+        """{key: number} of metrics; one that was never stored before gets its number."""
+        wanted = list(keys)
+        rows = self._session.execute(select(Metric.key, Metric.id).where(Metric.key.in_(wanted)))
+        known = {row.key: row.id for row in rows}
+        for key in wanted:
+            if key not in known:
+                known[key], _ = get_or_insert(self._session, Metric, {"key": key}, {})
+        return known
+
     def _protocol_id(self, fingerprint: str | None) -> int:
         if fingerprint is None:
             return MEASURED_PROTOCOL_ID
@@ -103,20 +113,11 @@ class MetricRepository:
             raise NotFound(f"unknown protocol {fingerprint!r}", "store it with catalogue.put_protocol first")
         return found
 
-    def _metric_ids(self, keys: Iterable[str]) -> dict[str, int]:
-        wanted = list(keys)
-        rows = self._session.execute(select(Metric.key, Metric.id).where(Metric.key.in_(wanted)))
-        known = {row.key: row.id for row in rows}
-        for key in wanted:
-            if key not in known:
-                known[key], _ = get_or_insert(self._session, Metric, {"key": key}, {})
-        return known
-
     def _write(self, run_id: int, protocol_id: int, values: Mapping[str, float], *, replace_all: bool) -> None:
         for key, value in values.items():
             if not math.isfinite(value):
                 raise InvalidInput(f"metric {key} of run {run_id} is {value}", "leave out a figure that is missing")
-        metric_ids = self._metric_ids(values)
+        metric_ids = self.ids(values)
         outdated = delete(MetricValue.__table__).where(
             MetricValue.run_id == run_id, MetricValue.protocol_id == protocol_id
         )

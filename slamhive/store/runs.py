@@ -7,7 +7,7 @@ from dataclasses import asdict, fields
 from datetime import datetime
 from typing import Any, Unpack
 
-from sqlalchemy import delete, func, insert, select, update
+from sqlalchemy import func, insert, select, update
 from sqlalchemy.orm import Session
 
 from slamhive.domain.run import RunEvent, RunState, check_move
@@ -177,34 +177,6 @@ class RunRepository:
                 continue
             return RunState.CANCELLED
 
-    def upsert_from_record(self, snapshot: RunSnapshot) -> None:
-        """Make the row, and the events, what a sealed folder says.
-
-        Raises Conflict if the id belongs to another run.
-        """
-        same = select(_RUNS.c.id, _RUNS.c.uid).where(
-            (_RUNS.c.id == snapshot.id) | (_RUNS.c.uid == snapshot.request.uid)
-        )
-        found = self._session.execute(same).all()
-        if any(row.id != snapshot.id or row.uid != snapshot.request.uid for row in found):
-            raise Conflict(
-                f"run {snapshot.id} (uid {snapshot.request.uid}) clashes with run {found[0].id} (uid {found[0].uid})",
-                "two folders cannot hold the same run",
-            )
-        values = {
-            **_new_row(snapshot.request, snapshot.created_at),
-            **_checked(snapshot.fields),
-            "state": snapshot.state,
-            "attempt": snapshot.attempt,
-        }
-        if found:
-            self._session.execute(update(_RUNS).where(_RUNS.c.id == snapshot.id).values(values))
-        else:
-            self._session.execute(insert(_RUNS).values(id=snapshot.id, **values))
-        self._session.execute(delete(_EVENTS).where(_EVENTS.c.run_id == snapshot.id))
-        for event in snapshot.events:
-            self._write_event(snapshot.id, event)
-
     def _ids_by_uid(self, uids: Sequence[str]) -> dict[str, int]:
         found: dict[str, int] = {}
         for part in chunks(uids):
@@ -225,8 +197,22 @@ class RunRepository:
         return event is not None and event.to_state is target and event.at == now
 
     def _write_event(self, run_id: int, event: RunEvent) -> None:
-        values = {**asdict(event), "run_id": run_id, "why": cut(" ".join(event.why.split()), WHY_LENGTH)}
-        self._session.execute(insert(_EVENTS).values(values))
+        self._session.execute(insert(_EVENTS).values(event_row(run_id, event)))
+
+
+def event_row(run_id: int, event: RunEvent) -> dict[str, Any]:
+    """The columns of a move."""
+    return {**asdict(event), "run_id": run_id, "why": cut(" ".join(event.why.split()), WHY_LENGTH)}
+
+
+def snapshot_row(snapshot: RunSnapshot) -> dict[str, Any]:
+    """The columns of a run that is known completely, but for its number."""
+    return {
+        **_new_row(snapshot.request, snapshot.created_at),
+        **_checked(snapshot.fields),
+        "state": snapshot.state,
+        "attempt": snapshot.attempt,
+    }
 
 
 def _new_row(request: RunRequest, now: datetime) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from slamhive.store.engine import WRITES, database_label, make_engine
 from slamhive.store.evaluations import EvaluationRepository
 from slamhive.store.experiments import ExperimentRepository
 from slamhive.store.failures import explained, gave_up, is_transient, short
+from slamhive.store.filed_runs import FiledRunRepository
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.queue import QueueRepository
 from slamhive.store.run_table import RunTableRepository
@@ -98,6 +99,11 @@ class Transaction:
     def evaluations(self) -> EvaluationRepository:
         """Evaluations and their own little queue."""
         return EvaluationRepository(self.session)
+
+    @cached_property
+    def filed_runs(self) -> FiledRunRepository:
+        """Runs that are filed as their folders tell them."""
+        return FiledRunRepository(self.session)
 
     @cached_property
     def metrics(self) -> MetricRepository:

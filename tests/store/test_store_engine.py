@@ -139,7 +139,7 @@ def test_a_locked_database_is_tried_again_and_one_line_is_logged(
 
     clock.while_asleep = let_go_in_time
     with caplog.at_level(logging.WARNING, "slamhive.store"):
-        store.write(lambda tx: tx.metrics._metric_ids(["ate.rmse"]))
+        store.write(lambda tx: tx.metrics.ids(["ate.rmse"]))
     assert 30 <= sum(clock.pauses) < 33
     assert max(clock.pauses) <= 2.0
     assert [record.getMessage() for record in caplog.records] == [

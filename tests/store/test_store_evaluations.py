@@ -164,18 +164,6 @@ def test_unevaluated_are_those_without_a_result_or_a_turn_to_come(store: Store, 
     assert store.read(lambda tx: tx.evaluations.unevaluated_run_ids()) == [broken, untouched]
 
 
-def test_an_evaluation_found_in_a_folder_is_filed_once(store: Store, samples: Samples) -> None:
-    run_id = samples.run_in(RunState.SUCCEEDED)
-    for _ in range(2):
-        store.write(
-            lambda tx: tx.evaluations.record(run_id, SE3, result(ate_rmse=0.07), NOW, Artefacts.FILES),
-        )
-    assert len(store.read(lambda tx: tx.evaluations.for_run(run_id))) == 1
-    run = store.read(lambda tx: tx.runs.get(run_id, with_metrics=True))
-    assert run.metrics == {"ate.rmse": 0.07}
-    assert run.protocol is not None
-
-
 def test_figures_are_merged_by_key(store: Store, samples: Samples) -> None:
     (run_id,) = samples.queued()
     store.write(lambda tx: tx.metrics.put(run_id, None, {"cpu.mean": 1.0, "ram.max": 5e8}))

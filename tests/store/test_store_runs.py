@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
 from slamhive.domain.run import LEGAL_MOVES, FailureReason, RunEvent, RunState
 from slamhive.errors import Conflict, InvalidInput, NotFound
-from slamhive.store import AlgorithmVersion, Host, LeaseLost, RunFields, RunSnapshot, Store
+from slamhive.store import AlgorithmVersion, Host, LeaseLost, RunFields, Store
 from tests.store.store_samples import SIM3, WORKER, Samples
 
 pytestmark = pytest.mark.integration
@@ -208,21 +207,3 @@ def test_times_of_any_zone_come_back_in_utc_and_naive_ones_are_refused(store: St
     assert (found, found.tzinfo) == (moment, UTC)
     with pytest.raises(Exception, match="has no time zone"):
         store.write(lambda tx: tx.runs.update(run_id, started_at=moment.replace(tzinfo=None)))
-
-
-def test_a_run_is_rebuilt_from_its_folder(store: Store, samples: Samples) -> None:
-    events = (
-        RunEvent(NOW, None, RunState.QUEUED, "submitted"),
-        RunEvent(LATER, RunState.RUNNING, RunState.FAILED, "x"),
-    )
-    fields = RunFields(reason=FailureReason.TIMEOUT, started_at=NOW, ended_at=LATER, exit_code=137)
-    snapshot = RunSnapshot(41, samples.request(), RunState.FAILED, NOW, fields, attempt=2, events=events)
-    for _ in range(2):
-        store.write(lambda tx: tx.runs.upsert_from_record(snapshot))
-    run = store.read(lambda tx: tx.runs.get(41))
-    assert (run.state, run.reason, run.exit_code, run.attempt) == (RunState.FAILED, FailureReason.TIMEOUT, 137, 2)
-    assert store.read(lambda tx: tx.runs.events(41)) == list(events)
-    assert samples.queued() == [42]
-    other = replace(snapshot, request=samples.request())
-    with pytest.raises(Conflict, match="clashes with run 41"):
-        store.write(lambda tx: tx.runs.upsert_from_record(other))

@@ -21,9 +21,10 @@ from slamhive.services.archive.writing import ArchiveWriter, archive_writer
 from slamhive.services.driver_context import utc_now
 from slamhive.services.experiments.folder import RECORD, SOURCE
 from slamhive.settings import Settings
-from slamhive.store.archives import ArchiveRepository, EndedEvaluation
+from slamhive.store.archives import ArchiveRepository
 from slamhive.store.configuration_listing import configuration_records
 from slamhive.store.experiment_records import ExperimentRecord
+from slamhive.store.filed_runs import EndedEvaluation
 from slamhive.store.records import RunRecord
 from slamhive.store.store import Store, Transaction
 

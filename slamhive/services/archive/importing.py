@@ -10,7 +10,7 @@ import shutil
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -25,12 +25,12 @@ from slamhive.services.archive.surroundings import Surroundings
 from slamhive.services.catalogue import Catalogue, check_writable
 from slamhive.services.driver_context import utc_now
 from slamhive.services.filing import (
-    Filed,
+    FolderRun,
     FoundEvaluation,
-    file_evaluations,
-    file_run,
+    current_protocol,
+    file_runs,
     found_evaluations,
-    put_configuration,
+    put_configurations,
     read_filed,
 )
 from slamhive.services.record import snapshot_from_record
@@ -38,7 +38,7 @@ from slamhive.settings import Settings
 from slamhive.store.archives import ArchiveRepository
 from slamhive.store.store import Store, Transaction
 
-BATCH = 50
+BATCH = 100
 _LOCK = ".import.lock"
 _ASIDE = ".archive-"
 _MB = 1_000_000
@@ -61,10 +61,8 @@ class _Unpacked:
     """A run of the archive, unpacked aside (``folder`` None if it has no folder)."""
 
     line: lines.RunLine
-    record: dict[str, Any]
-    filed: Filed
+    run: FolderRun
     folder: RunFolder | None
-    evaluations: list[FoundEvaluation]
 
 
 class ArchiveImport:
@@ -180,7 +178,7 @@ class ArchiveImport:
     ) -> _Unpacked:
         record = line.record
         folder = None
-        evaluations: list[FoundEvaluation] = []
+        found: list[FoundEvaluation] = []
         if record is None:
             folder = RunFolder(self._settings.runs_folder / f"{_ASIDE}{line.uid}")
             try:
@@ -189,10 +187,11 @@ class ArchiveImport:
             except OSError as error:
                 raise Unavailable(f"{folder.root} cannot be made: {error.strerror}", "check space and rights") from None
             record = folder.read_record()
-            evaluations = found_evaluations(folder)
+            found = found_evaluations(folder)
         record = {**record, "request": {**record["request"], "experiment": around.experiment_name(line.experiment)}}
-        filed = read_filed(self._settings, record, f"the record of run {line.id}")
-        return _Unpacked(line, record, filed, folder, evaluations)
+        filed = read_filed(self._catalogue, record, f"the record of run {line.id}")
+        run = FolderRun(record, filed, found, _current(line, folder, found), line.evaluations, line.attempt)
+        return _Unpacked(line, run, folder)
 
     def _put_in_place(self, entry: _Unpacked, numbers: dict[str, int]) -> None:
         """Give the record its numbers here, and rename the folder."""
@@ -220,10 +219,18 @@ def _members_by_run(archive: ArchiveReader) -> dict[int, list[str]]:
     return found
 
 
+def _current(line: lines.RunLine, folder: RunFolder | None, found: list[FoundEvaluation]) -> str | None:
+    """The protocol that the run showed where it comes from, if its figures have come along."""
+    if folder is None:
+        return None
+    done = {result.fingerprint for _, result, _ in found if result.succeeded}
+    return line.current_protocol if line.current_protocol in done else current_protocol(folder, found)
+
+
 def _renumbered(entry: _Unpacked, numbers: dict[str, int]) -> dict[str, Any]:
     """The record with the numbers that runs have here; a run that repeats one that is not here repeats none."""
     original = None if entry.line.retry_of is None else numbers.get(entry.line.retry_of)
-    record = entry.record
+    record = entry.run.record
     return {**record, "id": numbers[entry.line.uid], "request": {**record["request"], "retry_of": original}}
 
 
@@ -231,23 +238,25 @@ def _file(
     t: Transaction, catalogue: Catalogue, entries: list[_Unpacked], known: dict[str, int], *, keep: bool
 ) -> dict[str, int]:
     """File runs with all that is known of them; {uid: number here}."""
-    rows = ArchiveRepository(t.session)
-    keep = keep and not rows.taken([entry.line.id for entry in entries])
-    numbers = dict(known)
-    for entry in entries:
-        number = entry.line.id if keep else _new_number(t, catalogue, entry)
-        numbers[entry.line.uid] = number
-        file_run(t, catalogue, _renumbered(entry, numbers), entry.filed)
-        rows.complete(number, entry.line.attempt, entry.line.evaluations)
-        done = {protocol.fingerprint for protocol, result, _ in entry.evaluations if result.succeeded}
-        current = entry.line.current_protocol
-        file_evaluations(t, number, entry.evaluations, current if current in done else None)
-    return {entry.line.uid: numbers[entry.line.uid] for entry in entries}
+    if not keep or ArchiveRepository(t.session).taken([entry.line.id for entry in entries]):
+        given = _new_numbers(t, catalogue, entries)
+    else:
+        given = {entry.line.uid: entry.line.id for entry in entries}
+    numbers = {**known, **given}
+    file_runs(
+        t,
+        catalogue,
+        [replace(entry.run, record=_renumbered(entry, numbers)) for entry in entries],
+    )
+    return given
 
 
-def _new_number(t: Transaction, catalogue: Catalogue, entry: _Unpacked) -> int:
-    """A number of this installation: that of a row which is made what the record says right after."""
-    record = {**entry.record, "request": {**entry.record["request"], "retry_of": None}}
-    _, configuration_id = put_configuration(t, catalogue, entry.filed)
-    request = snapshot_from_record(record, configuration_id).request
-    return t.runs.add_runs([request], utc_now())[0]
+def _new_numbers(t: Transaction, catalogue: Catalogue, entries: list[_Unpacked]) -> dict[str, int]:
+    """{uid: number of this installation}, those of rows which are made what the records say right after."""
+    places = put_configurations(t, catalogue, [entry.run.filed for entry in entries])
+    requests = []
+    for entry, (_, configuration_id) in zip(entries, places, strict=True):
+        request = snapshot_from_record(entry.run.record, configuration_id).request
+        requests.append(replace(request, retry_of=None))
+    numbers = t.runs.add_runs(requests, utc_now())
+    return {entry.line.uid: number for entry, number in zip(entries, numbers, strict=True)}

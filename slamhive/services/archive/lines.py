@@ -25,9 +25,9 @@ from slamhive.services.record import (
 )
 from slamhive.services.run_json import plain
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
-from slamhive.store.archives import EndedEvaluation
 from slamhive.store.configuration_records import ConfigurationRecord
 from slamhive.store.experiment_records import CellRecord, ExperimentRecord, ExperimentState, NewCell
+from slamhive.store.filed_runs import EndedEvaluation
 from slamhive.store.records import DatasetRecord, EvaluationState, RunRecord, RunSort, SavedSearchRecord
 
 UID = re.compile(r"[0-9a-f]{32}")

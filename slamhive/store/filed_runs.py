@@ -1,0 +1,188 @@
+"""Rows of runs made what their folders say: many runs in a few statements. Reindexing and archives share this."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from itertools import groupby
+from typing import Any
+
+from sqlalchemy import bindparam, delete, insert, select, update
+from sqlalchemy.orm import Session
+
+from slamhive.domain import protocol as domain
+from slamhive.errors import Conflict
+from slamhive.evaluation.job import Artefacts
+from slamhive.store.catalogue import CatalogueRepository
+from slamhive.store.evaluations import REASON_LENGTH
+from slamhive.store.metrics import MetricRepository
+from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, MetricValue, Run
+from slamhive.store.models import RunEvent as EventRow
+from slamhive.store.records import EvaluationState, RunSnapshot
+from slamhive.store.rows import cut
+from slamhive.store.runs import event_row, snapshot_row
+
+_RUNS = Run.__table__
+_EVENTS = EventRow.__table__
+_EVALUATIONS = Evaluation.__table__
+_FIGURES = MetricValue.__table__
+_ENGINE_LENGTH = 190
+
+
+@dataclass(frozen=True, slots=True)
+class EndedEvaluation:
+    """An evaluation that has ended, as it is filed."""
+
+    protocol: domain.Protocol
+    state: EvaluationState
+    reason: str | None
+    artefacts: Artefacts
+    engine: str | None
+    created_at: datetime
+    started_at: datetime | None
+    ended_at: datetime | None
+    attempt: int
+
+
+AS_FILED = tuple(name for name in EndedEvaluation.__dataclass_fields__ if name != "protocol")
+
+
+@dataclass(frozen=True, slots=True)
+class FiledRun:
+    """A run with all that is filed of it.
+
+    ``measured``: {metric key: value}. ``evaluations``: oldest first. ``figures``: {fingerprint of one of their
+    protocols: {metric key: value}}. ``current``: the protocol whose figures are shown, None to leave that as it is.
+    """
+
+    snapshot: RunSnapshot
+    measured: Mapping[str, float] = field(default_factory=dict)
+    evaluations: Sequence[EndedEvaluation] = ()
+    figures: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    current: str | None = None
+
+
+class FiledRunRepository:
+    """Files runs that are known completely. Rows that exist are made equal, missing ones are added."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def file(self, runs: Sequence[FiledRun]) -> None:
+        """File some hundreds of runs at most, whose figures are finite.
+
+        Raises Conflict, having written nothing, if a number or uid belongs to another run.
+        """
+        here = self._rows_here([run.snapshot for run in runs])
+        catalogue = CatalogueRepository(self._session)
+        protocols = {entry.protocol.fingerprint: entry.protocol for run in runs for entry in run.evaluations}
+        numbers = {fingerprint: catalogue.put_protocol(protocol) for fingerprint, protocol in protocols.items()}
+        self._put_rows(runs, here, numbers)
+        self._put_events(runs, here)
+        self._add_evaluations(runs, here, numbers)
+        self._put_figures(runs, here, numbers)
+
+    def _rows_here(self, snapshots: Sequence[RunSnapshot]) -> set[int]:
+        """The numbers of the runs that have a row."""
+        uids = {snapshot.id: snapshot.request.uid for snapshot in snapshots}
+        same = _RUNS.c.id.in_(uids) | _RUNS.c.uid.in_(uids.values())
+        found = {row.uid: row.id for row in self._session.execute(select(_RUNS.c.uid, _RUNS.c.id).where(same))}
+        by_number = {number: uid for uid, number in found.items()}
+        claimed: set[str] = set()
+        for number, uid in uids.items():
+            other = by_number.get(number, uid), found.get(uid, number)
+            if other != (uid, number) or uid in claimed:
+                raise Conflict(
+                    f"run {number} (uid {uid}) clashes with run {other[1]} (uid {other[0]})",
+                    "two folders cannot hold the same run",
+                )
+            claimed.add(uid)
+        return set(found.values())
+
+    def _put_rows(self, runs: Sequence[FiledRun], here: set[int], protocols: Mapping[str, int]) -> None:
+        rows = []
+        for run in runs:
+            current = {} if run.current is None else {"current_protocol_id": protocols[run.current]}
+            rows.append({"id": run.snapshot.id, **snapshot_row(run.snapshot), **current})
+        new = [row for row in rows if row["id"] not in here]
+        if new:
+            columns = sorted({name for row in new for name in row})
+            self._session.execute(insert(_RUNS), [{name: row.get(name) for name in columns} for row in new])
+        known = sorted((row for row in rows if row["id"] in here), key=sorted)
+        for _, alike in groupby(known, key=sorted):
+            same = update(_RUNS).where(_RUNS.c.id == bindparam("number"))
+            self._session.execute(same, [{"number": row.pop("id"), **row} for row in alike])
+
+    def _put_events(self, runs: Sequence[FiledRun], here: Collection[int]) -> None:
+        if here:
+            self._session.execute(delete(_EVENTS).where(_EVENTS.c.run_id.in_(here)))
+        rows = [event_row(run.snapshot.id, event) for run in runs for event in run.snapshot.events]
+        if rows:
+            self._session.execute(insert(_EVENTS), rows)
+
+    def _add_evaluations(self, runs: Sequence[FiledRun], here: Collection[int], protocols: Mapping[str, int]) -> None:
+        """Those that have not been filed yet: one of a run, protocol and end is enough."""
+        columns = (_EVALUATIONS.c.run_id, _EVALUATIONS.c.protocol_id, _EVALUATIONS.c.state)
+        query = select(*columns).where(_EVALUATIONS.c.run_id.in_(here))
+        there = {tuple(row) for row in self._session.execute(query)} if here else set()
+        rows = []
+        for run in runs:
+            for entry in run.evaluations:
+                keys = (run.snapshot.id, protocols[entry.protocol.fingerprint], entry.state)
+                if keys not in there:
+                    rows.append(_evaluation_row(keys[0], keys[1], entry))
+        if rows:
+            self._session.execute(insert(_EVALUATIONS), rows)
+
+    def _put_figures(self, runs: Sequence[FiledRun], here: set[int], protocols: Mapping[str, int]) -> None:
+        keys = {key for run in runs for values in (run.measured, *run.figures.values()) for key in values}
+        metrics = MetricRepository(self._session).ids(keys)
+        rows = [row for run in runs for row in _figure_rows(run, metrics, protocols)]
+        filled = self._with_figures(here)
+        number, protocol = _FIGURES.c.run_id == bindparam("number"), _FIGURES.c.protocol_id == bindparam("protocol")
+        taken_anew = [
+            {"number": run.snapshot.id, "protocol": protocols[fingerprint]}
+            for run in runs
+            if run.snapshot.id in filled
+            for fingerprint in run.figures
+        ]
+        if taken_anew:
+            self._session.execute(delete(_FIGURES).where(number, protocol), taken_anew)
+        measured_anew = [
+            {"number": row["run_id"], "protocol": MEASURED_PROTOCOL_ID, "metric": row["metric_id"]}
+            for row in rows
+            if row["run_id"] in filled and row["protocol_id"] == MEASURED_PROTOCOL_ID
+        ]
+        if measured_anew:
+            one = _FIGURES.c.metric_id == bindparam("metric")
+            self._session.execute(delete(_FIGURES).where(number, protocol, one), measured_anew)
+        if rows:
+            self._session.execute(insert(_FIGURES), rows)
+        MetricRepository(self._session).follow_protocols(filled)
+
+    def _with_figures(self, run_ids: Collection[int]) -> set[int]:
+        """Those of these runs that have any."""
+        if not run_ids:
+            return set()
+        query = select(_FIGURES.c.run_id).where(_FIGURES.c.run_id.in_(run_ids)).distinct()
+        return set(self._session.execute(query).scalars())
+
+
+def _figure_rows(run: FiledRun, metrics: Mapping[str, int], protocols: Mapping[str, int]) -> Iterator[dict[str, Any]]:
+    taken = [(protocols[name], name == run.current, values) for name, values in run.figures.items()]
+    for protocol_id, is_current, values in [(MEASURED_PROTOCOL_ID, True, run.measured), *taken]:
+        for key, value in values.items():
+            yield {
+                "run_id": run.snapshot.id,
+                "metric_id": metrics[key],
+                "protocol_id": protocol_id,
+                "value": float(value),
+                "is_current": int(is_current),
+            }
+
+
+def _evaluation_row(run_id: int, protocol_id: int, entry: EndedEvaluation) -> dict[str, Any]:
+    values = {name: getattr(entry, name) for name in AS_FILED}
+    shortened = {"reason": cut(entry.reason, REASON_LENGTH), "engine": cut(entry.engine, _ENGINE_LENGTH)}
+    return {"run_id": run_id, "protocol_id": protocol_id, "open": None, **values, **shortened}
