@@ -17,6 +17,7 @@ Rules, first match wins:
 from __future__ import annotations
 
 import os
+import re
 import signal
 import stat
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from pathlib import Path
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput
 from slamhive.runs.early_end import EarlyEnd
-from slamhive.runs.untrusted import read_regular_file
+from slamhive.runs.untrusted import read_regular_file, too_much_because
 from slamhive.trajectory.tum import parse_tum
 
 MAX_TRAJECTORY_BYTES = 200_000_000
@@ -33,6 +34,7 @@ MAX_TRAJECTORY_BYTES = 200_000_000
 
 UNSEEN = "lost_tracking_s was not watched, since the algorithm does not say which frames it tracks"
 
+_A_POSE = re.compile(rb"^[ \t\v\f]*[^\s#]", re.MULTILINE)
 _SIGNAL_OFFSET = 128
 _LOG_TELLS = "its log says how far it came"
 
@@ -131,9 +133,10 @@ def inspect_trajectory(path: Path, max_bytes: int = MAX_TRAJECTORY_BYTES) -> Tra
     data = read_regular_file(path, max_bytes + 1)
     if data is None:
         return TrajectoryCheck(None, FailureReason.NO_TRAJECTORY, f"{path.name} cannot be read")
-    if len(data) > max_bytes:
-        return _too_long(path, len(data), max_bytes)
-    if not _has_poses(data):
+    too_much = _too_long(len(data), max_bytes) if len(data) > max_bytes else too_much_because(data)
+    if too_much is not None:
+        return TrajectoryCheck(None, FailureReason.MALFORMED_TRAJECTORY, f"{path.name} {too_much}")
+    if not _A_POSE.search(data):
         return TrajectoryCheck(None, FailureReason.EMPTY_TRAJECTORY, f"{path.name} holds no pose; {_LOG_TELLS}")
     try:
         trajectory = parse_tum(data, path.name)
@@ -154,17 +157,13 @@ def _file_problem(path: Path, max_bytes: int) -> TrajectoryCheck | None:
         detail = f"{path.name} is {kind}, which is not read; the algorithm has to write a plain file"
         return TrajectoryCheck(None, FailureReason.MALFORMED_TRAJECTORY, detail)
     if status.st_size > max_bytes:
-        return _too_long(path, status.st_size, max_bytes)
+        detail = f"{path.name} {_too_long(status.st_size, max_bytes)}"
+        return TrajectoryCheck(None, FailureReason.MALFORMED_TRAJECTORY, detail)
     return None
 
 
-def _too_long(path: Path, size_bytes: int, max_bytes: int) -> TrajectoryCheck:
-    detail = f"{path.name} has {size_bytes} bytes, more than the {max_bytes} that are read"
-    return TrajectoryCheck(None, FailureReason.MALFORMED_TRAJECTORY, detail)
-
-
-def _has_poses(data: bytes) -> bool:
-    return any(line.strip() and not line.lstrip().startswith(b"#") for line in data.splitlines())
+def _too_long(size_bytes: int, max_bytes: int) -> str:
+    return f"has {size_bytes} bytes, more than the {max_bytes} that are read"
 
 
 def is_finished(path: Path) -> bool:

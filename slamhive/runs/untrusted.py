@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import json
+import logging
 import math
 import os
 import stat
-from collections.abc import Iterator, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -15,10 +18,16 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
+logger = logging.getLogger(__name__)
+
 DEEPEST_JSON = 32
 LARGEST_INTEGER = 2**64
 LARGEST_NUMBER = 1e100
 """Nothing that is measured is larger; differences and squares of what is smaller are still finite."""
+MOST_LINES = 2_500_000
+"""Of a table: 23 hours at 30 Hz. A line costs a hundred bytes of memory even if it holds one character."""
+LONGEST_LINE_BYTES = 1_000_000
+_LINE_ENDS = ("\n", "\r", "\v", "\f", "\x1c", "\x1d", "\x1e", "\x85", "\u2028", "\u2029")
 
 
 def read_regular_file(path: Path, limit_bytes: int) -> bytes | None:
@@ -35,6 +44,29 @@ def read_regular_file(path: Path, limit_bytes: int) -> bytes | None:
         return None
     with os.fdopen(descriptor, "rb") as stream:
         return stream.read(limit_bytes)
+
+
+def too_much_because(data: bytes) -> str | None:
+    """Why reading ``data`` as lines would take more memory than its size tells, in words; None if it would not."""
+    lines = sum(data.count(end.encode()) for end in _LINE_ENDS)
+    if lines > MOST_LINES:
+        return f"has {lines} lines, more than the {MOST_LINES} that are read"
+    ends = np.flatnonzero(np.frombuffer(data, dtype=np.uint8) == ord("\n"))
+    if np.diff(ends, prepend=-1, append=len(data)).max() > LONGEST_LINE_BYTES + 1:
+        return f"has a line of more than {LONGEST_LINE_BYTES} bytes"
+    return None
+
+
+def read_untrusted_lines(path: Path, limit_bytes: int) -> bytes | None:
+    """The text file at ``path``, whole; None if there is none, or if it is too much to be read as lines."""
+    data = read_regular_file(path, limit_bytes + 1)
+    if data is None:
+        return None
+    problem = f"has more than {limit_bytes} bytes" if len(data) > limit_bytes else too_much_because(data)
+    if problem is not None:
+        logger.warning("%s is not read: it %s", path, problem)
+        return None
+    return data
 
 
 def read_untrusted_json(path: Path, limit_bytes: int) -> dict[str, Any] | None:
@@ -68,17 +100,21 @@ def read_numeric_columns(path: Path, columns: Sequence[str], limit_bytes: int) -
     """The named columns of the CSV file at ``path``, whose first line names them; shape (n, len(columns)).
 
     An empty field, NaN, and a number beyond :data:`LARGEST_NUMBER` are NaN. Lines that are no numbers are skipped;
-    without the file, or without one of the columns, there are no rows.
+    without the file, or without one of the columns, there are no rows. Nor are there of a file that is longer than
+    ``limit_bytes``: its beginning is not what it says.
     """
-    lines = (read_regular_file(path, limit_bytes) or b"").decode("utf-8", errors="replace").splitlines()
-    header = [name.strip() for name in lines[0].split(",")] if lines else []
+    data = read_untrusted_lines(path, limit_bytes) or b""
+    lines = io.TextIOWrapper(io.BytesIO(data), encoding="utf-8", errors="replace")
+    header = [name.strip() for name in lines.readline().split(",")]
     if not set(columns) <= set(header):
         return np.empty((0, len(columns)))
-    places = [header.index(name) for name in columns]
-    return np.array(list(_rows(lines[1:], places)), dtype=np.float64).reshape(-1, len(columns))
+    values = array("d")
+    for row in _rows(lines, [header.index(name) for name in columns]):
+        values.extend(row)
+    return np.array(values).reshape(-1, len(columns))
 
 
-def _rows(lines: list[str], places: list[int]) -> Iterator[list[float]]:
+def _rows(lines: Iterable[str], places: list[int]) -> Iterator[list[float]]:
     for line in lines:
         fields = line.split(",")
         try:

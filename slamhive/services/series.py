@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slamhive.domain.dataset import Dataset
 from slamhive.runs.folder import RunFolder
-from slamhive.runs.untrusted import read_numeric_columns, read_regular_file
+from slamhive.runs.untrusted import read_numeric_columns, read_untrusted_lines
 from slamhive.store.records import RunRecord
 
 Array = NDArray[np.float64]
@@ -88,6 +88,8 @@ def _explanations(run: RunRecord) -> dict[str, str]:
     """Why each kind of data is not there, if it is not."""
     if run.protocol is None:
         evaluation = "The run has not been evaluated."
+    elif run.metrics is not None and "ate.rmse" not in run.metrics:
+        evaluation = "The dataset has relations and no ground-truth trajectory."
     else:
         evaluation = "The evaluation left no files to draw; evaluate again."
     sampled = "CPU and memory were not sampled." if run.state.ended else "CPU and memory have not been sampled yet."
@@ -115,7 +117,7 @@ def read_dataset_path(dataset: Dataset) -> Track | None:
 
 def read_track(path: Path) -> Track | None:
     """The TUM trajectory at ``path``, thinned for drawing; None if there is none or it is malformed."""
-    data = read_regular_file(path, LIMIT_BYTES)
+    data = read_untrusted_lines(path, LIMIT_BYTES)
     if not data:
         return None
     lines = [line for line in data.decode(errors="replace").splitlines() if line.strip() and not line.startswith("#")]

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from slamhive.domain.run import FailureReason
 from slamhive.runs.folder import RunFolder
+from slamhive.runs.outcome import inspect_trajectory
 from slamhive.runs.untrusted import DEEPEST_JSON, measured_number, read_numeric_columns, read_untrusted_json
 from slamhive.services.evidence import read_about
+from slamhive.services.series import read_track
 
 pytestmark = pytest.mark.integration
 
@@ -82,3 +86,26 @@ def test_columns_of_a_table(tmp_path: Path):
     np.testing.assert_array_equal(rows, expected)
     assert read_numeric_columns(path, ("a", "c"), 1_000_000).shape == (0, 2)
     assert read_numeric_columns(tmp_path / "absent.csv", ("a",), 10).shape == (0, 1)
+    assert read_numeric_columns(path, ("a", "b"), path.stat().st_size).shape == (5, 2)
+    # A part of a table would tell something else than the whole.
+    assert read_numeric_columns(path, ("a", "b"), path.stat().st_size - 1).shape == (0, 2)
+
+
+@pytest.mark.parametrize("line", [b"1\n", b"\n", b"\r", b"1,1\x1c", b"\x0b"])
+def test_a_file_of_more_lines_than_memory_holds_is_not_read(tmp_path: Path, line: bytes):
+    """Each line is an object of its own to Python: 20 MB of them would take a gigabyte."""
+    path = tmp_path / "t.csv"
+    path.write_bytes(b"a,b\n" + line * 10_000_000)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert read_numeric_columns(path, ("a", "b"), 100_000_000).shape == (0, 2)
+    check = inspect_trajectory(path)
+    assert (check.poses, check.problem) == (None, FailureReason.MALFORMED_TRAJECTORY)
+    assert "lines, more than the 2500000 that are read" in check.detail
+    assert read_track(path) is None
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB
+
+
+def test_a_line_longer_than_any_row_is_not_read(tmp_path: Path):
+    path = tmp_path / "traj.txt"
+    path.write_bytes(b"1 " * 600_000)
+    assert inspect_trajectory(path).detail == "traj.txt has a line of more than 1000000 bytes"
