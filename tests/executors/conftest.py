@@ -8,11 +8,20 @@ from pathlib import Path
 import pytest
 
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.executors.base import Executor, Limits, Mount, RunHandle, RunSpec
+from slamhive.executors.base import Executor, Exited, Limits, Mount, RunHandle, Running, RunSpec
 from slamhive.executors.registry import ExecutorContext, open_executor
 from slamhive.runs.folder import RunFolder
+from tests.waiting import eventually
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
+
+
+def wait_for_end(executor: Executor, handle: RunHandle) -> Exited:
+    """How the run ended, once it has; it may be lost in no other way."""
+    eventually(lambda: not isinstance(executor.poll(handle), Running), "the end of the run")
+    status = executor.poll(handle)
+    assert isinstance(status, Exited), status
+    return status
 
 
 @dataclass

@@ -5,29 +5,20 @@ from __future__ import annotations
 import json
 import resource
 import threading
-import time
 
 import psutil
 import pytest
 
 from slamhive.executors import process
-from slamhive.executors.base import Exited, Limits, RunHandle, Running
+from slamhive.executors.base import Limits, RunHandle
 from slamhive.executors.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
 from slamhive.executors.registry import installation_id
 from slamhive.executors.shim import OUTPUT_FOLDER
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.log_line import last_error_line
+from tests.executors.conftest import wait_for_end
 
 process_only = pytest.mark.parametrize("bench", ["process"], indirect=True)
-
-
-def wait_for_end(bench, handle) -> Exited:
-    deadline_s = time.monotonic() + 20
-    while isinstance(status := bench.executor.poll(handle), Running):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.05)
-    assert isinstance(status, Exited)
-    return status
 
 
 @pytest.mark.integration
@@ -35,11 +26,11 @@ def wait_for_end(bench, handle) -> Exited:
 def test_too_many_threads_are_ended_and_the_log_says_so(bench):
     script = (
         "import threading, time\n"
-        "for _ in range(30):\n    threading.Thread(target=time.sleep, args=(60,), daemon=True).start()\n"
-        "time.sleep(60)\n"
+        "for _ in range(30):\n    threading.Thread(target=time.sleep, args=(100,), daemon=True).start()\n"
+        "time.sleep(100)\n"
     )
     spec, handle = bench.start(script, Limits(pids=20))
-    assert wait_for_end(bench, handle).exit_code == 137
+    assert wait_for_end(bench.executor, handle).exit_code == 137
     bench.executor.save_log(handle, spec.log_path)
     assert "[killed at the limit of 20 processes and threads]" in spec.log_path.read_text()
 
@@ -48,9 +39,9 @@ def test_too_many_threads_are_ended_and_the_log_says_so(bench):
 @process_only
 def test_processes_that_multiply_are_all_ended(bench):
     # At most 64 of them, should nobody end them.
-    script = "import os, time\nfor _ in range(6):\n    os.fork()\n    time.sleep(0.2)\ntime.sleep(30)\n"
+    script = "import os, time\nfor _ in range(6):\n    os.fork()\n    time.sleep(0.2)\ntime.sleep(100)\n"
     spec, handle = bench.start(script, Limits(pids=10))
-    assert wait_for_end(bench, handle).exit_code == 137
+    assert wait_for_end(bench.executor, handle).exit_code == 137
     marker = str(bench.result(spec).parent)
     left = [p for p in psutil.process_iter(["cmdline"]) if marker in " ".join(p.info["cmdline"] or [])]
     assert [p for p in left if "shim" not in " ".join(p.info["cmdline"])] == []
@@ -66,7 +57,7 @@ def test_resource_limits(bench):
         "pathlib.Path(os.environ['SLAMHIVE_RESULT'], 'limits').write_text(json.dumps(limits))\n"
     )
     spec, handle = bench.start(script)
-    assert wait_for_end(bench, handle).exit_code == 0
+    assert wait_for_end(bench.executor, handle).exit_code == 0
     core, files, size = json.loads((bench.result(spec) / "limits").read_text())
     assert core == [0, 0]
     assert 0 < files[0] == files[1] <= 65_536
@@ -114,7 +105,7 @@ def test_output_that_finds_no_room_loses_neither_the_run_nor_its_end(bench):
     output.mkdir(parents=True)
     (output / "head").symlink_to("/dev/full")
     handle = bench.executor.start(spec)
-    assert wait_for_end(bench, handle).exit_code == 1
+    assert wait_for_end(bench.executor, handle).exit_code == 1
     (output / "head").unlink()
     bench.executor.save_log(handle, spec.log_path)
     text = spec.log_path.read_text()

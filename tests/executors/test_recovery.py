@@ -12,11 +12,13 @@ from pathlib import Path
 import psutil
 import pytest
 
-from slamhive.executors.base import Exited, Gone, Limits, Running
+from slamhive.executors.base import Gone, Limits, Running
 from slamhive.executors.docker import DockerExecutor
 from slamhive.executors.process import KEY_VARIABLE
 from slamhive.executors.process_tree import ProcessTreeSource
 from slamhive.runs.folder import RunFolder
+from tests.executors.conftest import wait_for_end
+from tests.waiting import eventually
 
 pytestmark = pytest.mark.integration
 
@@ -39,18 +41,14 @@ def with_key(key: str) -> list[psutil.Process]:
 
 @process_only
 def test_killed_supervisor_is_gone_and_takes_the_algorithm_along(bench):
-    spec, handle = bench.start("import subprocess, sys, time\nsubprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'], start_new_session=True)\ntime.sleep(60)\n")  # fmt: skip  # noqa: E501
-    deadline = time.monotonic() + 10
-    while len(with_key(spec.key)) < 2:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    spec, handle = bench.start("import subprocess, sys, time\nsubprocess.Popen([sys.executable, '-c', 'import time; time.sleep(100)'], start_new_session=True)\ntime.sleep(100)\n")  # fmt: skip  # noqa: E501
+    eventually(lambda: len(with_key(spec.key)) == 2, "the start of both processes")
     os.kill(int(handle.data["pid"]), signal.SIGKILL)
-    time.sleep(0.3)
+    eventually(lambda: not isinstance(bench.executor.poll(handle), Running), "the end of the supervisor")
     assert isinstance(bench.executor.poll(handle), Gone)
     assert bench.executor.usage_source(handle) is None
     bench.executor.remove(handle)
-    time.sleep(0.2)
-    assert not with_key(spec.key)
+    eventually(lambda: not with_key(spec.key), "the end of what was left", patience_s=30)
 
 
 @process_only
@@ -65,9 +63,11 @@ def test_start_that_was_killed_before_it_knew_the_supervisor(bench):
         handle = bench.executor.start(spec)
     bench.handles.append(handle)
     assert bench.again().start(spec) == handle
-    time.sleep(0.5)
+    starts = bench.result(spec) / "starts"
+    eventually(lambda: starts.exists() and starts.read_text(), "the start")
+    time.sleep(0.3)  # a second one would have started by now
     assert isinstance(bench.again().poll(handle), Running)
-    assert (bench.result(spec) / "starts").read_text() == "x"
+    assert starts.read_text() == "x"
 
 
 @process_only
@@ -76,30 +76,28 @@ def test_cpu_of_short_lived_children_is_counted(bench):
         "import subprocess, sys, time\n"
         "code = 'import time\\nend = time.process_time() + 0.25\\nwhile time.process_time() < end: pass'\n"
         "for _ in range(4):\n    subprocess.run([sys.executable, '-c', code])\n"
-        "time.sleep(60)\n"
+        "time.sleep(100)\n"
     )
     _, handle = bench.start(script)
     source = bench.executor.usage_source(handle)
     assert isinstance(source, ProcessTreeSource)
-    cpu_s = 0.0
-    deadline = time.monotonic() + 15
-    while cpu_s < 1.0:
-        assert time.monotonic() < deadline
-        time.sleep(0.2)
+    seen_s = [0.0]
+
+    def all_seen() -> bool:
         usage = source.read()
         assert usage is not None
-        assert usage[0] >= cpu_s
-        cpu_s = usage[0]
+        seen_s.append(usage[0])
+        return usage[0] >= 1.0
+
+    eventually(all_seen, "a second of CPU time")
+    assert seen_s == sorted(seen_s)
 
 
 @process_only
 def test_prepared_files_are_there(bench):
     script = "import os, pathlib\nassert pathlib.Path(os.environ['SLAMHIVE_PREPARED'], 'made').exists()\n"
     _, handle = bench.start(script)
-    while isinstance(status := bench.executor.poll(handle), Running):
-        time.sleep(0.05)
-    assert isinstance(status, Exited)
-    assert status.exit_code == 0
+    assert wait_for_end(bench.executor, handle).exit_code == 0
 
 
 @docker_only
@@ -132,7 +130,4 @@ def test_child_killed_by_the_memory_limit_counts(bench):
         "subprocess.run([sys.executable, '-c', 'x = b\"1\" * 300_000_000'])\ntime.sleep(0.5)\n"
     )
     _, handle = bench.start(script, Limits(memory_bytes=60_000_000))
-    while isinstance(status := bench.executor.poll(handle), Running):
-        time.sleep(0.05)
-    assert isinstance(status, Exited)
-    assert status.out_of_memory
+    assert wait_for_end(bench.executor, handle).out_of_memory
