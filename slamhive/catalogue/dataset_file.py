@@ -111,8 +111,8 @@ def load_dataset(folder: Path) -> Dataset:
     for kind, file in files.items():
         if file is not None:
             _check_plain_file(path, kind, file)
-    if model.groundtruth is None and model.bag is None:
-        raise InvalidInput(f"{path}: it has neither a bag nor a groundtruth", "give one of them, or both")
+    if model.groundtruth is None and model.bag is None and model.relations is None:
+        raise InvalidInput(f"{path}: it has neither a bag nor a groundtruth nor relations", "give one of them at least")
     _check_sensors(path, model.sensors)
     return Dataset(
         name=model.name,

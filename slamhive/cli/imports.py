@@ -10,11 +10,13 @@ import click
 from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import messages, print_json, progress_bar
+from slamhive.domain.numbers import plural
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import InvalidInput
 from slamhive.services.imports.request import (
     DEFAULT_GROUND_TRUTH,
     DEFAULT_PATTERN,
+    DEFAULT_RELATIONS,
     DEFAULT_TIMES,
     ImportReport,
     ImportRequest,
@@ -31,6 +33,7 @@ _SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Witho
 @click.option("--table", is_flag=True, help="SOURCE is a CSV: algorithm,dataset,trial,file[,sensors,groundtruth,...].")
 @click.option("--pattern", default=DEFAULT_PATTERN, show_default=True, help="Where trajectories lie in the folder.")
 @click.option("--groundtruth", default=DEFAULT_GROUND_TRUTH, show_default=True, help="Where ground truths lie.")
+@click.option("--relations", default=DEFAULT_RELATIONS, show_default=True, help="Where relations between poses lie.")
 @click.option("--times", default=DEFAULT_TIMES, show_default=True, help="Where the stamps of KITTI poses lie.")
 @click.option("--format", "wanted", type=choice(TrajectoryFormat), default="auto", show_default=True)
 @click.option("--sensors", multiple=True, metavar="[NAME=]SETUP", help=_SENSORS_HELP)
@@ -51,6 +54,7 @@ def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, 
         table=options["table"],
         pattern=options["pattern"],
         ground_truth=options["groundtruth"],
+        relations=options["relations"],
         times=options["times"],
         format=TrajectoryFormat(options["wanted"]),
         sensors=_sensors(options["sensors"]),
@@ -94,11 +98,11 @@ def _show(report: ImportReport, evaluated: int, failures: dict[int, str]) -> Non
         more = f" and {len(report.left_out) - _SHOWN_LEFT_OUT} more" if len(report.left_out) > _SHOWN_LEFT_OUT else ""
         messages.print(f"left out, as they match no pattern: {shown}{more}", markup=False, soft_wrap=True)
     would = "would be " if report.dry_run else ""
-    words = [f"{report.imported} runs {would}imported", f"{report.known} known already"]
-    words += [f"{len(report.datasets)} datasets {would}made of ground truths"] if report.datasets else []
-    words += [] if report.dry_run else [f"{evaluated} evaluated"]
-    words += [f"{len(report.problems)} problems"] if report.problems else []
-    words += [f"{len(failures)} evaluations failed"] if failures else []
+    words = [f"{plural(report.imported, 'run')} {would}imported", f"{report.known:,} known already"]
+    words += [f"{plural(len(report.datasets), 'dataset')} {would}made of ground truth"] if report.datasets else []
+    words += [] if report.dry_run else [f"{evaluated:,} evaluated"]
+    words += [plural(len(report.problems), "problem")] if report.problems else []
+    words += [f"{plural(len(failures), 'evaluation')} failed"] if failures else []
     click.echo(", ".join(words))
 
 

@@ -10,6 +10,7 @@ from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json, print_table
 from slamhive.domain.metrics import metric
+from slamhive.domain.numbers import plural
 from slamhive.errors import Conflict
 from slamhive.services.comparisons import ToolFigures
 from slamhive.services.protocols import UsedProtocol, presets
@@ -74,7 +75,7 @@ def use(cli: CliContext, name: str, run_ids: tuple[int, ...]) -> None:
     hive = cli.hive()
     hive.check_writable()
     hive.current_protocols.use_asked(run_ids, hive.protocols.find(name))
-    click.echo(f"{len(set(run_ids))} run{'s' if len(set(run_ids)) > 1 else ''} changed")
+    click.echo(f"{plural(len(set(run_ids)), 'run')} changed")
 
 
 @protocol.command("compare")

@@ -1,4 +1,4 @@
-"""A dataset: a recording with known sensors, and the ground truth it may come with; or that alone."""
+"""A dataset: a recording with known sensors, and what is known to be true of it; or that alone."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class GroundTruth:
 class Dataset:
     """A recording as ``dataset.yaml`` describes it. ``folder`` holds the bag, the ground truth and the YAML.
 
-    ``bag`` is empty for a dataset that is a ground truth alone, for trajectories that were made elsewhere; ``checksum``
-    is then that of the ground truth.
+    ``bag`` is empty for a dataset that is a ground truth alone, or relations alone, for trajectories that were made
+    elsewhere; ``checksum`` is then that of these files.
     ``reference_map`` is a PCD file of the place in the world of the ground truth, ``relations`` a file of relative
-    poses measured by people: ``timestamp1 timestamp2 x y z roll pitch yaw`` a line.
+    poses of the body frame measured by people: ``timestamp1 timestamp2 x y z roll pitch yaw`` a line.
     """
 
     name: str
@@ -55,8 +55,9 @@ class Dataset:
     def check_recorded(self) -> None:
         """Raise InvalidInput for a dataset without a recording."""
         if not self.bag:
+            alone = "relations" if self.groundtruth is None else "a ground truth"
             raise InvalidInput(
-                f"dataset {self.name} is a ground truth without a recording: nothing can be run on it",
+                f"dataset {self.name} is {alone} without a recording: nothing can be run on it",
                 "slamhive runs import adds trajectories that were made elsewhere",
             )
 

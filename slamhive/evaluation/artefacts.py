@@ -11,6 +11,7 @@ from evo.core.result import Result
 
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.evaluation.engine import ENGINE, Evaluated, evaluate
+from slamhive.evaluation.evaluators.base import Paired
 from slamhive.evaluation.job import (
     RESULT_FILE,
     Artefacts,
@@ -37,7 +38,10 @@ def run_task(task: EvaluationTask, references: References) -> EvaluationResult:
         _remove(task.output, [RESULT_FILE])
         evaluated = evaluate(task, references)
         if isinstance(evaluated, Evaluated):
-            _write_files(task, evaluated)
+            if evaluated.paired is None:
+                _remove(task.output, FILES)
+            else:
+                _write_files(task, evaluated, evaluated.paired)
             result = evaluated.result
         else:
             _remove(task.output, FILES)
@@ -48,21 +52,20 @@ def run_task(task: EvaluationTask, references: References) -> EvaluationResult:
     return result
 
 
-def _write_files(task: EvaluationTask, evaluated: Evaluated) -> None:
+def _write_files(task: EvaluationTask, evaluated: Evaluated, paired: Paired) -> None:
     if task.artefacts is Artefacts.METRICS:
         return
     _remove(task.output, (f"{name}.zip" for name in _ARCHIVES))
     for name, result in evaluated.archives.items():
         write_aside(task.output / f"{name}.zip", _result_archive(result, task.id))
-    aligned, reference = evaluated.paired.aligned, evaluated.paired.reference
-    write_aside(task.output / ALIGNED_FILE, _tum(aligned))
-    write_aside(task.output / REFERENCE_FILE, _tum(reference))
-    write_aside(task.output / ERRORS_FILE, _errors_csv(evaluated))
+    write_aside(task.output / ALIGNED_FILE, _tum(paired.aligned))
+    write_aside(task.output / REFERENCE_FILE, _tum(paired.reference))
+    write_aside(task.output / ERRORS_FILE, _errors_csv(paired, evaluated.archives["ape"]))
     if task.artefacts is Artefacts.PLOTS:
         # Plotting loads matplotlib and evo's settings, which the figures alone do not need.
         from slamhive.evaluation.plots import write_plots  # noqa: PLC0415
 
-        write_plots(task.output, evaluated)
+        write_plots(task.output, paired, evaluated.archives)
 
 
 def load_libraries(tasks: Iterable[EvaluationTask]) -> None:
@@ -81,8 +84,8 @@ def _tum(poses: Poses) -> str:
     return format_tum(poses.stamps_s, poses.positions_m, poses.quats_xyzw)
 
 
-def _errors_csv(evaluated: Evaluated) -> str:
-    rows = np.column_stack((evaluated.paired.aligned.stamps_s, evaluated.archives["ape"].np_arrays["error_array"]))
+def _errors_csv(paired: Paired, ape: Result) -> str:
+    rows = np.column_stack((paired.aligned.stamps_s, ape.np_arrays["error_array"]))
     return "timestamp,ape_m\n" + ("%.9f,%.9f\n" * len(rows)) % tuple(rows.ravel().tolist())
 
 

@@ -1,4 +1,4 @@
-"""One evaluation: read, pair, and let every evaluator take its figures.
+"""One evaluation: read, pair, and let every evaluator take its figures; or, without a ground truth, the relations'.
 
 Runs in the evaluation process or container only, which is where evo is.
 """
@@ -13,6 +13,7 @@ import evo
 from evo.core.result import Result
 
 from slamhive.errors import InvalidInput, NotFound
+from slamhive.evaluation import without_truth
 from slamhive.evaluation.evaluators.base import Evaluator, Figures, Paired, absent
 from slamhive.evaluation.evaluators.builtin import EVALUATORS
 from slamhive.evaluation.job import EvaluationResult, EvaluationTask, failed_result
@@ -36,25 +37,33 @@ class Evaluated:
 
     Attributes:
         result: The figures.
-        paired: What they were computed from.
-        archives: {file name without ending: evo's result}; ``ape`` is always there.
+        paired: What they were computed from; None where there was no ground-truth trajectory.
+        archives: {file name without ending: evo's result}; ``ape`` is there wherever ``paired`` is.
     """
 
     result: EvaluationResult
-    paired: Paired
+    paired: Paired | None
     archives: Mapping[str, Result]
 
 
 def evaluate(task: EvaluationTask, references: References) -> Evaluated | EvaluationResult:
     """Compute the figures of ``task``; an EvaluationResult with a reason if they cannot be computed."""
     poses = matched_poses = 0
+    paired: Paired | None = None
     try:
-        reference = references.of(task)
+        reference = None if task.reference is None else references.of(task)
         estimate = _read_estimate(task)
         poses = len(estimate)
-        paired = pair(reference, estimate, task.protocol, task.files)
-        matched_poses = len(paired.aligned)
-        found = _with_the_essential(all_figures(paired))
+        if reference is None:
+            keys = [key for _, evaluator in EVALUATORS for key in evaluator.keys]
+            found = _finite(
+                without_truth.figures_without_truth(estimate, task.protocol, task.T_body_sensor, task.files, keys)
+            )
+        else:
+            paired = pair(reference, estimate, task.protocol, task.files)
+            matched_poses = len(paired.aligned)
+            found = all_figures(paired)
+        _check_essential(found, without_truth.ESSENTIAL if paired is None else ESSENTIAL)
     except InvalidInput as error:
         return failed_result(task, str(error), ENGINE, poses=poses, matched_poses=matched_poses)
     result = EvaluationResult(
@@ -76,19 +85,23 @@ def all_figures(paired: Paired) -> Figures:
     missing: dict[str, str] = {}
     archives: dict[str, Result] = {}
     for _, evaluator in EVALUATORS:
-        found = _figures(evaluator, paired)
-        finite = {key: float(value) for key, value in found.values.items() if math.isfinite(value)}
-        values |= finite
-        missing |= {key: TOO_FAR_OFF for key in found.values if key not in finite} | dict(found.missing)
+        found = _finite(_figures(evaluator, paired))
+        values |= found.values
+        missing |= found.missing
         archives |= found.archives
     return Figures(values, missing, archives)
 
 
-def _with_the_essential(found: Figures) -> Figures:
-    """The figures; raises InvalidInput if the one is missing that has to be there."""
-    if ESSENTIAL not in found.values:
-        raise InvalidInput(f"{ESSENTIAL}: {found.missing.get(ESSENTIAL, 'no evaluator computed it')}")
-    return found
+def _finite(found: Figures) -> Figures:
+    values = {key: float(value) for key, value in found.values.items() if math.isfinite(value)}
+    missing = {key: TOO_FAR_OFF for key in found.values if key not in values} | dict(found.missing)
+    return Figures(values, missing, found.archives)
+
+
+def _check_essential(found: Figures, key: str) -> None:
+    """Raise InvalidInput if the figure is missing that has to be there."""
+    if key not in found.values:
+        raise InvalidInput(f"{key}: {found.missing.get(key, 'no evaluator computed it')}")
 
 
 def _figures(evaluator: Evaluator, paired: Paired) -> Figures:

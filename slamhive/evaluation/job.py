@@ -34,6 +34,7 @@ class EvaluationTask:
 
     ``T_body_sensor`` is the pose of the frame that the estimate describes in the ground truth's body frame; the
     ground truth is moved into that frame (which is metric, whatever the estimate's scale).
+    ``reference`` is None where there are relations, among ``files``, and no ground-truth trajectory.
     ``positions_only``: the orientations of the ground truth mean nothing. ``files``: what else there is of the run,
     by the name that evaluators know it by (see :class:`~slamhive.evaluation.evaluators.base.Paired`).
     ``artefacts``: METRICS writes figures only; FILES adds ``ape.zip``, ``rpe.zip`` and the aligned ``traj.tum``;
@@ -42,7 +43,7 @@ class EvaluationTask:
 
     id: str
     estimate: Path
-    reference: Path
+    reference: Path | None
     output: Path
     protocol: Protocol
     T_body_sensor: Matrix4 = IDENTITY4
@@ -121,7 +122,7 @@ def _task_to_json(task: EvaluationTask) -> dict[str, Any]:
     return {
         "id": task.id,
         "estimate": str(task.estimate),
-        "reference": str(task.reference),
+        "reference": None if task.reference is None else str(task.reference),
         "output": str(task.output),
         "protocol": task.protocol.content,
         "T_body_sensor": list(task.T_body_sensor),
@@ -135,7 +136,7 @@ def _task_from_json(entry: dict[str, Any]) -> EvaluationTask:
     return EvaluationTask(
         id=entry["id"],
         estimate=Path(entry["estimate"]),
-        reference=Path(entry["reference"]),
+        reference=None if entry["reference"] is None else Path(entry["reference"]),
         output=Path(entry["output"]),
         protocol=protocol_from_content(entry["protocol"]),
         T_body_sensor=tuple(entry["T_body_sensor"]),

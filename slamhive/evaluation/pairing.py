@@ -40,8 +40,7 @@ def pair(
     offset_s = protocol.time_offset_s
     if protocol.offset_search_s > 0:
         offset_s = find_offset(reference, estimate, protocol)
-    if offset_s != 0:
-        estimate = _shifted(estimate, offset_s)
+    estimate = shifted(estimate, offset_s)
     matched_reference, matched_estimate = associate(truth, estimate, protocol)
     if len(matched_reference) < MINIMUM_MATCHED_POSES:
         raise InvalidInput(
@@ -61,6 +60,7 @@ def pair(
         aligned_estimate=transform.poses(estimate),
         transform=transform,
         time_offset_s=offset_s,
+        T_body_estimate=reference.T_body_estimate,
         files=dict(files or {}),
     )
 
@@ -86,7 +86,10 @@ def _thinned(trajectory: Trajectory) -> Trajectory:
     return Trajectory(trajectory.stamps_s[::step], trajectory.positions_m[::step], trajectory.quats_xyzw[::step])
 
 
-def _shifted(trajectory: Trajectory, offset_s: float) -> Trajectory:
+def shifted(trajectory: Trajectory, offset_s: float) -> Trajectory:
+    """The trajectory with ``offset_s`` added to its stamps; raises InvalidInput where they fall together then."""
+    if offset_s == 0:
+        return trajectory
     stamps_s = trajectory.stamps_s + offset_s
     if np.any(np.diff(stamps_s) <= 0):
         raise InvalidInput(f"a time offset of {offset_s:g} s makes stamps fall together", "give a smaller offset")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -13,7 +13,7 @@ from evo.core.trajectory import PoseTrajectory3D
 from evo.tools import plot
 from matplotlib.figure import Figure
 
-from slamhive.evaluation.engine import Evaluated
+from slamhive.evaluation.evaluators.base import Paired
 from slamhive.evaluation.evaluators.evo_errors import ESTIMATE_NAME, REFERENCE_NAME, evo_pair
 from slamhive.files import write_aside
 from slamhive.trajectory.model import FloatArray
@@ -25,10 +25,10 @@ _ESTIMATE_STYLE = {"style": "-", "color": "#0072B2", "label": ESTIMATE_NAME}
 _LINES = ("rmse", "mean", "median", "std")
 
 
-def write_plots(folder: Path, evaluated: Evaluated) -> None:
+def write_plots(folder: Path, paired: Paired, archives: Mapping[str, Result]) -> None:
     """Write every figure of the evaluation as a PNG, each in one step. Raises Unavailable."""
-    matched, aligned = evo_pair(evaluated.paired)
-    ape = evaluated.archives["ape"]
+    matched, aligned = evo_pair(paired)
+    ape = archives["ape"]
     plane = _widest_plane(matched.positions_xyz)
     drawings: dict[str, Callable[[Figure], None]] = {
         "traj_trajectories": lambda figure: _trajectories(figure, matched, aligned, plane),
@@ -38,7 +38,7 @@ def write_plots(folder: Path, evaluated: Evaluated) -> None:
         "ape_raw": lambda figure: _errors(figure, ape),
         "ape_map": lambda figure: _error_map(figure, matched, aligned, ape, plane),
     }
-    pairs = evaluated.archives.get("rpe")
+    pairs = archives.get("rpe")
     if pairs is not None:
         ends, reference_ends = pairs.trajectories[ESTIMATE_NAME], pairs.trajectories[REFERENCE_NAME]
         drawings["rpe_raw"] = lambda figure: _errors(figure, pairs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,9 @@ from slamhive.trajectory.table import count_columns, read_bounded
 from slamhive.trajectory.transforms import move_sensor, rigid_transform
 from slamhive.trajectory.tum import parse_positions, parse_tum
 
+NO_TRUTH = "the dataset has relations and no ground-truth trajectory"
+"""Why a figure that needs a ground-truth trajectory is missing."""
+
 _POSITION_COLUMNS = 4
 _SCALING = {Alignment.SIM3, Alignment.SCALE}
 
@@ -30,11 +33,13 @@ class Reference:
         trajectory: Its poses, in the frame of the estimate; where only positions are known, in the body frame.
         rotations_known: False where only positions are known.
         T_sensor_body: Where only positions are known, and there is a lever arm: what moves the estimate to the body.
+        T_body_estimate: Pose, in the body frame, of the frame whose poses the estimate holds once it is placed.
     """
 
     trajectory: Trajectory
     rotations_known: bool = True
     T_sensor_body: FloatArray | None = None
+    T_body_estimate: FloatArray = field(default_factory=lambda: np.eye(4))
 
     def check(self, alignment: Alignment) -> None:
         """Raise InvalidInput if the estimate cannot be aligned so for want of orientations."""
@@ -72,6 +77,8 @@ class References:
 
     def of(self, task: EvaluationTask) -> Reference:
         """The ground truth of ``task`` in its estimate's frame; raises InvalidInput that says why there is none."""
+        if task.reference is None:
+            raise InvalidInput(NO_TRUTH)
         T_body_sensor = task.protocol.T_body_sensor or task.T_body_sensor
         key = (task.reference, task.positions_only, T_body_sensor)
         if key not in self._moved:
@@ -103,9 +110,10 @@ def _read(path: Path, *, positions_only: bool) -> Reference:
 
 def _moved(body: Reference, T_body_sensor: FloatArray) -> Reference:
     if not body.rotations_known:
-        has_lever_arm = bool(T_body_sensor[:3, 3].any())
+        if not T_body_sensor[:3, 3].any():
+            return Reference(body.trajectory, False, T_body_estimate=T_body_sensor)
         T_sensor_body: FloatArray = np.asarray(np.linalg.inv(T_body_sensor), dtype=np.float64)
-        return Reference(body.trajectory, False, T_sensor_body if has_lever_arm else None)
+        return Reference(body.trajectory, False, T_sensor_body)
     if np.array_equal(T_body_sensor, np.eye(4)):
         return body
-    return Reference(move_sensor(body.trajectory, T_body_sensor))
+    return Reference(move_sensor(body.trajectory, T_body_sensor), T_body_estimate=T_body_sensor)

@@ -149,6 +149,8 @@ class _Collected:
 
 def _input_problem(task: EvaluationTask) -> str | None:
     for name, path in (("estimate", task.estimate), ("ground truth", task.reference)):
+        if path is None:
+            continue
         try:
             mode = path.lstat().st_mode if name == "estimate" else path.stat().st_mode
         except FileNotFoundError:
@@ -177,7 +179,9 @@ def _place(
         replace(
             task,
             estimate=place(task.estimate, f"/slamhive/estimates/{number}/{task.estimate.name}"),
-            reference=place(task.reference.resolve(), f"/slamhive/references/{number}/{task.reference.name}"),
+            reference=None
+            if task.reference is None
+            else place(task.reference.resolve(), f"/slamhive/references/{number}/{task.reference.name}"),
             output=place(task.output, f"/slamhive/outputs/{number}", read_only=False),
             files={
                 name: place(path, f"/slamhive/files/{number}/{name}/{path.name}") for name, path in task.files.items()

@@ -67,6 +67,7 @@ def dataset_to_json(dataset: Dataset) -> dict[str, Any]:
             "gravity_aligned": truth.gravity_aligned,
             "positions_only": truth.positions_only,
         },
+        "relations": dataset.relations,
     }
 
 

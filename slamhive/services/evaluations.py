@@ -276,4 +276,4 @@ class Evaluations:
 def _refused(entry: EvaluationRecord, reason: str) -> EvaluationResult:
     """The result of an evaluation that could not even begin."""
     nowhere = Path()
-    return failed_result(EvaluationTask(str(entry.id), nowhere, nowhere, nowhere, entry.protocol), reason, NO_ENGINE)
+    return failed_result(EvaluationTask(str(entry.id), nowhere, None, nowhere, entry.protocol), reason, NO_ENGINE)

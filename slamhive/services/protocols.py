@@ -49,10 +49,8 @@ def fitting_protocol(
     )
     protocol = default if asked is None else asked.on(default)
     if protocol.alignment is Alignment.YAW_POSITION and not gravity_aligned:
-        raise InvalidInput(
-            f"yaw + position alignment needs a ground truth whose z axis points up; that of {dataset.name} does not",
-            "use se3",
-        )
+        found = f"that of {dataset.name} does not" if truth is not None else f"{dataset.name} has none"
+        raise InvalidInput(f"yaw + position alignment needs a ground truth whose z axis points up; {found}", "use se3")
     if protocol.alignment is Alignment.FIRST_POSE and truth is not None and truth.positions_only:
         raise InvalidInput(
             f"alignment of the first pose needs orientations; the ground truth of {dataset.name} holds positions only",
@@ -63,11 +61,14 @@ def fitting_protocol(
     return protocol
 
 
-def reference_path(dataset: Dataset, protocol: Protocol) -> Path:
-    """The file to compare with; raises InvalidInput if there is none, naming what the protocol asks for."""
+def reference_path(dataset: Dataset, protocol: Protocol) -> Path | None:
+    """The trajectory to compare with, None where the dataset has relations instead.
+
+    Raises InvalidInput if there is neither, naming what the protocol asks for.
+    """
     if protocol.reference is None:
         path = dataset.groundtruth_path
-        if path is None:
+        if path is None and dataset.relations is None:
             raise InvalidInput(f"dataset {dataset.name} has no ground truth", "its trajectory is in the run folder")
         return path
     path = dataset.folder / protocol.reference

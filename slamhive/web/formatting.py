@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from slamhive.domain.metrics import Metric
+from slamhive.domain.numbers import plural as plural  # noqa: PLC0414 - offered beside the others here
 
 DASH = "–"
 PERCENT_METRICS = frozenset(
@@ -66,11 +67,6 @@ def significant(value: float, digits: int = 4) -> str:
 def thousands(value: int) -> str:
     """``1,234``."""
     return f"{value:,}"
-
-
-def plural(count: int, noun: str, many: str | None = None) -> str:
-    """``1 run``, ``1,234 runs``."""
-    return f"{thousands(count)} {noun if count == 1 else many or noun + 's'}"
 
 
 def duration(seconds: float | None) -> str:

@@ -2,7 +2,9 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,9 @@ from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation.artefacts import FILES, run_task
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask, result_from_json
 from slamhive.evaluation.references import References
-from slamhive.trajectory.transforms import rotations_from_quats
+from slamhive.runtime.pcd import write_pcd
+from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.transforms import move_sensor, rotations_from_quats
 from slamhive.trajectory.tum import write_tum
 
 pytestmark = pytest.mark.integration
@@ -36,11 +40,11 @@ class Bench:
         write_tum(self.truth, STAMPS_S, positions_m, quats)
         write_tum(self.estimate, STAMPS_S, positions_m, quats)
 
-    def run(self, alignment: Alignment = Alignment.SE3, **options: object) -> EvaluationResult:
+    def run(self, alignment: Alignment = Alignment.SE3, **options: Any) -> EvaluationResult:
         output = self.folder / "out"
         output.mkdir(exist_ok=True)
-        values: dict[str, object] = {"artefacts": Artefacts.METRICS} | options
-        task = EvaluationTask("7", self.estimate, self.truth, output, Protocol(alignment), **values)  # type: ignore[arg-type]
+        task = EvaluationTask("7", self.estimate, self.truth, output, Protocol(alignment))
+        task = replace(task, **{"artefacts": Artefacts.METRICS, **options})
         result = run_task(task, References())
         assert result_from_json((output / "result.json").read_text()) == result
         assert all(math.isfinite(value) for value in result.metrics.values())
@@ -189,3 +193,67 @@ def test_a_ground_truth_is_read_once(bench: Bench) -> None:
     references.preload([task] * 5)
     bench.truth.unlink()
     assert references.of(task) is references.of(task)
+
+
+MOUNTED = (1.0, 0.0, 0.0, 0.5, 0.0, 0.0, -1.0, 0.0, 0.0, 1.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0)
+
+
+def relations(folder: Path) -> Path:
+    """Between poses of the body a second apart."""
+    positions_m, quats = curve()
+    R = rotations_from_quats(quats)
+    rows = []
+    for i in range(0, 380, 20):
+        x, y, z = R[i].T @ (positions_m[i + 20] - positions_m[i])
+        rows.append(f"{STAMPS_S[i]} {STAMPS_S[i + 20]} {x} {y} {z} 0 0 {1 / 3}\n")
+    path = folder / "a.relations"
+    path.write_text("".join(rows))
+    return path
+
+
+def test_relations_serve_where_there_is_no_ground_truth(bench: Bench) -> None:
+    body = Trajectory(STAMPS_S, *curve())
+    sensor = move_sensor(body, np.reshape(MOUNTED, (4, 4)))
+    write_tum(bench.estimate, sensor.stamps_s, sensor.positions_m, sensor.quats_xyzw)
+    given: dict[str, Any] = {"reference": None, "files": {"relations": relations(bench.folder)}}
+    result = bench.run(T_body_sensor=MOUNTED, artefacts=Artefacts.PLOTS, **given)
+    assert result.reason is None
+    assert (result.metrics["relations.matched_fraction"], result.matched_poses) == (1, 0)
+    assert result.metrics["relations.translation.max"] == pytest.approx(0, abs=1e-6)
+    assert result.metrics["relations.rotation.max"] == pytest.approx(0, abs=1e-5)
+    assert result.missing["ate.rmse"] == "the dataset has relations and no ground-truth trajectory"
+    assert result.missing["map.entropy"] == "the algorithm wrote no Map.pcd"
+    assert set(result.metrics) | set(result.missing) == {
+        key for key, entry in CATALOGUE.items() if entry.needs_protocol
+    }
+    assert [name for name in FILES if (bench.folder / "out" / name).exists()] == []
+    assert bench.run(**given).metrics["relations.translation.max"] > 0.01, "the lever arm counts"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"protocol": Protocol(Alignment.SIM3)}, "leaves the scale of the estimate open"),
+        ({"protocol": Protocol(Alignment.SE3, offset_search_s=1.0)}, "a time offset can be searched only where"),
+        ({"protocol": Protocol(Alignment.SE3, time_offset_s=1e6)}, "no poses at the times of any of the 19 relations"),
+        ({"files": {}}, "the file of the dataset's relations does not exist"),
+    ],
+)
+def test_relations_that_cannot_be_compared_are_told(bench: Bench, options: dict[str, Any], message: str) -> None:
+    given: dict[str, Any] = {"reference": None, "files": {"relations": relations(bench.folder)}}
+    result = bench.run(**(given | options))
+    assert message in (result.reason or "")
+    assert result.metrics == {}
+
+
+def test_a_map_is_measured_without_a_ground_truth_as_far_as_it_can_be(bench: Bench) -> None:
+    side_m = np.linspace(0, 1, 40)
+    floor = np.column_stack([*(axis.ravel() for axis in np.meshgrid(side_m, side_m)), np.zeros(1600)])
+    files = {"relations": relations(bench.folder)} | {
+        name: bench.folder / f"{name}.pcd" for name in ("map", "reference_map")
+    }
+    for name in ("map", "reference_map"):
+        write_pcd(files[name], floor)
+    result = bench.run(reference=None, files=files)
+    assert {"map.points", "map.entropy"} <= result.metrics.keys()
+    assert "nothing moves the map" in result.missing["map.chamfer"]

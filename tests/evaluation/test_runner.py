@@ -78,6 +78,7 @@ def test_every_task_is_accounted_for_when_the_batch_dies(tmp_path: Path) -> None
 
 def test_a_missing_ground_truth_says_what_to_do(tmp_path: Path) -> None:
     tasks = make_tasks(tmp_path, 1)
+    assert tasks[0].reference is not None
     tasks[0].reference.unlink()
     results, _ = run(Scripted(done=0, ending=None), tasks, tmp_path)
     assert results[0].reason is not None

@@ -1,8 +1,8 @@
-"""Metrics that need more than two trajectories: covariances of the algorithm, relations measured by people."""
+"""Metrics from more than two trajectories, or one: covariances of the algorithm, relations measured by people."""
 
 from __future__ import annotations
 
-from slamhive.domain.metrics.model import Direction, Group, Metric
+from slamhive.domain.metrics.model import Direction, Group, Metric, statistics
 
 _BAR_SHALOM = "Bar-Shalom et al., Estimation with Applications to Tracking and Navigation, 2001, section 5.4"
 _KUEMMERLE = "Kuemmerle et al., On Measuring the Accuracy of SLAM Algorithms, Autonomous Robots 27, 2009"
@@ -40,21 +40,23 @@ def _relations() -> list[Metric]:
         "translation": ("m", "distance between the positions that estimate and relation give to the second pose"),
         "rotation": ("deg", "angle between the orientations that estimate and relation give to the second pose"),
     }
-    statistics = {"mean": "Mean", "std": "Standard deviation (divisor n)", "max": "Maximum"}
-    metrics = [
-        Metric(
-            f"relations.{part}.{name}",
-            f"Relations {part} {name}",
+    metrics: list[Metric] = []
+    for part, (unit, what) in parts.items():
+        definition = (
+            f"the {what}, seen from the first, over the relations; poses of the body frame, not aligned, but scaled "
+            "under a protocol that leaves the scale open"
+        )
+        base = Metric(
+            f"relations.{part}",
+            f"Relations {part}",
             unit,
             Direction.LOWER,
-            f"{words} over the relations of the {what}, seen from the first; no alignment.",
+            definition,
             True,
             Group.RELATIONS,
             _KUEMMERLE,
         )
-        for part, (unit, what) in parts.items()
-        for name, words in statistics.items()
-    ]
+        metrics += statistics(base, ("rmse", "mean", "std", "max"))
     metrics.append(
         Metric(
             "relations.matched_fraction",

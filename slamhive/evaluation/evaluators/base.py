@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from typing import Protocol as Interface
 
+import numpy as np
+
 from slamhive.domain.protocol import Protocol
 from slamhive.trajectory.alignment import Similarity
-from slamhive.trajectory.model import Poses, Trajectory
+from slamhive.trajectory.model import FloatArray, Poses, Trajectory
 
 if TYPE_CHECKING:
     from evo.core.result import Result
@@ -37,6 +39,7 @@ class Paired:
         aligned_estimate: The whole estimate, aligned.
         transform: What aligned it.
         time_offset_s: What was added to the estimate's stamps.
+        T_body_estimate: Pose, in the body frame, of the frame whose poses the estimate holds, shape (4, 4).
         files: What else there is of run and dataset, by name: :data:`COVARIANCES`, :data:`MAP`, :data:`RELATIONS`,
             :data:`REFERENCE_MAP`; those that are not there are left out.
     """
@@ -51,6 +54,7 @@ class Paired:
     aligned_estimate: Trajectory
     transform: Similarity
     time_offset_s: float = 0.0
+    T_body_estimate: FloatArray = field(default_factory=lambda: np.eye(4))
     files: Mapping[str, Path] = field(default_factory=dict)
 
 

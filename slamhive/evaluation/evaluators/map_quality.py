@@ -8,6 +8,7 @@ of the trajectory, so that a map is not better than the poses it was built from.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -27,6 +28,7 @@ from slamhive.domain.metrics.maps import (
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.base import MAP, REFERENCE_MAP, Figures, Paired, absent
 from slamhive.evaluation.pcd import read_pcd
+from slamhive.trajectory.alignment import Similarity
 from slamhive.trajectory.model import FloatArray
 
 if TYPE_CHECKING:
@@ -62,27 +64,37 @@ class MapQuality:
 
     def evaluate(self, paired: Paired) -> Figures:
         """Missing where the algorithm wrote no map; without a reference cloud, entropy and size are left."""
-        path = paired.files.get(MAP)
-        if path is None:
-            return absent(self.keys, "the algorithm wrote no Map.pcd")
-        points_m = read_pcd(path, path.name)
-        cloud = make_cloud(paired.transform.points(points_m))
-        values = {"map.points": float(len(points_m))}
-        missing: dict[str, str] = {}
-        entropy = map_entropy(cloud)
-        if entropy is None:
-            missing["map.entropy"] = (
-                f"no point of the map has {ENTROPY_NEIGHBOURS} neighbours within {ENTROPY_RADIUS_M:g} m"
-            )
-        else:
-            values["map.entropy"] = entropy
-        reference = paired.files.get(REFERENCE_MAP)
-        if reference is None:
-            left = [key for key in self.keys if key not in ("map.entropy", "map.points")]
-            missing |= dict.fromkeys(left, "the dataset has no reference cloud")
-        else:
-            values |= compare(cloud, _reference_cloud(reference))
-        return Figures(values, missing)
+        return map_figures(paired.files, paired.transform)
+
+
+def map_figures(files: Mapping[str, Path], transform: Similarity | None) -> Figures:
+    """The figures of the map among ``files``, which ``transform`` moves into the world of the reference cloud.
+
+    Without a transform, which needs a ground-truth trajectory, the map is compared with nothing.
+    """
+    path = files.get(MAP)
+    if path is None:
+        return absent(MapQuality.keys, "the algorithm wrote no Map.pcd")
+    points_m = read_pcd(path, path.name)
+    cloud = make_cloud(points_m if transform is None else transform.points(points_m))
+    values = {"map.points": float(len(points_m))}
+    missing: dict[str, str] = {}
+    entropy = map_entropy(cloud)
+    if entropy is None:
+        missing["map.entropy"] = (
+            f"no point of the map has {ENTROPY_NEIGHBOURS} neighbours within {ENTROPY_RADIUS_M:g} m"
+        )
+    else:
+        values["map.entropy"] = entropy
+    reference = files.get(REFERENCE_MAP)
+    compared = [key for key in MapQuality.keys if key not in ("map.entropy", "map.points")]
+    if reference is None:
+        missing |= dict.fromkeys(compared, "the dataset has no reference cloud")
+    elif transform is None:
+        missing |= dict.fromkeys(compared, "without a ground-truth trajectory nothing moves the map to the reference")
+    else:
+        values |= compare(cloud, _reference_cloud(reference))
+    return Figures(values, missing)
 
 
 def compare(cloud: Cloud, reference: Cloud) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Errors against relations between poses that people have measured, where there is no ground-truth trajectory.
+"""Errors against relations between poses that people have measured, beside a ground-truth trajectory or without one.
 
 Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27, 2009; the relations are
 those that the Freiburg benchmark publishes beside recordings of 2D lasers.
@@ -20,6 +20,7 @@ from slamhive.trajectory.model import FloatArray, Trajectory
 from slamhive.trajectory.table import parse_table, read_bounded
 from slamhive.trajectory.transforms import (
     inverse_quats,
+    move_sensor,
     multiply_quats,
     rotation_angles_rad,
     rotations_from_quats,
@@ -28,12 +29,12 @@ from slamhive.trajectory.transforms import (
 BoolArray = npt.NDArray[np.bool_]
 
 LAYOUT = "timestamp1 timestamp2 x y z roll pitch yaw"
-_NAMES = ("mean", "std", "max")
+_NAMES = ("rmse", "mean", "std", "max")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relations:
-    """Poses of the robot at one time as seen from itself at another.
+    """Poses of the body at one time as seen from itself at another.
 
     Attributes:
         from_s: The times seen from, shape (n,).
@@ -61,7 +62,23 @@ class RelationErrors:
         path = paired.files.get(RELATIONS)
         if path is None:
             return absent(self.keys, "the dataset has no relations")
-        return Figures(relation_figures(read_relations(path), paired.estimate, paired.protocol.gap_threshold_s))
+        body = of_body(paired.estimate, paired.transform.scale, paired.T_body_estimate)
+        return Figures(relation_figures(read_relations(path), body, paired.protocol.gap_threshold_s))
+
+
+def of_body(estimate: Trajectory, scale: float, T_body_estimate: FloatArray) -> Trajectory:
+    """The body's trajectory from that of the sensor that the estimate describes.
+
+    Args:
+        estimate: In its own world, whose unit is the metre once it is scaled.
+        scale: What to scale it by.
+        T_body_estimate: Pose of the sensor in the body frame, shape (4, 4).
+    """
+    if scale != 1:
+        estimate = Trajectory(estimate.stamps_s, scale * estimate.positions_m, estimate.quats_xyzw)
+    if np.array_equal(T_body_estimate, np.eye(4)):
+        return estimate
+    return move_sensor(estimate, np.asarray(np.linalg.inv(T_body_estimate)))
 
 
 def read_relations(path: Path) -> Relations:
@@ -70,7 +87,12 @@ def read_relations(path: Path) -> Relations:
         data = read_bounded(path)
     except NotFound:
         raise InvalidInput(f"the relations {path.name} do not exist", "put the dataset's file back") from None
-    table = parse_table(data, f"relations {path.name}", 8, LAYOUT)
+    return parse_relations(data, f"relations {path.name}")
+
+
+def parse_relations(data: bytes, name: str) -> Relations:
+    """The relations in the bytes of a file that messages call ``name``; raises InvalidInput naming the line."""
+    table = parse_table(data, name, 8, LAYOUT)
     finite = np.isfinite(table.values).all(axis=1)
     if not finite.all():
         raise table.error(int((~finite).argmax()), "a number is not finite", "leave the relation out")
@@ -84,7 +106,7 @@ def relation_figures(relations: Relations, estimate: Trajectory, gap_s: float) -
 
     Args:
         relations: What was measured.
-        estimate: What was estimated, on the same clock.
+        estimate: What was estimated of the body, in m, on the same clock.
         gap_s: Between poses further apart the estimate is not interpolated.
 
     Raises:

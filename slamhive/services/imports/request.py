@@ -11,6 +11,7 @@ from slamhive.domain.sensors import SensorSetup
 DEFAULT_PATTERN = "<algorithm>/<dataset>/<trial>.txt"
 DEFAULT_GROUND_TRUTH = "<dataset>/groundtruth.txt"
 DEFAULT_TIMES = "<dataset>/times.txt"
+DEFAULT_RELATIONS = "<dataset>/relations.txt"
 
 
 class TrajectoryFormat(StrEnum):
@@ -31,6 +32,7 @@ class ImportRequest:
         table: Columns say what the pattern would: algorithm, dataset, trial, file.
         pattern: Of the trajectories below the folder.
         ground_truth: Pattern of the ground truths below the folder, for datasets that are not here yet.
+        relations: Pattern of the files of relations, beside a ground truth or instead of one.
         times: Pattern of the stamps that KITTI poses lack.
         format: Of all trajectories.
         sensors: What each algorithm senses with; the key "" is for all others.
@@ -41,6 +43,7 @@ class ImportRequest:
     table: bool = False
     pattern: str = DEFAULT_PATTERN
     ground_truth: str = DEFAULT_GROUND_TRUTH
+    relations: str = DEFAULT_RELATIONS
     times: str = DEFAULT_TIMES
     format: TrajectoryFormat = TrajectoryFormat.AUTO
     sensors: dict[str, SensorSetup] = field(default_factory=dict)
@@ -70,10 +73,14 @@ class Problem:
 
 @dataclass
 class Found:
-    """What lies at the source. ``truths`` by dataset, ``setups`` by algorithm; ``left_out`` match no pattern."""
+    """What lies at the source.
+
+    ``truths`` and ``relations`` by dataset, "" being for all; ``setups`` by algorithm; ``left_out`` match no pattern.
+    """
 
     candidates: list[Candidate] = field(default_factory=list)
     truths: dict[str, Path] = field(default_factory=dict)
+    relations: dict[str, Path] = field(default_factory=dict)
     setups: dict[str, SensorSetup] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
@@ -87,7 +94,7 @@ class ImportReport:
         run_ids: Of all runs that the source stands for: new ones and those imported before.
         imported: How many are new.
         known: How many had been imported before.
-        datasets: Datasets that were made of a ground truth.
+        datasets: Datasets that were made of ground truths or relations.
         problems: What was not imported.
         left_out: Files that match no pattern.
     """

@@ -7,10 +7,9 @@ between, or anywhere else, is completed by the same command.
 from __future__ import annotations
 
 import shutil
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
 
@@ -18,6 +17,7 @@ from slamhive.bags.variants.locks import Busy, exclusive
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.numbers import plural
 from slamhive.errors import Conflict, InvalidInput, SlamHiveError, Unavailable
 from slamhive.runs.folder import RunFolder
 from slamhive.services.catalogue import Catalogue, check_writable
@@ -26,7 +26,7 @@ from slamhive.services.imports.external import choose_algorithm
 from slamhive.services.imports.reading import Loaded, load, trial_digits
 from slamhive.services.imports.request import Candidate, Found, ImportReport, ImportRequest, Problem
 from slamhive.services.imports.sources import find
-from slamhive.services.imports.truths import Truths
+from slamhive.services.imports.truths import TruthFiles, Truths
 from slamhive.services.preparation import check_disk
 from slamhive.services.record import begin_record, events_to_json
 from slamhive.settings import Settings
@@ -44,10 +44,12 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class _Homes:
-    """What candidates belong to, by name."""
+    """What candidates belong to, by name; ``lost`` are datasets that cannot be used."""
 
-    algorithms: dict[str, Algorithm]
-    datasets: dict[str, Dataset]
+    truths: Truths
+    algorithms: dict[str, Algorithm] = field(default_factory=dict)
+    datasets: dict[str, Dataset] = field(default_factory=dict)
+    lost: set[str] = field(default_factory=set)
 
 
 class Imports:
@@ -83,16 +85,15 @@ class Imports:
             if not dry_run:
                 check_disk(self._settings)
             homes = self._homes(request, found, report)
-            ready = [
-                entry
-                for entry in found.candidates
-                if entry.algorithm in homes.algorithms and entry.dataset in homes.datasets
-            ]
+            ready = [entry for entry in found.candidates if entry.algorithm in homes.algorithms]
             for start in range(0, len(ready), BATCH):
-                part = ready[start : start + BATCH]
-                self._batch(list(_loaded(part, report)), homes, report)
-                progress(start + len(part), len(ready))
+                part = [entry for entry in ready[start : start + BATCH] if entry.dataset not in homes.lost]
+                loaded = list(_loaded(part, report))
+                self._find_datasets({entry.candidate.dataset for entry in loaded}, homes, found, report)
+                self._batch([entry for entry in loaded if entry.candidate.dataset in homes.datasets], homes, report)
+                progress(min(start + BATCH, len(ready)), len(ready))
         report.problems.sort(key=lambda problem: problem.name)
+        report.datasets.sort()
         return report
 
     @contextmanager
@@ -108,32 +109,40 @@ class Imports:
             raise Conflict("another import is under way", "wait for it to end") from None
 
     def _homes(self, request: ImportRequest, found: Found, report: ImportReport) -> _Homes:
-        """Algorithms and datasets of the candidates; those that cannot be used are problems, told once each."""
-        homes = _Homes({}, {})
-        lost: dict[str, SlamHiveError] = {}
+        """The algorithms of the candidates, those that cannot be used being problems, and no datasets yet."""
+        truths = Truths(self._catalogue, self._settings.datasets_folder, gravity_aligned=request.gravity_aligned)
+        homes = _Homes(truths)
         for name in sorted({entry.algorithm for entry in found.candidates}):
             setup = found.setups.get(name) or request.sensors.get(name) or request.sensors.get("")
             try:
                 homes.algorithms[name] = choose_algorithm(self._store, self._catalogue, name, setup)
             except SlamHiveError as error:
-                lost[name] = error
-        self._note(lost, "algorithm", found.candidates, report)
+                _note(error, "algorithm", name, found.candidates, report)
         self._check_sensor_names(request, found)
-        truths = Truths(self._catalogue, self._settings.datasets_folder, gravity_aligned=request.gravity_aligned)
-        lost = {}
+        return homes
+
+    def _find_datasets(self, names: Iterable[str], homes: _Homes, found: Found, report: ImportReport) -> None:
+        """Find or make the datasets that are not known yet; one that cannot be used is a problem, told once.
+
+        Only for trajectories that can be read: nothing is made where every one is refused.
+        """
         usable = [entry for entry in found.candidates if entry.algorithm in homes.algorithms]
-        for name in sorted({entry.dataset for entry in usable}):
-            times = next((entry.times for entry in usable if entry.dataset == name and entry.times is not None), None)
-            truth = found.truths.get(name, found.truths.get(""))
+        for name in sorted(set(names) - homes.datasets.keys() - homes.lost):
+            files = TruthFiles(
+                trajectory=found.truths.get(name, found.truths.get("")),
+                times=next(
+                    (entry.times for entry in usable if entry.dataset == name and entry.times is not None), None
+                ),
+                relations=found.relations.get(name, found.relations.get("")),
+            )
             try:
-                homes.datasets[name], new = truths.dataset(name, truth, times, dry_run=report.dry_run)
+                homes.datasets[name], new = homes.truths.dataset(name, files, dry_run=report.dry_run)
                 report.datasets += [name] if new else []
             except Unavailable:
                 raise
             except SlamHiveError as error:
-                lost[name] = error
-        self._note(lost, "dataset", usable, report)
-        return homes
+                homes.lost.add(name)
+                _note(error, "dataset", name, usable, report)
 
     def _check_sensor_names(self, request: ImportRequest, found: Found) -> None:
         names = {entry.algorithm for entry in found.candidates}
@@ -143,15 +152,6 @@ class Imports:
                     f"--sensors names {name!r}, of which there is no trajectory",
                     f"there are {', '.join(sorted(names))}",
                 )
-
-    def _note(
-        self, lost: dict[str, SlamHiveError], field: str, candidates: Iterable[Candidate], report: ImportReport
-    ) -> None:
-        counts: dict[str, int] = defaultdict(int)
-        for entry in candidates:
-            counts[getattr(entry, field)] += 1
-        for name, error in lost.items():
-            report.problems.append(Problem(f"{field} {name} ({counts[name]} files)", str(error)))
 
     def _batch(self, loaded: list[Loaded], homes: _Homes, report: ImportReport) -> None:
         """File what is new, and give every run its folder."""
@@ -209,6 +209,12 @@ class Imports:
 
     def _folder(self, run_id: int) -> RunFolder:
         return RunFolder(self._settings.runs_folder / str(run_id))
+
+
+def _note(error: SlamHiveError, kind: str, name: str, candidates: Iterable[Candidate], report: ImportReport) -> None:
+    """One problem for all candidates of an algorithm or a dataset."""
+    count = sum(getattr(entry, kind) == name for entry in candidates)
+    report.problems.append(Problem(f"{kind} {name} ({plural(count, 'file')})", str(error)))
 
 
 def _nothing(request: ImportRequest, found: Found) -> InvalidInput:

@@ -16,7 +16,7 @@ from slamhive.services.imports.request import Candidate, Found, ImportRequest, P
 from slamhive.trajectory.table import read_bounded
 
 _NEEDED = ("algorithm", "dataset", "file")
-_OPTIONAL = ("trial", "sensors", "groundtruth", "times", "format")
+_OPTIONAL = ("trial", "sensors", "groundtruth", "relations", "times", "format")
 _ONLY_TRIAL = "1"
 
 
@@ -51,18 +51,27 @@ def _in_folder(request: ImportRequest, found: Found) -> Iterator[Candidate]:
     if not root.is_dir():
         raise InvalidInput(f"{root} is no folder", "give the folder that holds the trajectories, or --table for a CSV")
     pattern = PathPattern(request.pattern, needed=("algorithm", "dataset"))
-    truth, times = (PathPattern(text, ("dataset",)) for text in (request.ground_truth, request.times))
-    paths = dict(_files(root, found))
-    stamps = {match.get("dataset", ""): path for name, path in paths.items() if (match := times.match(name))}
-    for name, path in paths.items():
-        match = truth.match(name)
-        if match is not None:
-            found.truths[match.get("dataset", "")] = path
-        elif times.match(name) is None:
-            match = pattern.match(name)
-            if match is None:
-                found.left_out.append(name)
-                continue
+    stamps: dict[str, Path] = {}
+    beside = [
+        (PathPattern(text, ("dataset",)), files)
+        for text, files in (
+            (request.ground_truth, found.truths),
+            (request.relations, found.relations),
+            (request.times, stamps),
+        )
+    ]
+    trajectories: list[tuple[str, Path]] = []
+    for name, path in _files(root, found):
+        place = next(((match, files) for kind, files in beside if (match := kind.match(name)) is not None), None)
+        if place is None:
+            trajectories.append((name, path))
+        else:
+            place[1][place[0].get("dataset", "")] = path
+    for name, path in trajectories:
+        match = pattern.match(name)
+        if match is None:
+            found.left_out.append(name)
+        else:
             yield Candidate(
                 algorithm=match["algorithm"],
                 dataset=match["dataset"],
@@ -122,10 +131,14 @@ def _row(request: ImportRequest, found: Found, row: dict[str, str], name: str) -
         setup = parse_setup(row["sensors"])
         if found.setups.setdefault(algorithm, setup) is not setup:
             raise InvalidInput(f"{algorithm} has the sensors {found.setups[algorithm].value} in a row above")
-    if row.get("groundtruth"):
-        truth = _inside(folder, row["groundtruth"])
-        if found.truths.setdefault(dataset, truth) != truth:
-            raise InvalidInput(f"dataset {dataset} has the ground truth {found.truths[dataset].name} in a row above")
+    for column, kind, files in (
+        ("groundtruth", "ground truth", found.truths),
+        ("relations", "relations", found.relations),
+    ):
+        if row.get(column):
+            file = _inside(folder, row[column])
+            if files.setdefault(dataset, file) != file:
+                raise InvalidInput(f"dataset {dataset} has the {kind} {files[dataset].name} in a row above")
     wanted = row.get("format") or request.format.value
     known = [entry.value for entry in TrajectoryFormat]
     if wanted not in known:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from pathlib import Path
 
 from slamhive.bags.staging import GROUND_TRUTH_FILE, new_dataset_folder
@@ -10,9 +11,27 @@ from slamhive.catalogue.dataset_file import DATASET_FILE, dataset_to_yaml
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.names import check_name
 from slamhive.errors import InvalidInput, NotFound
+from slamhive.evaluation.evaluators.relations import parse_relations
 from slamhive.services.catalogue import Catalogue
 from slamhive.services.imports.reading import load_truth
 from slamhive.trajectory.table import read_bounded
+
+RELATIONS_FILE = "relations.txt"
+
+
+@dataclass(frozen=True, slots=True)
+class TruthFiles:
+    """What comes along with trajectories on one dataset.
+
+    Attributes:
+        trajectory: The ground truth.
+        times: Stamps of the ground truth, if it is in KITTI format.
+        relations: Relations between poses.
+    """
+
+    trajectory: Path | None = None
+    times: Path | None = None
+    relations: Path | None = None
 
 
 class Truths:
@@ -29,42 +48,52 @@ class Truths:
         self._folder = folder
         self._gravity_aligned = gravity_aligned
 
-    def dataset(self, name: str, truth: Path | None, times: Path | None, *, dry_run: bool) -> tuple[Dataset, bool]:
+    def dataset(self, name: str, files: TruthFiles, *, dry_run: bool) -> tuple[Dataset, bool]:
         """The dataset called ``name``, and whether it is new; with ``dry_run`` it is described and not made.
 
-        Raises InvalidInput for a ground truth that is damaged, missing, or not that of the dataset that is here.
+        Raises InvalidInput for a file that is damaged, missing, or not that of the dataset that is here.
         """
         check_name("dataset", name)
         known = self._known(name)
-        if truth is None:
-            if known is None:
-                raise InvalidInput(
-                    f"dataset {name} is not here, and no ground truth was found for it",
-                    "say where it lies with --groundtruth",
-                )
-            if known.groundtruth_path is None:
-                raise InvalidInput(f"dataset {name} has no ground truth", "add one to its folder")
-            return known, False
-        text, trajectory = load_truth(truth, times)
         if known is not None:
-            self._check_same(known, text)
+            self._check_same(known, files)
             return known, False
+        if files.trajectory is None and files.relations is None:
+            raise InvalidInput(
+                f"dataset {name} is not here, and no ground truth was found for it",
+                "say where it lies with --groundtruth, or with --relations if it has no trajectory",
+            )
+        dataset, contents = self._described(name, files)
+        if not dry_run:
+            with new_dataset_folder(dataset.folder, sum(map(len, contents.values()))) as aside:
+                for file, content in contents.items():
+                    (aside / file).write_bytes(content)
+                (aside / DATASET_FILE).write_text(dataset_to_yaml(dataset), encoding="utf-8")
+        return dataset, True
+
+    def _described(self, name: str, files: TruthFiles) -> tuple[Dataset, dict[str, bytes]]:
+        """The dataset that the files become, and its files by name."""
+        contents: dict[str, bytes] = {}
+        duration_s = 0.0
+        if files.relations is not None:
+            contents[RELATIONS_FILE], duration_s = _read_relations(files.relations)
+        if files.trajectory is not None:
+            contents[GROUND_TRUTH_FILE], trajectory = load_truth(files.trajectory, files.times)
+            duration_s = trajectory.span_s
+        has_truth = GROUND_TRUTH_FILE in contents
         dataset = Dataset(
             name=name,
             folder=self._folder / name,
             bag="",
-            duration_s=trajectory.span_s,
+            duration_s=duration_s,
             sensors=(),
-            groundtruth=GroundTruth(GROUND_TRUTH_FILE, self._gravity_aligned),
-            checksum=f"sha256:{hashlib.sha256(text).hexdigest()}",
-            title=f"{name}, ground truth alone",
+            groundtruth=GroundTruth(GROUND_TRUTH_FILE, self._gravity_aligned) if has_truth else None,
+            checksum=f"sha256:{hashlib.sha256(b''.join(contents.values())).hexdigest()}",
+            title=f"{name}, {'ground truth' if has_truth else 'relations'} alone",
             description="Made for trajectories that were imported; there is no recording to run anything on.",
+            relations=RELATIONS_FILE if RELATIONS_FILE in contents else None,
         )
-        if not dry_run:
-            with new_dataset_folder(dataset.folder, len(text)) as aside:
-                (aside / GROUND_TRUTH_FILE).write_bytes(text)
-                (aside / DATASET_FILE).write_text(dataset_to_yaml(dataset), encoding="utf-8")
-        return dataset, True
+        return dataset, contents
 
     def _known(self, name: str) -> Dataset | None:
         try:
@@ -72,15 +101,35 @@ class Truths:
         except NotFound:
             return None
 
-    def _check_same(self, known: Dataset, text: bytes) -> None:
-        path = known.groundtruth_path
-        if path is None or read_bounded(path) != text:
-            raise InvalidInput(
-                f"dataset {known.name} is here with another ground truth than the one to import",
-                "import under another name of the dataset, or leave the ground truth out (--groundtruth '')",
-            )
-        if known.groundtruth is not None and self._gravity_aligned and not known.groundtruth.gravity_aligned:
-            raise InvalidInput(
-                f"dataset {known.name} is here, and its ground truth is said not to be aligned with gravity",
-                f"correct gravity_aligned in {known.folder / DATASET_FILE}, or leave out --gravity-aligned",
-            )
+    def _check_same(self, known: Dataset, files: TruthFiles) -> None:
+        if known.groundtruth is None and known.relations is None:
+            raise InvalidInput(f"dataset {known.name} has no ground truth", "add one to its folder")
+        if files.trajectory is not None:
+            text, _ = load_truth(files.trajectory, files.times)
+            _check_file(known, "ground truth", known.groundtruth_path, text, "--groundtruth")
+            if known.groundtruth is not None and self._gravity_aligned and not known.groundtruth.gravity_aligned:
+                raise InvalidInput(
+                    f"dataset {known.name} is here, and its ground truth is said not to be aligned with gravity",
+                    f"correct gravity_aligned in {known.folder / DATASET_FILE}, or leave out --gravity-aligned",
+                )
+        if files.relations is not None:
+            text, _ = _read_relations(files.relations)
+            here = None if known.relations is None else known.folder / known.relations
+            _check_file(known, "relations", here, text, "--relations")
+
+
+def _check_file(known: Dataset, kind: str, here: Path | None, text: bytes, option: str) -> None:
+    if here is None or read_bounded(here) != text:
+        found = f"other {kind}" if kind == "relations" else f"another {kind}"
+        raise InvalidInput(
+            f"dataset {known.name} is here with {found} than the one to import",
+            f"import under another name of the dataset, or leave the {kind} out ({option} '')",
+        )
+
+
+def _read_relations(path: Path) -> tuple[bytes, float]:
+    """The bytes of a file of relations, and the time it spans in s."""
+    data = read_bounded(path)
+    relations = parse_relations(data, str(path))
+    stamps_s = [*relations.from_s.tolist(), *relations.to_s.tolist()]
+    return data, max(stamps_s) - min(stamps_s)

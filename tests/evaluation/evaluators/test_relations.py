@@ -1,10 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.relations import RelationErrors, read_relations, relation_figures
-from slamhive.trajectory.transforms import rotations_from_quats
-from tests.evaluation.evaluators.curves import kept, loop, moved, paired
+from slamhive.trajectory.transforms import move_sensor, rotations_from_quats
+from tests.evaluation.evaluators.curves import kept, loop, moved, paired, scaled
 
 
 @pytest.fixture
@@ -30,6 +33,26 @@ def test_a_perfect_estimate_in_any_world_has_no_error(exact):
     assert figures.values["relations.matched_fraction"] == 1
     for key in ("relations.translation.max", "relations.rotation.max"):
         assert figures.values[key] == pytest.approx(0, abs=1e-5)
+
+
+def test_relations_are_of_the_body_whatever_sensor_the_estimate_describes(exact):
+    T_body_sensor = np.eye(4)
+    T_body_sensor[:3, :3] = rotations_from_quats(np.array([[0.5, -0.5, 0.5, 0.5]]))[0]
+    T_body_sensor[:3, 3] = [0.4, -0.2, 0.1]
+    sensor = move_sensor(loop(), T_body_sensor)
+    pair = replace(paired(loop(), sensor, files={"relations": exact}), T_body_estimate=T_body_sensor)
+    values = RelationErrors().evaluate(pair).values
+    assert values["relations.translation.max"] == pytest.approx(0, abs=1e-5)
+    assert values["relations.rotation.max"] == pytest.approx(0, abs=1e-5)
+
+
+def test_an_estimate_of_unknown_scale_is_scaled_as_it_was_aligned(exact):
+    small = scaled(moved(loop()), 0.2)
+    files = {"relations": exact}
+    of_sim3 = RelationErrors().evaluate(paired(loop(), small, Protocol(Alignment.SIM3), files=files)).values
+    of_se3 = RelationErrors().evaluate(paired(loop(), small, files=files)).values
+    assert of_sim3["relations.translation.max"] == pytest.approx(0, abs=1e-5)
+    assert of_se3["relations.translation.max"] > 0.1
 
 
 def test_relations_in_a_gap_or_beyond_the_ends_are_not_matched(exact):

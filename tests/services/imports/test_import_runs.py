@@ -137,6 +137,18 @@ def test_a_file_that_is_no_trajectory_is_told_and_the_others_are_imported(hive, 
     assert "\n" not in problem.text
 
 
+def test_where_every_trajectory_is_refused_no_dataset_is_made(hive, source):
+    for path in source.glob("*/seq1/*.txt"):
+        path.write_text("nonsense\n")
+    before = everything(hive.settings.data)
+    assert carry_out(hive, source, dry_run=True).datasets == ["seq2"]
+    report = carry_out(hive, source)
+    assert (report.imported, report.datasets, len(report.problems)) == (EVERY_FILE // 2, ["seq2"], EVERY_FILE // 2)
+    made = everything(hive.settings.data).keys() - before.keys()
+    assert [name for name in made if "seq1" in name] == []
+    assert "seq1" not in {dataset.name for dataset in hive.catalogue.datasets()}
+
+
 def test_a_file_that_cannot_be_read_is_told(hive, source):
     (source / "alpha" / "seq1" / "0.txt").unlink()
     os.mkfifo(source / "alpha" / "seq1" / "0.txt")
