@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
-from markupsafe import Markup
+from jinja2 import Template
 
 from slamhive import __version__
 from slamhive.analysis.colours import colour_of
@@ -19,7 +18,7 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import Conflict, InvalidInput, Unavailable
 from slamhive.runs.folder import RunFolder
-from slamhive.services.analyses.bundle import report_page
+from slamhive.services.analyses.bundle import report_content, report_environment, script_json
 from slamhive.services.analyses.folder import REPORT, AnalysisFolder
 from slamhive.services.driver_context import utc_now
 from slamhive.services.hive import Hive
@@ -38,6 +37,7 @@ POINTS = 600
 """Points of a line in a figure: a page of a run stays below 100 kB."""
 MARK = "site.json"
 """A folder with this file is a site of ours, and may be made anew."""
+_RUN_PAGE = "../runs/{}.html"
 _ASSETS = ("report.css", "report.js", "site.css", "site.js")
 _METRICS = ("ate.rmse", "ate.max", "rpe.trans_rmse", "tracked_fraction", "cpu.mean", "ram.max", "duration")
 """Come first in the table, if any run has them; all others are on the pages of the runs."""
@@ -113,7 +113,8 @@ class StaticSite:
             "made_at": exact_time(utc_now()),
             "software": __version__,
         }
-        environment = _environment(self._root)
+        environment = report_environment(self._root)
+        environment.filters["plural"] = plural
         page = environment.get_template("published/run.html")
         rows = []
         for done, run in enumerate(self._runs(run_ids), start=1):
@@ -121,13 +122,12 @@ class StaticSite:
             rows.append(_row(run))
             progress(done, len(run_ids))
         (folder / "assets" / "runs.js").write_text(_table_script(rows), encoding="utf-8")
-        index = environment.get_template("published/index.html").render(
-            site=site, root="", analyses=self._analyses(folder)
-        )
+        analyses = self._analyses(folder, environment.get_template("published/analysis.html"), site)
+        index = environment.get_template("published/index.html").render(site=site, root="", analyses=analyses)
         (folder / "index.html").write_text(index, encoding="utf-8")
         (folder / MARK).write_text(json.dumps(site, indent=1) + "\n", encoding="utf-8")
 
-    def _analyses(self, folder: Path) -> list[AnalysisRecord]:
+    def _analyses(self, folder: Path, page: Template, site: dict[str, Any]) -> list[AnalysisRecord]:
         """Write a page for each listed analysis that was computed, if all runs are published; which ones."""
         if self._request.run_ids is not None:
             return []
@@ -136,7 +136,7 @@ class StaticSite:
         for record in done:
             report = AnalysisFolder(self._hive.settings.analyses_folder / record.token).read_result(REPORT)
             (folder / "analyses").mkdir(exist_ok=True)
-            text = report_page(report, self._root)
+            text = page.render(site=site, root="../", run_url=_RUN_PAGE.format, **report_content(report))
             (folder / "analyses" / f"{record.token}.html").write_text(text, encoding="utf-8")
         return done
 
@@ -154,7 +154,7 @@ class StaticSite:
             run=run,
             outcome=outcome(run),
             figures=figures,
-            figures_json=_script_json(figures),
+            figures_json=script_json(figures),
             captions=captions(series, None if run.protocol is None else run.protocol.label),
             reasons=series.reasons,
             metrics=[
@@ -164,14 +164,6 @@ class StaticSite:
             parameters=parameter_rows(run, self._algorithms.get(run.algorithm)),
             facts=_facts(run, self._algorithms.get(run.algorithm)),
         )
-
-
-def _environment(project_root: Path) -> Environment:
-    environment = Environment(
-        loader=FileSystemLoader(project_root / "templates"), autoescape=True, undefined=StrictUndefined
-    )
-    environment.filters["plural"] = plural
-    return environment
 
 
 def _facts(run: RunRecord, algorithm: Algorithm | None) -> list[tuple[str, object]]:
@@ -227,13 +219,7 @@ def _table_script(rows: list[dict[str, Any]]) -> str:
         if key in present
     ]
     content = {"columns": columns, "rows": [[row.get(column["key"]) for column in columns] for row in rows]}
-    return f"window.slamhiveRuns = {_script_json(content)};\n"
-
-
-def _script_json(content: dict[str, Any]) -> Markup:
-    """JSON inside a script: nothing in it can end the element."""
-    text = json.dumps(content, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))  # noqa: S704 - escaped
+    return f"window.slamhiveRuns = {script_json(content)};\n"
 
 
 def _thinned(series: RunSeries) -> RunSeries:

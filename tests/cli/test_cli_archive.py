@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+import threading
 from pathlib import Path
 
 import pytest
@@ -17,6 +19,13 @@ from tests.services.tiny_project import environment, make_dataset, make_project
 pytestmark = pytest.mark.integration
 
 CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+HOSTILE = """name: <b>one</b>
+text: two <b>three</b>
+select: {all: {where: 'id >= 1'}}
+forms: [{form: scatter, x: cpu.mean, y: ate.rmse}]
+"""
 
 
 def call(*arguments: str) -> Result:
@@ -74,8 +83,33 @@ def test_a_site_has_every_run_and_no_markup_of_strangers(world: Path) -> None:
     for path in site.rglob("*.html"):
         text = path.read_text()
         assert "<script>alert" not in text
-        assert "http" not in text.replace("https://plot.ly", "")
+        assert "://" not in text
     assert "12 runs published" in call("archive", "site", str(site)).stdout
+
+
+def test_an_analysis_on_a_site_shares_the_library_and_leads_to_the_pages_of_runs(world: Path) -> None:
+    hive = open_hive()
+    hive.stored_analyses.create(HOSTILE)
+    assert hive.analysis_jobs.work_once("test:1:2:3:4", threading.Event())
+    (record,) = hive.stored_analyses.listed()
+    hive.close()
+    call("archive", "site", str(world / "site"))
+    page = (world / "site" / "analyses" / f"{record.token}.html").read_text()
+    assert len(page) < 50_000
+    assert re.findall(r'(?:src|href)="([^"]*)"', page) == [
+        "../assets/report.css",
+        "../assets/site.css",
+        "../index.html",
+        "../assets/plotly.min.js",
+        "../assets/report.js",
+    ]
+    assert 'data-run="../runs/RUN.html"' in page
+    assert "<b>" not in page
+    assert "&lt;b&gt;one&lt;/b&gt;" in page
+    assert "&lt;b&gt;one&lt;/b&gt;" in (world / "site" / "index.html").read_text()
+
+
+def test_a_folder_of_something_else_is_no_site(world: Path) -> None:
     (world / "mine").mkdir()
     (world / "mine" / "thesis.tex").write_text("x")
     assert "no site" in call("archive", "site", str(world / "mine")).stderr

@@ -85,19 +85,31 @@ def zipped(report: dict[str, Any], project_root: Path, figures: Collection[str] 
 
 def report_page(report: dict[str, Any], project_root: Path) -> str:
     """One HTML page with styles, figures and the library that draws them: it needs no server and no network."""
-    environment = Environment(
-        loader=FileSystemLoader(project_root / "templates"), autoescape=True, undefined=StrictUndefined
-    )
-    environment.filters["markdown"] = lambda text: Markup(markdown_html(text))  # noqa: S704 - HTML in it is text
-    template = environment.get_template("analyses/report.html")
+    template = report_environment(project_root).get_template("analyses/report.html")
     return template.render(
-        report=report,
-        forms=[shown_form(form) for form in report["forms"]],
-        figures=_script_json(figures_json(report)),
+        **report_content(report),
         plotly_js=Markup(PLOTLY_FILE.read_text(encoding="utf-8")),  # noqa: S704 - out of the installed package
         draw_js=Markup((project_root / "static" / "report.js").read_text(encoding="utf-8")),  # noqa: S704 - ours
         style=Markup((project_root / "static" / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - ours
     )
+
+
+def report_environment(project_root: Path) -> Environment:
+    """Templates of pages that are files; text in them is escaped, and Markdown is made HTML."""
+    environment = Environment(
+        loader=FileSystemLoader(project_root / "templates"), autoescape=True, undefined=StrictUndefined
+    )
+    environment.filters["markdown"] = lambda text: Markup(markdown_html(text))  # noqa: S704 - HTML in it is text
+    return environment
+
+
+def report_content(report: dict[str, Any]) -> dict[str, Any]:
+    """What every page of a report is made from: ``report``, ``forms``, and ``figures`` for a script element."""
+    return {
+        "report": report,
+        "forms": [shown_form(form) for form in report["forms"]],
+        "figures": script_json(figures_json(report)),
+    }
 
 
 def shown_form(form: dict[str, Any]) -> dict[str, Any]:
@@ -134,7 +146,7 @@ def _table_files(place: int, table: ResultTable) -> Iterator[tuple[str, bytes]]:
         yield f"tables/{file_name(place, table.key, 'tex')}", table_latex(table).encode()
 
 
-def _script_json(content: dict[str, Any]) -> Markup:
+def script_json(content: dict[str, Any]) -> Markup:
     """JSON inside a script element: nothing in it can end the element."""
     text = json.dumps(content, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))  # noqa: S704 - escaped
