@@ -70,6 +70,7 @@ QUERIES: dict[str, tuple[Draw, RunSort]] = {
         ),
         RunSort("rpe.rmse", descending=False),
     ),
+    "sorted within": (lambda c: f"ate.rmse > {c.uniform(0.2, 0.4):.5f}", RunSort("ate.rmse", descending=False)),
     "deep page": (lambda _: "", RunSort("cpu.mean")),
     "by configuration": (lambda c: f"ate.rmse < {c.uniform(0.02, 0.3):.5f}", RunSort("configuration")),
 }

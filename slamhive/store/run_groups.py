@@ -23,14 +23,13 @@ from slamhive.store.models import (
     Algorithm,
     Configuration,
     Dataset,
-    MetricValue,
     Protocol,
 )
 from slamhive.store.page_keys import behind, decode, encode, ordered
 from slamhive.store.records import GroupPage, GroupRecord, ProtocolLabel, RunSort, Spread
-from slamhive.store.run_listing import COUNTED, LARGEST_PAGE, Matches
+from slamhive.store.run_listing import LARGEST_PAGE, Matches, among
 from slamhive.store.search_names import Names, look_up
-from slamhive.store.search_sql import RUNS, Sql
+from slamhive.store.search_sql import FIGURES, RUNS, Sql
 
 SORT_KEYS = ("configuration", "runs", "failed", "algorithm", "dataset")
 """What groups can be sorted by, besides the mean of every metric."""
@@ -59,18 +58,16 @@ class _Groups:
     def page(self, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
         kind = str if self.sort.key in {"algorithm", "dataset"} else float
         key = None if after is None else decode(after, (int,) if self.sort.key == "configuration" else (kind, int))
-        matches = Matches(self.session, self.search, self.sql)
-        runs = matches.count()
-        few = runs.number <= COUNTED and runs.exact and self.search.tree is not None
-        chosen = self._few(matches, key, limit + 1) if few else self._many(key, limit + 1)
+        runs, few = Matches(self.session, self.search, self.sql).survey()
+        chosen = self._many(key, limit + 1) if few is None else self._few(few, key, limit + 1)
         rows = [tuple(row) for row in self.session.execute(chosen)]
         shown = [row[-1] for row in rows[:limit]]
         next_key = encode(rows[limit - 1]) if len(rows) > limit else None
         return GroupPage(self._records(shown, metrics), runs, next_key)
 
-    def _few(self, matches: Matches, key: list[Any] | None, limit: int) -> Select[Any]:
-        found, runs = matches.ids(COUNTED).subquery(), RUNS.alias()
-        query = select(runs.c.configuration_id).select_from(found, runs).where(runs.c.id == found.c.id + 0)
+    def _few(self, found: Sequence[int], key: list[Any] | None, limit: int) -> Select[Any]:
+        runs = RUNS.alias()
+        query = select(runs.c.configuration_id).where(among(runs.c.id, found))
         return self._aggregated(query, runs, key, limit)
 
     def _many(self, key: list[Any] | None, limit: int) -> Select[Any]:
@@ -124,7 +121,7 @@ class _Groups:
 
     def _figures(self, runs: FromClause, metrics: Sequence[str]) -> tuple[FromClause, ColumnElement[bool]]:
         """The figures that count, of some metrics, beside the rows of ``runs``."""
-        figures = MetricValue.__table__.alias()
+        figures = FIGURES.alias()
         ids = [self.names.metrics[key] for key in metrics if key in self.names.metrics]
         counts = figures.c.is_current + 0 == 1
         if self.names.protocol_id is not None:

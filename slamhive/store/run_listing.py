@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from random import Random
 from typing import Any
 
-from sqlalchemy import FromClause, Select, func, select
+from sqlalchemy import ColumnElement, FromClause, Select, bindparam, case, func, select
 from sqlalchemy.orm import Session
 
 from slamhive.errors import InvalidInput
@@ -16,13 +18,14 @@ from slamhive.store.records import Count, Page, RunSort
 from slamhive.store.run_order import Order, names_in_order, sorted_parameter
 from slamhive.store.run_rows import run_query, to_records
 from slamhive.store.search_names import look_up
-from slamhive.store.search_sql import RUNS, RunIds, Sql
+from slamhive.store.search_sql import RUNS, Sql
+from slamhive.store.search_starts import Start, starts
 
 LARGEST_PAGE = 1000
 COUNTED = 2_000
 """Matches are counted up to here; an exact number of more takes as long as looking at all of them."""
 
-_SAMPLE = 5_000
+_SAMPLE = 300
 
 
 def list_page(
@@ -65,24 +68,24 @@ class Matches:
 
     def page(self, order: Order, after: list[Any] | None, limit: int) -> tuple[Count, list[tuple[Any, ...]]]:
         """How many there are, and up to ``limit`` page keys from ``after`` on."""
-        total = self.count_by_index()
-        if self.search.tree is not None and (total is None or total.number <= COUNTED):
-            rows, number = self._sorted(order, after, limit)
-            if number <= COUNTED:
-                return Count(number), rows
+        total, found = self.survey()
+        if found is not None:
+            return total, self._sorted(found, order, after, limit)
         walked: list[tuple[Any, ...]] = []
         for query in order.walk(self.search.tree, after, limit):
             if len(walked) < limit:
                 walked += [tuple(row) for row in self.session.execute(query.limit(limit - len(walked)))]
-        return total or Count(COUNTED, exact=False), walked
+        return total, walked
 
-    def count(self) -> Count:
-        """How many there are: exact up to ``COUNTED``, and beyond where one index tells."""
+    def survey(self) -> tuple[Count, Sequence[int] | None]:
+        """How many there are, exact up to ``COUNTED`` and beyond where one index tells; if they are few, which."""
         total = self.count_by_index()
-        if total is not None:
-            return total
-        number = self._number(self.ids(COUNTED + 1).subquery())
-        return Count(min(number, COUNTED), exact=number <= COUNTED)
+        if self.search.tree is None or (total is not None and total.number > COUNTED):
+            return total or Count(0), None
+        found = self.session.execute(self.ids(COUNTED + 1)).scalars().all()
+        if len(found) > COUNTED:
+            return Count(COUNTED, exact=False), None
+        return Count(len(found)), found
 
     def exact_count(self) -> int:
         """How many there are, however long it takes."""
@@ -94,51 +97,46 @@ class Matches:
         tree = self.search.tree
         if tree is None:
             return Count(int(self.session.execute(select(func.count()).select_from(RUNS)).scalar_one()))
-        starts = self.sql.starts(tree) if isinstance(tree, Condition) else []
-        return Count(self._number(starts[0].subquery())) if starts else None
+        found = starts(self.sql, tree) if isinstance(tree, Condition) else []
+        return Count(self._number(found[0].ids.subquery())) if found else None
 
     def ids(self, limit: int | None) -> Select[Any]:
         """The ids of the matches, in no order; ``limit`` of them."""
-        runs = RUNS.alias()
-        query = select(runs.c.id.label("id"))
         start = self._best_start()
         if start is not None:
-            begun = start.subquery()
-            query = query.select_from(begun, runs).where(runs.c.id == begun.c.run_id + 0)
-        return query.where(self.sql.test(self.search.tree, runs)).limit(limit)
+            return start.matches(self.sql).limit(limit)
+        runs = RUNS.alias()
+        return select(runs.c.id).where(self.sql.test(self.search.tree, runs)).limit(limit)
 
-    def _sorted(self, order: Order, after: list[Any] | None, limit: int) -> tuple[list[tuple[Any, ...]], int]:
-        """The page if there are few matches, and how many of them there are (``COUNTED`` + 1: too many)."""
-        found, runs = self.ids(COUNTED + 1).subquery(), RUNS.alias()
+    def _sorted(self, found: Sequence[int], order: Order, after: list[Any] | None, limit: int) -> list[tuple[Any, ...]]:
+        """The page among these runs."""
+        runs = RUNS.alias()
         columns = [column.label(f"key_{place}") for place, column in enumerate(order.columns(runs))]
-        keyed = (
-            select(*columns, func.count().over().label("number"))
-            .select_from(found, runs)
-            .where(runs.c.id == found.c.id + 0)
-            .subquery()
-        )
-        keys = list(keyed.c)[:-1]
-        query = select(*keyed.c)
+        keyed = select(*columns).where(among(runs.c.id, found)).subquery()
+        keys = list(keyed.c)
+        query = select(*keys)
         if after is not None:
             query = query.where(behind(keys, after, descending=order.sort.descending))
         by_value = [keys[0].is_(None)] if len(keys) > 1 else []
         query = query.order_by(*by_value, *ordered(keys, descending=order.sort.descending)).limit(limit)
-        rows = self.session.execute(query).all()
-        if rows:
-            return [tuple(row[:-1]) for row in rows], int(rows[0][-1])
-        total = self.count()
-        return [], total.number if total.exact else COUNTED + 1
+        return [tuple(row) for row in self.session.execute(query)]
 
-    def _best_start(self) -> RunIds | None:
-        """The shortest of the lists to begin with; those longer than a sample are not told apart."""
-        starts = self.sql.starts(self.search.tree)
-        if len(starts) < 2:
-            return starts[0] if starts else None
-        sampled = [
-            select(func.count()).select_from(start.limit(_SAMPLE).subquery()).scalar_subquery() for start in starts
-        ]
-        lengths = self.session.execute(select(*sampled)).one()
-        return starts[min(range(len(starts)), key=lambda place: lengths[place])]
+    def _best_start(self) -> Start | None:
+        """The list to begin with that costs least: how long they are is estimated from a sample of runs."""
+        found = starts(self.sql, self.search.tree)
+        if len(found) < 2:
+            return found[0] if found else None
+        newest = self.session.execute(select(func.max(RUNS.c.id))).scalar_one() or 0
+        sample = Random(newest).sample(range(1, newest + 1), min(newest, _SAMPLE))  # noqa: S311 - no secret
+        runs = RUNS.alias()
+        fitting = [func.sum(case((self.sql.test(start.part, runs), 1), else_=0)) for start in found]
+        lengths = self.session.execute(select(*fitting).where(among(runs.c.id, sample))).one()
+        return min(zip(found, lengths, strict=True), key=lambda entry: entry[0].cost * (entry[1] or 0))[0]
 
     def _number(self, rows: FromClause) -> int:
         return int(self.session.execute(select(func.count()).select_from(rows)).scalar_one())
+
+
+def among(column: ColumnElement[int], ids: Sequence[int]) -> ColumnElement[bool]:
+    """Whether it is one of ``ids``, which become part of the statement: a driver's parameters are too few and slow."""
+    return column.in_(bindparam(None, list(ids), expanding=True, literal_execute=True))

@@ -13,8 +13,10 @@ from sqlalchemy.orm import Session
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import unknown
-from slamhive.search.binding import Bound
-from slamhive.search.fields import PARAMETER_PREFIX
+from slamhive.search.binding import Bound, Condition
+from slamhive.search.fields import PARAMETER_PREFIX, Kind, Source
+from slamhive.search.grammar import Junction
+from slamhive.search.syntax import PRESENCE
 from slamhive.store.models import Algorithm, Configuration, Dataset, Experiment, Run
 from slamhive.store.page_keys import behind, ordered
 from slamhive.store.records import RunSort
@@ -107,23 +109,23 @@ class Order:
 
         Each reads along an index and stops after ``limit``, so it is fast where many runs match.
         """
-        missing = self._without_value(tree, after, limit)
+        missing = [] if self._own(tree) else [self._without_value(tree, after, limit)]
         if after is not None and len(after) > 1 and after[0] is None:
-            return [missing]
+            return missing
         if self.sort.key in CATALOGUE:
-            return [self._by_metric(tree, after, limit), missing]
+            return [self._by_metric(tree, after, limit), *missing]
         if self._parameter is not None:
-            return [self._by_parameter(self._parameter, tree, after, limit), missing]
+            return [self._by_parameter(self._parameter, tree, after, limit), *missing]
         if self.sort.key in NAMED:
             named = [self._of_one_name(tree, number, name, after, limit) for number, name in self.names]
-            return [*(query for query in named if query is not None), missing]
+            return [*(query for query in named if query is not None), *missing]
         runs = RUNS.alias()
         columns = self.columns(runs)
         nullable = self._column in NULLABLE
         there = [columns[0].is_not(None)] if nullable else []
         query = select(*_labelled(columns)).where(self.sql.test(tree, runs), *there, *self._from(columns, after))
         query = query.order_by(*ordered(columns, descending=self.sort.descending)).limit(limit)
-        return [query, missing] if nullable else [query]
+        return [query, *missing] if nullable else [query]
 
     @property
     def _column(self) -> str:
@@ -134,6 +136,21 @@ class Order:
         if self.sort.key in SORT_KEYS or self.sort.key in CATALOGUE:
             return None
         return self.sort.key.removeprefix(PARAMETER_PREFIX)
+
+    def _own(self, tree: Bound | None) -> list[Condition]:
+        """The comparisons, joined by ``and``, of the very values the list is sorted by: all who fit them have one."""
+        parts = tree.parts if isinstance(tree, Junction) and tree.word == "and" else (tree,)
+        parameter = self._parameter
+        name = self.sort.key if parameter is None else parameter
+        return [
+            part
+            for part in parts
+            if isinstance(part, Condition)
+            and part.field.name == name
+            and part.sign not in PRESENCE
+            and (part.field.source is Source.PARAMETER) == (parameter is not None)
+            and (parameter is None or part.field.kind in {Kind.NUMBER, Kind.FLAG})
+        ]
 
     def _value(self, runs: FromClause) -> ColumnElement[Any]:
         if self.sort.key in CATALOGUE:
@@ -184,6 +201,7 @@ class Order:
             return select(*_labelled(self.columns(runs))).where(runs.c.id < 0)
         figures, query = found
         columns = [figures.c.value, figures.c.run_id]
+        query = query.where(*(self.sql.compare(figures.c.value, leaf) for leaf in self._own(tree)))
         pairs: Select[Any] = query.with_only_columns(*_labelled(columns)).select_from(figures, runs)
         pairs = pairs.where(runs.c.id == figures.c.run_id + 0, self.sql.test(tree, runs), *self._from(columns, after))
         return pairs.order_by(*ordered(columns, descending=self.sort.descending)).limit(limit)
@@ -200,6 +218,7 @@ class Order:
         chosen = select(*columns).where(
             among,
             values.c.number_value.is_not(None),
+            *(self.sql.compare(values.c.number_value, leaf) for leaf in self._own(tree)),
             matching.limit(1).scalar_subquery().is_not(None),
         )
         if after is not None:

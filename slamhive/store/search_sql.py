@@ -1,4 +1,4 @@
-"""Conditions of a search as SQL: a test of one run, and a list of runs to begin with.
+"""Conditions of a search as SQL: a test of one run, and the rows behind one comparison.
 
 Both databases are led, not left to guess: which index a condition is read through follows from how it is written.
 ``column + 0`` says "do not look this up by index here"; so a query keeps its plan whether statistics are fresh or not.
@@ -13,6 +13,7 @@ from sqlalchemy import (
     ColumnElement,
     FromClause,
     Select,
+    TableClause,
     and_,
     column,
     false,
@@ -23,7 +24,6 @@ from sqlalchemy import (
     select,
     table,
     true,
-    union,
 )
 
 from slamhive.domain.metrics import CATALOGUE
@@ -33,6 +33,7 @@ from slamhive.search.grammar import Junction
 from slamhive.search.syntax import PRESENCE, Sign
 from slamhive.store.models import (
     Algorithm,
+    Base,
     Configuration,
     ConfigurationValue,
     Dataset,
@@ -43,23 +44,25 @@ from slamhive.store.models import (
 )
 from slamhive.store.search_names import Names
 
-RunIds = Select[tuple[int]]
-"""A query of one column, ``run_id``."""
-
 _RUN_COLUMNS = {"configuration": "configuration_id", "experiment": "experiment_id", "evaluated": "current_protocol_id"}
-_INDEXED = frozenset({"id", "state", "reason", "executor", "configuration", "experiment", "created_at", "ended_at"})
 SEARCHED = (
     *("id", "configuration_id", "experiment_id", "current_protocol_id", "executor", "state", "reason", "seed"),
     *("priority", "exit_code", "created_at", "started_at", "ended_at"),
 )
-RUNS = table("runs", *(column(name, Run.__table__.c[name].type) for name in SEARCHED))
-"""What searches and orders need of ``runs``: an alias of the whole table costs more than many a query."""
 
+
+def _plain(model: type[Base], *names: str) -> TableClause:
+    """What searches need of a table: an alias of the whole model costs more than many a query."""
+    return table(model.__tablename__, *(column(name, model.__table__.c[name].type) for name in names))
+
+
+RUNS = _plain(Run, *SEARCHED)
+FIGURES = _plain(MetricValue, "metric_id", "run_id", "protocol_id", "value", "is_current")
 NULLABLE = frozenset(name for name in SEARCHED if Run.__table__.c[name].nullable)
-_NEVER = literal(0) == 1
+NEVER = literal(0) == 1
 """Unlike ``false()`` it is not folded, which would take the condition that joins two tables with it."""
 
-_COMPLEMENTS = frozenset({Sign.NOT_EQUAL, Sign.NOT_IN, Sign.UNLIKE, Sign.MISSING})
+COMPLEMENTS = frozenset({Sign.NOT_EQUAL, Sign.NOT_IN, Sign.UNLIKE, Sign.MISSING})
 _COMPARE: dict[Sign, Callable[[Any, Any], ColumnElement[bool]]] = {
     Sign.EQUAL: lambda column, value: column == value,
     Sign.NOT_EQUAL: lambda column, value: column != value,
@@ -94,17 +97,18 @@ class Sql:
             return not_(self._test_one(Condition(leaf.field, Sign.HAS), runs))
         source = leaf.field.source
         if source is Source.RUN:
-            return self._on_run(leaf, runs)
+            return self.on_run(leaf, runs)
         if source is Source.METRIC:
-            found = self._figures(leaf, by_value=False)
-            return _NEVER if found is None else _any(found[1].where(found[0].c.run_id == runs.c.id))
+            found = self.figures_where(leaf, by_value=False)
+            return NEVER if found is None else _any(found[1].where(found[0].c.run_id == runs.c.id))
         if source is Source.PARAMETER:
             values, query = self._parameter_values(leaf, by_value=False)
             return _any(query.where(values.c.configuration_id == runs.c.configuration_id))
         rows, query = self._configurations(leaf)
         return _any(query.where(rows.c.id == runs.c.configuration_id))
 
-    def _on_run(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
+    def on_run(self, leaf: Condition, runs: FromClause, *, guarded: bool = True) -> ColumnElement[bool]:
+        """A condition on a column; never NULL if ``guarded``, which keeps an index on it from being used."""
         name = _RUN_COLUMNS.get(leaf.field.name, leaf.field.name)
         value = runs.c[name]
         if leaf.sign is Sign.HAS:
@@ -113,57 +117,11 @@ class Sql:
             evaluated = leaf.values[0] is (leaf.sign is Sign.EQUAL)
             return value.is_not(None) if evaluated else value.is_(None)
         if leaf.field.name == "experiment":
-            named = select(Experiment.id).where(self._compare(Experiment.__table__.c.name, leaf))
+            named = select(Experiment.id).where(self.compare(Experiment.__table__.c.name, leaf))
             found: ColumnElement[bool] = value.in_(named)
         else:
-            found = self._compare(value, leaf)
-        return func.coalesce(found, false()) if name in NULLABLE else found
-
-    # -- runs to begin with ----------------------------------------------------------------------------------------
-
-    def starts(self, tree: Bound | None) -> list[RunIds]:
-        """Lists that hold every run which matches ``tree``, each read through an index; none if there is no way.
-
-        One part of an ``and`` is enough; an ``or`` needs all its parts together, so that each run comes once.
-        """
-        if tree is None:
-            return []
-        if not isinstance(tree, Junction):
-            one = self._start_one(tree)
-            return [] if one is None else [one]
-        parts = [self.starts(part) for part in tree.parts]
-        if tree.word == "and":
-            return [start for part in parts for start in part]
-        if tree.word == "or" and all(parts):
-            return [select(union(*(part[0] for part in parts)).subquery().c.run_id)]
-        return []
-
-    def _start_one(self, leaf: Condition) -> RunIds | None:
-        source = leaf.field.source
-        runs = RUNS.alias()
-        if source is Source.METRIC and leaf.sign is not Sign.MISSING:
-            found = self._figures(leaf, by_value=True)
-            if found is None:
-                return select(runs.c.id.label("run_id")).where(_NEVER)
-            return found[1].with_only_columns(found[0].c.run_id.label("run_id"))
-        if leaf.sign in _COMPLEMENTS:
-            return None
-        if source is Source.RUN:
-            usable = leaf.field.name in _INDEXED and leaf.sign is not Sign.HAS
-            return select(runs.c.id.label("run_id")).where(self._on_run_plainly(leaf, runs)) if usable else None
-        if source is Source.PARAMETER:
-            values, query = self._parameter_values(leaf, by_value=True)
-            chosen = query.with_only_columns(values.c.configuration_id.label("id"))
-            many = len(self._names.parameters[leaf.field.name]) > 1  # an own key and another's general name may meet
-            return _of_configurations((chosen.distinct() if many else chosen).subquery(), runs)
-        rows, query = self._configurations(leaf)
-        return _of_configurations(query.with_only_columns(rows.c.id).subquery(), runs)
-
-    def _on_run_plainly(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
-        """The test without the guard against NULL, which would keep the index from being used."""
-        if leaf.field.name == "experiment":
-            return self._on_run(leaf, runs)
-        return self._compare(runs.c[_RUN_COLUMNS.get(leaf.field.name, leaf.field.name)], leaf)
+            found = self.compare(value, leaf)
+        return func.coalesce(found, false()) if guarded and name in NULLABLE else found
 
     # -- where values are ------------------------------------------------------------------------------------------
 
@@ -174,7 +132,7 @@ class Sql:
         """
         if key not in self._names.metrics:
             return None
-        rows = MetricValue.__table__.alias()
+        rows = FIGURES.alias()
         query = select(literal(1)).select_from(rows).where(rows.c.metric_id == self._names.metrics[key])
         chosen = self._names.protocol_id
         if chosen is None or not CATALOGUE[key].needs_protocol:
@@ -205,13 +163,24 @@ class Sql:
         rows = ConfigurationValue.__table__.alias()
         return rows, rows.c.parameter_id.in_(self._names.parameters[name])
 
-    def _figures(self, leaf: Condition, *, by_value: bool) -> tuple[FromClause, Select[Any]] | None:
+    def figures_where(self, leaf: Condition, *, by_value: bool) -> tuple[FromClause, Select[Any]] | None:
+        """The same of one comparison: the rows that fit it."""
         found = self.figures(leaf.field.name, by_value=by_value)
         if found is None or leaf.sign in PRESENCE:
             return found
         rows, query = found
         value = rows.c.value if by_value else rows.c.value + 0
-        return rows, query.where(self._compare(value, leaf))
+        return rows, query.where(self.compare(value, leaf))
+
+    def configurations_where(self, leaf: Condition) -> Select[Any]:
+        """The ``configuration_id`` of those that fit a comparison of theirs, each once, through an index."""
+        if leaf.field.source is not Source.PARAMETER:
+            rows, query = self._configurations(leaf)
+            return query.with_only_columns(rows.c.id.label("configuration_id"))
+        values, query = self._parameter_values(leaf, by_value=True)
+        chosen = query.with_only_columns(values.c.configuration_id)
+        several = len(self._names.parameters[leaf.field.name]) > 1  # an own key and another's general name may meet
+        return chosen.distinct() if several else chosen
 
     def _parameter_values(self, leaf: Condition, *, by_value: bool) -> tuple[FromClause, Select[Any]]:
         rows, among = self.parameter_rows(leaf.field.name)
@@ -221,7 +190,7 @@ class Sql:
         value: ColumnElement[Any] = rows.c.text_value
         if leaf.field.kind not in {Kind.TEXT, Kind.CHOICE}:
             value = rows.c.number_value if by_value else rows.c.number_value + 0
-        return rows, query.where(self._compare(value, leaf))
+        return rows, query.where(self.compare(value, leaf))
 
     def _configurations(self, leaf: Condition) -> tuple[FromClause, Select[Any]]:
         rows = Configuration.__table__.alias()
@@ -239,11 +208,11 @@ class Sql:
         if leaf.sign is Sign.HAS:
             return true()
         if name == "dataset":
-            return rows.c.dataset_id.in_(select(datasets.c.id).where(self._compare(datasets.c.name, leaf)))
+            return rows.c.dataset_id.in_(select(datasets.c.id).where(self.compare(datasets.c.name, leaf)))
         if name in {"algorithm", "package"}:
             column = algorithms.c.name if name == "algorithm" else algorithms.c.package
-            return rows.c.algorithm_id.in_(select(algorithms.c.id).where(self._compare(column, leaf)))
-        return self._compare(rows.c.playback_mode if name == "playback" else rows.c.playback_rate, leaf)
+            return rows.c.algorithm_id.in_(select(algorithms.c.id).where(self.compare(column, leaf)))
+        return self.compare(rows.c.playback_mode if name == "playback" else rows.c.playback_rate, leaf)
 
     def _of_setup(self, leaf: Condition, algorithms: FromClause) -> ColumnElement[bool]:
         """Algorithms whose set-up is known, and one of those asked for (or none of them)."""
@@ -253,11 +222,12 @@ class Sql:
         wanted = {name for value in values for name in groups.get(value, ())}
         if leaf.sign is Sign.HAS:
             wanted = known
-        elif leaf.sign in _COMPLEMENTS:
+        elif leaf.sign in COMPLEMENTS:
             wanted = known - wanted
         return algorithms.c.name.in_(sorted(wanted))
 
-    def _compare(self, column: Any, leaf: Condition) -> ColumnElement[bool]:
+    def compare(self, column: Any, leaf: Condition) -> ColumnElement[bool]:
+        """A comparison of a column that holds the values of its field."""
         values: Sequence[Value] = leaf.values
         if leaf.field.source is Source.PARAMETER and values and isinstance(values[0], bool):
             values = [1.0 if value else 0.0 for value in values]
@@ -286,8 +256,3 @@ class Sql:
 def _any(query: Select[Any]) -> ColumnElement[bool]:
     """Whether ``query`` has a row, asked for one run after the other (EXISTS may be turned into a join over all)."""
     return func.coalesce(query.limit(1).scalar_subquery(), 0) == 1
-
-
-def _of_configurations(configurations: FromClause, runs: FromClause) -> RunIds:
-    query: RunIds = select(runs.c.id.label("run_id")).select_from(configurations, runs)
-    return query.where(runs.c.configuration_id == configurations.c.id + 0)

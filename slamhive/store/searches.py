@@ -63,7 +63,7 @@ class SearchRepository:
 
     def count(self, search: Search) -> Count:
         """How many runs match; exact up to :data:`slamhive.store.run_listing.COUNTED`, and beyond where cheap."""
-        return self._matches(search).count()
+        return self._matches(search).survey()[0]
 
     def run_ids(self, search: Search) -> list[int]:
         """The ids of all runs that match, in order."""
