@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 from tests.deploy.base_image import base_image
-from tests.services.mariadb import DatabaseServer, _free_port
+from tests.services.mariadb import DatabaseServer, reserve_port
 
 ROOT = Path(__file__).resolve().parents[2]
 HOST_CERTIFICATES = Path("/usr/local/share/ca-certificates")
@@ -126,7 +126,7 @@ def web(engine, images, environment, data, worker):
     """The web server as the compose file starts it, on a port of its own on 127.0.0.1."""
     wait_for_tables(worker)
     service = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]["web"]
-    port = _free_port()
+    reserved, port = reserve_port()
     command = engine.images.get(images["web"]).attrs["Config"]["Cmd"]
     command = [{"0.0.0.0": "127.0.0.1", "5000": str(port)}.get(word, word) for word in command]
     container = run_container(
@@ -143,6 +143,7 @@ def web(engine, images, environment, data, worker):
     )
     yield container, f"http://127.0.0.1:{port}"
     container.remove(force=True)
+    reserved.close()
 
 
 def get(url: str) -> bytes:

@@ -66,7 +66,7 @@ def test_log_of_a_running_run(bench):
 
     def log() -> str:
         bench.executor.save_log(handle, spec.log_path)
-        return spec.log_path.read_text()
+        return str(spec.log_path.read_text())
 
     eventually(log, "the first line of the log")
     assert log() == "hello\n"

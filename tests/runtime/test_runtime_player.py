@@ -85,8 +85,9 @@ def test_stamps_within_the_tolerance_make_a_pair_and_the_rest_is_counted(tmp_pat
     assert player.summary["unmatched"] == 2
 
 
-def test_a_killed_player_ends_the_run_with_an_error(bag: Path) -> None:
-    with Player(options(bag, LEFT_AND_IMU)) as player:
+def test_a_killed_player_ends_the_run_with_an_error(tmp_path: Path) -> None:
+    write_bag(tmp_path / "long.bag", frames=40, period_ns=1_000_000_000)
+    with Player(options(tmp_path / "long.bag", LEFT_AND_IMU)) as player:
         frames = player.frames()
         next(frames)
         os.kill(player.pid, signal.SIGKILL)

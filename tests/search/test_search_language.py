@@ -6,7 +6,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamhive.domain.run import RunState
@@ -216,11 +216,13 @@ TREES = st.recursive(
 
 
 @pytest.mark.integration
+@settings(deadline=None)
 @given(TREES)
 def test_every_filter_can_be_written_and_read_again(tree):
     assert parse_filter(filter_text(tree)) == tree
 
 
+@settings(deadline=None)
 @given(st.text("abnotrdi<>=!~()[]'\", .-15\n#%*", max_size=40))
 def test_any_text_is_a_filter_or_refused(text):
     with suppress(InvalidInput):

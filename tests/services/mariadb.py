@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import time
+import weakref
 from pathlib import Path
 
 import pymysql
@@ -47,7 +48,8 @@ class DatabaseServer:
 
     def __init__(self, folder: Path, program: str, *options: str) -> None:
         self.password = secrets.token_hex(8)
-        self.port = _free_port()
+        reserved, self.port = reserve_port()
+        weakref.finalize(self, reserved.close)
         self._folder = folder
         self._program = program
         self._options = options
@@ -149,10 +151,15 @@ class DatabaseServer:
         return True
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def reserve_port() -> tuple[socket.socket, int]:
+    """A port on 127.0.0.1 that the system gives to nobody else while the socket is open.
+
+    A server that sets SO_REUSEADDR, as all do here, can listen on it all the same: the socket itself does not.
+    """
+    reserved = socket.socket()
+    reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    reserved.bind(("127.0.0.1", 0))
+    return reserved, int(reserved.getsockname()[1])
 
 
 def _as_root() -> list[str]:

@@ -20,7 +20,7 @@ from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit
 from tests.services.test_worker_recovery import processes_of, started_times, work
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 
 __all__ = ["hive"]
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.services.experiments.records import ExperimentSource
+from slamhive.services.hive import Hive
 from tests.services.test_worker_recovery import processes_of, started_times
+from tests.waiting import eventually
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.timeout(600)]
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 EXPERIMENT = """
@@ -39,14 +42,14 @@ def test_a_killed_worker_costs_an_experiment_nothing(hive):
     assert len(ids) == 6
     first = worker()
     try:
-        wait(lambda: hive.counts()[RunState.SUCCEEDED] >= 1 and hive.counts()[RunState.RUNNING] == 1)
+        eventually(lambda: stopped_while_one_runs(first, hive), "a run in the middle of the experiment")
         (running,) = (run_id for run_id in ids if hive.run(run_id).state is RunState.RUNNING)
     finally:
         first.kill()
         first.wait()
     second = worker()
     try:
-        wait(lambda: all(hive.run(run_id).state.ended for run_id in ids))
+        eventually(lambda: all(hive.run(run_id).state.ended for run_id in ids), "the end of all runs")
     finally:
         second.terminate()
         second.wait()
@@ -66,9 +69,13 @@ def test_a_killed_worker_costs_an_experiment_nothing(hive):
     assert processes_of(hive) == []
 
 
-def wait(condition) -> None:
-    """Until it is so, 180 s at most."""
-    deadline_s = time.monotonic() + 180
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.05)
+def stopped_while_one_runs(process: subprocess.Popen[bytes], hive: Hive) -> bool:
+    """Whether the worker, who is stopped then and changes nothing any more, has ended a run and is at another."""
+    if hive.counts()[RunState.SUCCEEDED] == 0:
+        return False
+    process.send_signal(signal.SIGSTOP)
+    os.waitpid(process.pid, os.WUNTRACED)
+    if hive.counts()[RunState.RUNNING] == 1:
+        return True
+    process.send_signal(signal.SIGCONT)
+    return False

@@ -9,7 +9,9 @@ import threading
 import pytest
 
 from slamhive.errors import Conflict
+from slamhive.services import lock as lock_module
 from slamhive.services.lock import WorkerLock
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.integration
 
@@ -27,7 +29,8 @@ def test_asking_makes_no_file(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_worker_that_starts_while_somebody_asks_is_not_refused(tmp_path):
+def test_a_worker_that_starts_while_somebody_asks_is_not_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(lock_module, "_PATIENCE_S", PATIENCE_S)
     lock = WorkerLock(tmp_path)
     with lock:
         pass

@@ -18,9 +18,9 @@ from slamhive.services import variants as variants_module
 from slamhive.services.experiments.records import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.request import Submission
-from slamhive.store import RunRecord
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_variant_runs import HALF, hive
+from tests.waiting import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.integration
 
@@ -73,7 +73,7 @@ def test_two_slots_make_a_variant_once_and_stay_on_their_cores(hive, monkeypatch
 
     make = build_variant
     monkeypatch.setattr(variants_module, "build_variant", build)
-    together = threading.Barrier(2, timeout=20)
+    together = threading.Barrier(2, timeout=PATIENCE_S)
 
     def start(spec: RunSpec) -> None:
         together.wait()
@@ -123,14 +123,14 @@ def test_runs_of_other_executors_go_on_while_an_engine_is_away(hive):
     docker.build_error = EngineUnavailable("no Docker engine answers")
     thread = threading.Thread(target=hive.worker().run, kwargs={"until_idle": True})
     thread.start()
-    assert until(hive, going, RunState.SUCCEEDED)
+    eventually(lambda: hive.run(going).state is RunState.SUCCEEDED, "the run that can go on")
     assert hive.run(waiting).state is RunState.QUEUED
     assert [event.why for event in hive.events(waiting)][-1] == "waits: no Docker engine answers"
     assert thread.is_alive(), "it waits for the engine"
 
     docker.build_error = None
     docker.unavailable_because = lambda: None
-    thread.join(20)
+    thread.join(PATIENCE_S)
     assert hive.run(waiting).state is RunState.SUCCEEDED
 
 
@@ -142,19 +142,8 @@ def test_a_run_that_waits_for_an_engine_can_be_cancelled(hive):
     docker.build_error = EngineUnavailable("no Docker engine answers")
     thread = threading.Thread(target=hive.worker().run, kwargs={"until_idle": True})
     thread.start()
-    while not any(event.why.startswith("waits") for event in hive.events(run.id)):
-        time.sleep(0.01)
+    eventually(lambda: any(event.why.startswith("waits") for event in hive.events(run.id)), "waiting")
     hive.cancel(run.id)
-    thread.join(20)
+    thread.join(PATIENCE_S)
     assert not thread.is_alive()
     assert hive.run(run.id).state is RunState.CANCELLED
-
-
-def until(hive: Hive, run_id: int, state: RunState) -> bool:
-    """Whether the run got there within 20 s."""
-    for _ in range(2000):
-        found: RunRecord = hive.run(run_id)
-        if found.state is state:
-            return True
-        time.sleep(0.01)
-    return False

@@ -18,6 +18,7 @@ from slamhive.services.request import Submission
 from slamhive.services.run_json import run_to_json
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.tiny_project import environment, make_dataset, make_project
+from tests.waiting import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.integration
 
@@ -125,9 +126,9 @@ def test_an_active_run_is_cancelled_by_its_worker(hive):
     worker = hive.worker()
     thread = threading.Thread(target=worker.run, kwargs={"until_idle": True})
     thread.start()
-    assert started.wait(10)
+    assert started.wait(PATIENCE_S)
     hive.cancel(run_id)
-    thread.join(10)
+    thread.join(PATIENCE_S)
     assert hive.run(run_id).state is RunState.CANCELLED
     assert (executor.stopped, executor.removed) == (1, 1)
 
@@ -144,13 +145,10 @@ def test_a_stopping_worker_leaves_the_run_to_the_next(hive):
     worker = hive.worker()
     thread = threading.Thread(target=worker.run)
     thread.start()
-    assert started.wait(10)
-    for _ in range(500):
-        if hive.run(run_id).state is RunState.RUNNING:
-            break
-        threading.Event().wait(0.01)
+    assert started.wait(PATIENCE_S)
+    eventually(lambda: hive.run(run_id).state is RunState.RUNNING, "the run")
     worker.stop()
-    thread.join(10)
+    thread.join(PATIENCE_S)
     assert hive.run(run_id).state is RunState.RUNNING
     assert executor.stopped == 0
     executor.statuses = [Exited(0)]
@@ -165,12 +163,11 @@ def test_only_one_worker_runs_on_a_machine(hive, monkeypatch):
     worker = hive.worker()
     thread = threading.Thread(target=worker.run)
     thread.start()
-    while not hive.worker_alive():
-        threading.Event().wait(0.01)
+    eventually(hive.worker_alive, "the worker")
     with pytest.raises(Conflict, match="runs on this machine already"):
         hive.worker().run()
     worker.stop()
-    thread.join(10)
+    thread.join(PATIENCE_S)
 
 
 def test_retry_makes_a_new_run_of_the_same_configuration(hive):

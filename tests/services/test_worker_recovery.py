@@ -16,8 +16,10 @@ from slamhive.domain.run import RunState
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.request import Submission
+from tests.waiting import PATIENCE_S, eventually
 
-pytestmark = pytest.mark.integration
+# A worker is started, killed and followed by another some forty times; on a busy machine that takes minutes.
+pytestmark = [pytest.mark.integration, pytest.mark.timeout(1200)]
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 KILLED_WORKER = Path(__file__).with_name("killed_worker.py")
@@ -29,7 +31,7 @@ def work(fatal_step: int) -> subprocess.CompletedProcess[str]:
         [sys.executable, str(KILLED_WORKER), str(fatal_step)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         env=dict(os.environ),
         check=False,
     )
@@ -70,14 +72,11 @@ def test_killed_at_any_step_the_run_ends_once_and_well(hive, monkeypatch):
 
 
 def test_a_run_that_goes_on_while_no_worker_lives_is_adopted(hive):
-    (run,) = hive.submit(Submission("tiny", "track", {"seconds": 3}, evaluate=False))
+    hive.executor("process").build(hive.catalogue.algorithm("tiny").package, lambda _line: None)
+    (run,) = hive.submit(Submission("tiny", "track", {"seconds": 4}, evaluate=False))
     worker = subprocess.Popen([sys.executable, "-m", "slamhive", "worker"], cwd=CHECKOUT)
     try:
-        for _ in range(200):
-            if hive.run(run.id).state is RunState.RUNNING:
-                break
-            signal.sigtimedwait([], 0.05)
-        assert hive.run(run.id).state is RunState.RUNNING
+        eventually(lambda: hive.run(run.id).state is RunState.RUNNING, "the run")
     finally:
         worker.kill()
         worker.wait()

@@ -16,6 +16,7 @@ from slamhive.services.request import Submission
 from slamhive.store import EvaluationState
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit
+from tests.waiting import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.integration
 
@@ -108,9 +109,9 @@ def test_an_unanswered_start_is_discarded_when_the_run_is_cancelled(hive):
     worker = hive.worker()
     thread = threading.Thread(target=worker.run, kwargs={"until_idle": True})
     thread.start()
-    assert asked.wait(10)
+    assert asked.wait(PATIENCE_S)
     hive.cancel(run_id)
-    thread.join(10)
+    thread.join(PATIENCE_S)
     assert hive.run(run_id).state is RunState.CANCELLED
     assert executor.discarded == [hive.run(run_id).uid]
 
@@ -136,8 +137,7 @@ def test_a_worker_that_lost_its_lease_leaves_the_folder_alone(hive):
     worker = hive.worker()
     thread = threading.Thread(target=worker.run)
     thread.start()
-    while hive.record(run_id).get("state") != "running":
-        threading.Event().wait(0.01)
+    eventually(lambda: hive.record(run_id).get("state") == "running", "the run")
     hive.store.write(lambda t: t.queue.release_all(worker.owner))
     now = datetime.now(UTC)
     hive.store.write(lambda t: t.queue.claim("another", now, 60))
@@ -145,7 +145,7 @@ def test_a_worker_that_lost_its_lease_leaves_the_folder_alone(hive):
     executor.statuses = [Exited(1)]
     threading.Event().wait(0.3)
     worker.stop()
-    thread.join(10)
+    thread.join(PATIENCE_S)
     assert hive.run(run_id).state is RunState.RUNNING
     assert hive.run(run_id).lease_owner == "another"
     assert hive.folder(run_id).record.read_text() == before

@@ -15,12 +15,17 @@ import pytest
 from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.services.hive import Hive
-from slamhive.web.live import LiveHub, LiveStream, with_version
+from slamhive.web.live import KEEPALIVE_S, LiveHub, LiveStream, with_version
 from slamhive.web.serve import THREADS, WebServer
+from tests.waiting import PATIENCE_S, eventually
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
 pytestmark = pytest.mark.integration
+
+
+PROMPT_S = 0.8 * KEEPALIVE_S
+"""Whoever is not told that the server ends notices it only when the next sign of life is due."""
 
 
 def next_state(events: Iterator[str]) -> dict[str, Any]:
@@ -29,13 +34,6 @@ def next_state(events: Iterator[str]) -> dict[str, Any]:
             state: dict[str, Any] = json.loads(event.partition("data: ")[2])
             return state
     raise AssertionError("the stream ended")
-
-
-def eventually(condition: Any) -> None:
-    ends = time.monotonic() + 5
-    while not condition():
-        assert time.monotonic() < ends
-        time.sleep(0.01)
 
 
 @pytest.fixture
@@ -91,7 +89,7 @@ def test_closing_the_hub_ends_streams_at_once(hub: LiveHub):
 
     threading.Thread(target=read, daemon=True).start()
     hub.close()
-    assert ended.wait(2)
+    assert ended.wait(PROMPT_S)
     with pytest.raises(Unavailable):
         hub.open()
 
@@ -168,14 +166,14 @@ def serving(hive: Hive) -> Iterator[tuple[WebServer, int, threading.Thread]]:
     thread.start()
     yield server, int(server.url.rpartition(":")[2]), thread
     server.close()
-    thread.join(8)
+    thread.join(PATIENCE_S)
     assert not thread.is_alive()
 
 
 @pytest.mark.integration
 def test_the_server_streams_and_ends_in_time(web: Web):
     with serving(web.hive) as (server, port, thread):
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
         connection.request("GET", "/events")
         answer = connection.getresponse()
         assert answer.headers["Content-Type"].startswith("text/event-stream")
@@ -186,21 +184,21 @@ def test_the_server_streams_and_ends_in_time(web: Web):
         assert next(state for state in news if state["version"] != first["version"])["counts"]["preparing"] == 1
         began = time.monotonic()
         server.close()
-        thread.join(5)
-        assert time.monotonic() - began < 3
+        thread.join(PATIENCE_S)
+        assert time.monotonic() - began < PROMPT_S
         connection.close()
 
 
 @pytest.mark.integration
 def test_pages_answer_while_all_streams_are_taken_and_left(web: Web):
     with serving(web.hive) as (_, port, _thread):
-        connections = [http.client.HTTPConnection("127.0.0.1", port, timeout=10) for _ in range(THREADS)]
+        connections = [http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S) for _ in range(THREADS)]
         for connection in connections:
             connection.request("GET", "/events")
         answers = [connection.getresponse() for connection in connections]
         statuses = [answer.status for answer in answers]
         assert sorted(set(statuses)) == [200, 503]
-        page = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+        page = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
         page.request("GET", "/healthz")
         assert page.getresponse().status == 200
         for connection in [*connections, page]:
