@@ -13,7 +13,7 @@ from slamhive.errors import nearest
 from slamhive.search.fields import Field, Kind, Source, Vocabulary
 from slamhive.search.grammar import Junction, Tree, leaves, mapped
 from slamhive.search.reader import FilterError, Place
-from slamhive.search.syntax import PRESENCE, Comparison, Filter, Sign, Word, filter_text, parse_filter
+from slamhive.search.syntax import PRESENCE, Comparison, Filter, Sign, Word, filter_text, parse_filter, reversed_range
 from slamhive.search.units import moments, number, units_of
 
 Value = int | float | str | bool | datetime
@@ -146,7 +146,10 @@ class _Binder:
             Kind.TEXT: self._text,
             Kind.CHOICE: self._text,
         }
-        return Condition(meaning, leaf.sign, tuple(readers[meaning.kind](meaning, word) for word in leaf.values))
+        values = [readers[meaning.kind](meaning, word) for word in leaf.values]
+        if leaf.sign is Sign.BETWEEN and values != sorted(values):
+            raise reversed_range(leaf, self._source)
+        return Condition(meaning, leaf.sign, tuple(values))
 
     def _number(self, meaning: Field, word: Word) -> int | float:
         """Columns of a run hold whole numbers, which must be told exactly: seeds have 64 bits."""
@@ -191,6 +194,8 @@ class _Binder:
                 raise self._unfit(meaning, word)
             spans.append(span)
         (begin, end), last = spans[0], spans[-1][1]
+        if last <= begin:
+            raise reversed_range(leaf, self._source)
         simple = {Sign.LESS: begin, Sign.AT_LEAST: begin, Sign.MORE: end, Sign.AT_MOST: end}
         if leaf.sign in simple:
             sign = Sign.LESS if leaf.sign in {Sign.LESS, Sign.AT_MOST} else Sign.AT_LEAST

@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import TypeAlias
 
 from slamhive.search.grammar import Tree, leaves, read_tree, written
-from slamhive.search.reader import KEYWORDS, NOWHERE, Place, Reader, quoted
+from slamhive.search.reader import KEYWORDS, NOWHERE, FilterError, Place, Reader, quoted
 from slamhive.search.units import UNITS, is_number
 
 MAX_LENGTH = 50_000
@@ -46,10 +46,11 @@ _SIGNS = {
 
 @dataclass(frozen=True, slots=True)
 class Word:
-    """A name or a value, and where it stands."""
+    """A name or a value, where it stands, and whether in quotes."""
 
     text: str
     place: Place = field(default=NOWHERE, compare=False)
+    quoted: bool = field(default=False, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,17 +66,27 @@ class Comparison:
 Filter: TypeAlias = Tree[Comparison]
 
 
-def parse_filter(text: str) -> Filter | None:
-    """The filter that ``text`` states, None for an empty one; raises FilterError pointing at what is not understood."""
-    reader = Reader(text, "filter", EXAMPLE, longest=MAX_LENGTH, deepest=MAX_DEPTH)
+def parse_filter(text: str, title: str = "filter", example: str = EXAMPLE, longest: int = MAX_LENGTH) -> Filter | None:
+    """The filter that ``text`` states, None for an empty one; raises FilterError pointing at what is not understood.
+
+    ``title`` and ``example`` are for messages; ``longest``: most characters.
+    """
+    reader = Reader(text, title, example, longest=longest, deepest=MAX_DEPTH)
     if reader.peek().kind == "end":
         return None
     tree = read_tree(reader, _comparison)
     found = list(leaves(tree))
     if len(found) > MAX_TERMS:
         place = found[MAX_TERMS].place
-        raise reader.refusal(f"the filter has {len(found)} comparisons, at most {MAX_TERMS} are allowed", place)
+        raise reader.refusal(f"the {title} has {len(found)} comparisons, at most {MAX_TERMS} are allowed", place)
     return tree
+
+
+def reversed_range(leaf: Comparison, source: str) -> FilterError:
+    """The refusal of a ``between`` whose first value is the larger; ``source`` is the whole text."""
+    low, high = (_value_text(value.text) for value in leaf.values)
+    remedy = f"write {quoted(leaf.name.text)} between {high} and {low}"
+    return FilterError(f"nothing lies between {low} and {high}", remedy, source, leaf.place)
 
 
 def filter_text(tree: Filter | None) -> str:
@@ -160,4 +171,4 @@ def _word(reader: Reader, expected: str) -> Word:
     if token.kind not in {"word", "text"} or (token.kind == "word" and token.text.lower() in KEYWORDS):
         raise reader.misplaced(expected)
     reader.step()
-    return Word(token.text, token.place)
+    return Word(token.text, token.place, token.kind == "text")

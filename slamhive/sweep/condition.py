@@ -1,8 +1,7 @@
-"""Conditions on combinations: ``image_rate >= 2 and not (algorithm == kiss-icp or dataset == room)``.
+"""Conditions on combinations, in the language of filters: ``image_rate >= 2 and not dataset in (room, MH_01)``.
 
-A small language of its own, parsed here; nothing is ever handed to Python's evaluation. Comparisons (``==``, ``!=``,
-``<``, ``<=``, ``>``, ``>=``) join a name and a name or value, ``in`` a name and a list (``dataset in [room, MH_01]``);
-``and``, ``or``, ``not`` and brackets combine them. Text may stand in quotes, and must if an axis has that name.
+A word on the right that is the name of an axis or parameter means its value; text that must not be taken for one stands
+in quotes. Numbers are plain: what unit an axis has is not known here.
 
 A name that has no meaning for a combination (a parameter that its algorithm does not have) makes the comparison
 undecided; undecided parts follow Kleene's three-valued logic, and an undecided condition keeps the combination.
@@ -11,230 +10,164 @@ undecided; undecided parts follow Kleene's three-valued logic, and an undecided 
 from __future__ import annotations
 
 import operator
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from slamhive.domain.parameters import Value
 from slamhive.errors import InvalidInput
+from slamhive.search.binding import matches
+from slamhive.search.grammar import Junction, Tree, leaves, mapped
+from slamhive.search.reader import FilterError
+from slamhive.search.syntax import PRESENCE, Sign, Word, parse_filter, reversed_range
+from slamhive.search.syntax import Comparison as Written
+from slamhive.search.units import is_number
 from slamhive.sweep.values import as_scalar
 
 MAX_LENGTH = 2000
-MAX_DEPTH = 50
+EXAMPLE = "write comparisons such as image_rate >= 2, joined by and, or, not"
 
 Context = Mapping[str, Value]
 Verdict = bool | None
 
-_TOKEN = re.compile(
-    r"""\s*(?:(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.-]))
-    |(?P<word>[A-Za-z_][\w.-]*|[0-9][\w.-]*)|(?P<text>"[^"]*"|'[^']*')
-    |(?P<sign><=|>=|==|!=|<|>|\(|\)|\[|\]|,))""",
-    re.VERBOSE,
-)
-_COMPARISONS: dict[str, Callable[[Value, Value], bool]] = {
-    "==": operator.eq,
-    "!=": operator.ne,
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
+_COMPARE: dict[Sign, Callable[[Any, Any], bool]] = {
+    Sign.EQUAL: operator.eq,
+    Sign.IN: operator.eq,
+    Sign.LESS: operator.lt,
+    Sign.AT_MOST: operator.le,
+    Sign.MORE: operator.gt,
+    Sign.AT_LEAST: operator.ge,
 }
+_NEGATED = {Sign.NOT_EQUAL: Sign.EQUAL, Sign.UNLIKE: Sign.LIKE, Sign.NOT_IN: Sign.IN, Sign.MISSING: Sign.HAS}
 
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A word outside quotes: an axis or parameter if there is one of this name, text otherwise."""
+    """A word outside quotes: an axis or parameter if there is one of this name, else ``value``."""
 
     word: str
+    value: Value
 
 
-Operand = Name | Value
+Operand = Name | str
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """``left sign right``; for ``in``, ``right`` holds several operands."""
+    """``left sign right``."""
 
-    sign: str
-    left: Name
+    left: str
+    sign: Sign
     right: tuple[Operand, ...]
 
     def decide(self, context: Context, known: frozenset[str]) -> Verdict:
-        """True, False, or None if a name has no value in ``context``."""
-        left = context.get(self.left.word)
+        """True, False, or None if a name has no value in ``context``; whether it has one is always decided."""
+        left = context.get(self.left)
+        if self.sign in PRESENCE:
+            return (left is not None) is (self.sign is Sign.HAS)
         if left is None:
             return None
-        verdicts: list[Verdict] = []
-        for entry in self.right:
-            right = _value(entry, context, known)
-            verdicts.append(None if right is None else _compare(self.sign, left, right))
-        return _any(verdicts)
+        right = [_value(operand, context, known) for operand in self.right]
+        if self.sign in _NEGATED:
+            return _not(_compare(_NEGATED[self.sign], left, right))
+        return _compare(self.sign, left, right)
 
 
 @dataclass(frozen=True, slots=True)
-class Junction:
-    """``and``, ``or`` over several conditions, ``not`` over one."""
+class Condition:
+    """What a combination must meet."""
 
-    word: str
-    parts: tuple[Condition, ...]
+    tree: Tree[Comparison]
 
     def decide(self, context: Context, known: frozenset[str]) -> Verdict:
-        """Kleene's logic: undecided unless the decided parts suffice."""
-        verdicts = [part.decide(context, known) for part in self.parts]
-        if self.word == "not":
-            return None if verdicts[0] is None else not verdicts[0]
-        if self.word == "or":
-            return _any(verdicts)
-        negated = _any([None if verdict is None else not verdict for verdict in verdicts])
-        return None if negated is None else not negated
-
-
-Condition = Comparison | Junction
+        """Kleene's logic: undecided (None) unless the decided parts suffice. ``known``: every name with a meaning."""
+        return _decide(self.tree, context, known)
 
 
 def parse_condition(text: str) -> Condition:
     """The condition that ``text`` states; raises InvalidInput naming the part that is not understood."""
-    if len(text) > MAX_LENGTH:
-        raise InvalidInput(f"the condition has {len(text)} characters, at most {MAX_LENGTH} are allowed")
-    return _Parser(text).parse()
+    title = f"condition {text if len(text) <= 80 else text[:80] + '…'!r}"
+    tree = parse_filter(text, title, longest=MAX_LENGTH)
+    if tree is None:
+        raise InvalidInput(
+            "the condition is empty", "write comparisons such as image_rate >= 2, joined by and, or, not"
+        )
+    return Condition(mapped(tree, lambda leaf: _comparison(leaf, text)))
 
 
 def compared_names(condition: Condition) -> frozenset[str]:
     """The words on the left of comparisons: each must be the name of an axis or parameter."""
-    if isinstance(condition, Comparison):
-        return frozenset({condition.left.word})
-    return frozenset().union(*(compared_names(part) for part in condition.parts))
+    return frozenset(leaf.left for leaf in leaves(condition.tree))
+
+
+def _comparison(leaf: Written, text: str) -> Comparison:
+    if not leaf.name.quoted and is_number(leaf.name.text):
+        raise FilterError(
+            f"{leaf.name.text!r} stands where a name belongs", "write the name first", text, leaf.name.place
+        )
+    right = tuple(_operand(word, text) for word in leaf.values)
+    if leaf.sign is Sign.BETWEEN:
+        low, high = (operand.value if isinstance(operand, Name) else None for operand in right)
+        if isinstance(low, int | float) and isinstance(high, int | float) and low > high:
+            raise reversed_range(leaf, text)
+    return Comparison(leaf.name.text, leaf.sign, right)
+
+
+def _operand(word: Word, text: str) -> Operand:
+    if word.quoted:
+        return word.text
+    if " " in word.text:
+        raise FilterError(f"{word.text!r} has a unit", "write the number alone", text, word.place)
+    return Name(word.text, as_scalar(word.text))
 
 
 def _value(operand: Operand, context: Context, known: frozenset[str]) -> Value | None:
     """What an operand stands for; None for a name that has no value in ``context``."""
-    if not isinstance(operand, Name):
+    if isinstance(operand, str):
         return operand
-    return context.get(operand.word) if operand.word in known else as_scalar(operand.word)
+    return context.get(operand.word) if operand.word in known else operand.value
 
 
-def _any(verdicts: list[Verdict]) -> Verdict:
-    if True in verdicts:
+def _decide(tree: Tree[Comparison], context: Context, known: frozenset[str]) -> Verdict:
+    if not isinstance(tree, Junction):
+        return tree.decide(context, known)
+    verdicts = [_decide(part, context, known) for part in tree.parts]
+    if tree.word == "not":
+        return _not(verdicts[0])
+    return _any(verdicts) if tree.word == "or" else _all(verdicts)
+
+
+def _not(verdict: Verdict) -> Verdict:
+    return None if verdict is None else not verdict
+
+
+def _any(verdicts: Iterable[Verdict]) -> Verdict:
+    found = list(verdicts)
+    if True in found:
         return True
-    return None if None in verdicts else False
+    return None if None in found else False
 
 
-def _compare(sign: str, left: Value, right: Value) -> bool:
-    if sign == "in":
-        sign = "=="
+def _all(verdicts: Iterable[Verdict]) -> Verdict:
+    return _not(_any(map(_not, verdicts)))
+
+
+def _compare(sign: Sign, left: Value, right: list[Value | None]) -> Verdict:
+    """One of the signs that are not the negation of another."""
+    if sign is Sign.BETWEEN:
+        return _all([_one(Sign.AT_LEAST, left, right[0]), _one(Sign.AT_MOST, left, right[1])])
+    return _any(_one(sign, left, value) for value in right)
+
+
+def _one(sign: Sign, left: Value, right: Value | None) -> Verdict:
+    if right is None:
+        return None
+    if sign is Sign.LIKE:
+        return matches(str(left), str(right))
     if isinstance(left, str) != isinstance(right, str):
-        if sign not in {"==", "!="}:
+        if _COMPARE[sign] is not operator.eq:
             raise InvalidInput(f"{left!r} {sign} {right!r} compares text with a number")
         left, right = str(left), str(right)
     if isinstance(left, tuple) != isinstance(right, tuple):
         raise InvalidInput(f"{left!r} {sign} {right!r} compares a matrix with a plain value")
-    return _COMPARISONS[sign](left, right)
-
-
-class _Parser:
-    """Recursive descent: or < and < not < comparison."""
-
-    def __init__(self, text: str) -> None:
-        self._text = text
-        self._tokens = self._split(text)
-        self._position = 0
-        self._depth = 0
-
-    def parse(self) -> Condition:
-        condition = self._or()
-        if self._position < len(self._tokens):
-            raise self._refusal("'and', 'or' or the end")
-        return condition
-
-    def _split(self, text: str) -> list[tuple[str, str]]:
-        tokens: list[tuple[str, str]] = []
-        position = 0
-        stripped = text.rstrip()
-        while position < len(stripped):
-            match = _TOKEN.match(stripped, position)
-            if match is None:
-                raise InvalidInput(f"the condition {text!r} is not understood at {stripped[position:].strip()[:20]!r}")
-            assert match.lastgroup is not None
-            tokens.append((match.lastgroup, match[match.lastgroup]))
-            position = match.end()
-        return tokens
-
-    def _peek(self) -> tuple[str, str]:
-        return self._tokens[self._position] if self._position < len(self._tokens) else ("end", "")
-
-    def _take(self, *signs: str) -> bool:
-        kind, token = self._peek()
-        if kind in {"sign", "word"} and token in signs:
-            self._position += 1
-            return True
-        return False
-
-    def _refusal(self, expected: str) -> InvalidInput:
-        kind, token = self._peek()
-        found = "its end" if kind == "end" else repr(token)
-        return InvalidInput(
-            f"the condition {self._text!r} has {found} where {expected} belongs",
-            "write comparisons such as image_rate >= 2, joined by and, or, not",
-        )
-
-    def _or(self) -> Condition:
-        return self._joined("or", self._and)
-
-    def _and(self) -> Condition:
-        return self._joined("and", self._not)
-
-    def _joined(self, word: str, inner: Callable[[], Condition]) -> Condition:
-        parts = [inner()]
-        while self._take(word):
-            parts.append(inner())
-        return parts[0] if len(parts) == 1 else Junction(word, tuple(parts))
-
-    def _not(self) -> Condition:
-        self._depth += 1
-        if self._depth > MAX_DEPTH:
-            raise InvalidInput(f"the condition is nested deeper than {MAX_DEPTH} levels")
-        try:
-            if self._take("not"):
-                return Junction("not", (self._not(),))
-            if self._take("("):
-                condition = self._or()
-                if not self._take(")"):
-                    raise self._refusal("')'")
-                return condition
-            return self._comparison()
-        finally:
-            self._depth -= 1
-
-    def _comparison(self) -> Condition:
-        left = self._operand()
-        if not isinstance(left, Name):
-            self._position -= 1
-            raise self._refusal("a name")
-        if self._take("in"):
-            return Comparison("in", left, self._list())
-        _, sign = self._peek()
-        if sign not in _COMPARISONS:
-            raise self._refusal("a comparison")
-        self._position += 1
-        return Comparison(sign, left, (self._operand(),))
-
-    def _list(self) -> tuple[Operand, ...]:
-        if not self._take("["):
-            raise self._refusal("'['")
-        entries = [self._operand()]
-        while self._take(","):
-            entries.append(self._operand())
-        if not self._take("]"):
-            raise self._refusal("']'")
-        return tuple(entries)
-
-    def _operand(self) -> Operand:
-        kind, token = self._peek()
-        if kind not in {"number", "word", "text"} or (kind == "word" and token in {"and", "or", "not", "in"}):
-            raise self._refusal("a name or a value")
-        self._position += 1
-        if kind == "text":
-            return token[1:-1]
-        if kind == "number":
-            return as_scalar(token)
-        return token.lower() == "true" if token.lower() in {"true", "false"} else Name(token)
+    return _COMPARE[sign](left, right)

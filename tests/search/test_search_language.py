@@ -123,6 +123,12 @@ def test_what_is_typed_has_one_spelling_and_words(text, canonical, words):
         ("dataset = 'x", 'is not understood at "\'x"', "'"),
         ("dataset in ()", "has ')' where a value belongs", ")"),
         ("ate.rmse between 1 or 2", "has 'or' where 'and' belongs", "or"),
+        ("seed = 1 and ate.rmse between 3 and 1 cm", "nothing lies between 3 and 1 cm", "ate.rmse between 3 and 1 cm"),
+        (
+            "created_at between 2026-02-01 and 2026-01-31",
+            "nothing lies between",
+            "created_at between 2026-02-01 and 2026-01-31",
+        ),
         ("dataset = " + "x" * 191, "cannot be compared with this text", "x" * 191),
         ("protocol = 0", "no figure is filed under protocol '0'", "0"),
         ("protocol > 0123456789ab", "a protocol is chosen with =", "protocol > 0123456789ab"),
