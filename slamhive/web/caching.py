@@ -14,6 +14,8 @@ YEAR_S = 365 * 86_400
 KEPT_S = 5.0
 MOST_PAGE_BYTES = 2_000_000
 MOST_KEPT_BYTES = 100_000_000
+_ENTRY_BYTES = 2_000
+"""What an entry takes besides its texts, at most."""
 _ASSETS = "static"
 Key = tuple[str, str]
 
@@ -23,6 +25,7 @@ class _Kept:
     until_s: float
     content: bytes
     headers: tuple[tuple[str, str], ...]
+    size_bytes: int
 
 
 class PageCache:
@@ -50,16 +53,18 @@ class PageCache:
 
     def put(self, key: Key, response: Response) -> None:
         """Keep a page; the oldest go when there are too many."""
-        content = response.get_data()
-        if len(content) > MOST_PAGE_BYTES:
+        content, headers = response.get_data(), tuple(response.headers.items())
+        # An address may be longer than its page.
+        size_bytes = _ENTRY_BYTES + len(content) + sum(map(len, key)) + sum(len(name + text) for name, text in headers)
+        if size_bytes > MOST_PAGE_BYTES:
             return
-        kept = _Kept(self._clock() + self._kept_s, content, tuple(response.headers.items()))
+        kept = _Kept(self._clock() + self._kept_s, content, headers, size_bytes)
         with self._lock:
             before = self._pages.pop(key, None)
-            self._bytes += len(content) - (0 if before is None else len(before.content))
+            self._bytes += size_bytes - (0 if before is None else before.size_bytes)
             self._pages[key] = kept
             while self._bytes > MOST_KEPT_BYTES:
-                self._bytes -= len(self._pages.popitem(last=False)[1].content)
+                self._bytes -= self._pages.popitem(last=False)[1].size_bytes
 
 
 def add_caching(app: Flask) -> None:

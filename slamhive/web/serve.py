@@ -18,7 +18,7 @@ from waitress import wasyncore
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.services.hive import Hive
 from slamhive.web.analysis_computer import AnalysisComputer
-from slamhive.web.app import MOST_STREAMS, create_app
+from slamhive.web.app import MOST_STREAMS, MOST_UPLOAD_BYTES, create_app
 from slamhive.web.context import COMPUTER_EXTENSION, LIVE_EXTENSION
 from slamhive.web.live import LiveHub
 
@@ -53,6 +53,7 @@ class WebServer:
             sockets=[listener],
             threads=THREADS,
             connection_limit=MOST_CONNECTIONS,
+            max_request_body_size=2 * MOST_UPLOAD_BYTES,
             ident="slamhive",
         )
         self._ended = threading.Event()

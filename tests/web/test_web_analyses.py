@@ -262,8 +262,12 @@ def test_kept_pages_grow_old_and_few():
     assert len(newest.get_data()) == 1_900_000
     cache.put(("large", ""), Response(b"x" * 3_000_000))
     assert cache.get(("large", "")) is None
-    now[0] = 5.1
+    for place in range(120):
+        cache.put((f"{place}?" + "x" * 1_000_000, ""), Response(b"small"))
+    assert cache.get(("0?" + "x" * 1_000_000, "")) is None
     assert cache.get(("79", "")) is None
+    now[0] = 5.1
+    assert cache.get(("119?" + "x" * 1_000_000, "")) is None
 
 
 # -- view-only -----------------------------------------------------------------------------------------------------

@@ -207,6 +207,17 @@ def test_pages_answer_while_all_streams_are_taken_and_left(web: Web):
             answer.close()
 
 
+@pytest.mark.integration
+def test_a_huge_body_is_refused_before_it_is_sent(shown: Web):
+    with serving(shown.hive) as (_, port, _thread):
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+        connection.putrequest("POST", "/analyses")
+        connection.putheader("Content-Length", str(10**9))
+        connection.endheaders(b"x")
+        assert connection.getresponse().status == 413
+        connection.close()
+
+
 def test_a_port_that_is_taken_is_said_in_one_line(shown: Web):
     with serving(shown.hive) as (_, port, _thread), pytest.raises(Unavailable, match=f"port {port} .* is taken; .*--p"):
         WebServer(shown.hive, "127.0.0.1", port)
