@@ -122,8 +122,8 @@ def _range(text: str, first: str, last: str, step: str) -> list[Scalar]:
     count = (stop - start) // stride + 1
     _check_count(text, count)
     whole = all(_INTEGER.fullmatch(part) for part in (first, last, step))
-    numbers = (start + index * stride for index in range(count))
-    return [int(number) if whole else rounded(number) for number in numbers]
+    numerators, denominator = _progression(start, stride, count)
+    return [number // denominator if whole else rounded(number / denominator) for number in numerators]
 
 
 def _call(text: str, name: str, arguments: str) -> list[Scalar]:
@@ -141,9 +141,16 @@ def _call(text: str, name: str, arguments: str) -> list[Scalar]:
 
 def _linear(_text: str, ends: list[Fraction], count: int) -> list[Scalar]:
     first, last = ends
-    numbers = [first + (last - first) * index / (count - 1) for index in range(count)]
-    whole = all(number.denominator == 1 for number in numbers)
-    return [int(number) if whole else Computed(rounded(number)) for number in numbers]
+    numerators, denominator = _progression(first, (last - first) / (count - 1), count)
+    whole = all(number % denominator == 0 for number in numerators)
+    return [number // denominator if whole else Computed(rounded(number / denominator)) for number in numerators]
+
+
+def _progression(first: Fraction, step: Fraction, count: int) -> tuple[list[int], int]:
+    """``first + index * step`` as exact numerators over one denominator: a Fraction for each would take seconds."""
+    denominator = math.lcm(first.denominator, step.denominator)
+    start, stride = int(first * denominator), int(step * denominator)
+    return [start + index * stride for index in range(count)], denominator
 
 
 def _logarithmic(text: str, ends: list[Fraction], count: int) -> list[Scalar]:
