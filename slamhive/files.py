@@ -1,7 +1,8 @@
-"""Writing a file so that nobody ever sees a part of it, and telling whether files have changed."""
+"""Writing a file so that nobody ever sees a part of it, and telling how large files are and whether they changed."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import tempfile
@@ -30,6 +31,16 @@ def write_aside(path: Path, content: str | bytes) -> None:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
         raise Unavailable(f"{path} cannot be written: {error.strerror}", "check space and rights") from None
+
+
+def folder_bytes(folder: Path) -> int:
+    """The size of all files below ``folder``, links not followed; others may write or remove there meanwhile."""
+    total = 0
+    for parent, _, names in os.walk(folder):
+        for name in names:
+            with contextlib.suppress(OSError):
+                total += os.lstat(os.path.join(parent, name)).st_size  # noqa: PTH118 - many files, a Path takes longer
+    return total
 
 
 def hash_files(root: Path, parts: Iterable[str] = (".",)) -> str:

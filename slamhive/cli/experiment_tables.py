@@ -36,7 +36,8 @@ def print_preview(found: ExperimentPreview) -> None:
     click.echo(f"{found.name}: {found.combinations:,} combinations, {found.cells:,} configurations{merged}")
     varied = ", ".join(f"{axis} {count}" for axis, count in found.axes.items()) or "nothing varies"
     click.echo(f"varied: {varied}")
-    click.echo(f"runs: {found.runs:,}; about {_time(found.time_s)} on {found.slots} slot(s), {_basis(found)}")
+    variants = f"; {_time(found.variant_time_s)} of it to make variants" if found.variant_time_s else ""
+    click.echo(f"runs: {found.runs:,}; about {_time(found.time_s)} on {found.slots} slot(s), {_basis(found)}{variants}")
     if found.known_cells:
         click.echo(f"stored already: {found.known_cells:,} of the configurations, with {found.known_runs:,} runs")
     missing = sum(not need.made for need in found.variants)

@@ -32,7 +32,9 @@ ROOMY = CacheLimits(10**9)
 
 
 def plan(key: str = "aa11", needed_bytes: int = SIZE) -> VariantPlan:
-    return VariantPlan(key, "track", ({"kind": "rate", "sensors": ["lidar"], "options": {"every": 2}},), needed_bytes)
+    return VariantPlan(
+        key, "track", ({"kind": "rate", "sensors": ["lidar"], "options": {"every": 2}},), needed_bytes, 2000
+    )
 
 
 def silent(_fraction: float, _text: str) -> None:
@@ -157,7 +159,7 @@ KILLED = """
         time.sleep(60)
 
     cache = VariantCache(Path(sys.argv[1]), CacheLimits(10**9))
-    with cache.hold(VariantPlan("aa11", "track", (), 1000), build, lambda fraction, text: None):
+    with cache.hold(VariantPlan("aa11", "track", (), 1000, 2000), build, lambda fraction, text: None):
         print("never", flush=True)
 """
 

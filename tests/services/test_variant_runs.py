@@ -12,13 +12,17 @@ import pytest
 
 from slamhive.bags.reader import inspect_bag
 from slamhive.bags.variants.build import build_variant
+from slamhive.bags.variants.manifest import MANIFEST
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import VariantStep, parse_step
 from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
+from slamhive.files import folder_bytes
 from slamhive.runtime import config as run_config
 from slamhive.services import variants as variants_module
 from slamhive.services import worker as worker_module
+from slamhive.services.experiments.checks import UNMEASURED_BYTES_PER_S
+from slamhive.services.experiments.records import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.services.request import Submission
@@ -242,3 +246,45 @@ def test_a_run_can_be_cancelled_while_its_variant_is_made(hive, monkeypatch):
     hive.worker().run(until_idle=True)
     assert hive.run(run_id).state is RunState.CANCELLED
     assert list(hive.settings.variants_folder.glob(".*.partial")) == []
+
+
+HALVED = """
+name: halved
+algorithms: tiny
+datasets: track
+steps:
+  scans: {step: rate, sensors: lidar, every: 1 | 2 | 3}
+evaluate: false
+executor: process
+"""
+
+
+def test_a_plan_counts_the_time_of_making_variants(hive):
+    source = ExperimentSource(HALVED)
+    bag_bytes = hive.catalogue.dataset("track").bag_path.stat().st_size
+    before = hive.experiments.preview(source)
+    assert [need.make_s for need in before.variants] == [pytest.approx(bag_bytes / UNMEASURED_BYTES_PER_S)] * 2
+    assert before.time_s == pytest.approx(3 * 1.9 + before.variant_time_s)
+
+    with hive.variants.hold(hive.catalogue.dataset("track"), HALF[:1], lambda _fraction, _text: None):
+        pass
+    (entry,) = hive.variants.entries()
+    after = hive.experiments.preview(source)
+    assert [need.made for need in after.variants] == [True, False]
+    assert after.variant_time_s == pytest.approx(bag_bytes / entry.bytes_per_s)
+
+    # Made before it was written down how fast.
+    manifest = hive.settings.variants_folder / entry.key / MANIFEST
+    manifest.write_text(manifest.read_text().replace("bytes_per_s", "other"))
+    assert hive.experiments.preview(source).variant_time_s == pytest.approx(bag_bytes / UNMEASURED_BYTES_PER_S)
+
+
+def test_a_run_folder_that_changes_while_it_is_measured_is_no_error(hive):
+    folder = hive.settings.runs_folder / "1"
+    folder.mkdir()
+    (folder / "a").write_bytes(bytes(1000))
+    (folder / "gone").symlink_to("gone")
+    (folder / "large").symlink_to("/dev/zero")
+    assert folder_bytes(folder) < 1100
+    assert folder_bytes(folder / "absent") == 0
+    assert hive.experiments.preview(ExperimentSource(HALVED)).run_bytes < 3300

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import os
 import shutil
+import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,11 +29,11 @@ from slamhive.bags.variants.manifest import (
     problem,
     read_manifest,
     write_manifest,
-    written_bytes,
 )
 from slamhive.catalogue.dataset_file import load_dataset
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import Conflict, InvalidInput, Unavailable, unknown
+from slamhive.files import folder_bytes
 
 logger = logging.getLogger(__name__)
 
@@ -46,13 +47,14 @@ Builder = Callable[[Path, Progress], Dataset]
 
 @dataclass(frozen=True, slots=True)
 class VariantEntry:
-    """One variant that lies in the cache; ``used_at`` is when it was last held."""
+    """One variant that lies in the cache; ``used_at`` is when it was last held. ``bytes_per_s``: see ``Manifest``."""
 
     key: str
     dataset: str
     steps: tuple[Mapping[str, Any], ...]
     size_bytes: int
     made_at: datetime
+    bytes_per_s: float | None
     used_at: datetime
     in_use: bool
 
@@ -160,8 +162,9 @@ class VariantCache:
         try:
             self._remove(plan.key)
             self._reserve(plan)
+            began_s = time.monotonic()
             dataset = build(aside, progress)
-            write_manifest(aside, plan, dataset)
+            write_manifest(aside, plan, dataset, time.monotonic() - began_s)
             flush(aside)
             aside.rename(self._folder(plan.key))
         except BaseException as error:
@@ -217,7 +220,7 @@ class VariantCache:
 
     def _free_bytes(self) -> int:
         """What the disk can still take: less than is free, by the reserve and by what others are about to write."""
-        unwritten = sum(max(0, wanted - written_bytes(self._aside(key))) for key, wanted in self._reserved().items())
+        unwritten = sum(max(0, wanted - folder_bytes(self._aside(key))) for key, wanted in self._reserved().items())
         place = self._root if self._root.exists() else self._root.parent
         return shutil.disk_usage(place).free - self._limits.free_bytes - unwritten
 
@@ -269,6 +272,7 @@ class VariantCache:
             steps=manifest.steps,
             size_bytes=manifest.size_bytes,
             made_at=manifest.made_at,
+            bytes_per_s=manifest.bytes_per_s,
             used_at=datetime.fromtimestamp(used_s, UTC),
             in_use=key in kept or is_held(self._lock(key)),
         )

@@ -24,21 +24,29 @@ UNREADABLE = (OSError, ValueError, KeyError, TypeError)
 
 @dataclass(frozen=True, slots=True)
 class VariantPlan:
-    """What is to be made: its key, where it comes from, its steps as JSON, and a bound of its size."""
+    """What is to be made: its key, where it comes from, its steps as JSON, a bound of its size.
+
+    ``source_bytes`` is the size of the recording that has to be read for it.
+    """
 
     key: str
     dataset: str
     steps: tuple[Mapping[str, Any], ...]
     needed_bytes: int
+    source_bytes: int
 
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """The content of ``variant.json``. ``files``: {path in the folder: (bytes, checksum)}."""
+    """The content of ``variant.json``. ``files``: {path in the folder: (bytes, checksum)}.
+
+    ``bytes_per_s`` is how fast it was made, by the size of the recording that was read; None if that is not known.
+    """
 
     dataset: str
     steps: tuple[Mapping[str, Any], ...]
     made_at: datetime
+    bytes_per_s: float | None
     files: Mapping[str, tuple[int, str]]
 
     @property
@@ -47,8 +55,8 @@ class Manifest:
         return sum(size for size, _ in self.files.values())
 
 
-def write_manifest(folder: Path, plan: VariantPlan, dataset: Dataset) -> None:
-    """Describe ``folder``, in which ``dataset`` was written; nothing is added to it afterwards."""
+def write_manifest(folder: Path, plan: VariantPlan, dataset: Dataset, took_s: float) -> None:
+    """Describe ``folder``, in which ``dataset`` was written in ``took_s``; nothing is added to it afterwards."""
     known = {dataset.bag: dataset.checksum}
     files: dict[str, tuple[int, str]] = {}
     for path in sorted(entry for entry in folder.rglob("*") if entry.is_file()):
@@ -58,6 +66,7 @@ def write_manifest(folder: Path, plan: VariantPlan, dataset: Dataset) -> None:
         "dataset": plan.dataset,
         "steps": list(plan.steps),
         "made_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "bytes_per_s": plan.source_bytes / took_s if took_s > 0 else None,
         "files": files,
     }
     write_aside(folder / MANIFEST, json.dumps(content, indent=1, allow_nan=False) + "\n")
@@ -70,8 +79,14 @@ def read_manifest(folder: Path) -> Manifest:
         dataset=str(content["dataset"]),
         steps=tuple(dict(step) for step in content["steps"]),
         made_at=datetime.fromisoformat(content["made_at"]),
+        bytes_per_s=_speed(content.get("bytes_per_s")),
         files={str(name): (int(size), str(digest)) for name, (size, digest) in content["files"].items()},
     )
+
+
+def _speed(value: object) -> float | None:
+    """None for variants that were made before it was written down, too."""
+    return float(value) if isinstance(value, int | float) and value > 0 else None
 
 
 def problem(folder: Path) -> str | None:
@@ -105,14 +120,3 @@ def flush(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
-
-
-def written_bytes(folder: Path) -> int:
-    """The size of what is in ``folder`` now, while somebody writes or removes there."""
-    total = 0
-    for path in folder.rglob("*"):
-        try:
-            total += path.stat().st_size
-        except FileNotFoundError:
-            continue
-    return total

@@ -40,6 +40,7 @@ def plan_variant(dataset: Dataset, variant: Variant) -> VariantPlan | None:
         dataset=dataset.name,
         steps=tuple(variant_to_json(variant)),
         needed_bytes=_needed_bytes(dataset, treatments),
+        source_bytes=_size_bytes(dataset.bag_path),
     )
 
 

@@ -25,6 +25,7 @@ def preview_to_json(found: ExperimentPreview) -> dict[str, Any]:
         "known_cells": found.known_cells,
         "known_runs": found.known_runs,
         "time_s": found.time_s,
+        "variant_time_s": found.variant_time_s,
         "measured_runs": found.measured_runs,
         "slots": found.slots,
         "variants": [
@@ -33,6 +34,7 @@ def preview_to_json(found: ExperimentPreview) -> dict[str, Any]:
                 "steps": variant_to_json(need.variant),
                 "key": need.key,
                 "needed_bytes": need.needed_bytes,
+                "make_s": need.make_s,
                 "made": need.made,
             }
             for need in found.variants

@@ -6,9 +6,12 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from heapq import nlargest
+from statistics import median
 
+from slamhive.bags.variants.cache import VariantEntry
 from slamhive.domain.protocol import Protocol
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.files import folder_bytes
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.records import VariantNeed
 from slamhive.services.preparation import check_disk, check_package, check_recorded, recorded_topics
@@ -20,7 +23,11 @@ from slamhive.sweep.experiment import Experiment
 UNMEASURED_RUN_BYTES = 500_000
 """Of a run folder while none has been measured: log, samples, trajectory and plots of a run of a minute."""
 
+UNMEASURED_BYTES_PER_S = 100_000_000.0
+"""Of a recording, read while a variant of it is made, as long as none was: what a slow disk takes up."""
+
 _MEASURED_RUNS = 20
+_ANY_DATASET = ""
 Pair = tuple[str, str]
 """Names of algorithm and dataset."""
 
@@ -39,6 +46,11 @@ class Room:
     def variant_bytes(self) -> int:
         """Of all variants that are still to be made."""
         return sum(need.needed_bytes for need in self.variants if not need.made)
+
+    @property
+    def variant_s(self) -> float:
+        """How long it takes to make them, one after the other."""
+        return sum(need.make_s for need in self.variants if not need.made)
 
 
 def pair_problems(
@@ -81,12 +93,14 @@ def find_room(context: ExperimentContext, expansion: Expansion) -> Room:
     entries = context.variants.entries()
     made = {entry.key for entry in entries}
     datasets = {dataset.name: dataset for _, dataset in expansion.pairs}
+    speeds = _speeds(entries)
     needs: list[VariantNeed] = []
     for name, variants in expansion.variants.items():
         for variant in sorted(variants, key=str):
             plan = context.variants.plan(datasets[name], variant)
             if plan is not None:
-                needs.append(VariantNeed(name, variant, plan.key, plan.needed_bytes, plan.key in made))
+                make_s = plan.source_bytes / speeds.get(name, speeds[_ANY_DATASET])
+                needs.append(VariantNeed(name, variant, plan.key, plan.needed_bytes, make_s, plan.key in made))
     return Room(
         variants=tuple(needs),
         run_bytes=expansion.size.runs * _bytes_of_a_run(context),
@@ -128,11 +142,21 @@ def warnings(room: Room) -> Sequence[str]:
     return (f"{takes}: those used longest ago are removed, and made again if a run needs them",)
 
 
+def _speeds(entries: Sequence[VariantEntry]) -> dict[str, float]:
+    """Bytes of the recording per s at which variants were made: the median of each dataset, and of all."""
+    known: dict[str, list[float]] = {}
+    for entry in entries:
+        if entry.bytes_per_s is not None:
+            for name in (entry.dataset, _ANY_DATASET):
+                known.setdefault(name, []).append(entry.bytes_per_s)
+    return {_ANY_DATASET: UNMEASURED_BYTES_PER_S} | {name: median(speeds) for name, speeds in known.items()}
+
+
 def _bytes_of_a_run(context: ExperimentContext) -> int:
     """The mean size of the latest run folders."""
     numbered = (entry for entry in context.settings.runs_folder.iterdir() if entry.name.isdigit())
     latest = nlargest(_MEASURED_RUNS, numbered, key=lambda entry: int(entry.name))
-    sizes = [sum(path.lstat().st_size for path in folder.rglob("*") if path.is_file()) for folder in latest]
+    sizes = [folder_bytes(folder) for folder in latest]
     return sum(sizes) // len(sizes) if sizes else UNMEASURED_RUN_BYTES
 
 

@@ -74,12 +74,16 @@ class PreviewRow:
 
 @dataclass(frozen=True, slots=True)
 class VariantNeed:
-    """A variant of a dataset that runs need. ``made``: it lies in the cache; else it takes ``needed_bytes`` at most."""
+    """A variant of a dataset that runs need.
+
+    ``made``: it lies in the cache; else it takes ``needed_bytes`` at most, and about ``make_s`` to make.
+    """
 
     dataset: str
     variant: Variant
     key: str
     needed_bytes: int
+    make_s: float
     made: bool
 
 
@@ -89,8 +93,9 @@ class ExperimentPreview:
 
     ``combinations`` before conditions, ``cells`` distinct configurations after them (``merged`` were identical to
     another), ``runs`` with seeds and repeats. ``known_cells`` configurations are stored already, with ``known_runs``
-    runs. ``time_s`` is the estimated time of all runs on this machine's slots, ``measured_runs`` how many of them it
-    knows from earlier runs; the others are taken to last as long as their recording plays. ``run_bytes`` is the room
+    runs. ``time_s`` is the estimated time of all runs and variants on this machine's slots, ``measured_runs`` how many
+    of them it knows from earlier runs; the others are taken to last as long as their recording plays.
+    ``variant_time_s`` is the part of it that making variants takes, each once. ``run_bytes`` is the room
     that run folders will take, by the size of earlier ones. ``refusals`` would keep it from being started.
     ``standing``: of the experiment if it is stored already.
     """
@@ -106,6 +111,7 @@ class ExperimentPreview:
     known_cells: int
     known_runs: int
     time_s: float
+    variant_time_s: float
     measured_runs: int
     slots: int
     variants: tuple[VariantNeed, ...]

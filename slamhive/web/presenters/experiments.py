@@ -181,16 +181,13 @@ def preview_facts(preview: ExperimentPreview) -> list[tuple[str, str]]:
     """What a start would do, as names and texts."""
     combined = f"{thousands(preview.cells)} of {plural(preview.combinations, 'combination')}"
     identical = f", {thousands(preview.merged)} identical to another" if preview.merged else ""
-    to_make = [need for need in preview.variants if not need.made]
-    made = len(preview.variants) - len(to_make)
-    folders = "unknown, nothing has been measured" if preview.run_bytes is None else f"about {size(preview.run_bytes)}"
     return [
         ("Configurations", combined + identical),
         ("Runs", thousands(preview.runs)),
         ("There already", _known(preview)),
         ("Time", f"about {duration(preview.time_s)} on {plural(preview.slots, 'slot')}; {_time_basis(preview)}"),
-        ("Variants", _variants(len(to_make), made, preview.variant_bytes)),
-        ("Run folders", folders),
+        ("Variants", _variants(preview)),
+        ("Run folders", f"about {size(preview.run_bytes)}"),
         ("Free disk", size(preview.free_bytes)),
         ("Varies", " × ".join(f"{axis} {thousands(count)}" for axis, count in preview.axes.items()) or "nothing"),
     ]
@@ -233,10 +230,14 @@ def _time_basis(preview: ExperimentPreview) -> str:
     return "as long as the recordings play"
 
 
-def _variants(to_make: int, made: int, needed_bytes: int) -> str:
-    if not to_make and not made:
+def _variants(preview: ExperimentPreview) -> str:
+    if not preview.variants:
         return "none: the recordings as they are"
-    text = f"{thousands(to_make)} to make, at most {size(needed_bytes)}" if to_make else "none to make"
+    made = sum(need.made for need in preview.variants)
+    text = "none to make"
+    if to_make := len(preview.variants) - made:
+        takes = f"about {duration(preview.variant_time_s)} of the time"
+        text = f"{thousands(to_make)} to make, at most {size(preview.variant_bytes)} and {takes}"
     return f"{text}; {thousands(made)} made already" if made else text
 
 
