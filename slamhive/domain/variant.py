@@ -37,9 +37,19 @@ class VariantStep:
         options = {key: [type(value).__name__, value] for key, value in self.options.items()}
         return [self.kind, list(self.sensors), options]
 
+    @property
+    def brief(self) -> str:
+        """The kind and the options, numbers before words; for tables, where it may be cut off at its end."""
+        numbers_first = sorted(self.options.items(), key=lambda option: isinstance(option[1], str))
+        return " ".join([self.kind, *(f"{key}={_text(value)}" for key, value in numbers_first)])
+
     def __str__(self) -> str:
-        options = ", ".join(f"{key} {value}" for key, value in self.options.items())
+        options = ", ".join(f"{key} {_text(value)}" for key, value in self.options.items())
         return f"{self.kind} of {', '.join(self.sensors)}" + (f" ({options})" if options else "")
+
+
+def _text(value: Scalar) -> str:
+    return format(value, ".12g") if isinstance(value, float) else str(value)
 
 
 _STEP_FORM = "write it as KIND@SENSOR,SENSOR OPTION=VALUE, for instance: resolution@cam0,cam1 scale=0.5"

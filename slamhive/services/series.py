@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -11,11 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.protocol import protocol_from_content
+from slamhive.errors import SlamHiveError
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.untrusted import read_numeric_columns, read_untrusted_lines
+from slamhive.services.evaluations import PROTOCOL_FILE
 from slamhive.store.records import RunRecord
 
 Array = NDArray[np.float64]
+Places = NDArray[np.int64]
 
 MAX_POINTS = 3000
 """A figure draws no more points than this; a screen has no more columns."""
@@ -24,23 +30,38 @@ LIMIT_BYTES = 64_000_000
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A path: ``times_s`` (n,), ``positions_m`` (n, 3). ``poses`` counts them before thinning."""
+    """A path: ``times_s`` (n,), ``positions_m`` (n, 3). ``poses`` counts them before thinning.
+
+    ``pieces`` (n,) numbers the stretches between gaps, so that nothing is drawn as tracked that was not.
+    """
 
     times_s: Array
     positions_m: Array
     poses: int
+    pieces: Places
+
+    def thinned(self, most: int) -> Track:
+        """At most ``most`` poses, evenly chosen, the first and the last among them."""
+        kept = np.unique(np.linspace(0, len(self.times_s) - 1, min(len(self.times_s), most)).astype(np.int64))
+        return Track(self.times_s[kept], self.positions_m[kept], self.poses, self.pieces[kept])
 
 
 @dataclass(frozen=True, slots=True)
 class Samples:
     """Values over time: ``times_s`` (n,) since the start of what is shown, ``values`` (n,).
 
-    ``count`` is their number before thinning.
+    ``count`` is their number before thinning; ``pieces`` (n,) numbers the stretches between gaps.
     """
 
     times_s: Array
     values: Array
     count: int
+    pieces: Places
+
+    def thinned(self, most: int) -> Samples:
+        """At most ``most`` samples, every peak among them."""
+        kept = thin_keeping_extremes(self.values, most)
+        return Samples(self.times_s[kept], self.values[kept], self.count, self.pieces[kept])
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +69,14 @@ class RunSeries:
     """All figure data of one run. What is None is explained in ``reasons`` under the same name.
 
     ``estimate`` lies in the ground truth's frame where ``aligned``, in the algorithm's own otherwise. ``cpu`` is in
-    cores, ``memory`` in bytes, ``error`` in m, ``latency`` in s.
+    cores, ``memory`` in bytes, ``error`` in m, ``latency`` in s. A pause of the estimate longer than ``gap_s`` is a
+    gap; infinite where no protocol says how long that is.
     """
 
     estimate: Track | None
     groundtruth: Track | None
     aligned: bool
+    gap_s: float
     error: Samples | None
     cpu: Samples | None
     memory: Samples | None
@@ -64,24 +87,34 @@ class RunSeries:
 def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
     """Read everything that can be drawn of ``run``, the evaluation being the one whose figures it shows."""
     estimate = groundtruth = error = None
+    gap_s = math.inf
     if run.protocol is not None:
         evaluation = folder.evaluation(run.protocol.fingerprint)
-        estimate = read_track(evaluation / "traj.tum")
+        gap_s = _gap_s(evaluation)
+        estimate = read_track(evaluation / "traj.tum", gap_s)
         groundtruth = read_track(evaluation / "groundtruth.tum")
         error = _columns(evaluation / "errors.csv", ("timestamp", "ape_m"))
     aligned = estimate is not None
     usage = _columns(folder.profiling, ("time", "cpu_usage", "memory_usage"))
     found: dict[str, Any] = {
-        "estimate": estimate or read_track(folder.trajectory),
+        "estimate": estimate or read_track(folder.trajectory, gap_s),
         "groundtruth": groundtruth,
-        "error": None if error is None else _samples(error[:, 0] - error[0, 0], error[:, 1]),
+        "error": None if error is None else _samples(error[:, 0] - error[0, 0], error[:, 1], gap_s),
         "cpu": None if usage is None else _samples(usage[:, 0], usage[:, 1]),
         "memory": None if usage is None else _samples(usage[:, 0], usage[:, 2]),
         "latency": _latency(folder.frames),
     }
     explanations = _explanations(run)
     reasons = {name: explanations[name] for name, data in found.items() if data is None}
-    return RunSeries(**found, aligned=aligned, reasons=reasons)
+    return RunSeries(**found, aligned=aligned, gap_s=gap_s, reasons=reasons)
+
+
+def _gap_s(evaluation: Path) -> float:
+    try:
+        content = json.loads((evaluation / PROTOCOL_FILE).read_text(encoding="utf-8"))
+        return protocol_from_content(content).gap_threshold_s
+    except (OSError, ValueError, SlamHiveError):
+        return math.inf
 
 
 def _explanations(run: RunRecord) -> dict[str, str]:
@@ -115,8 +148,11 @@ def read_dataset_path(dataset: Dataset) -> Track | None:
     return None if path is None else read_track(path)
 
 
-def read_track(path: Path) -> Track | None:
-    """The TUM trajectory at ``path``, thinned for drawing; None if there is none or it is malformed."""
+def read_track(path: Path, gap_s: float = math.inf) -> Track | None:
+    """The TUM trajectory at ``path``, thinned for drawing; None if there is none or it is malformed.
+
+    A pause longer than ``gap_s`` begins another piece.
+    """
     data = read_untrusted_lines(path, LIMIT_BYTES)
     if not data:
         return None
@@ -130,29 +166,27 @@ def read_track(path: Path) -> Track | None:
     rows = rows[np.isfinite(rows).all(axis=1)]
     if len(rows) == 0:
         return None
-    kept = rows[_evenly(len(rows))]
-    return Track(kept[:, 0], kept[:, 1:], len(rows))
+    return Track(rows[:, 0], rows[:, 1:], len(rows), _pieces(rows[:, 0], gap_s)).thinned(MAX_POINTS)
 
 
-def thin_keeping_extremes(times_s: Array, values: Array, most: int = MAX_POINTS) -> tuple[Array, Array]:
-    """At most ``most`` points; each stretch keeps its smallest and its largest value, so that no peak disappears."""
+def thin_keeping_extremes(values: Array, most: int = MAX_POINTS) -> Places:
+    """Which to keep, at most ``most``: each stretch's smallest and largest value, so that no peak disappears."""
     if len(values) <= most:
-        return times_s, values
+        return np.arange(len(values))
     edges = np.linspace(0, len(values), most // 2 + 1).astype(int)
     chosen: list[int] = []
     for start, end in pairwise(edges.tolist()):
         stretch = values[start:end]
         chosen.extend(sorted({start + int(stretch.argmin()), start + int(stretch.argmax())}))
-    return times_s[chosen], values[chosen]
+    return np.asarray(chosen)
 
 
-def _samples(times_s: Array, values: Array) -> Samples:
-    thinned_s, thinned = thin_keeping_extremes(times_s, values)
-    return Samples(thinned_s, thinned, len(values))
+def _samples(times_s: Array, values: Array, gap_s: float = math.inf) -> Samples:
+    return Samples(times_s, values, len(values), _pieces(times_s, gap_s)).thinned(MAX_POINTS)
 
 
-def _evenly(count: int) -> NDArray[np.int64]:
-    return np.unique(np.linspace(0, count - 1, min(count, MAX_POINTS)).astype(np.int64))
+def _pieces(times_s: Array, gap_s: float) -> Places:
+    return np.concatenate([[0], np.cumsum(np.diff(times_s) > gap_s)])
 
 
 def _columns(path: Path, names: tuple[str, ...]) -> Array | None:

@@ -139,9 +139,9 @@ def _metric_column(metric: Metric) -> Column:
 
 
 def variant_cell(run: RunRecord) -> Cell:
-    """The steps in words; a dash where the dataset is used as it is."""
-    text = "; ".join(str(step) for step in run.variant)
-    return Cell(text, text) if text else Cell(DASH, "the dataset as it is", missing=True)
+    """The steps in brief, with their sensors on hover; a dash where the dataset is used as it is."""
+    text = "; ".join(step.brief for step in run.variant)
+    return Cell(text, "; ".join(map(str, run.variant))) if text else Cell(DASH, "the dataset as it is", missing=True)
 
 
 def _parameters(run: RunRecord) -> Cell:

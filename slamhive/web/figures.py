@@ -1,22 +1,21 @@
-"""The interactive figures, as Plotly JSON. Colours that depend on light or dark are filled in by ``figures.js``."""
+"""The interactive figures, as Plotly JSON. Colours that depend on light or dark are filled in by ``report.js``."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
-from slamhive.services.series import Array, RunSeries, Samples, Track
-from slamhive.web.formatting import plural
+from slamhive.analysis.plotly_values import THEMED
+from slamhive.services.series import Array, Places, RunSeries, Samples, Track
+from slamhive.web.formatting import plural, significant
 
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 AXES = "xyz"
-THEMED = "theme:groundtruth"
-"""Marks a trace whose colour ``figures.js`` sets: dark grey on white, light grey on black."""
-
 Figure = dict[str, Any]
 
 
@@ -40,10 +39,10 @@ def run_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
     if series.cpu is not None:
         figures["cpu"] = _over_time(series.cpu, name, colour, started, "CPU in use [cores]")
     if series.memory is not None:
-        in_mb = Samples(series.memory.times_s, series.memory.values * 1e-6, series.memory.count)
+        in_mb = replace(series.memory, values=series.memory.values * 1e-6)
         figures["memory"] = _over_time(in_mb, name, colour, started, "memory in use [MB]")
     if series.latency is not None:
-        in_ms = Samples(series.latency.times_s, series.latency.values * 1e3, series.latency.count)
+        in_ms = replace(series.latency, values=series.latency.values * 1e3)
         figures["latency"] = _over_time(in_ms, name, colour, "recording time [s]", "latency per frame [ms]", dots=True)
     return figures
 
@@ -82,6 +81,9 @@ def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
         texts["path"] = (
             f"{plural(series.estimate.poses, 'matched pose' if series.aligned else 'pose')} of the estimate, {how}."
         )
+        if series.estimate.pieces[-1]:
+            gaps = plural(int(series.estimate.pieces[-1]), "pause")
+            texts["path"] += f" Dotted: {gaps} of more than {significant(series.gap_s, 3)} s without a pose."
     if series.groundtruth is not None:
         texts["path"] = texts.get("path", "") + f" Ground truth dashed, {plural(series.groundtruth.poses, 'pose')}."
     if series.error is not None:
@@ -129,9 +131,11 @@ def _plane_figure(plane: str, groundtruth: Track | None, estimate: tuple[str, Tr
     traces: list[Any] = []
     if estimate is not None:
         name, track, colour = estimate
-        points = _short(track.positions_m)
         line = {"color": colour, "width": 2.5}
-        traces.append(_plane_line(plane, points, name=name, line=line))
+        traces.append(_plane_line(plane, _broken(track.positions_m, track.pieces), name=name, line=line))
+        bridges = _bridges(track.positions_m, track.pieces)
+        if len(bridges):
+            traces.append(_plane_line(plane, bridges, name=_LOST, line=_bridge_line(colour, 1.2)))
     if groundtruth is not None:
         points = _short(groundtruth.positions_m)
         traces.append(_plane_line(plane, points, name="ground truth", line={"dash": "dash", "width": 1.2}, meta=THEMED))
@@ -173,9 +177,12 @@ def _space_figure(groundtruth: Track | None, estimate: tuple[str, Track, str] | 
     hover = "x %{x:.4g} m<br>y %{y:.4g} m<br>z %{z:.4g} m"
     if estimate is not None:
         name, track, colour = estimate
-        x, y, z = _short(track.positions_m).T
-        line = {"color": colour, "width": 5}
-        traces.append(go.Scatter3d(x=x, y=y, z=z, name=name, mode="lines", line=line, hovertemplate=hover))
+        parts = ((name, _broken, {"color": colour, "width": 5}), (_LOST, _bridges, _bridge_line(colour, 2)))
+        for label, points_of, line in parts:
+            points = points_of(track.positions_m, track.pieces)
+            if len(points):
+                x, y, z = points.T
+                traces.append(go.Scatter3d(x=x, y=y, z=z, name=label, mode="lines", line=line, hovertemplate=hover))
     if groundtruth is not None:
         x, y, z = _short(groundtruth.positions_m).T
         line = {"dash": "dash", "width": 3}
@@ -224,17 +231,39 @@ def _over_time(samples: Samples, name: str, colour: str, x_title: str, y_title: 
     look: dict[str, Any] = {"mode": "lines", "line": {"color": colour, "width": 1.5}}
     if dots:
         look = {"mode": "markers", "marker": {"color": colour, "size": 4}}
-    trace = go.Scatter(
-        x=_short(samples.times_s),
-        y=_short(samples.values),
-        name=name,
-        hovertemplate="%{y:.4g} at %{x:.2f} s<extra></extra>",
-        **look,
-    )
+    points = np.column_stack([samples.times_s, samples.values])
+    hover = "%{y:.4g} at %{x:.2f} s<extra></extra>"
+    x, y = _broken(points, samples.pieces).T
+    traces = [go.Scatter(x=x, y=y, name=name, hovertemplate=hover, **look)]
+    bridges = _bridges(points, samples.pieces)
+    if len(bridges):
+        x, y = bridges.T
+        line = _bridge_line(colour, 1)
+        traces.append(go.Scatter(x=x, y=y, name=_LOST, mode="lines", line=line, hoverinfo="skip"))
     layout = go.Layout(
         xaxis={"title": {"text": x_title}}, yaxis={"title": {"text": y_title}, "rangemode": "tozero"}, showlegend=False
     )
-    return _plain(go.Figure([trace], layout))
+    return _plain(go.Figure(traces, layout))
+
+
+_LOST = "tracking lost"
+"""Between the pieces of an estimate."""
+
+
+def _bridge_line(colour: str, width: float) -> dict[str, Any]:
+    return {"color": colour, "width": width, "dash": "dot"}
+
+
+def _broken(points: Array, pieces: Places) -> np.ndarray[Any, Any]:
+    """The points (n, k) with a row of NaN, which breaks a line, wherever a piece begins."""
+    return np.insert(_short(points), np.flatnonzero(np.diff(pieces)) + 1, np.nan, axis=0)
+
+
+def _bridges(points: Array, pieces: Places) -> np.ndarray[Any, Any]:
+    """Straight lines over the gaps: the last point of a piece, the first of the next, NaN, and so on."""
+    last = np.flatnonzero(np.diff(pieces))
+    nothing = np.full((len(last), points.shape[1]), np.nan)
+    return _short(np.stack([points[last], points[last + 1], nothing], axis=1).reshape(-1, points.shape[1]))
 
 
 _LEGEND = {"orientation": "h", "yanchor": "bottom", "y": 1.0, "xanchor": "left", "x": 0.0}

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from jinja2 import Template
 
 from slamhive import __version__
@@ -22,7 +21,7 @@ from slamhive.services.analyses.bundle import report_content, report_environment
 from slamhive.services.analyses.folder import REPORT, AnalysisFolder
 from slamhive.services.driver_context import utc_now
 from slamhive.services.hive import Hive
-from slamhive.services.series import RunSeries, Samples, Track, run_series, thin_keeping_extremes
+from slamhive.services.series import RunSeries, run_series
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.archives import ArchiveRepository
 from slamhive.store.records import RunRecord
@@ -225,20 +224,7 @@ def _table_script(rows: list[dict[str, Any]]) -> str:
 def _thinned(series: RunSeries) -> RunSeries:
     return replace(
         series,
-        estimate=_thin_track(series.estimate),
-        groundtruth=_thin_track(series.groundtruth),
-        error=_thin_samples(series.error),
+        estimate=None if series.estimate is None else series.estimate.thinned(POINTS),
+        groundtruth=None if series.groundtruth is None else series.groundtruth.thinned(POINTS),
+        error=None if series.error is None else series.error.thinned(POINTS),
     )
-
-
-def _thin_track(track: Track | None) -> Track | None:
-    if track is None:
-        return None
-    kept = np.unique(np.linspace(0, len(track.times_s) - 1, min(len(track.times_s), POINTS)).astype(np.int64))
-    return Track(track.times_s[kept], track.positions_m[kept], track.poses)
-
-
-def _thin_samples(samples: Samples | None) -> Samples | None:
-    if samples is None:
-        return None
-    return Samples(*thin_keeping_extremes(samples.times_s, samples.values, POINTS), samples.count)

@@ -21,7 +21,12 @@ def test_sensors_are_a_set_and_options_have_no_order():
     assert one == other
     assert hash(one) == hash(other)
     assert one.content == other.content
-    assert str(one) == "fog of cam0, cam1 (a 2.0, b 1)"
+    assert str(one) == "fog of cam0, cam1 (a 2, b 1)"
+
+
+def test_the_brief_form_has_numbers_first_as_its_end_may_be_cut_off():
+    step = VariantStep("resolution", ("cam0",), {"interpolation": "area", "scale": 0.25})
+    assert step.brief == "resolution scale=0.25 interpolation=area"
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +13,8 @@ import pytest
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation.job import EvaluationTask
 from slamhive.project import project_root
-from slamhive.services.series import MAX_POINTS, read_track, thin_keeping_extremes
-from slamhive.web.figures import best_plane
+from slamhive.services.series import MAX_POINTS, Track, read_track, thin_keeping_extremes
+from slamhive.web.figures import best_plane, path_figures
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
@@ -24,10 +26,40 @@ EUROC = project_root().parent / "shared" / "data" / "euroc_vio_runs"
 def test_thinning_keeps_every_peak():
     values = np.zeros(100_000)
     values[[7, 50_001, 99_990]] = [5.0, -3.0, 9.0]
-    times_s, thinned = thin_keeping_extremes(np.arange(100_000.0), values)
-    assert len(thinned) <= MAX_POINTS
-    assert {5.0, -3.0, 9.0} <= set(thinned.tolist())
-    assert (np.diff(times_s) > 0).all()
+    kept = thin_keeping_extremes(values)
+    assert len(kept) <= MAX_POINTS
+    assert {5.0, -3.0, 9.0} <= set(values[kept].tolist())
+    assert (np.diff(kept) > 0).all()
+
+
+def test_a_gap_parts_a_path_however_it_is_thinned(tmp_path: Path):
+    path = tmp_path / "traj.txt"
+    stamps_s = [*range(10_000), *range(10_500, 12_000)]
+    path.write_text("".join(f"{stamp} {stamp} 0 0 0 0 0 1\n" for stamp in stamps_s))
+    track = read_track(path, gap_s=1.0)
+    assert track is not None
+    assert len(track.times_s) <= MAX_POINTS
+    assert sorted(set(track.pieces.tolist())) == [0, 1]
+    assert track.times_s[track.pieces == 1].min() >= 10_500 > track.times_s[track.pieces == 0].max()
+
+
+def test_lost_tracking_is_drawn_apart_from_the_path():
+    stamps_s = np.array([0.0, 1.0, 5.0, 6.0])
+    pieces = np.array([0, 0, 1, 1])
+    track = Track(stamps_s, np.column_stack([stamps_s, stamps_s, stamps_s]), 4, pieces)
+    figures = path_figures(None, ("estimate", track, "#123456"))
+    line, lost = figures["path_xy"]["data"][:2]
+    assert _numbers(line["x"]) == [0.0, 1.0, None, 5.0, 6.0]
+    assert lost["name"] == "tracking lost"
+    assert _numbers(lost["x"]) == [1.0, 5.0, None]
+    assert [trace["name"] for trace in figures["path_3d"]["data"]][:2] == ["estimate", "tracking lost"]
+
+
+def _numbers(values: Any) -> list[float | None]:
+    """What a trace holds, whether it is packed or not."""
+    packed = isinstance(values, dict)
+    numbers = np.frombuffer(base64.b64decode(values["bdata"]), values["dtype"]).tolist() if packed else values
+    return [None if value is None or math.isnan(value) else value for value in numbers]
 
 
 @pytest.mark.parametrize(
