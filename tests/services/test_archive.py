@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, Forbidden, InvalidInput
 from slamhive.services.archive.exporting import ExportReport, ExportRequest, Part, export_archive
 from slamhive.services.archive.importing import ArchiveImport, ArchiveReport
+from slamhive.services.archive.layout import MANIFEST
 from slamhive.services.experiments.records import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
@@ -25,6 +26,7 @@ from slamhive.services.request import Submission
 from slamhive.store import RunSort
 from slamhive.store.records import SavedSearchRecord
 from tests.services.archive_world import all_files, all_rows, make_runs
+from tests.services.mariadb import DatabaseServer
 from tests.services.tiny_project import environment, make_dataset
 
 pytestmark = pytest.mark.integration
@@ -41,8 +43,38 @@ def import_archive(hive: Hive, path: Path) -> ArchiveReport:
     return ArchiveImport(hive.settings, hive.store, hive.catalogue).carry_out(path, lambda _share, _text: None)
 
 
+def content(path: Path) -> dict[str, bytes]:
+    """Every member but the manifest, which tells when it was made."""
+    with zipfile.ZipFile(path) as file:
+        return {name: file.read(name) for name in file.namelist() if name != MANIFEST}
+
+
+@pytest.fixture(params=["sqlite", pytest.param("mysql", marks=pytest.mark.mysql)])
+def use_database(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
+    """Gives the installation that is opened next a database of its own on a server; a file lies in its data root."""
+    if request.param == "sqlite":
+        yield lambda _name: None
+        return
+    server: DatabaseServer = request.getfixturevalue("database_server")
+    names = []
+
+    def use(name: str) -> None:
+        names.append(f"slamhive_archive_{name}")
+        monkeypatch.setenv("SLAMHIVE_DATABASE_URL", server.create_database(names[-1]))
+
+    yield use
+    for name in names:
+        server.drop_database(name)
+
+
 @pytest.fixture
-def world(hive: Hive) -> Hive:
+def first(use_database: Callable[[str], None]) -> None:
+    """Where the installation that exports has its rows."""
+    use_database("first")
+
+
+@pytest.fixture
+def world(first: None, hive: Hive) -> Hive:
     """Runs that succeeded, failed and were repeated, one of them cancelled before it began, with all that is said."""
     make_runs(hive, 30)
     (run,) = hive.submit(Submission("tiny", "track"))
@@ -57,8 +89,15 @@ def world(hive: Hive) -> Hive:
 
 
 @pytest.fixture
-def other(world: Hive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_template: Path) -> Iterator[Hive]:
+def other(
+    world: Hive,
+    use_database: Callable[[str], None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    sqlite_template: Path,
+) -> Iterator[Hive]:
     """A second installation, empty."""
+    use_database("second")
     (tmp_path / "other").mkdir()
     shutil.copy(sqlite_template, tmp_path / "other" / "slamhive.db")
     for key, value in environment(tmp_path / "project", tmp_path / "other").items():
@@ -84,6 +123,8 @@ def test_an_archive_into_an_empty_installation_equals_itself(world: Hive, other:
     truth = "datasets/track/groundtruth.txt"
     assert (other.settings.data / truth).read_bytes() == (world.settings.data / truth).read_bytes()
     assert not list((other.settings.data / "datasets" / "track").glob("*.bag"))
+    export(other, tmp_path / "b.zip")
+    assert content(tmp_path / "b.zip") == content(tmp_path / "a.zip")
     reindex(other, lambda _done, _total: None)
     assert all_rows(other) == after
 
