@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from werkzeug.datastructures import MultiDict
@@ -87,10 +87,13 @@ def stated_axes(experiment: Experiment) -> dict[str, int]:
     return {axis.name: len(axis.values) for axis in named}
 
 
-def search_of(experiment: Experiment, values: Mapping[str, Value | None]) -> dict[str, str] | None:
+def search_of(
+    experiment: Experiment, values: Mapping[str, Value | None], configurations: Sequence[int]
+) -> dict[str, str] | None:
     """The arguments of the runs page that find the runs with these values; None if a search cannot name them.
 
-    Algorithms, datasets and parameters can be searched for; a step that changes nothing leaves no trace to search by.
+    Algorithms, datasets and parameters are searched for by name. Not so the options of steps: one that changes nothing
+    leaves no trace to search by, and which does depends on the recording. ``configurations`` are listed then.
     """
     parameters = {axis.name for axis in experiment.parameters if axis.algorithm is None}
     chosen = {"experiment": experiment.name}
@@ -99,10 +102,17 @@ def search_of(experiment: Experiment, values: Mapping[str, Value | None]) -> dic
         if axis in ("algorithm", "dataset"):
             chosen[axis] = str(value)
         elif axis not in parameters or value is None or isinstance(value, tuple):
-            return None
+            return _listed(chosen["experiment"], configurations)
         else:
             conditions.append(Comparison(Word(axis), Sign.EQUAL, (Word(value_text(value)),)))
     return {**chosen, "where": filter_text(join("and", conditions))} if conditions else chosen
+
+
+def _listed(experiment: str, configurations: Sequence[int]) -> dict[str, str] | None:
+    if not configurations:
+        return None
+    numbers = tuple(Word(str(number)) for number in configurations)
+    return {"experiment": experiment, "where": filter_text(Comparison(Word("configuration"), Sign.IN, numbers))}
 
 
 def _axis(name: str | None, axes: Mapping[str, int], default: str) -> str:

@@ -25,7 +25,7 @@ def test_a_plan_warns_once_where_lost_tracking_cannot_be_watched(hive: Hive) -> 
 
 
 def test_the_grid_counts_failures_by_reason() -> None:
-    cells = [CellRecord(number, "", number, {"rate": number % 2, "seed": 1}) for number in (1, 2, 3)]
+    cells = [CellRecord(number, "", number + 10, {"rate": number % 2, "seed": 1}) for number in (1, 2, 3)]
     crashed, timeout = FailureReason.NONZERO_EXIT, FailureReason.TIMEOUT
     counts = [
         (1, RunState.FAILED, crashed, 2),
@@ -34,6 +34,7 @@ def test_the_grid_counts_failures_by_reason() -> None:
         (2, RunState.SUCCEEDED, None, 4),
     ]
     grid = AxisTable.of(cells).grid(("rate", "seed"), counts, "e")
+    assert [cell.configurations for cell in grid.cells.values()] == [(11, 13), (12,)]
     assert [dict(cell.failures) for cell in grid.cells.values()] == [{crashed: 3, timeout: 1}, {}]
     assert [cell.counts[Phase.FAILED] for cell in grid.cells.values()] == [4, 0]
 

@@ -316,6 +316,31 @@ def test_a_place_of_the_grid_leads_to_the_runs_of_its_configurations(trial: Web)
     assert "Showing 4 of 4 runs" in trial.client.get(html.unescape(links[1])).text
 
 
+STEPPED = """\
+name: stepped
+algorithms: eye-slam-mono | eye-slam-stereo
+datasets: room
+steps:
+  image_rate: {step: rate, sensors: camera, hz: 20 | 10 | 5}
+  image_resolution: {step: resolution, sensors: camera, scale: 1 | .5}
+executor: process
+"""
+
+
+def test_a_place_between_steps_leads_to_its_runs_also_where_a_step_changes_nothing(web: Web):
+    web.hive.experiments.start(ExperimentSource(STEPPED))
+    text = web.client.get("/experiments/stepped?rows=image_rate&columns=image_resolution").text
+    links = [html.unescape(link) for link in re.findall(r'href="(/runs\?[^"]*where[^"]*)"', text)]
+    assert len(links) == 6
+    found = [web.client.get(link.replace("/runs?", "/api/v1/runs?")).get_json()["runs"] for link in links]
+    steps = [{str(run["variant"]) for run in runs} for runs in found]
+    assert [len(runs) for runs in found] == [2] * 6
+    assert [len(entry) for entry in steps] == [1] * 6
+    assert len(set.union(*steps)) == 6
+    by_algorithm = web.client.get("/experiments/stepped?rows=image_rate&columns=algorithm").text
+    assert len(re.findall(r'href="/runs\?[^"]*where', by_algorithm)) == 6
+
+
 def test_a_large_grid_is_counted_after_the_page_is_there(trial: Web, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(views, "LARGE", 5)
     text = trial.client.get("/experiments/trial").text

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import unknown
-from slamhive.services.experiments.records import Grid, GridCell, Phase
+from slamhive.services.experiments.records import MOST_LISTED, Grid, GridCell, Phase
 from slamhive.store.experiment_records import CellRecord, ExperimentRecord
 from slamhive.store.store import Transaction
 
@@ -30,12 +30,13 @@ CellCount = tuple[int, RunState, FailureReason | None, int]
 class AxisTable:
     """The cells of an experiment over its axes.
 
-    ``numbers``, shape (n,), are those of the cells, ascending. For each axis, ``values`` holds the values in the order
-    in which they appear (None, where the axis has no meaning for a cell, last), ``codes``, shape (n,), the index of
-    each cell's own.
+    ``numbers``, shape (n,), are those of the cells, ascending, ``configurations``, shape (n,), those of what they run.
+    For each axis, ``values`` holds the values in the order in which they appear (None, where the axis has no meaning
+    for a cell, last), ``codes``, shape (n,), the index of each cell's own.
     """
 
     numbers: Integers
+    configurations: Integers
     values: Mapping[str, tuple[Value | None, ...]]
     codes: Mapping[str, Integers]
 
@@ -43,6 +44,7 @@ class AxisTable:
     def of(cls, cells: Iterable[CellRecord]) -> AxisTable:
         """The table of these cells, which come in order."""
         numbers: list[int] = []
+        configurations: list[int] = []
         places: dict[str, dict[Key, int]] = {}
         found: dict[str, list[int]] = {}
         for cell in cells:
@@ -52,6 +54,7 @@ class AxisTable:
                 own = places.setdefault(axis, {})
                 codes.append(own.setdefault((type(value).__name__, value), len(own)))
             numbers.append(cell.number)
+            configurations.append(cell.configuration_id)
         values: dict[str, tuple[Value | None, ...]] = {}
         arrays: dict[str, Integers] = {}
         for axis, codes in found.items():
@@ -59,7 +62,7 @@ class AxisTable:
             known = tuple(value for _, value in places[axis])
             values[axis] = (*known, None) if (array < 0).any() else known
             arrays[axis] = np.where(array < 0, np.int32(len(known)), array)
-        return cls(np.array(numbers, dtype=np.int32), values, arrays)
+        return cls(np.array(numbers, dtype=np.int32), np.array(configurations, dtype=np.int32), values, arrays)
 
     @property
     def axes(self) -> dict[str, tuple[Value, ...]]:
@@ -79,6 +82,7 @@ class AxisTable:
         shape = (len(self.values[axes[0]]), len(self.values[axes[1]]))
         place = rows.astype(np.int64) * shape[1] + columns
         used, first, members = np.unique(place, return_index=True, return_counts=True)
+        together = np.split(self.configurations[np.argsort(place, kind="stable")], np.cumsum(members)[:-1])
         index = {state: phases.index(Phase.of(state)) for state in RunState}
         entries = list(counts)
         table = np.array([(cell, index[state], n) for cell, state, _, n in entries], dtype=np.int64).reshape(-1, 3)
@@ -97,10 +101,11 @@ class AxisTable:
                 divmod(int(at), shape[1]): GridCell(
                     int(number),
                     int(self.numbers[start]),
+                    tuple(map(int, configurations)) if number <= MOST_LISTED else (),
                     dict(zip(phases, map(int, sums[at]), strict=True)),
                     dict(failures.get(int(at), {})),
                 )
-                for at, start, number in zip(used, first, members, strict=True)
+                for at, start, number, configurations in zip(used, first, members, together, strict=True)
             },
         )
 

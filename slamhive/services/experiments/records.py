@@ -14,6 +14,9 @@ from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput
 from slamhive.store.experiment_records import CellRun
 
+MOST_LISTED = 200
+"""Configurations that a place of a grid lists; an address that names more is too long for some servers."""
+
 
 @dataclass(frozen=True, slots=True)
 class ExperimentSource:
@@ -203,11 +206,13 @@ class CellPage:
 class GridCell:
     """The cells of an experiment that share two values: how many, the first one, and their runs by phase.
 
-    ``counts`` and ``failures`` (runs by reason) as in :class:`ExperimentStatus`.
+    ``configurations`` are their numbers, empty where they are more than :data:`MOST_LISTED`. ``counts`` and
+    ``failures`` (runs by reason) as in :class:`ExperimentStatus`.
     """
 
     cells: int
     first: int
+    configurations: tuple[int, ...]
     counts: Mapping[Phase, int]
     failures: Mapping[FailureReason, int]
 

@@ -23,7 +23,8 @@ from slamhive.web.formatting import DASH, Cell, display_unit, duration, plural, 
 MOST_ROWS, MOST_COLUMNS = 50, 25
 """Of a grid on a page; the words say what was left out."""
 
-Search = Callable[[Mapping[str, Value | None]], dict[str, str] | None]
+Search = Callable[[Mapping[str, Value | None], Sequence[int]], dict[str, str] | None]
+"""The arguments of the runs page, by the values of a place of the grid and the numbers of its configurations."""
 FINISHED_PHASES = (Phase.GOOD, Phase.FAILED, Phase.CANCELLED)
 _DRAWN = (Phase.GOOD, Phase.FAILED, Phase.CANCELLED, Phase.RUNNING, Phase.QUEUED)
 
@@ -256,7 +257,7 @@ def _entry(found: GridCell | None, values: Mapping[str, Value | None], search: S
         notes=tuple(f"{thousands(found.counts[phase])} {phase.value}" for phase in told if found.counts.get(phase)),
         explanation=f"{where}: {counts_in_words(found.counts)}{several}{why}",
         number=found.first if found.cells == 1 else None,
-        search=None if found.cells == 1 else search(values),
+        search=None if found.cells == 1 else search(values, found.configurations),
     )
 
 

@@ -121,7 +121,7 @@ def act(name: str, action: str) -> Response:
 
 def _grid(wanted: GridQuery, stated: Experiment) -> presenter.GridView:
     grid = hive().experiments.grid(stated.name, wanted.rows, wanted.columns)
-    return presenter.grid_view(grid, lambda values: search_of(stated, values))
+    return presenter.grid_view(grid, lambda *place: search_of(stated, *place))
 
 
 def with_time_left(found: Iterable[ExperimentStatus]) -> list[ExperimentStatus]:
