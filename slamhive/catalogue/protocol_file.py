@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from slamhive import strict_yaml
 from slamhive.catalogue.validation import first_problem_at
-from slamhive.domain.protocol import BOUNDS, Alignment, Association, RpePairs
+from slamhive.domain.protocol import BOUNDS, MOST_SEGMENT_LENGTHS, Alignment, Association, RpePairs
 from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.domain.sensors import is_rigid
 from slamhive.errors import InvalidInput
@@ -74,7 +74,12 @@ class ProtocolModel(BaseModel):
         Annotated[float, _number("rpe_delta_deg", "deg", "Rotation between the poses of an RPE pair")] | None
     ) = None
     segment_lengths_m: list[Annotated[float, _number("segment_lengths_m", "m", "Path length of a segment")]] | None = (
-        Field(None, description="Lengths of the segments in m, growing; left out: 10 to 50 % of the path.")
+        Field(
+            None,
+            min_length=1,
+            max_length=MOST_SEGMENT_LENGTHS,
+            description="Lengths of the segments in m, growing; left out: 10 to 50 % of the path.",
+        )
     )
     segment_tolerance_m: (
         Annotated[float, _number("segment_tolerance_m", "m", "How far a segment's length may be off")] | None

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticCustomError
 
 from slamhive.domain.names import check_name
+from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput, nearest
 
 _UNION_TAGS = {"bool", "int", "float", "str", "list[float]"}
@@ -119,9 +120,9 @@ def _shown(loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
 def _saying(problem: Mapping[str, Any]) -> str:
     kind, context = problem["type"], problem.get("ctx", {})
     if kind == "too_short":
-        return f"must have at least {context['min_length']} entries, not {context['actual_length']}"
+        return f"must have at least {plural(context['min_length'], 'entry', 'entries')}, not {context['actual_length']}"
     if kind == "too_long":
-        return f"must have at most {context['max_length']} entries, not {context['actual_length']}"
+        return f"must have at most {plural(context['max_length'], 'entry', 'entries')}, not {context['actual_length']}"
     message: str = problem["msg"]
     return _SAYINGS.get(kind) or message.removeprefix("Value error, ").replace("Input should be", "must be")
 

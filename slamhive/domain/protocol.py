@@ -116,12 +116,20 @@ class Protocol:
                     raise InvalidInput(f"{name} {number!r} is not allowed", f"use {minimum:g} to {maximum:g}")
             if isinstance(value, int) and name not in _COUNTS:
                 object.__setattr__(self, name, float(value))  # 1 and 1.0 are one protocol
+        if len(self.segment_lengths_m) > MOST_SEGMENT_LENGTHS:
+            raise InvalidInput(
+                f"segment_lengths_m has {len(self.segment_lengths_m)} lengths", f"give {MOST_SEGMENT_LENGTHS} at most"
+            )
         if list(self.segment_lengths_m) != sorted(set(self.segment_lengths_m)):
             raise InvalidInput(f"segment_lengths_m {list(self.segment_lengths_m)} must grow", "sort them, each once")
         if self.T_body_sensor is not None and not is_rigid(self.T_body_sensor):
             raise InvalidInput(
                 "T_body_sensor must be 16 numbers, row by row, that are a rotation with a translation",
                 "take them from the calibration of the sensor",
+            )
+        if self.T_body_sensor is not None and max(map(abs, self.T_body_sensor[3:12:4])) > LONGEST_LEVER_ARM_M:
+            raise InvalidInput(
+                f"T_body_sensor moves by more than {LONGEST_LEVER_ARM_M:g} m", "write its translation in metres"
             )
 
     @property
@@ -148,12 +156,16 @@ class Protocol:
         return ", ".join(_words(self))
 
 
+LONGEST_LEVER_ARM_M = 1000.0
+"""A vehicle is shorter; numbers beyond it are no metres."""
+MOST_SEGMENT_LENGTHS = 100
+"""Every one costs a pass over the trajectory; published protocols have 4 to 8."""
 _ALWAYS_IN_CONTENT = 4
 _COUNTS = ("align_poses", "rpe_delta_frames")
 _LARGEST_S, _LARGEST_M = 1e6, 1e9
 BOUNDS = {
     "association_tolerance_s": (0.0, _LARGEST_S),
-    "gap_threshold_s": (0.0, _LARGEST_S),
+    "gap_threshold_s": (1e-3, _LARGEST_S),
     "rpe_delta_m": (1e-6, _LARGEST_M),
     "interpolation_interval_s": (1e-6, _LARGEST_S),
     "time_offset_s": (-1e10, 1e10),
@@ -184,6 +196,8 @@ def protocol_from_content(content: Mapping[str, Any]) -> Protocol:
         for name in ("T_body_sensor", "segment_lengths_m"):
             if values.get(name) is not None:
                 values[name] = tuple(float(number) for number in values[name])
+        if not isinstance(values.get("reference"), str | None):
+            raise InvalidInput(f"reference {values['reference']!r} is not the name of a file")
         return Protocol(**values)
     except (TypeError, ValueError) as error:
         raise InvalidInput(f"a field of the protocol has a type that is not allowed: {error}") from None

@@ -11,6 +11,9 @@ from typing import Protocol
 IMAGE = "slam-hive-evaluation:evo"
 """The evaluation image; its entry script is started with the job file as its only argument."""
 
+PARENT_VARIABLE = "SLAMHIVE_EVALUATION_PARENT"
+"""Tells a batch in a process of its own the pid of the process without which it shall not go on."""
+
 LineCallback = Callable[[str], None]
 
 

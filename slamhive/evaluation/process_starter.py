@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO
 
 from slamhive.errors import Unavailable
-from slamhive.evaluation.batch import Batch, LineCallback
+from slamhive.evaluation.batch import PARENT_VARIABLE, Batch, LineCallback
 from slamhive.evaluation.line_feed import LineFeed
 
 _GRACE_S = 5.0
@@ -56,7 +56,8 @@ def _environment(home: Path) -> dict[str, str]:
     environment = {name: os.environ[name] for name in _KEPT_ENVIRONMENT if name in os.environ}
     package_parent = str(Path(__file__).resolve().parent.parent.parent)
     paths = [package_parent, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
-    return environment | {"HOME": str(home), "TMPDIR": str(home), "PYTHONPATH": os.pathsep.join(paths)}
+    own = {"HOME": str(home), "TMPDIR": str(home), "PYTHONPATH": os.pathsep.join(paths)}
+    return environment | own | {PARENT_VARIABLE: str(os.getpid())}
 
 
 def _follow(

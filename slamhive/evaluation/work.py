@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import multiprocessing
 import os
@@ -15,6 +16,7 @@ from types import FrameType
 
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.artefacts import load_libraries, run_task
+from slamhive.evaluation.batch import PARENT_VARIABLE
 from slamhive.evaluation.engine import ENGINE
 from slamhive.evaluation.job import EvaluationResult, EvaluationTask, failed_result, job_from_json, result_to_json
 from slamhive.evaluation.references import References
@@ -23,6 +25,8 @@ logger = logging.getLogger(__name__)
 
 ENDED_BY_SIGTERM = 128 + signal.SIGTERM
 _REAP_TIMEOUT_S = 1.0
+_PR_SET_PDEATHSIG = 1
+"""Of <linux/prctl.h>."""
 
 _references = References()
 """Of this process; the workers are forked from it and inherit what it has read."""
@@ -36,6 +40,7 @@ def main(arguments: Sequence[str], emit: Callable[[str], None]) -> int:
     """
     logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s")
     signal.signal(signal.SIGTERM, _end)
+    _end_with_parent()
     try:
         tasks = _read_job(arguments)
     except SlamHiveError as error:
@@ -99,6 +104,16 @@ def _read_job(arguments: Sequence[str]) -> tuple[EvaluationTask, ...]:
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"job file {path} cannot be read: {error}") from None
     return job_from_json(text)
+
+
+def _end_with_parent() -> None:
+    """Have the kernel end this process when the one that started it is killed: nobody would end it in time then."""
+    parent = os.environ.get(PARENT_VARIABLE)
+    if parent is None or not sys.platform.startswith("linux"):
+        return
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    if str(os.getppid()) != parent:  # it was killed before
+        os._exit(ENDED_BY_SIGTERM)
 
 
 def _usable_cores() -> int:

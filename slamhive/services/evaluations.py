@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import tempfile
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -22,6 +21,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.catalogue import Catalogue
 from slamhive.services.driver_context import utc_now
 from slamhive.services.evaluation_files import evaluation_files
+from slamhive.services.evaluation_scratch import scratch_folder
 from slamhive.services.identity import owner_is_dead
 from slamhive.services.imports.external import algorithm_here_or_elsewhere
 from slamhive.services.protocols import fitting_protocol, reference_path
@@ -178,8 +178,8 @@ class Evaluations:
 
         tasks = self._tasks(claimed, store)
         if tasks:
-            with tempfile.TemporaryDirectory(prefix=".evaluation-", dir=self._settings.data) as scratch:
-                self._run(tasks, Path(scratch), store, stopping, cores)
+            with scratch_folder(self._settings.data, owner) as scratch:
+                self._run(tasks, scratch, store, stopping, cores)
 
     def _tasks(self, claimed: Sequence[EvaluationRecord], refuse: ResultStore) -> list[EvaluationTask]:
         """What the engine has to do; an evaluation that cannot even begin is refused with its reason."""

@@ -87,6 +87,9 @@ def test_the_plain_form_of_before_the_new_fields_is_read() -> None:
         ({"alignment": "se3", "rpe_delta_m": "1"}, "type that is not allowed"),
         ({"alignment": "se3", "T_body_sensor": "unity"}, "type that is not allowed"),
         ({"alignment": "se3", "T_body_sensor": [1.0] * 16}, "rotation with a translation"),
+        ({"alignment": "se3", "T_body_sensor": [*IDENTITY4[:3], 2000.0, *IDENTITY4[4:]]}, "moves by more than 1000 m"),
+        ({"alignment": "se3", "segment_lengths_m": list(range(1, 102))}, "has 101 lengths; give 100 at most"),
+        ({"alignment": "se3", "reference": 5}, "reference 5 is not the name of a file"),
         ({"alignment": "se3", "segment_lengths_m": [2, 1]}, r"segment_lengths_m \[2.0, 1.0\] must grow"),
     ],
 )

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 
+import psutil
 import pytest
 from click.testing import CliRunner
 
@@ -19,6 +20,7 @@ from slamhive.errors import Conflict, NotFound
 from slamhive.services.imports.request import ImportRequest
 from slamhive.store import EvaluationState
 from tests.services.imports.world import make_source
+from tests.waiting import eventually
 
 pytestmark = pytest.mark.integration
 
@@ -98,17 +100,22 @@ def test_queries_that_choose_nothing_are_explained(arguments, message):
 
 
 def test_none_is_lost_when_the_command_is_killed(hive, runs, monkeypatch):
-    """SIGKILL in the middle; the same command goes on at once, without waiting for the lease of the dead."""
+    """SIGKILL in the middle; the same command goes on at once, without waiting for the lease of the dead.
+
+    The engine that the killed command had started ends with it: nobody would end it in time.
+    """
     monkeypatch.setenv("SLAMHIVE_LEASE_S", str(LEASE_S))
     command = [sys.executable, "-m", "slamhive", "evaluate", "--all-unevaluated"]
     killed = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     deadline = time.monotonic() + 60
-    while states(hive).get(EvaluationState.RUNNING, 0) == 0:
+    while states(hive).get(EvaluationState.RUNNING, 0) == 0 or not engines(hive):
         assert time.monotonic() < deadline
         assert killed.poll() is None
         time.sleep(0.02)
     os.killpg(killed.pid, signal.SIGKILL)
     killed.wait()
+    eventually(lambda: not engines(hive), "the end of the engine")
+    assert len(list(hive.settings.data.glob(".evaluation-*"))) == 1
     left = states(hive)
     assert sum(left.values()) == RUNS
     assert left.get(EvaluationState.SUCCEEDED, 0) < RUNS
@@ -117,6 +124,17 @@ def test_none_is_lost_when_the_command_is_killed(hive, runs, monkeypatch):
     assert time.monotonic() - began < LEASE_S / 2
     assert states(hive) == {EvaluationState.SUCCEEDED: RUNS}
     assert all(hive.run(run_id).metrics["ate.rmse"] > 0 for run_id in runs)
+    assert list(hive.settings.data.glob(".evaluation-*")) == []
+
+
+def engines(hive):
+    """Processes that evaluate for this installation."""
+    scratch = str(hive.settings.data / ".evaluation-")
+    return [
+        process.pid
+        for process in psutil.process_iter(["cmdline"])
+        if any(part.startswith(scratch) for part in process.info["cmdline"] or ())
+    ]
 
 
 def test_more_than_a_part_at_a_time_is_worked_off(hive, runs, monkeypatch):
