@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import resource
 import stat
 import zipfile
 from collections.abc import Callable
@@ -12,9 +14,11 @@ from pathlib import Path
 import pytest
 
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
+from slamhive.services.archive.checking import check_archive
 from slamhive.services.archive.exporting import ExportRequest, export_archive
 from slamhive.services.archive.importing import ArchiveImport
-from slamhive.services.archive.layout import CHECKSUMS, MANIFEST, RUNS
+from slamhive.services.archive.layout import CHECKSUMS, EXPERIMENTS, MANIFEST, RUNS
+from slamhive.services.archive.reading import open_archive
 from slamhive.services.hive import Hive, open_hive
 from tests.services.archive_world import all_rows, make_runs
 from tests.services.tiny_project import environment, make_dataset, make_project
@@ -68,6 +72,27 @@ def with_manifest(members: Members, **changes: object) -> Members:
     return {**members, MANIFEST: json.dumps({**json.loads(members[MANIFEST]), **changes}).encode()}
 
 
+def bomb_of_yaml() -> bytes:
+    """An experiment whose file would be billions of values if aliases were followed."""
+    levels = "".join(f"l{level}: &l{level} [{', '.join([f'*l{level - 1}'] * 9)}]\n" for level in range(1, 12))
+    experiment = {
+        "uid": "e" * 32,
+        "name": "x",
+        "description": "",
+        "content_hash": "f" * 64,
+        "source": f"l0: &l0 [1]\n{levels}",
+        "state": "active",
+        "executor": "process",
+        "priority": 0,
+        "repeats": 1,
+        "cells": 1,
+        "runs": 1,
+        "complete": True,
+        "created_at": "2026-01-01T00:00:00+00:00",
+    }
+    return json.dumps(experiment).encode() + b"\n"
+
+
 def renamed(name: str) -> Callable[[Members], Members]:
     return lambda members: {**members, name: b"harm"}
 
@@ -98,6 +123,13 @@ FORGED: dict[str, tuple[Callable[[Members], Members], str]] = {
     "uid": (lambda m: with_line(m, uid="../../x"), "is not complete"),
     "evaluation": (lambda m: with_line(m, evaluations=[{"state": "queued"}]), "is not complete"),
     "experiment": (lambda m: with_line(m, experiment="../x"), "is not allowed"),
+    "control characters": (renamed("runs/1/result/a\nb\x1b[31m.txt"), "which none of ours has"),
+    "a name too long": (renamed(f"runs/1/{'x' * 300}"), "which none of ours has"),
+    "too deep": (renamed(f"runs/1/{'x/' * 20}x"), "which none of ours has"),
+    "number too large": (lambda m: with_line(m, attempt=2**40), "is not complete"),
+    "not a number": (lambda m: {**m, RUNS: m[RUNS].replace(b'"attempt":1', b'"attempt":NaN', 1)}, "not a JSON object"),
+    "half a character": (lambda m: with_record(m, detail="\ud800"), "not a JSON object"),
+    "YAML of an experiment": (lambda m: {**m, EXPERIMENTS: bomb_of_yaml()}, "experiment x of the archive"),
     "YAML": (lambda m: {**m, "datasets/track/dataset.yaml": b"a: &a [*a, *a]"}, "dataset.yaml"),
 }
 
@@ -133,27 +165,74 @@ def test_what_was_forged_with_care_is_refused(hive: Hive, archive: Path, tmp_pat
     assert message in refused(hive, rewritten(tmp_path / "b.zip", sealed(change(members_of(archive)))))
 
 
+def checked(path: Path) -> str | None:
+    """The one line with which an archive is refused before anything is stored; None if it is whole."""
+    refusal = None
+    try:
+        with open_archive(path) as opened:
+            check_archive(opened, lambda _share, _text: None)
+    except SlamHiveError as error:
+        refusal = str(error)
+    assert "\n" not in (refusal or "")
+    return refusal
+
+
 def test_what_was_cut_short_is_refused_wherever(hive: Hive, archive: Path, tmp_path: Path) -> None:
-    data = archive.read_bytes()
-    for length in (0, 10, len(data) // 2, len(data) - 30, len(data) - 1):
-        (tmp_path / "b.zip").write_bytes(data[:length])
-        refused(hive, tmp_path / "b.zip")
-    damaged = bytearray(data)
-    damaged[len(data) // 3] ^= 0xFF
-    (tmp_path / "b.zip").write_bytes(damaged)
-    refused(hive, tmp_path / "b.zip")
+    data, path = archive.read_bytes(), tmp_path / "b.zip"
+    lengths = [*range(0, len(data), len(data) // 60), *range(len(data) - 40, len(data))]
+    for length in lengths:
+        path.write_bytes(data[:length])
+        assert checked(path) is not None, length
+    refused(hive, path)
     assert "does not exist" in refused(hive, tmp_path / "none.zip")
     assert "is not a file" in refused(hive, tmp_path)
+    os.mkfifo(tmp_path / "pipe.zip")
+    assert "is not a file" in refused(hive, tmp_path / "pipe.zip")
 
 
-def test_links_doubles_and_bombs_are_refused(hive: Hive, archive: Path, tmp_path: Path) -> None:
-    members = members_of(archive)
-    path = rewritten(tmp_path / "link.zip", members)
+def test_what_was_damaged_is_refused_wherever(hive: Hive, archive: Path, tmp_path: Path) -> None:
+    """Only times of members, which nothing depends on, may be others: all else is covered by a checksum."""
+    data, path = archive.read_bytes(), tmp_path / "b.zip"
+    directory = data.index(b"PK\x01\x02")
+    contents = [*range(1, directory, directory // 60)]
+    for place in [*contents, *range(directory, len(data), (len(data) - directory) // 60)]:
+        path.write_bytes(data[:place] + bytes([data[place] ^ 0xFF]) + data[place + 1 :])
+        refusal = checked(path)
+        if refusal is None:
+            assert members_of(path) == members_of(archive)
+    path.write_bytes(data[: contents[30]] + bytes(64) + data[contents[30] + 64 :])
+    refused(hive, path)
+
+
+@pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFIFO, stat.S_IFCHR, stat.S_IFBLK, stat.S_IFSOCK, stat.S_IFDIR])
+def test_only_files_are_members(archive: Path, tmp_path: Path, kind: int) -> None:
+    path = rewritten(tmp_path / "b.zip", members_of(archive))
     with zipfile.ZipFile(path, "a") as file:
-        link = zipfile.ZipInfo("runs/1/result/link")
-        link.external_attr = (stat.S_IFLNK | 0o777) << 16
-        file.writestr(link, "/etc/passwd")
-    assert "is a link" in refused(hive, path)
+        member = zipfile.ZipInfo("runs/1/result/odd")
+        member.external_attr = (kind | 0o666) << 16
+        file.writestr(member, "/etc/passwd")
+    assert "is a link or no file" in str(checked(path))
+
+
+def test_a_bomb_is_stopped_where_it_claims_to_end(archive: Path, tmp_path: Path) -> None:
+    """Both headers say that a member is small, and its bytes go on for 200 MB."""
+    name = "runs/1/log.txt"
+    path = rewritten(tmp_path / "b.zip", sealed({**members_of(archive), name: bytes(200_000_000)}))
+    data = bytearray(path.read_bytes())
+    local = data.index(name.encode()) - 30
+    assert data[local : local + 4] == b"PK\x03\x04"
+    data[local + 22 : local + 26] = (100).to_bytes(4, "little")
+    central = data.rindex(name.encode()) - 46
+    assert data[central : central + 4] == b"PK\x01\x02"
+    data[central + 24 : central + 28] = (100).to_bytes(4, "little")
+    path.write_bytes(data)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert "log.txt" in str(checked(path))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
+
+
+def test_doubles_and_false_sizes_are_refused(hive: Hive, archive: Path, tmp_path: Path) -> None:
+    members = members_of(archive)
     path = rewritten(tmp_path / "double.zip", members)
     with zipfile.ZipFile(path, "a") as file, pytest.warns(UserWarning, match="Duplicate name"):
         file.writestr(RECORD, members[RECORD])
