@@ -10,29 +10,17 @@ import click
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
 from slamhive.cli.imports import import_runs
 from slamhive.cli.output import messages, print_json, print_table
-from slamhive.cli.searching import (
-    GROUP_METRICS,
-    PAGE,
-    Pages,
-    counted,
-    print_export,
-    print_groups,
-    search_of,
-    split_columns,
-    write_parquet,
-)
+from slamhive.cli.searching import Listing, print_export, print_groups, search_of, split_columns, write_parquet
 from slamhive.cli.variants import parse_steps, step_option
 from slamhive.cli.waiting import run_to_end
 from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.stop_when import RULES, parse_stop_when
 from slamhive.errors import InvalidInput
-from slamhive.search.binding import Search
-from slamhive.search.words import in_words
 from slamhive.services.hive import Hive
 from slamhive.services.request import Submission, unwatchable
-from slamhive.services.run_export import RunExport
 from slamhive.services.run_json import evaluation_to_json, run_to_json, timestamp
 from slamhive.store import RunRecord, RunSort
 
@@ -52,7 +40,6 @@ COLUMNS = (
 )
 STOP_HELP = f"End early, with the reason: {', '.join(RULES)}; may be repeated."
 LISTS = ("states", "reasons", "experiments", "algorithms", "datasets")
-FILE_COLUMNS = ("id", "algorithm", "dataset", "configuration", "state", "reason", *GROUP_METRICS)
 NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 
 
@@ -139,8 +126,8 @@ def runs(context: click.Context, cli: CliContext, /, as_json: bool, **options: A
     """Search runs, or look at one. docs/search.md explains filters."""
     if context.invoked_subcommand is not None:
         return
-    if sum(bool(options[name]) for name in ("as_csv", "parquet", "group")) > 1 or (as_json and options["as_csv"]):
-        raise InvalidInput("--group, --csv, --json and --parquet say how to show the runs", "choose one of them")
+    if sum(map(bool, (options["as_csv"], options["parquet"], as_json))) > 1:
+        raise InvalidInput("--csv, --json and --parquet say how to show the runs", "choose one of them")
     hive = cli.hive()
     list_runs(hive, _with_saved(hive, options), as_json=as_json)
 
@@ -164,37 +151,37 @@ def _with_saved(hive: Hive, options: dict[str, Any]) -> dict[str, Any]:
 
 def list_runs(hive: Hive, options: dict[str, Any], *, as_json: bool) -> None:
     """The runs that the options of ``slamhive runs`` ask for, in the form that they ask for."""
-    lists = {name.removesuffix("s"): options[name] for name in LISTS}
-    search = search_of(hive, options["where"], lists)
+    search = search_of(hive, options["where"], {name.removesuffix("s"): options[name] for name in LISTS})
     sort = RunSort(options["sort"], not options["ascending"])
-    columns = split_columns(options["columns"])
+    listing = Listing(hive, search, sort, tuple(split_columns(options["columns"])), options["limit"])
+    grouped = options["group"] is not None
     if options["parquet"] is not None:
-        pages = Pages(hive, search, sort, options["limit"])
-        write_parquet(hive, columns or FILE_COLUMNS, pages, options["parquet"])
-    elif options["as_csv"] or (as_json and columns and not options["group"]):
-        pages = Pages(hive, search, sort, options["limit"])
-        print_export(hive, columns or FILE_COLUMNS, pages, kind="csv" if options["as_csv"] else "json")
-    elif options["group"]:
-        print_groups(hive, search, sort, min(options["limit"] or 50, PAGE), columns, as_json=as_json)
+        path = options["parquet"]
+        rows = write_parquet(*listing.groups(), path) if grouped else write_parquet(*listing.runs(), path)
+        click.echo(f"{path}: {plural(rows, 'row' if grouped else 'run')}, {listing.in_words()}")
+    elif options["as_csv"] or (as_json and (grouped or listing.columns)):
+        kind = "csv" if options["as_csv"] else "json"
+        if grouped:
+            print_export(*listing.groups(), kind=kind)
+        else:
+            print_export(*listing.runs(), kind=kind)
+    elif grouped:
+        print_groups(listing)
     else:
-        _print_page(hive, search, sort, options, columns, as_json=as_json)
+        _print_page(listing, as_json=as_json)
 
 
-def _print_page(
-    hive: Hive, search: Search, sort: RunSort, options: dict[str, Any], columns: list[str], *, as_json: bool
-) -> None:
-    page = hive.runs(search, sort, limit=min(options["limit"] or 50, PAGE))
-    if not page.records and not as_json and any(hive.counts().values()):
-        messages.print("no run matches; `slamhive runs` lists all")
-        return
-    if columns:
-        content = RunExport(columns, hive.searches.vocabulary())
-        print_table(columns, [tuple(row) for row in content.rows(lambda _: (page.records, None))])
-    else:
+def _print_page(listing: Listing, *, as_json: bool) -> None:
+    page = listing.hive.runs(listing.search, listing.sort, limit=listing.size)
+    if as_json:
         print_runs(list(page.records), as_json)
-    if not as_json:
-        words = in_words(search)
-        messages.print(f"{len(page.records)} of {counted(page.count)}{f': {words}' if words else ''}", markup=False)
+        return
+    if page.records and listing.columns:
+        content, _ = listing.runs()
+        print_table(content.columns, list(content.rows(lambda _: (page.records, None))))
+    elif page.records:
+        print_runs(list(page.records), as_json)
+    messages.print(listing.summary(len(page.records), page.count), markup=False, soft_wrap=True)
 
 
 @runs.command("show")

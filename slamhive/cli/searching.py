@@ -3,27 +3,38 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeAlias
 
 import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.output import print_json, print_table
+from slamhive.cli.output import messages, print_json, print_table
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput
 from slamhive.search.binding import Search, bind, read_search
 from slamhive.search.grammar import join
 from slamhive.search.syntax import Comparison, Sign, Word, filter_text, parse_filter
+from slamhive.search.words import in_words
+from slamhive.services.group_export import GroupExport, by_protocol
 from slamhive.services.hive import Hive
 from slamhive.services.run_export import RunExport
+from slamhive.services.search_words import order_in_words, summary
+from slamhive.services.table_export import Record, TableExport
 from slamhive.store import Count, RunRecord, RunSort
-from slamhive.store.records import ProtocolLabel, SavedSearchRecord, Spread
+from slamhive.store.records import GroupRecord, SavedSearchRecord, Spread
+
+Fetch: TypeAlias = Callable[[str | None, int], tuple[Sequence[Record], str | None]]
+"""At most so many records after a key, and the key of the next page."""
 
 PAGE = 1000
 GROUP_HEAD = ("configuration", "algorithm", "dataset", "runs", "failed", "protocol")
 GROUP_METRICS = ("ate.rmse", "rpe.rmse", "tracked_fraction", "cpu.mean", "ram.max")
+FILE_COLUMNS = ("id", "algorithm", "dataset", "configuration", "state", "reason", *GROUP_METRICS)
+WORDS = ("algorithm", "dataset", "experiment", "executor", "state", "reason")
+"""What is sorted from A to Z."""
 
 
 def search_of(hive: Hive, where: str, lists: dict[str, Sequence[str]]) -> Search:
@@ -36,77 +47,107 @@ def search_of(hive: Hive, where: str, lists: dict[str, Sequence[str]]) -> Search
     return read_search(filter_text(join("and", parts)), vocabulary) if parts else Search()
 
 
-def counted(count: Count) -> str:
-    """``12 runs``, ``more than 2,000 runs``."""
-    return f"{count.number:,} runs" if count.exact else f"more than {count.number:,} runs"
+class Pages(Generic[Record]):
+    """The pages of a list, for an export; at most ``limit`` records."""
 
-
-class Pages:
-    """The pages of a search, for an export; at most ``limit`` runs."""
-
-    def __init__(self, hive: Hive, search: Search, sort: RunSort, limit: int | None) -> None:
-        self._hive = hive
-        self._search = search
-        self._sort = sort
+    def __init__(self, fetch: Fetch[Record], limit: int | None) -> None:
+        self._fetch = fetch
         self._left = limit
 
-    def __call__(self, after: str | None) -> tuple[Sequence[RunRecord], str | None]:
+    def __call__(self, after: str | None) -> tuple[Sequence[Record], str | None]:
         """The page after a key, and the key of the next."""
         size = PAGE if self._left is None else min(PAGE, self._left)
-        page = self._hive.runs(self._search, self._sort, after, size)
+        records, next_key = self._fetch(after, size)
         if self._left is not None:
-            self._left -= len(page.records)
-        return page.records, None if self._left == 0 else page.next_key
+            self._left -= len(records)
+        return records, None if self._left == 0 else next_key
 
 
-def print_export(hive: Hive, columns: Sequence[str], pages: Pages, *, kind: str) -> None:
-    """The runs on stdout as ``csv`` or ``json``."""
-    content = RunExport(columns, hive.searches.vocabulary())
+@dataclass(frozen=True)
+class Listing:
+    """What ``slamhive runs`` was asked to show; ``limit`` None: what the form of showing has for default."""
+
+    hive: Hive
+    search: Search
+    sort: RunSort
+    columns: tuple[str, ...]
+    limit: int | None
+
+    @property
+    def size(self) -> int:
+        """How many rows a table has."""
+        return min(self.limit or 50, PAGE)
+
+    @property
+    def metrics(self) -> list[str]:
+        """The metrics that groups show."""
+        return [key for key in self.columns if key in CATALOGUE] or list(GROUP_METRICS)
+
+    def runs(self) -> tuple[RunExport, Pages[RunRecord]]:
+        """All runs, for a file."""
+
+        def fetch(after: str | None, size: int) -> tuple[Sequence[RunRecord], str | None]:
+            page = self.hive.runs(self.search, self.sort, after, size)
+            return page.records, page.next_key
+
+        return RunExport(self.columns or FILE_COLUMNS, self.hive.searches.vocabulary()), Pages(fetch, self.limit)
+
+    def groups(self) -> tuple[GroupExport, Pages[GroupRecord]]:
+        """Their configurations, for a file."""
+
+        def fetch(after: str | None, size: int) -> tuple[Sequence[GroupRecord], str | None]:
+            page = self.hive.searches.groups(self.search, self.sort, after, size, self.metrics)
+            return page.records, page.next_key
+
+        return GroupExport(self.metrics), Pages(fetch, self.limit)
+
+    def in_words(self) -> str:
+        """Search and order as the end of a sentence."""
+        key = self.sort.key
+        title = CATALOGUE[key].label if key in CATALOGUE else key
+        order = order_in_words(self.sort, title, numeric=key not in WORDS)
+        return ", ".join(part for part in (in_words(self.search), order) if part)
+
+    def summary(self, shown: int, count: Count, *, grouped: bool = False) -> str:
+        """What is shown, how many, and what is left out."""
+        return summary(shown, count, self.in_words(), self.hive.searches.left_out(self.search), grouped=grouped)
+
+
+def print_export(content: TableExport[Record], pages: Pages[Record], *, kind: str) -> None:
+    """The rows on stdout as ``csv`` or ``json``."""
     for piece in content.csv(pages) if kind == "csv" else content.json(pages):
         click.echo(piece, nl=False)
 
 
-def write_parquet(hive: Hive, columns: Sequence[str], pages: Pages, path: Path) -> None:
-    """The runs as a Parquet file, which appears when it is whole."""
+def write_parquet(content: TableExport[Record], pages: Pages[Record], path: Path) -> int:
+    """The rows as a Parquet file, which appears when it is whole; how many they are."""
     if not path.parent.is_dir():
         raise InvalidInput(f"the folder {path.parent} does not exist", "make it, or name another file")
-    content = RunExport(columns, hive.searches.vocabulary())
     aside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        content.parquet(pages, aside)
+        written = content.parquet(pages, aside)
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
+    return written
 
 
-def print_groups(
-    hive: Hive, search: Search, sort: RunSort, limit: int, columns: Sequence[str], *, as_json: bool
-) -> None:
-    """Configurations with mean and spread over their repeats."""
-    metrics = [key for key in columns if key in CATALOGUE] or list(GROUP_METRICS)
-    page = hive.searches.groups(search, sort, None, limit, metrics)
-    rows = []
-    for group in page.records:
-        measured = group.figures.get(None, {})
-        labels: list[ProtocolLabel | None] = [*(label for label in group.figures if label is not None)]
-        for label in labels or [None]:
-            figures = {**measured, **({} if label is None else group.figures[label])}
-            head = (group.configuration_id, group.algorithm, group.dataset, group.runs, group.failed)
-            rows.append((*head, None if label is None else label.fingerprint, figures))
-    if as_json:
-        print_json(
-            [
-                {**dict(zip(GROUP_HEAD, row[:6], strict=True)), "figures": {k: _spread(v) for k, v in row[6].items()}}
-                for row in rows
-            ]
+def print_groups(listing: Listing) -> None:
+    """Configurations with mean and spread over their repeats, and a sentence on what is shown."""
+    metrics = listing.metrics
+    page = listing.hive.searches.groups(listing.search, listing.sort, None, listing.size, metrics)
+    rows = [
+        (
+            *(group.configuration_id, group.algorithm, group.dataset, group.runs, group.failed),
+            None if label is None else label.fingerprint,
+            *(_spread_text(figures.get(key)) for key in metrics),
         )
-        return
-    cells = [(*row[:6], *(_spread_text(row[6].get(key)) for key in metrics)) for row in rows]
-    print_table((*GROUP_HEAD, *metrics), cells, right=("configuration", "runs", "failed", *metrics))
-
-
-def _spread(spread: Spread) -> dict[str, float | int | None]:
-    return {"n": spread.n, "mean": spread.mean, "std": spread.std, "min": spread.minimum, "max": spread.maximum}
+        for group in page.records
+        for label, figures in by_protocol(group)
+    ]
+    if rows:
+        print_table((*GROUP_HEAD, *metrics), rows, right=("configuration", "runs", "failed", *metrics))
+    messages.print(listing.summary(len(page.records), page.runs, grouped=True), markup=False, soft_wrap=True)
 
 
 def _spread_text(spread: Spread | None) -> str | None:

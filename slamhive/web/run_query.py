@@ -16,10 +16,11 @@ from slamhive.search.grammar import join
 from slamhive.search.reader import FilterError
 from slamhive.search.syntax import Comparison, Filter, Sign, Word, filter_text, parse_filter
 from slamhive.search.words import in_words
+from slamhive.services.search_words import order_in_words
+from slamhive.services.search_words import summary as summary_in_words
 from slamhive.services.searches import LeftOut
 from slamhive.store.records import Count, RunSort
 from slamhive.web.columns import DEFAULT_COLUMNS, Column, all_columns, column
-from slamhive.web.formatting import plural, thousands
 
 DEFAULT_LIMIT = 50
 LARGEST_LIMIT = 500
@@ -131,14 +132,9 @@ class RunQuery:
         return ", ".join(part for part in (in_words(self.search), self._order_in_words()) if part)
 
     def _order_in_words(self) -> str:
-        if self.sort.key in {"id", "configuration"}:
-            return "newest first" if self.sort.descending else "oldest first"
         chosen = all_columns().get(self.sort.key)
-        way = ("largest first", "smallest first") if chosen is None or chosen.numeric else ("Z to A", "A to Z")
-        if self.sort.key.endswith("_at"):
-            way = ("latest first", "earliest first")
         title = self.sort.key if chosen is None else chosen.title
-        return f"sorted by {title}, {way[0] if self.sort.descending else way[1]}"
+        return order_in_words(self.sort, title, numeric=chosen is None or chosen.numeric)
 
 
 def form_fields(args: MultiDict[str, str]) -> dict[str, tuple[str, ...]]:
@@ -152,23 +148,9 @@ def form_fields(args: MultiDict[str, str]) -> dict[str, tuple[str, ...]]:
 
 def summary(query: RunQuery, shown: int, count: Count, left_out: LeftOut) -> str:
     """What the page shows, how many, and what it leaves out, in words."""
-    if left_out.total == 0:
-        return "No runs yet."
-    matching = counted(count)
-    what = f"{plural(shown, 'configuration')} with" if query.grouped else f"{thousands(shown)} of"
-    text = f"Showing {'the next ' if query.after else ''}{what} {matching}: {query.in_words()}."
-    if count.number < left_out.total:
-        rest = left_out.total - count.number
-        most = "" if count.exact else "at most "
-        text += f" Left out: {most}{plural(rest, 'run')} that the filter does not match."
-    for key, number in left_out.without.items():
-        text += f" {plural(number, 'run')} {'has' if number == 1 else 'have'} no {CATALOGUE[key].label}."
-    return text
-
-
-def counted(count: Count) -> str:
-    """``12 runs``, ``more than 10,000 runs``."""
-    return plural(count.number, "run") if count.exact else f"more than {plural(count.number, 'run')}"
+    return summary_in_words(
+        shown, count, query.in_words(), left_out, grouped=query.grouped, further=query.after is not None
+    )
 
 
 def _search(where: str, fields: Mapping[str, tuple[str, ...]], vocabulary: Vocabulary) -> Search:

@@ -178,9 +178,46 @@ def test_a_package_without_requirements_hides_only_itself(slamhive, tmp_path):
     assert "use --executor docker" in refused.stderr
 
 
-def test_a_filter_that_matches_nothing_says_so(slamhive):
+def test_what_is_shown_and_left_out_is_said_in_words(slamhive):
+    assert slamhive("runs").stderr == "No runs yet.\n"
     slamhive("run", "tiny", "track")
-    assert "no run matches" in slamhive("runs", "--algorithm", "nope").stderr
+    slamhive("run", "tiny", "track", "--seed", "7")
+    assert slamhive("runs", "--algorithm", "nope").stderr == (
+        "No run matches: algorithm nope, newest first. Left out: 2 runs that the filter does not match.\n"
+    )
+    found = slamhive("runs", "--where", "seed = 7 or ate.rmse < 1", "--sort", "ate.rmse", "--ascending")
+    assert found.stderr == (
+        "Showing 1 of 1 run: seed 7 or ATE RMSE below 1 m, sorted by ATE RMSE, smallest first. "
+        "Left out: 1 run that the filter does not match. 2 runs have no ATE RMSE.\n"
+    )
+
+
+def test_configurations_are_exported_in_every_form(slamhive, tmp_path):
+    slamhive("run", "tiny", "track", "--repeat", "2")
+    slamhive("run", "tiny", "track", "--set", "seconds=1")
+    grouped = ("runs", "--group", "configuration")
+    shown = slamhive(*grouped)
+    assert "Showing 2 configurations with 3 runs: newest first." in shown.stderr
+    lines = slamhive(*grouped, "--csv", "--columns", "cpu.mean").stdout.splitlines()
+    assert lines[0].startswith(
+        "configuration,algorithm,dataset,parameters,runs,failed,protocol,cpu.mean.mean,cpu.mean.std"
+    )
+    assert [line.split(",")[0] for line in lines[1:]] == ["2", "1"]
+    rows = json.loads(slamhive(*grouped, "--json", "--limit", "1").stdout)
+    assert [(row["configuration"], row["runs"], row["ate.rmse.mean"]) for row in rows] == [(2, 1, None)]
+    assert slamhive(*grouped, "--csv", "--json").exit_code == 1
+
+
+def test_a_parquet_file_is_told_in_one_line(slamhive, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed; enable: pip install pyarrow")
+    slamhive("run", "tiny", "track", "--repeat", "2")
+    path = tmp_path / "runs.parquet"
+    written = slamhive("runs", "--where", "seed >= 0", "--parquet", str(path))
+    assert written.stdout == f"{path}: 2 runs, seed at least 0, newest first\n"
+    assert parquet.read_table(path).num_rows == 2
+    grouped = slamhive("runs", "--group", "configuration", "--parquet", str(path))
+    assert grouped.stdout == f"{path}: 1 row, newest first\n"
+    assert parquet.read_table(path).column("runs").to_pylist() == [2.0]
 
 
 @pytest.mark.parametrize(

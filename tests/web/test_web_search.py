@@ -82,6 +82,17 @@ def test_exports_hold_every_run_that_matches(shown: Web):
     assert shown.client.get("/searches/export.xls").status_code == 404
 
 
+def test_groups_are_exported_as_they_are_shown(shown: Web):
+    page = shown.client.get("/runs?group=configuration&columns=id,cpu.mean").text
+    assert "/searches/export.csv?group=configuration&amp;columns=id,cpu.mean" in page.replace("%2C", ",")
+    rows = shown.client.get("/searches/export.json?group=configuration&columns=id,cpu.mean").get_json()
+    assert sum(row["runs"] for row in rows) == len(shown.runs)
+    assert list(rows[0])[:7] == ["configuration", "algorithm", "dataset", "parameters", "runs", "failed", "protocol"]
+    assert list(rows[0])[7:] == [f"cpu.mean.{part}" for part in ("mean", "std", "n", "min", "max")]
+    header = shown.client.get("/searches/export.csv?group=configuration&columns=id,cpu.mean").text.splitlines()[0]
+    assert header.split(",") == list(rows[0])
+
+
 def test_a_parquet_file_has_types(shown: Web):
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed; enable: pip install pyarrow")
     answer = shown.client.get("/searches/export.parquet?columns=id,state,ate.rmse")

@@ -11,6 +11,7 @@ from slamhive.domain.metrics import CATALOGUE, Metric
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.executors.registry import EXECUTORS
+from slamhive.services.group_export import by_protocol
 from slamhive.store.records import GroupRecord, ProtocolLabel, SavedSearchRecord, Spread
 from slamhive.web.formatting import DASH, Cell, display_unit, plural, significant, value_text
 
@@ -122,12 +123,9 @@ def protocol_warning(labels: Iterable[ProtocolLabel | None]) -> str:
 
 
 def _rows_of(group: GroupRecord, columns: Sequence[GroupColumn]) -> list[GroupRow]:
-    measured = group.figures.get(None, {})
-    protocols: list[ProtocolLabel | None] = [label for label in group.figures if label is not None] or [None]
     text = ", ".join(f"{key}={value_text(value)}" for key, value in group.parameters.items())
     rows = []
-    for place, label in enumerate(protocols):
-        figures = {**measured, **({} if label is None else group.figures[label])}
+    for place, (label, figures) in enumerate(by_protocol(group)):
         cells = tuple(_spread_cell(column.metric, figures.get(column.metric.key)) for column in columns)
         rows.append(GroupRow(group, label, text or DASH, cells, first=place == 0))
     return rows

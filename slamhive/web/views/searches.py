@@ -10,10 +10,13 @@ from flask import Blueprint, Response, flash, make_response, redirect, request, 
 from flask import url_for as address
 from werkzeug.datastructures import MultiDict
 
+from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput, unknown
+from slamhive.services.group_export import GroupExport
 from slamhive.services.hive import Hive
-from slamhive.services.run_export import Format, Page, RunExport
-from slamhive.store.records import RunRecord, SavedSearchRecord
+from slamhive.services.run_export import RunExport
+from slamhive.services.table_export import Format, Page, Record, TableExport
+from slamhive.store.records import GroupRecord, RunRecord, SavedSearchRecord
 from slamhive.web.context import hive
 from slamhive.web.run_query import EXPORT_LIMIT, RunQuery
 
@@ -22,27 +25,17 @@ blueprint = Blueprint("searches", __name__, url_prefix="/searches")
 
 @blueprint.get("/export.<name>")
 def export(name: str) -> Response:
-    """All runs of a search as a file; the arguments are those of the runs page."""
+    """All runs of a search as a file, or their configurations; the arguments are those of the runs page."""
     if name not in list(Format):
         raise unknown("format", name, list(Format))
     kind = Format(name)
     services = hive()
     vocabulary = services.searches.vocabulary()
     query = RunQuery.from_args(request.args, vocabulary)
-    content = RunExport(query.columns, vocabulary)
-    pages = _Pages(services, query)
-    first = pages(None)  # what can be refused is refused before the answer begins
-
-    def page(after: str | None) -> tuple[Sequence[RunRecord], str | None]:
-        return first if after is None else pages(after)
-
-    if kind is Format.PARQUET:
-        response = _parquet(content, page)
-    else:
-        pieces = content.csv(page) if kind is Format.CSV else content.json(page)
-        response = Response(pieces, mimetype=kind.media_type)
-    response.headers["Content-Disposition"] = f'attachment; filename="runs.{kind.value}"'
-    return response
+    if query.grouped:
+        metrics = [key for key in query.columns if key in CATALOGUE]
+        return _file("configurations", kind, GroupExport(metrics), _group_pages(services, query, metrics))
+    return _file("runs", kind, RunExport(query.columns, vocabulary), _run_pages(services, query))
 
 
 @blueprint.post("")
@@ -68,23 +61,41 @@ def delete(name: str) -> Response:
     return make_response(redirect(address("runs.index"), 303))
 
 
-class _Pages:
-    """The pages of a search, one after the other."""
+def _run_pages(services: Hive, query: RunQuery) -> Page[RunRecord]:
+    def page(after: str | None) -> tuple[Sequence[RunRecord], str | None]:
+        found = services.runs(query.search, query.sort, after, EXPORT_LIMIT)
+        return found.records, found.next_key
 
-    def __init__(self, services: Hive, query: RunQuery) -> None:
-        self._services = services
-        self._query = query
-
-    def __call__(self, after: str | None) -> tuple[Sequence[RunRecord], str | None]:
-        """The page after a key, and the key of the next."""
-        page = self._services.runs(self._query.search, self._query.sort, after, EXPORT_LIMIT)
-        return page.records, page.next_key
+    return page
 
 
-def _parquet(content: RunExport, page: Page) -> Response:
+def _group_pages(services: Hive, query: RunQuery, metrics: Sequence[str]) -> Page[GroupRecord]:
+    def page(after: str | None) -> tuple[Sequence[GroupRecord], str | None]:
+        found = services.searches.groups(query.search, query.sort, after, EXPORT_LIMIT, metrics)
+        return found.records, found.next_key
+
+    return page
+
+
+def _file(name: str, kind: Format, content: TableExport[Record], pages: Page[Record]) -> Response:
+    first = pages(None)  # what can be refused is refused before the answer begins
+
+    def page(after: str | None) -> tuple[Sequence[Record], str | None]:
+        return first if after is None else pages(after)
+
+    if kind is Format.PARQUET:
+        response = _parquet(content, page)
+    else:
+        pieces = content.csv(page) if kind is Format.CSV else content.json(page)
+        response = Response(pieces, mimetype=kind.media_type)
+    response.headers["Content-Disposition"] = f'attachment; filename="{name}.{kind.value}"'
+    return response
+
+
+def _parquet(content: TableExport[Record], page: Page[Record]) -> Response:
     """A Parquet file is written whole, since its table of contents is at the end; it goes with the answer."""
     with tempfile.TemporaryDirectory(prefix="slamhive-export-") as folder:
-        path = Path(folder) / "runs.parquet"
+        path = Path(folder) / "table.parquet"
         content.parquet(page, path)
         stream = path.open("rb")  # outlives the folder: the file goes when it is closed
     response = send_file(stream, mimetype=Format.PARQUET.media_type)
