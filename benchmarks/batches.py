@@ -3,12 +3,14 @@
     python benchmarks/batches.py [--runs 10000] [--evaluate]
 
 Everything lies in a temporary folder and is removed. Trajectories are short, because what is measured is what each run
-costs beside its poses. CPU time is that of this process; ``--evaluate`` also works the queue off.
+costs beside its poses. CPU time is that of this process and of those it has started. ``--evaluate`` also works the
+queue off.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import resource
 import sys
 import tempfile
@@ -62,21 +64,26 @@ def measure(hive: Hive, source: Path, *, evaluate: bool) -> None:
     assert queued == again
     timed("see which have ended", lambda: service.still_open(queued))
     if evaluate:
+        began_s, cpu_s = time.perf_counter(), _cpu_s()
         ended = timed("evaluate", lambda: evaluate_to_end(service, queued))
-        print(f"{sum(entry.reason is None for entry in ended)} of {len(ended)} evaluated")
+        wall_ms, cpu_ms = (1e3 * used / len(ended) for used in (time.perf_counter() - began_s, _cpu_s() - cpu_s))
+        done = sum(entry.reason is None for entry in ended)
+        print(f"{done} of {len(ended)} evaluated: {wall_ms:.1f} ms a run, CPU {cpu_ms:.1f} ms a run")
 
 
 def timed(what: str, work: Callable[[], T]) -> T:
-    """Do it; print wall and CPU time."""
+    """Do it; print wall and CPU time, and how busy the machine was."""
     began_s, cpu_s = time.perf_counter(), _cpu_s()
     result = work()
-    print(f"{what:36s} {time.perf_counter() - began_s:8.2f} s   CPU {_cpu_s() - cpu_s:8.2f} s", flush=True)
+    used = f"{time.perf_counter() - began_s:8.2f} s   CPU {_cpu_s() - cpu_s:8.2f} s"
+    print(f"{what:36s} {used}   load {os.getloadavg()[0]:.1f}", flush=True)
     return result
 
 
 def _cpu_s() -> float:
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return usage.ru_utime + usage.ru_stime
+    """Of this process and of those it has started and waited for."""
+    usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
 def write_source(root: Path, runs: int) -> None:
