@@ -149,7 +149,7 @@ def parse_with_lines(text: str, source: str) -> tuple[dict[str, Any], Lines]:
 
 def _parse_node(text: str, source: str) -> tuple[dict[str, Any], yaml.Node]:
     if len(text) > MAX_BYTES:
-        raise InvalidInput(f"{source} is larger than {MAX_BYTES} characters", "is it the right file?")
+        raise _too_large(source)
     try:
         loader = _StrictLoader(text)
         node = loader.get_single_node()
@@ -165,6 +165,10 @@ def _parse_node(text: str, source: str) -> tuple[dict[str, Any], yaml.Node]:
     return content, node
 
 
+def _too_large(source: str) -> InvalidInput:
+    return InvalidInput(f"{source} is larger than {MAX_BYTES} bytes", "is it the right file?")
+
+
 def _collect_lines(node: yaml.Node, path: tuple[str | int, ...], lines: Lines) -> None:
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
@@ -176,15 +180,23 @@ def _collect_lines(node: yaml.Node, path: tuple[str | int, ...], lines: Lines) -
             _collect_lines(item, (*path, index), lines)
 
 
-def load(path: Path) -> dict[str, Any]:
-    """Parse the file at ``path``; raises InvalidInput as :func:`parse`, or if it cannot be read."""
+def read_text(path: Path) -> str:
+    """The text of the file at ``path``, of which no more is read than may be YAML; raises InvalidInput."""
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            raise _too_large(str(path))
+        return data.decode()
     except FileNotFoundError:
         raise InvalidInput(f"{path} does not exist") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"{path} cannot be read as text: {error}") from None
-    return parse(text, str(path))
+
+
+def load(path: Path) -> dict[str, Any]:
+    """Parse the file at ``path``; raises InvalidInput as :func:`parse` and :func:`read_text`."""
+    return parse(read_text(path), str(path))
 
 
 def dump(content: dict[str, Any]) -> str:

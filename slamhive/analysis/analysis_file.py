@@ -68,13 +68,7 @@ def set_words(chosen: SetModel) -> str:
 
 def load_analysis(path: Path, names: PaperNames | None = None) -> Analysis:
     """Read the analysis at ``path``; raises InvalidInput naming file, line and what is wrong."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InvalidInput(f"{path} does not exist") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"{path} cannot be read as text: {error}") from None
-    return parse_analysis(text, str(path), names)
+    return parse_analysis(strict_yaml.read_text(path), str(path), names)
 
 
 def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames | None = None) -> Analysis:

@@ -109,13 +109,7 @@ class ProtocolModel(BaseModel):
 
 def load_protocol(path: Path) -> ProtocolRequest:
     """Read the protocol at ``path``; raises InvalidInput naming file, line and what is wrong."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InvalidInput(f"{path} does not exist") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"{path} cannot be read as text: {error}") from None
-    return parse_protocol(text, str(path))
+    return parse_protocol(strict_yaml.read_text(path), str(path))
 
 
 def parse_protocol(text: str, source: str = "protocol.yaml") -> ProtocolRequest:

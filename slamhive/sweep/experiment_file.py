@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
@@ -27,17 +26,6 @@ from slamhive.sweep.experiment import (
     Where,
 )
 from slamhive.sweep.experiment_model import EvaluateModel, ExperimentModel, StepModel
-
-
-def load_experiment(path: Path) -> Experiment:
-    """Read the experiment at ``path``; raises InvalidInput naming file, line and what is wrong."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InvalidInput(f"{path} does not exist") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"{path} cannot be read as text: {error}") from None
-    return parse_experiment(text, str(path))
 
 
 def parse_experiment(text: str, source: str = "experiment.yaml") -> Experiment:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from slamhive import strict_yaml
@@ -39,11 +41,20 @@ def test_a_huge_text_is_not_parsed():
         strict_yaml.parse("a: 1\n" * 500_000, "x")
 
 
+def test_an_endless_file_is_not_read_to_its_end():
+    with pytest.raises(InvalidInput, match="/dev/zero is larger than 2000000 bytes; is it the right file"):
+        strict_yaml.load(Path("/dev/zero"))
+
+
 def test_binary_garbage_is_explained(tmp_path):
     path = tmp_path / "x.yaml"
     path.write_bytes(bytes(range(256)))
     with pytest.raises(InvalidInput, match="cannot be read as text"):
         strict_yaml.load(path)
+    with pytest.raises(InvalidInput, match="Is a directory"):
+        strict_yaml.load(tmp_path)
+    with pytest.raises(InvalidInput, match=r"none\.yaml does not exist"):
+        strict_yaml.load(tmp_path / "none.yaml")
 
 
 def test_what_is_written_is_read_back_unchanged():

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from slamhive import strict_yaml
 from slamhive.bags.variants.rules import RegisteredSteps
 from slamhive.catalogue.algorithm_file import load_algorithms
 from slamhive.sweep.expand import count, expand
-from slamhive.sweep.experiment_file import experiment_schema, load_experiment, parse_experiment
+from slamhive.sweep.experiment import Experiment
+from slamhive.sweep.experiment_file import experiment_schema, parse_experiment
 from slamhive.sweep.view import CatalogueView
 from tests.sweep.sweep_world import CAMERA, IMU, MONO, ROOM, STEREO, STEREO_INERTIAL, algorithm, dataset
 
@@ -20,6 +22,10 @@ EXAMPLES = ROOT / "docs" / "examples"
 SCHEMA = ROOT / "docs" / "schemas" / "experiment.schema.json"
 
 ROLES = {"mono": MONO, "mono-imu": {**MONO, "imu": IMU}, "stereo": STEREO, "stereo-imu": STEREO_INERTIAL}
+
+
+def load(path: Path) -> Experiment:
+    return parse_experiment(strict_yaml.read_text(path), str(path))
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +39,7 @@ def room() -> CatalogueView:
 def test_the_papers_experiment_is_1500_configurations():
     path = EXAMPLES / "paper-euroc.yaml"
     assert len(path.read_text().splitlines()) <= 40
-    experiment = load_experiment(path)
+    experiment = load(path)
     algorithms = {name: algorithm(name, ROLES[sensing(name)]) for name in map(str, experiment.algorithms.values)}
     datasets = {
         name: dataset(name, ("cam0", CAMERA, 20), ("cam1", CAMERA, 20), ("imu0", IMU, 200))
@@ -59,13 +65,13 @@ def sensing(name: str) -> str:
 
 
 def test_the_sensitivity_experiment_is_5_rates_4_resolutions_2_algorithms(room):
-    size = count(load_experiment(EXAMPLES / "room-sensitivity.yaml"), room)
+    size = count(load(EXAMPLES / "room-sensitivity.yaml"), room)
     assert size.axes == {"algorithm": 2, "image_rate": 5, "image_resolution": 4}
     assert (size.configurations, size.runs, size.variants) == (40, 40, 19)
 
 
 def test_the_demo_is_over_in_minutes(room):
-    size = count(load_experiment(EXAMPLES / "room-demo.yaml"), room)
+    size = count(load(EXAMPLES / "room-demo.yaml"), room)
     # The LiDAR algorithms listen to no camera, so they have no rate to link: the named depth images alone are scaled.
     assert size.axes == {"algorithm": 3, "image_rate + image_resolution": 2, "image_resolution": 2}
     assert size.runs == 4
@@ -73,7 +79,7 @@ def test_the_demo_is_over_in_minutes(room):
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda path: path.name)
 def test_every_example_is_named_like_its_file_and_points_to_the_schema(path):
-    assert load_experiment(path).name == path.stem
+    assert load(path).name == path.stem
     assert "$schema=../schemas/experiment.schema.json" in path.read_text()
 
 
@@ -102,7 +108,7 @@ def test_general_names_are_documented_and_mean_the_same_everywhere():
 
 
 def test_stated_intrinsics_move_with_the_resolution(room):
-    expansion = expand(load_experiment(EXAMPLES / "room-stated-intrinsics.yaml"), room)
+    expansion = expand(load(EXAMPLES / "room-stated-intrinsics.yaml"), room)
     runs = list(expansion)
     assert len(runs) == 6
     stated = {}

@@ -6,7 +6,7 @@ import pytest
 
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.sweep.expand import count, expand
-from slamhive.sweep.experiment_file import load_experiment, parse_experiment
+from slamhive.sweep.experiment_file import parse_experiment
 from tests.sweep.sweep_world import CAMERA, dataset, view
 
 HEAD = "name: t\nalgorithms: mono | stereo\ndatasets: room\n"
@@ -116,11 +116,3 @@ def test_values_are_not_even_looked_at_for_too_many_combinations():
 def test_the_limit_is_the_callers():
     assert "6 combinations" in refusal(HEAD + "parameters:\n  features: 500:700:100\n", limit=5)
     assert "8 runs, more than the limit of 7" in refusal(HEAD + "repeats: 4\n", limit=7)
-
-
-def test_files_that_cannot_be_read_are_told(tmp_path):
-    with pytest.raises(InvalidInput, match="does not exist"):
-        load_experiment(tmp_path / "none.yaml")
-    (tmp_path / "x.yaml").write_bytes(b"\xff\xfe")
-    with pytest.raises(InvalidInput, match="cannot be read as text"):
-        load_experiment(tmp_path / "x.yaml")

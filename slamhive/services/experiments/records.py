@@ -8,10 +8,10 @@ from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
 
+from slamhive import strict_yaml
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import Variant
-from slamhive.errors import InvalidInput
 from slamhive.store.experiment_records import CellRun
 
 MOST_LISTED = 200
@@ -28,12 +28,7 @@ class ExperimentSource:
     @classmethod
     def read(cls, path: Path) -> ExperimentSource:
         """The file at ``path``; raises InvalidInput."""
-        try:
-            return cls(path.read_text(encoding="utf-8"), str(path))
-        except FileNotFoundError:
-            raise InvalidInput(f"{path} does not exist") from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise InvalidInput(f"{path} cannot be read as text: {error}") from None
+        return cls(strict_yaml.read_text(path), str(path))
 
 
 class Phase(StrEnum):
