@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Collection
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -52,11 +52,18 @@ ROS_ENVIRONMENT = {"HOME": "/tmp", "ROS_HOSTNAME": "localhost", "ROS_MASTER_URI"
 """HOME is the container's own /tmp: the user of the run has no other folder to write to."""
 
 _UNSET_TIME = "0001-"
+_START_PATIENCE = timedelta(minutes=5)
 
 
 def _is_live(container: Any, live_keys: Collection[str]) -> bool:
     key = str(container.labels.get(KEY_LABEL))
-    return key in live_keys or (key.startswith(EVALUATION_KEY) and container.status == "running")
+    if not key.startswith(EVALUATION_KEY):
+        return key in live_keys
+    if container.status != "created":
+        return bool(container.status == "running")
+    # Whoever made it is about to start it, unless that was long ago.
+    created_at = _time(container.attrs.get("Created"))
+    return created_at is not None and datetime.now(UTC) - created_at < _START_PATIENCE
 
 
 class DockerExecutor:

@@ -7,13 +7,17 @@ import signal
 import subprocess
 import sys
 import time
+import uuid
+from datetime import timedelta
 from pathlib import Path
 
 import psutil
 import pytest
 
+from slamhive.executors import docker as docker_executor
 from slamhive.executors.base import Gone, Limits, Running
 from slamhive.executors.docker import DockerExecutor
+from slamhive.executors.docker_engine import EVALUATION_KEY, INSTALLATION_LABEL, KEY_LABEL
 from slamhive.executors.process import KEY_VARIABLE
 from slamhive.executors.process_tree import ProcessTreeSource
 from slamhive.runs.folder import RunFolder
@@ -121,6 +125,27 @@ def test_sweep_removes_what_no_run_knows(bench):
     assert len(executor.sweep({kept.key})) == 1
     assert isinstance(executor.poll(stale), Gone)
     assert isinstance(executor.poll(bench.handles[0]), Running)
+
+
+@docker_only
+def test_sweep_leaves_evaluations_alone_that_work_or_are_about_to(bench, monkeypatch):
+    executor = bench.executor
+    assert isinstance(executor, DockerExecutor)
+
+    def evaluation(command: str):
+        labels = {KEY_LABEL: f"{EVALUATION_KEY}{uuid.uuid4().hex}", INSTALLATION_LABEL: bench.context.installation}
+        return executor._engine().containers.create(bench.image, ["sh", "-c", command], labels=labels)
+
+    made, working, over = (evaluation(command) for command in ("true", "sleep 100", "true"))
+    try:
+        for container in (working, over):
+            container.start()
+        over.wait()
+        assert executor.sweep(set()) == [over.name]
+        monkeypatch.setattr(docker_executor, "_START_PATIENCE", timedelta(0))
+        assert executor.sweep(set()) == [made.name]
+    finally:
+        working.remove(force=True)
 
 
 @docker_only
