@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -154,10 +155,9 @@ def all_rows(hive: Hive) -> dict[str, list[tuple[Any, ...]]]:
         }
 
 
-def all_files(hive: Hive) -> dict[str, bytes]:
+def all_files(hive: Hive) -> Iterator[tuple[str, bytes]]:
     """The files of run folders by uid and name; numbers in ``run.json`` are replaced by uids."""
     uids = {run.id: run.uid for run in hive.store.read(lambda t: t.runs.get_many(_numbers(hive)))}
-    found: dict[str, bytes] = {}
     for number, uid in uids.items():
         root = hive.folder(number).root
         for path in (path for path in root.rglob("*") if path.is_file()):
@@ -167,8 +167,7 @@ def all_files(hive: Hive) -> dict[str, bytes]:
                 record["id"] = uids[record["id"]]
                 record["request"]["retry_of"] = uids.get(record["request"]["retry_of"])
                 content = json.dumps(record).encode()
-            found[f"{uid}/{path.relative_to(root)}"] = content
-    return found
+            yield f"{uid}/{path.relative_to(root)}", content
 
 
 def _numbers(hive: Hive) -> list[int]:

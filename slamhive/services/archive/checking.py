@@ -11,7 +11,7 @@ from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 from slamhive.domain.names import check_name
 from slamhive.errors import InvalidInput
 from slamhive.services.archive import layout, lines
-from slamhive.services.archive.reading import ArchiveReader
+from slamhive.services.archive.reading import ArchiveReader, Place, not_unpacked
 from slamhive.services.experiments.folder import RECORD, SOURCE
 from slamhive.store.experiment_records import ExperimentRecord
 from slamhive.sweep.experiment_file import parse_experiment
@@ -30,9 +30,12 @@ class Contents:
     runs_of_experiment: dict[str, int] = field(default_factory=dict)
 
 
-def check_archive(archive: ArchiveReader, progress: Progress) -> Contents:
-    """Compare every member with its checksum and read every row; raises InvalidInput for the first that is wrong."""
-    archive.verify(lambda done, total: progress(0.8 * done / max(total, 1), "comparing checksums"))
+def check_archive(archive: ArchiveReader, progress: Progress, place: Place = not_unpacked) -> Contents:
+    """Compare every member with its checksum and read every row; raises InvalidInput for the first that is wrong.
+
+    What ``place`` tells is unpacked on the way.
+    """
+    archive.verify(lambda done, total: progress(0.8 * done / max(total, 1), "comparing checksums"), place)
     contents = Contents()
     _check_runs(archive, contents, progress)
     _check_datasets(archive, contents)

@@ -1,7 +1,8 @@
 """Importing an archive: merged with what is here, whole or completed by the same command, nothing twice.
 
-Each batch of runs is unpacked aside, filed in one transaction and renamed into place right after; an import that is
-killed in between, or anywhere else, is completed by the same command.
+Folders of runs are unpacked aside while their checksums are compared. When all is known to be whole, each batch of runs
+is filed in one transaction, and their folders are renamed into place right after; an import that is killed in between,
+or anywhere else, is completed by the same command.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ from slamhive.store.store import Store, Transaction
 
 BATCH = 100
 _LOCK = ".import.lock"
-_ASIDE = ".archive-"
+_ASIDE = ".archive"
+_CHECKING = 0.7
+"""The share of the time that comparing checksums takes, unpacking on the way."""
 _MB = 1_000_000
 
 
@@ -63,6 +66,14 @@ class _Unpacked:
     line: lines.RunLine
     run: FolderRun
     folder: RunFolder | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where folders of runs lie unpacked, and what the runs refer to."""
+
+    aside: Path
+    around: Surroundings
 
 
 class ArchiveImport:
@@ -91,11 +102,11 @@ class ArchiveImport:
         report = ArchiveReport()
         with open_archive(path) as archive:
             self._check_space(archive)
-            contents = check_archive(archive, lambda share, text: progress(0.4 * share, text))
-            with self._alone():
+            with self._alone() as aside:
+                contents = self._check_and_unpack(archive, aside, progress)
                 around = Surroundings(self._settings, self._store, self._catalogue, archive, contents, report.notes)
                 around.import_before_runs(report.counts)
-                self._runs(archive, contents, around, report, progress)
+                self._runs(archive, contents, _Place(aside, around), report, progress)
                 around.import_after_runs(report.counts, kept_numbers=report.kept_numbers)
         self._store.refresh_statistics()
         return report
@@ -109,53 +120,66 @@ class ArchiveImport:
                 "free some space, or move the data root (SLAMHIVE_DATA)",
             )
 
-    @contextmanager
-    def _alone(self) -> Iterator[None]:
-        """One import at a time; what killed ones have left aside goes."""
-        runs = self._settings.runs_folder
+    def _check_and_unpack(self, archive: ArchiveReader, aside: Path, progress: Progress) -> Contents:
+        wanted = self._wanted(archive)
+
+        def place(name: str) -> Path | None:
+            kind, _, below = name.partition("/")
+            return aside / below if kind == "runs" and int(below.partition("/")[0]) in wanted else None
+
         try:
-            with exclusive(runs / _LOCK):
-                for aside in runs.glob(f"{_ASIDE}*"):
+            return check_archive(archive, lambda share, text: progress(_CHECKING * share, text), place)
+        except OSError as error:
+            raise Unavailable(f"{aside} cannot be written: {error.strerror}", "check space and rights") from None
+
+    def _wanted(self, archive: ArchiveReader) -> set[int]:
+        """The runs, by their numbers in the archive, whose folders are not here. Nothing of it has been checked yet."""
+        with_folder = {
+            line.uid: line.id for line in map(lines.run_from_line, archive.lines(layout.RUNS)) if line.record is None
+        }
+        known = self._store.read(lambda t: ArchiveRepository(t.session).known(list(with_folder)))
+        return {number for uid, number in with_folder.items() if uid not in known or self._lacks_folder(known[uid])}
+
+    @contextmanager
+    def _alone(self) -> Iterator[Path]:
+        """One import at a time, with a folder for what is unpacked; what killed ones have left goes."""
+        runs = self._settings.runs_folder
+        lock, aside = runs / _LOCK, runs / _ASIDE
+        try:
+            with exclusive(lock):
+                shutil.rmtree(aside, ignore_errors=True)
+                try:
+                    yield aside
+                finally:
                     shutil.rmtree(aside, ignore_errors=True)
-                yield
+                    lock.unlink(missing_ok=True)
         except Busy:
             raise Conflict("another import is under way", "wait for it to end") from None
 
     # -- runs ------------------------------------------------------------------------------------------------------
 
     def _runs(
-        self,
-        archive: ArchiveReader,
-        contents: Contents,
-        around: Surroundings,
-        report: ArchiveReport,
-        progress: Progress,
+        self, archive: ArchiveReader, contents: Contents, place: _Place, report: ArchiveReport, progress: Progress
     ) -> None:
-        """``members`` of each run are looked up once: the list of all is long."""
         known = self._store.read(lambda t: ArchiveRepository(t.session).known(list(contents.runs)))
         numbers = dict(known)
         others = self._store.read(lambda t: ArchiveRepository(t.session).total()) > len(known)
         report.kept_numbers = not others and all(contents.runs[uid] == number for uid, number in known.items())
-        members = _members_by_run(archive)
         stream = iter(archive.lines(layout.RUNS))
         done = 0
         while batch := [lines.run_from_line(content) for content in islice(stream, BATCH)]:
-            self._batch(archive, batch, members, numbers, around, report)
+            self._batch(batch, place, numbers, report)
             done += len(batch)
-            progress(0.4 + 0.6 * done / len(contents.runs), f"{done}/{len(contents.runs)} runs")
+            progress(_CHECKING + (1 - _CHECKING) * done / len(contents.runs), f"{done}/{len(contents.runs)} runs")
 
-    def _batch(
-        self,
-        archive: ArchiveReader,
-        batch: list[lines.RunLine],
-        members: dict[int, list[str]],
-        numbers: dict[str, int],
-        around: Surroundings,
-        report: ArchiveReport,
-    ) -> None:
-        wanted = [line for line in batch if line.uid not in numbers or self._lacks_folder(line, numbers[line.uid])]
+    def _batch(self, batch: list[lines.RunLine], place: _Place, numbers: dict[str, int], report: ArchiveReport) -> None:
+        wanted = [
+            line
+            for line in batch
+            if line.uid not in numbers or (line.record is None and self._lacks_folder(numbers[line.uid]))
+        ]
         report.known += len(batch) - len(wanted)
-        unpacked = [self._unpack(archive, line, members.get(line.id, []), around) for line in wanted]
+        unpacked = [self._read(line, place) for line in wanted]
         new = [entry for entry in unpacked if entry.line.uid not in numbers]
         report.completed += len(unpacked) - len(new)
         keep = report.kept_numbers and not any(self._folder(entry.line.id).root.exists() for entry in new)
@@ -168,55 +192,35 @@ class ArchiveImport:
         report.imported += len(new)
         for entry in unpacked:
             if entry.folder is not None:
-                self._put_in_place(entry, numbers)
+                self._put_in_place(entry, entry.folder, numbers)
 
-    def _lacks_folder(self, line: lines.RunLine, number: int) -> bool:
-        return line.record is None and not self._folder(number).record.exists()
+    def _lacks_folder(self, number: int) -> bool:
+        return not self._folder(number).record.exists()
 
-    def _unpack(
-        self, archive: ArchiveReader, line: lines.RunLine, members: list[str], around: Surroundings
-    ) -> _Unpacked:
-        record = line.record
-        folder = None
-        found: list[FoundEvaluation] = []
-        if record is None:
-            folder = RunFolder(self._settings.runs_folder / f"{_ASIDE}{line.uid}")
-            try:
-                for name in members:
-                    archive.unpack(name, folder.root / name.split("/", 2)[2])
-            except OSError as error:
-                raise Unavailable(f"{folder.root} cannot be made: {error.strerror}", "check space and rights") from None
-            record = folder.read_record()
-            found = found_evaluations(folder)
-        record = {**record, "request": {**record["request"], "experiment": around.experiment_name(line.experiment)}}
+    def _read(self, line: lines.RunLine, place: _Place) -> _Unpacked:
+        folder = None if line.record is not None else RunFolder(place.aside / str(line.id))
+        record = line.record or {} if folder is None else folder.read_record()
+        found = [] if folder is None else found_evaluations(folder)
+        experiment = place.around.experiment_name(line.experiment)
+        record = {**record, "request": {**record["request"], "experiment": experiment}}
         filed = read_filed(self._catalogue, record, f"the record of run {line.id}")
         run = FolderRun(record, filed, found, _current(line, folder, found), line.evaluations, line.attempt)
         return _Unpacked(line, run, folder)
 
-    def _put_in_place(self, entry: _Unpacked, numbers: dict[str, int]) -> None:
+    def _put_in_place(self, entry: _Unpacked, folder: RunFolder, numbers: dict[str, int]) -> None:
         """Give the record its numbers here, and rename the folder."""
-        if entry.folder is None:
-            return
-        number = numbers[entry.line.uid]
+        target = self._folder(numbers[entry.line.uid]).root
         record = _renumbered(entry, numbers)
-        if record != entry.folder.read_record():
-            entry.folder.write_record(record)
         try:
-            entry.folder.root.rename(self._folder(number).root)
+            if record != folder.read_record():
+                # Nobody sees the folder before it is renamed: no need to replace the file in one step.
+                folder.record.write_text(RunFolder.record_text(record), encoding="utf-8")
+            folder.root.rename(target)
         except OSError as error:
-            raise Unavailable(
-                f"{self._folder(number).root} cannot be made: {error.strerror}", "check space and rights"
-            ) from None
+            raise Unavailable(f"{target} cannot be made: {error.strerror}", "check space and rights") from None
 
     def _folder(self, number: int) -> RunFolder:
         return RunFolder(self._settings.runs_folder / str(number))
-
-
-def _members_by_run(archive: ArchiveReader) -> dict[int, list[str]]:
-    found: dict[int, list[str]] = {}
-    for name in archive.below("runs/"):
-        found.setdefault(int(name.split("/", 2)[1]), []).append(name)
-    return found
 
 
 def _current(line: lines.RunLine, folder: RunFolder | None, found: list[FoundEvaluation]) -> str | None:

@@ -44,6 +44,12 @@ _BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, Runtim
 
 Progress = Callable[[int, int], None]
 """Called with how much is done, and how much there is."""
+Place = Callable[[str], Path | None]
+"""The new file that a member of this name is unpacked to, None for none."""
+
+
+def not_unpacked(_name: str) -> None:
+    """A :data:`Place` of nothing."""
 
 
 class ArchiveReader:
@@ -107,27 +113,43 @@ class ArchiveReader:
 
     def unpack(self, name: str, target: Path) -> None:
         """Write a member to the new file ``target``, with the time that it was changed."""
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with target.open("xb") as stream:
-            for block in self._blocks(name):
-                stream.write(block)
-        at = timegm((*self._members[name].date_time, 0, 0, 0))
-        os.utime(target, (at, at))
+        for _ in self._unpacked(name, target):
+            pass
 
-    def verify(self, progress: Progress) -> None:
-        """Read every member and compare it with its checksum; raises InvalidInput for the first that differs."""
+    def verify(self, progress: Progress, place: Place = not_unpacked) -> None:
+        """Read every member and compare it with its checksum; raises InvalidInput for the first that differs.
+
+        Args:
+            progress: Told bytes.
+            place: What is unpacked on the way, and where to.
+        """
         sums = self._sums()
         total, done = self.size_bytes, 0
-        for name in self.names:
+        for name in self._members:
             if name in (MANIFEST, CHECKSUMS):
                 continue
             digest = hashlib.sha256()
-            for block in self._blocks(name):
+            target = place(name)
+            for block in self._blocks(name) if target is None else self._unpacked(name, target):
                 digest.update(block)
                 done += len(block)
             if digest.hexdigest() != sums[name]:
                 raise InvalidInput(f"{self._path}: {shown(name)} is not what was exported", _DAMAGED)
             progress(done, total)
+
+    def _unpacked(self, name: str, target: Path) -> Iterator[bytes]:
+        """The blocks of a member, once each has been written."""
+        try:
+            stream = target.open("xb")
+        except FileNotFoundError:
+            target.parent.mkdir(parents=True)
+            stream = target.open("xb")
+        with stream:
+            for block in self._blocks(name):
+                stream.write(block)
+                yield block
+        at = timegm((*self._members[name].date_time, 0, 0, 0))
+        os.utime(target, (at, at))
 
     def _sums(self) -> dict[str, str]:
         """The checksums, which must name every member and no other."""
