@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import resource
 import statistics
 import subprocess
@@ -20,9 +21,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import urlencode
+from urllib.request import urlopen
 
 import numpy as np
 import psutil
@@ -30,6 +34,7 @@ import psutil
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.search_data import fill, make
+from benchmarks.web import SERVER
 from slamhive.search.binding import read_search
 from slamhive.search.fields import Vocabulary, vocabulary_of
 from slamhive.store import RunSort, Store, open_store
@@ -169,17 +174,73 @@ def mariadb_store(folder: Path) -> Iterator[tuple[Store, Callable[[], float]]]:
         server.stop()
 
 
-def beside_mlflow(python: str, path: Path, ours: dict[str, Times]) -> None:
+@contextmanager
+def web_server(path: Path, folder: Path) -> Iterator[tuple[str, psutil.Process]]:
+    """The web server over an SQLite file: its address, and its process."""
+    environment = {
+        **os.environ,
+        "SLAMHIVE_DATA": str(folder),
+        "SLAMHIVE_DATABASE_URL": f"sqlite:///{path}",
+        "PYTHONPATH": str(Path(__file__).resolve().parents[1]),
+    }
+    server = subprocess.Popen([sys.executable, "-c", SERVER], env=environment, stdout=subprocess.PIPE, text=True)
+    try:
+        assert server.stdout is not None
+        yield f"http://127.0.0.1:{int(server.stdout.readline())}", psutil.Process(server.pid)
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def walk_pages(url: str, worker: psutil.Process, repeats: int) -> None:
+    """Every class of query as a page, from several browsers at once, and all runs as a file; print time and memory."""
+    chance = np.random.default_rng(6)
+    print(f"\n{'page':24}{'clock p50':>10}{'p95':>9}{'worker CPU':>13}")
+    for name, (draw, sort) in QUERIES.items():
+        order = {"sort": sort.key, "order": "desc" if sort.descending else "asc"}
+        group = {"group": "configuration"} if name in GROUPED else {}
+        addresses = [f"{url}/runs?{urlencode({'where': draw(chance), **order, **group})}" for _ in range(repeats + 1)]
+        _get(addresses[0])
+        before = worker.cpu_times()
+        times_ms = [_get(address) for address in addresses[1:]]
+        after = worker.cpu_times()
+        cpu_ms = 1e3 * (after.user + after.system - before.user - before.system) / repeats
+        print(f"{name:24}{statistics.median(times_ms):10.1f}{np.percentile(times_ms, 95):9.1f}{cpu_ms:13.1f}")
+        with ThreadPoolExecutor(4) as browsers:
+            list(browsers.map(_get, addresses))
+    for form in ("csv", "json"):
+        took_ms = _get(f"{url}/searches/export.{form}")
+        print(f"all runs as {form.upper()}: {1e-3 * took_ms:.1f} s")
+    status = Path(f"/proc/{worker.pid}/status").read_text()
+    peak_mb = next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")) / 1e3
+    print(f"peak memory of the web worker after all of these: {peak_mb:.0f} MB")
+
+
+def _get(address: str) -> float:
+    """Milliseconds until the whole answer is there."""
+    began = time.perf_counter()
+    with urlopen(address, timeout=300) as answer:
+        while answer.read(1 << 16):
+            pass
+    return 1e3 * (time.perf_counter() - began)
+
+
+def beside_mlflow(python: str, path: Path, ours: dict[str, Times], limit_s: float) -> None:
     """The queries that MLflow's language can say, over the same rows, in processor time: both do all in one process."""
     script = Path(__file__).with_name("search_mlflow.py")
-    result = subprocess.run([python, str(script), str(path)], capture_output=True, text=True, check=False)
+    result = subprocess.run([python, str(script), str(path), str(limit_s)], capture_output=True, text=True, check=False)
     if result.returncode != 0:
         raise SystemExit(f"{script.name} failed: {result.stderr[-1500:]}")
     theirs: dict[str, list[float]] = json.loads(result.stdout.splitlines()[-1])
     print(f"\nbeside MLflow, SQLite, after ANALYZE, CPU\n{'query':24}{'ours ms':>10}{'MLflow ms':>12}{'times':>8}")
     ratios = []
     for name, values in theirs.items():
-        own, other = statistics.median(ours[name].cpu_ms), statistics.median(values)
+        own = statistics.median(ours[name].cpu_ms)
+        if not values:
+            ratios.append(1e3 * limit_s / own)
+            print(f"{name:24}{own:10.1f}   not ended after {limit_s:g} s: more than {ratios[-1]:.0f} times")
+            continue
+        other = statistics.median(values)
         ratios.append(other / own)
         print(f"{name:24}{own:10.1f}{other:12.1f}{other / own:8.1f}")
     print(f"median of the ratios {statistics.median(ratios):.1f}, smallest {min(ratios):.1f}")
@@ -192,6 +253,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=20, help="queries of each class")
     parser.add_argument("--only", choices=("sqlite", "mariadb"))
     parser.add_argument("--mlflow", metavar="PYTHON", help="a Python that has MLflow, to compare with")
+    parser.add_argument("--mlflow-limit", type=float, default=20.0, metavar="S", help="of each of MLflow's queries")
     options = parser.parse_args()
     made = make(options.runs)
     limit_ms = LIMIT_MS.get(options.runs)
@@ -203,8 +265,10 @@ def main() -> None:
                 print(f"SQLite: {options.runs:,} runs stored in {took_s:.0f} s, {path.stat().st_size / 1e6:.0f} MB")
                 found = measure(store, options.repeats)
                 table(f"SQLite, {options.runs:,} runs", found, limit_ms)
+                with web_server(path, folder) as (url, worker):
+                    walk_pages(url, worker, options.repeats)
                 if options.mlflow:
-                    beside_mlflow(options.mlflow, path, found)
+                    beside_mlflow(options.mlflow, path, found, options.mlflow_limit)
         if options.only != "sqlite":
             (folder / "mariadb").mkdir()
             with mariadb_store(folder / "mariadb") as (store, worked_s):

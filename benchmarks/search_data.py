@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sqlalchemy import text
+from sqlalchemy import create_engine
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Alignment, Protocol
@@ -78,22 +78,16 @@ def make(runs: int) -> Made:
 def fill(store: Store, made: Made) -> float:
     """Store all rows; how many seconds it took. Indexes that only searches need are made at the end."""
     began = time.perf_counter()
-    with store.engine.begin() as connection:
-        mysql = connection.dialect.name == "mysql"
-        if mysql:
-            for setting in ("foreign_key_checks", "unique_checks"):
-                connection.execute(text(f"SET SESSION {setting}=0"))
-        else:
-            connection.execute(text("PRAGMA defer_foreign_keys=ON"))
+    mysql = store.engine.dialect.name == "mysql"
     indexes = [index for index in MetricValue.__table__.indexes if index.name == "ix_metric_values_search"]
-    if not mysql:
-        for index in indexes:
-            index.drop(store.engine)
+    patient = create_engine(store.engine.url)  # the store's gives up on a statement after a minute
+    for index in indexes:
+        index.drop(patient)
     for table, rows in _tables(made):
         _insert(store, table, rows, mysql=mysql)
-    if not mysql:
-        for index in indexes:
-            index.create(store.engine)
+    for index in indexes:
+        index.create(patient)
+    patient.dispose()
     store.refresh_statistics()
     return time.perf_counter() - began
 

@@ -87,7 +87,7 @@ def known_to_mysql(store: Store) -> int:
         query = (
             "SELECT table_rows FROM information_schema.tables WHERE table_schema = DATABASE() AND table_name = 'runs'"
         )
-        return int(connection.execute(text(query)).scalar_one())
+        return int(connection.execute(text(query), {"name": "runs"}).scalar_one())
 
 
 @pytest.mark.mysql

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import subprocess
+import sys
 
 import pytest
 
@@ -114,3 +116,9 @@ def test_a_run_that_waits_is_not_unevaluated(web: Web):
     (run_id,) = world.add_runs(web.hive, 1)
     world.advance(web.hive, run_id, RunState.PREPARING)
     assert web.hive.unevaluated() == before
+
+
+def test_the_server_does_not_load_what_computes_analyses():
+    """They are computed by a process of their own; here they would be half of the memory."""
+    code = "import sys, slamhive.web.app; print(*{'pandas', 'scipy', 'matplotlib'} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, check=True).stdout == b"\n"

@@ -14,7 +14,10 @@ from slamhive.services.analyses.report import file_name
 
 
 def page_json(report: Mapping[str, Any]) -> dict[str, Any]:
-    """The report for :func:`page_forms`: charts without marks, tables cut to what is shown, names of all files."""
+    """The report for :mod:`slamhive.services.analyses.stored_page`: charts without marks, tables cut to what is shown.
+
+    It has the names of all files.
+    """
     return {
         **{key: value for key, value in report.items() if key != "forms"},
         "forms": [_light(form) for form in report["forms"]],
@@ -26,22 +29,10 @@ def _light(form: dict[str, Any]) -> dict[str, Any]:
     shown = shown_form(form)
     charts = [to_json(replace(chart, marks=())) for chart in shown["charts"]]
     tables = [
-        {"table": to_json(replace(entry["table"], rows=entry["rows"])), "more": entry["more"]}
+        entry | {"table": to_json(replace(entry["table"], rows=entry["rows"])), "rows": None}
         for entry in shown["tables"]
     ]
     return {**shown, "charts": charts, "tables": tables}
-
-
-def page_forms(page: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The forms as templates take them, out of :func:`page_json`."""
-    forms = []
-    for form in page["forms"]:
-        tables = []
-        for entry in form["tables"]:
-            table = from_json(entry["table"])
-            tables.append({"table": table, "rows": table.rows, "more": entry["more"]})
-        forms.append({**form, "charts": [from_json(chart) for chart in form["charts"]], "tables": tables})
-    return forms
 
 
 def _files(form: dict[str, Any]) -> list[tuple[str, list[Any]]]:

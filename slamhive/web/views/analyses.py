@@ -10,8 +10,8 @@ from flask import url_for as address
 
 from slamhive.errors import Forbidden, InvalidInput, SlamHiveError
 from slamhive.services.analyses.folder import FIGURES, PAGE
-from slamhive.services.analyses.page import page_forms
 from slamhive.services.analyses.stored import MAX_TEXT_BYTES, may_analyse
+from slamhive.services.analyses.stored_page import page_forms
 from slamhive.settings import Mode
 from slamhive.store.analysis_records import AnalysisState
 from slamhive.web import context
