@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import os
 import tempfile
@@ -30,7 +31,14 @@ def write_aside(path: Path, content: str | bytes) -> None:
     except OSError as error:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
-        raise Unavailable(f"{path} cannot be written: {error.strerror}", "check space and rights") from None
+        raise Unavailable(f"{path} cannot be written: {error.strerror}", remedy_of(error)) from None
+
+
+def remedy_of(error: OSError) -> str:
+    """What to do about a file or folder that could not be written."""
+    if error.errno == errno.EROFS:
+        return "the data root is read-only here; use the command line where the worker runs"
+    return "check space and rights"
 
 
 def folder_bytes(folder: Path) -> int:

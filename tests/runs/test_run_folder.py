@@ -34,6 +34,19 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch)
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.json"]
 
 
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [(errno.ENOSPC, "check space and rights"), (errno.EROFS, "use the command line where the worker runs")],
+)
+def test_the_remedy_fits_what_is_wrong_with_the_disk(tmp_path, monkeypatch, number, remedy):
+    def refuse(_descriptor: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(Unavailable, match=remedy):
+        write_aside(tmp_path / "run.json", "new")
+
+
 def test_a_missing_and_a_broken_record_are_told_apart(tmp_path):
     folder = RunFolder(tmp_path)
     with pytest.raises(NotFound):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.errors import InvalidInput, NotFound, Unavailable
-from slamhive.files import write_aside
+from slamhive.files import remedy_of, write_aside
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 
 FORMAT = 1
@@ -50,7 +50,7 @@ class AnalysisFolder:
             aside.rename(self.root)
         except OSError as error:
             shutil.rmtree(aside, ignore_errors=True)
-            raise Unavailable(f"{self.root} cannot be made: {error.strerror}", "check space and rights") from None
+            raise Unavailable(f"{self.root} cannot be made: {error.strerror}", remedy_of(error)) from None
         except Unavailable:
             shutil.rmtree(aside, ignore_errors=True)
             raise

@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 
 from slamhive.errors import Conflict, InvalidInput, Unavailable
-from slamhive.files import write_aside
+from slamhive.files import remedy_of, write_aside
 from slamhive.store.experiment_records import ExperimentState
 
 SOURCE = "experiment.yaml"
@@ -54,7 +54,7 @@ class ExperimentFolder:
             self.root.mkdir(parents=True, exist_ok=True)
             descriptor = os.open(self.root / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
-            raise Unavailable(f"{self.root} cannot be used: {error.strerror}", "check space and rights") from None
+            raise Unavailable(f"{self.root} cannot be used: {error.strerror}", remedy_of(error)) from None
         try:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
