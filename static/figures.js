@@ -1,4 +1,4 @@
-// Draws the figures of a page from the JSON at data-figures, in the colours of light or dark.
+// Draws the figures of a page from the JSON at data-figures, in the colours of light or dark that report.js knows.
 "use strict";
 (() => {
   const WHILE_ACTIVE_MS = 5000;
@@ -6,41 +6,7 @@
   let content = null;
   let view = null;
 
-  const dark = () => document.documentElement.dataset.bsTheme === "dark";
-  const inks = () => dark()
-    ? { text: "#d7dbe0", grid: "#3a4047", truth: "#c3c9d0", modebar: "#7b838c" }
-    : { text: "#2b3035", grid: "#e3e6ea", truth: "#3d4247", modebar: "#9aa1a8" };
-
-  function axis(spec, ink) {
-    return { ...spec, color: ink.text, gridcolor: ink.grid, zerolinecolor: ink.grid, linecolor: ink.grid };
-  }
-
-  function themed(figure) {
-    const ink = inks();
-    const data = figure.data.map((trace) => trace.meta !== "theme:groundtruth" ? trace : {
-      ...trace,
-      ...(trace.line ? { line: { ...trace.line, color: ink.truth } } : {}),
-      ...(trace.marker ? { marker: { ...trace.marker, color: ink.truth } } : {}),
-    });
-    const layout = {
-      ...figure.layout,
-      paper_bgcolor: "rgba(0,0,0,0)",
-      plot_bgcolor: "rgba(0,0,0,0)",
-      font: { color: ink.text, family: "system-ui, sans-serif", size: 12 },
-      margin: { l: 58, r: 12, t: 28, b: 44 },
-      hoverlabel: { namelength: -1 },
-      modebar: { bgcolor: "rgba(0,0,0,0)", color: ink.modebar, activecolor: ink.text },
-      uirevision: "kept",
-      autosize: true,
-    };
-    for (const name of ["xaxis", "yaxis"]) if (!layout.scene) layout[name] = axis(layout[name] || {}, ink);
-    if (layout.scene) {
-      layout.margin = { l: 0, r: 0, t: 28, b: 0 };
-      layout.scene = { ...layout.scene };
-      for (const name of ["xaxis", "yaxis", "zaxis"]) layout.scene[name] = axis(layout.scene[name], ink);
-    }
-    return { data, layout };
-  }
+  const MARGIN = { l: 58, r: 12, t: 28, b: 44 };
 
   function say(place, text) {
     Plotly.purge(place);
@@ -60,7 +26,7 @@
     }
     place.classList.remove("without");
     if (!place.classList.contains("js-plotly-plot")) place.replaceChildren();
-    const { data, layout } = themed(figure);
+    const { data, layout } = slamhiveThemed(figure, MARGIN);
     const name = `${document.title.split(" – ")[0]} ${key}`.replace(/\W+/g, "-").toLowerCase();
     Plotly.react(place, data, layout, {
       responsive: true,

@@ -1,55 +1,109 @@
 // Draws the charts of a report from the JSON beside them, in the colours of light or dark; a click opens the run.
+// Pages of runs and datasets, whose figures.js draws, take the colours from here.
 "use strict";
 (() => {
-  const source = document.getElementById("figures");
-  if (!source) return;
-  let figures = source.dataset.from ? null : JSON.parse(source.textContent);
   const preferred = window.matchMedia("(prefers-color-scheme: dark)");
-
   const dark = () => (document.documentElement.dataset.bsTheme || (preferred.matches ? "dark" : "light")) === "dark";
   const inks = () => dark()
-    ? { text: "#d7dbe0", grid: "#3a4047", truth: "#c3c9d0" }
-    : { text: "#2b3035", grid: "#e3e6ea", truth: "#3d4247" };
+    ? { text: "#d7dbe0", grid: "#3a4047", truth: "#c3c9d0", modebar: "#7b838c" }
+    : { text: "#2b3035", grid: "#e3e6ea", truth: "#3d4247", modebar: "#9aa1a8" };
   const axis = (spec, ink) => ({ color: ink.text, gridcolor: ink.grid, zerolinecolor: ink.grid, linecolor: ink.grid, ...spec });
 
-  function themed(figure) {
+  function inked({ line, marker }, color) {
+    if (line) line = { ...line, color };
+    if (marker) marker = { ...marker, color, ...(marker.line ? { line: { ...marker.line, color } } : {}) };
+    if (marker?.pattern) marker.pattern = { ...marker.pattern, fgcolor: color };
+    return { ...(line ? { line } : {}), ...(marker ? { marker } : {}) };
+  }
+
+  /** The figure with what depends on light or dark; references carry a mark, since no single grey is seen on both. */
+  function themed(figure, margin) {
     const ink = inks();
-    const data = figure.data.map((trace) => trace.meta !== "theme:groundtruth" ? trace : {
+    const data = figure.data.map((trace) => ({
       ...trace,
-      ...(trace.line ? { line: { ...trace.line, color: ink.truth } } : {}),
-      ...(trace.marker ? { marker: { ...trace.marker, color: ink.truth } } : {}),
-    });
+      ...(trace.type === "bar" && trace.error_y ? { error_y: { ...trace.error_y, color: ink.truth } } : {}),
+      ...(trace.meta === "theme:groundtruth" ? inked(trace, ink.truth) : {}),
+    }));
     const layout = {
       ...figure.layout,
       paper_bgcolor: "rgba(0,0,0,0)",
       plot_bgcolor: "rgba(0,0,0,0)",
       font: { color: ink.text, family: "system-ui, sans-serif", size: 12 },
-      margin: { l: 64, r: 16, t: 36, b: 52 },
+      margin: { ...margin, ...figure.layout.margin },
       hoverlabel: { namelength: -1 },
-      modebar: { bgcolor: "rgba(0,0,0,0)", color: ink.grid, activecolor: ink.text },
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: ink.modebar, activecolor: ink.text },
       uirevision: "kept",
       autosize: true,
     };
-    for (const name of ["xaxis", "yaxis", "yaxis2"]) if (layout[name]) layout[name] = axis(layout[name], ink);
+    for (const name of ["xaxis", "yaxis", "yaxis2"]) {
+      if (layout[name] || (name !== "yaxis2" && !layout.scene)) layout[name] = axis(layout[name] || {}, ink);
+    }
     if (layout.scene) {
-      layout.margin = { l: 0, r: 0, t: 36, b: 0 };
+      layout.margin = { l: 0, r: 0, t: margin.t, b: 0 };
       layout.scene = { ...layout.scene };
       for (const name of ["xaxis", "yaxis", "zaxis"]) layout.scene[name] = axis(layout.scene[name], ink);
     }
     return { data, layout };
   }
+  window.slamhiveThemed = themed;
+
+  const source = document.getElementById("figures");
+  if (!source) return;
+  const MARGIN = { l: 64, r: 16, t: 36, b: 52 };
+  const NARROW_PX = 600;
+  let figures = source.dataset.from ? null : JSON.parse(source.textContent);
+
+  const ARRAYS = { f4: Float32Array, i4: Int32Array };
+  const numbers = ({ dtype, bdata }) => new ARRAYS[dtype](Uint8Array.from(atob(bdata), (letter) => letter.charCodeAt(0)).buffer);
+
+  /** Of a chart that shows density: every point of the part looked at, if it holds few enough; the density otherwise. */
+  function zoomed(place, figure) {
+    const { most, first } = figure.zoom;
+    const points = place.allPoints ??= figure.zoom.points.map((part) => ({ x: numbers(part.x), y: numbers(part.y), runs: part.runs && numbers(part.runs) }));
+    const span = (name) => {
+      const { range, type } = place.layout[name];
+      const ends = type === "log" ? range.map((end) => 10 ** end) : range;
+      return [Math.min(...ends), Math.max(...ends)];
+    };
+    const [left, right] = span("xaxis");
+    const [bottom, top] = span("yaxis");
+    const inside = points.map(({ x, y }) => {
+      const rows = [];
+      for (let row = 0; row < x.length; row += 1) if (x[row] >= left && x[row] <= right && y[row] >= bottom && y[row] <= top) rows.push(row);
+      return rows;
+    });
+    const few = inside.reduce((sum, rows) => sum + rows.length, 0) <= most;
+    if (!few && !place.showsPoints) return;
+    place.showsPoints = few;
+    const drawn = (part, rows, trace) => few
+      ? { x: rows.map((row) => part.x[row]), y: rows.map((row) => part.y[row]), customdata: part.runs && rows.map((row) => part.runs[row]) }
+      : { x: trace.x, y: trace.y, customdata: trace.customdata };
+    const shown = points.map((part, place) => drawn(part, inside[place], figure.data[first + place]));
+    const traces = points.map((_, place) => first + place);
+    const densities = Array.from({ length: first }, (_, place) => place);
+    Plotly.restyle(place, { x: shown.map((part) => part.x), y: shown.map((part) => part.y), customdata: shown.map((part) => part.customdata) }, traces)
+      .then(() => Plotly.restyle(place, { opacity: few ? 0 : 1, hoverinfo: few ? "skip" : "all" }, densities));
+  }
 
   function draw(place) {
     const figure = figures[place.dataset.chart];
     if (!figure) return;
-    const { data, layout } = themed(figure);
-    Plotly.react(place, data, layout, { responsive: true, displaylogo: false, toImageButtonOptions: { format: "svg" } });
+    const { data, layout } = themed(figure, MARGIN);
+    place.showsPoints = false;
+    Plotly.react(place, data, layout, {
+      responsive: true,
+      displaylogo: false,
+      displayModeBar: place.clientWidth < NARROW_PX ? false : "hover",
+      toImageButtonOptions: { format: "svg" },
+    });
+    if (place.dataset.listens) return;
+    place.dataset.listens = "1";
+    if (figure.zoom) place.on("plotly_relayout", () => zoomed(place, figure));
     const pattern = source.dataset.run;
-    if (!pattern || place.dataset.clickable) return;
-    place.dataset.clickable = "1";
+    if (!pattern) return;
     place.on("plotly_click", (event) => {
       const run = event.points[0]?.customdata;
-      if (Number.isInteger(run) && run > 0) window.location.href = pattern.replace("RUN", run);
+      if (Number.isInteger(run) && run > 0 && event.points[0].data.type !== "heatmap") window.location.href = pattern.replace("RUN", run);
     });
   }
 
@@ -64,7 +118,10 @@
   const places = () => document.querySelectorAll("[data-chart]");
   const begin = () => places().forEach((place) => watcher.observe(place));
   // A policy of the server forbids styles in attributes; the room is taken before anything is drawn, so nothing jumps.
-  places().forEach((place) => { place.style.minHeight = `${place.dataset.height}px`; });
+  places().forEach((place) => {
+    place.style.minHeight = `${place.dataset.height}px`;
+    if (place.dataset.leastWidth > 0) place.style.minWidth = `${place.dataset.leastWidth}px`;
+  });
   const again = () => places().forEach((place) => { if (place.classList.contains("js-plotly-plot")) draw(place); });
   window.addEventListener("beforeprint", () => places().forEach(draw));
   document.addEventListener("themechange", again);

@@ -4,23 +4,45 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#B8A800")
+OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#B8A800")
 """M. Okabe and K. Ito, Color Universal Design (2008); the yellow is darkened to be seen on white, black is left out."""
 
-MARKERS = ("circle", "square", "triangle-up", "diamond", "cross", "star", "triangle-down", "pentagon")
+PALETTE = (*OKABE_ITO, "#4A3B8F", "#7A2E00", "#00553E", "#8C3F6B", "#8A8F98", "#2B6E8F", "#6B6100")
+"""What algorithms get: the well separated colours first, then darker ones."""
+
+MARKERS = (
+    "circle", "square", "triangle-up", "diamond", "cross", "star", "triangle-down", "pentagon",
+    "triangle-left", "triangle-right", "hexagon", "diamond-tall",
+)  # fmt: skip
 """The shapes that datasets are told apart by."""
 
 
-def algorithm_colours(names: Iterable[str]) -> dict[str, str]:
-    """A colour for each known algorithm, by its place in the alphabet; the palette starts again when it is used up."""
-    return {name: OKABE_ITO[place % len(OKABE_ITO)] for place, name in enumerate(sorted(set(names)))}
+def algorithm_colours(names: Iterable[str], known: Iterable[str] = ()) -> dict[str, str]:
+    """A colour for each algorithm.
+
+    Those that are ``known`` (installed) keep the colour of their place in the alphabet in every figure, unless another
+    of ``names`` has it; the others take the first that is free. Beyond the length of the palette colours come again.
+    """
+    wanted = set(names)
+    installed = sorted(set(known))
+    chosen: dict[str, str] = {}
+    ordered = [name for name in installed if name in wanted] + sorted(wanted - set(installed))
+    for place, name in enumerate(ordered):
+        start = installed.index(name) if name in installed else 0
+        turns = [PALETTE[(start + step) % len(PALETTE)] for step in range(len(PALETTE))]
+        taken = set(chosen.values())
+        chosen[name] = next((colour for colour in turns if colour not in taken), PALETTE[place % len(PALETTE)])
+    return dict(sorted(chosen.items()))
 
 
 def colour_of(name: str, known: Iterable[str]) -> str:
-    """The colour of one algorithm; one that has left the installation gets the first."""
-    return algorithm_colours(known).get(name, OKABE_ITO[0])
+    """The colour of one algorithm among those installed; one that has left the installation gets the first."""
+    installed = set(known)
+    return algorithm_colours([name] if name in installed else [], installed).get(name, PALETTE[0])
 
 
 def dataset_markers(names: Iterable[str]) -> dict[str, str]:
-    """A marker for each dataset by its place in the alphabet."""
-    return {name: MARKERS[place % len(MARKERS)] for place, name in enumerate(sorted(set(names)))}
+    """A marker for each dataset by its place in the alphabet; all are circles if there are more than shapes."""
+    ordered = sorted(set(names))
+    shapes = MARKERS if len(ordered) <= len(MARKERS) else MARKERS[:1] * len(ordered)
+    return dict(zip(ordered, shapes, strict=False))

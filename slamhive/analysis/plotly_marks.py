@@ -12,6 +12,7 @@ from slamhive.analysis.chart import (
     Boxes,
     Cells,
     Chart,
+    Density,
     FailedRuns,
     Labels,
     Line,
@@ -19,8 +20,10 @@ from slamhive.analysis.chart import (
     Parallel,
     Points,
     Segments,
+    line_width,
 )
-from slamhive.analysis.density import bin_points, failed_rows
+from slamhive.analysis.density import failed_rows
+from slamhive.analysis.plotly_grids import SCALE, cells, density
 from slamhive.analysis.plotly_values import (
     Json,
     colour_of_mark,
@@ -35,10 +38,12 @@ from slamhive.analysis.plotly_values import (
 WEBGL_FROM = 2_000
 """Scatters of more points are painted by the graphics card."""
 
-BINNED_FROM = 150_000
-"""Of more points than a screen can tell apart, their density is shown."""
+MOST_LEVEL_LABELS = 20
+"""Labels of more bars than these would overlap, they stand upright."""
 
-SCALE = "Viridis"
+MOST_LEVEL_DIMENSIONS = 6
+
+_OUTLINE = "#8a8f98"
 
 
 def traces_of(mark: Mark, chart: Chart) -> list[Json]:
@@ -47,13 +52,13 @@ def traces_of(mark: Mark, chart: Chart) -> list[Json]:
 
 
 def _points(mark: Points, chart: Chart) -> list[Json]:
-    if len(mark.x) > BINNED_FROM and mark.z is None:
-        return _binned(mark, chart)
     marker: Json = {
         "symbol": mark.marker,
         "size": 7 if len(mark.x) < WEBGL_FROM else 4,
         "color": colour_of_mark(mark.colour),
     }
+    if mark.emphasis:
+        marker |= {"size": 11, "line": {"width": 1.5, "color": _OUTLINE}}
     if mark.shades is not None:
         marker |= {
             "color": numbers(mark.shades),
@@ -67,13 +72,14 @@ def _points(mark: Points, chart: Chart) -> list[Json]:
         "x": positions(mark.x, chart.x),
         "y": positions(mark.y, chart.y),
         "marker": marker,
-        "showlegend": mark.in_legend,
-        "legendgroup": escaped(mark.name),
+        **_in_legend(mark),
         **meta_of(mark.colour),
     }
-    if mark.z is not None and chart.z is not None:
-        trace |= {"type": "scatter3d", "z": positions(mark.z, chart.z)}
+    if chart.z is not None:
+        trace |= {"type": "scatter3d"} | ({} if mark.z is None else {"z": positions(mark.z, chart.z)})
         marker |= {"size": 4, "symbol": _SYMBOLS_3D.get(mark.marker, "circle")}
+    if not len(mark.x):
+        return [trace | {axis: [None] for axis in ("x", "y") + (("z",) if chart.z is not None else ())}]
     if mark.low is not None and mark.high is not None:
         trace["error_y"] = {
             "type": "data",
@@ -83,6 +89,10 @@ def _points(mark: Points, chart: Chart) -> list[Json]:
             "thickness": 1.2,
         }
     return [trace | _hover(mark, chart)]
+
+
+def _in_legend(mark: Points | Line) -> Json:
+    return {"showlegend": mark.in_legend, "legendgroup": escaped(mark.group or mark.name)}
 
 
 def _hover(mark: Points, chart: Chart) -> Json:
@@ -100,24 +110,6 @@ def _hover(mark: Points, chart: Chart) -> Json:
     return more | {"hovertemplate": "<br>".join(parts) + f"<extra>{escaped(mark.name)}</extra>"}
 
 
-def _binned(mark: Points, chart: Chart) -> list[Json]:
-    density = bin_points(mark.x, mark.y, log_x=chart.x.log, log_y=chart.y.log)
-    shown = np.where(density.counts > 0, np.log10(np.maximum(density.counts, 1)), np.nan)
-    return [
-        {
-            "type": "heatmap",
-            "name": escaped(mark.name),
-            "x": numbers(density.x_centres),
-            "y": numbers(density.y_centres),
-            "z": numbers(shown),
-            "customdata": numbers(density.counts),
-            "colorscale": SCALE,
-            "colorbar": {"title": {"text": "runs, log10"}},
-            "hovertemplate": "%{customdata} runs<extra></extra>",
-        }
-    ]
-
-
 def _failed(mark: FailedRuns, chart: Chart) -> list[Json]:
     """Crosses in the band above the plot, spread over rows so that they can be told apart."""
     known = drawable(mark.x, chart.x)
@@ -128,7 +120,9 @@ def _failed(mark: FailedRuns, chart: Chart) -> list[Json]:
         {
             "type": "scattergl" if len(x) >= WEBGL_FROM else "scatter",
             "mode": "markers",
-            "name": f"{escaped(mark.name)} ({len(mark.x)})",
+            "name": escaped(mark.name),
+            "showlegend": False,
+            "legendgroup": escaped(mark.group or mark.name),
             "x": positions(x, chart.x),
             "y": numbers(failed_rows(mark, chart)[known]),
             "yaxis": "y2",
@@ -148,7 +142,8 @@ def _line(mark: Line, chart: Chart) -> list[Json]:
         "name": escaped(mark.name),
         "x": positions(mark.x, chart.x),
         "y": numbers(mark.y),
-        "line": {"color": colour_of_mark(mark.colour), "width": 2, **shape, **dash},
+        "line": {"color": colour_of_mark(mark.colour), "width": line_width(mark, chart), **shape, **dash},
+        **_in_legend(mark),
         **meta_of(mark.colour),
     }
     if mark.z is not None:
@@ -167,23 +162,30 @@ def _line(mark: Line, chart: Chart) -> list[Json]:
         "line": {"width": 0},
         "hoverinfo": "skip",
         "showlegend": False,
-        "legendgroup": escaped(mark.name),
+        "legendgroup": escaped(mark.group or mark.name),
     }
-    return [band, line | {"legendgroup": escaped(mark.name)}]
+    return [band, line]
 
 
 def _bars(mark: Bars, chart: Chart) -> list[Json]:
     trace: Json = {
         "type": "bar",
         "name": escaped(mark.name),
+        "legendgroup": escaped(mark.name),
         "x": [escaped(name) for name in chart.x.categories or ()],
         "y": numbers(mark.heights),
-        "marker": {"color": colour_of_mark(mark.colour)},
+        "marker": {"color": list(mark.colours) if mark.colours else colour_of_mark(mark.colour)},
+        **meta_of(mark.colour),
     }
     if mark.striped:
-        trace["marker"]["pattern"] = {"shape": "/", "fgcolor": mark.colour, "bgcolor": "rgba(0,0,0,0)", "size": 6}
+        pattern = {"shape": "/", "fgcolor": colour_of_mark(mark.colour), "bgcolor": "rgba(0,0,0,0)", "size": 6}
+        trace["marker"] |= {"pattern": pattern, "line": {"width": 1, "color": colour_of_mark(mark.colour)}}
     if mark.texts is not None:
-        trace |= {"text": [escaped(text) for text in mark.texts], "textposition": "auto"}
+        trace["hovertext"] = [escaped(text) for text in mark.texts]
+    if mark.texts is not None and mark.low is None:
+        many = sum(isinstance(other, Bars) for other in chart.marks) * len(mark.texts) > MOST_LEVEL_LABELS
+        turned = {"textangle": -90} if many else {}
+        trace |= {"text": trace["hovertext"], "textposition": "outside", "cliponaxis": False, **turned}
     if mark.low is not None and mark.high is not None:
         trace["error_y"] = {
             "type": "data",
@@ -198,6 +200,7 @@ def _boxes(mark: Boxes, _chart: Chart) -> list[Json]:
     trace: Json = {
         "type": "box",
         "name": escaped(mark.name),
+        "legendgroup": escaped(mark.name),
         "x": [escaped(name) for name in mark.categories],
         "y": numbers(mark.values),
         "boxpoints": "all" if len(mark.values) < WEBGL_FROM else "outliers",
@@ -210,33 +213,6 @@ def _boxes(mark: Boxes, _chart: Chart) -> list[Json]:
     if mark.runs is not None:
         trace |= {"customdata": numbers(mark.runs), "hovertemplate": "%{y}<br>run %{customdata}"}
     return [trace]
-
-
-def _cells(mark: Cells, chart: Chart) -> list[Json]:
-    values = np.log10(mark.values) if mark.log else mark.values
-    title = f"{mark.label} [{mark.unit}]" if mark.unit else mark.label
-    bar: Json = {"title": {"text": escaped(title)}}
-    finite = values[np.isfinite(values)]
-    if mark.log and len(finite):
-        ticks = np.linspace(finite.min(), finite.max(), 5)
-        bar |= {"tickvals": ticks.tolist(), "ticktext": [f"{10**tick:.3g}" for tick in ticks]}
-    return [
-        {
-            "type": "heatmap",
-            "x": [escaped(name) for name in chart.x.categories or ()],
-            "y": [escaped(name) for name in chart.y.categories or ()],
-            "z": numbers(values),
-            "text": [[escaped(text) for text in row] for row in mark.texts],
-            "texttemplate": "%{text}",
-            "colorscale": SCALE,
-            "reversescale": mark.lower_is_better,
-            "colorbar": bar,
-            "hoverongaps": False,
-            "hovertemplate": "%{x}<br>%{y}<br>%{text}<extra></extra>",
-            "xgap": 1,
-            "ygap": 1,
-        }
-    ]
 
 
 def _segments(mark: Segments, _chart: Chart) -> list[Json]:
@@ -279,13 +255,16 @@ def _labels(mark: Labels, _chart: Chart) -> list[Json]:
 def _parallel(mark: Parallel, _chart: Chart) -> list[Json]:
     dimensions = []
     for dimension in mark.dimensions:
-        entry: Json = {"label": escaped(dimension.axis.title), "values": numbers(dimension.values)}
+        title = escaped(dimension.axis.title)
+        entry: Json = {"label": title, "values": numbers(dimension.values), "tickformat": "~g"}
         if dimension.axis.categories is not None:
             names = dimension.axis.categories
             entry |= {"tickvals": list(range(len(names))), "ticktext": [escaped(name) for name in names]}
         dimensions.append(entry)
+    slanted = {"labelangle": -15} if len(dimensions) > MOST_LEVEL_DIMENSIONS else {}
     trace: Json = {
         "type": "parcoords",
+        **slanted,
         "dimensions": dimensions,
         "line": {
             "color": numbers(mark.shades),
@@ -297,7 +276,10 @@ def _parallel(mark: Parallel, _chart: Chart) -> list[Json]:
     return [trace]
 
 
-_SYMBOLS_3D = {"square": "square", "diamond": "diamond", "cross": "cross", "star": "x", "triangle-up": "diamond-open"}
+_SYMBOLS_3D = {
+    "square": "square", "diamond": "diamond", "cross": "cross", "star": "x",
+    "triangle-up": "diamond-open", "triangle-down": "square-open", "pentagon": "circle-open",
+}  # fmt: skip
 
 _DRAWN_BY: dict[type[Any], Callable[[Any, Chart], list[Json]]] = {
     Points: _points,
@@ -305,7 +287,8 @@ _DRAWN_BY: dict[type[Any], Callable[[Any, Chart], list[Json]]] = {
     Line: _line,
     Bars: _bars,
     Boxes: _boxes,
-    Cells: _cells,
+    Cells: cells,
+    Density: density,
     Segments: _segments,
     Labels: _labels,
     Parallel: _parallel,

@@ -55,6 +55,6 @@ def drawable(x: Array, axis: Axis) -> Array:
 
 def positions(values: Array, axis: Axis) -> Any:
     """Categories are given by their positions; Plotly wants their names."""
-    if axis.categories is None:
+    if axis.categories is None or axis.numbered:
         return numbers(values)
     return [None if not np.isfinite(place) else escaped(axis.categories[int(place)]) for place in values]

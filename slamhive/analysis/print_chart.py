@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import io
+import textwrap
 import threading
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import EngFormatter
 
-from slamhive.analysis.chart import BARE_MARGIN, Array, Axis, Chart, FailedRuns
+from slamhive.analysis.chart import Array, Axis, Chart, FailedRuns
+from slamhive.analysis.density import thinned
 from slamhive.analysis.print_marks import draw_failed, draw_mark, plain
 
 FORMATS = ("pdf", "svg", "png")
 WIDTH_INCHES, HEIGHT_INCHES = 6.4, 4.2
 DOTS_PER_INCH = 200
 _LEGEND_MOST = 24
+_LEGEND_LETTERS = 100
+_CAPTION_POINTS, _CAPTION_LETTERS, _CAPTION_LINE_INCHES = 6.5, 132, 0.125
+"""What every figure says of itself stands below it: number of runs, failures by which rule, protocol."""
 
 _LOOK: Any = {
     "font.size": 9,
@@ -38,16 +44,21 @@ _lock = threading.Lock()
 def print_chart(chart: Chart, file_format: str) -> bytes:
     """The figure as the bytes of a PDF, SVG or PNG file; the same chart gives the same bytes."""
     with _lock, mpl.rc_context(_LOOK):  # matplotlib's settings are global
-        figure = Figure(figsize=(WIDTH_INCHES, HEIGHT_INCHES * chart.height), layout="constrained")
+        lines = textwrap.wrap(plain(chart.caption), _CAPTION_LETTERS)
+        heights = HEIGHT_INCHES * chart.height, _CAPTION_LINE_INCHES * (len(lines) + 1)
+        figure = Figure(figsize=(WIDTH_INCHES, sum(heights)), layout="constrained")
         FigureCanvasAgg(figure)
-        _draw(figure, chart)
+        parts: Any = figure.subfigures(2, height_ratios=heights)
+        plot, words = parts
+        _draw(plot, thinned(chart))
+        words.text(0.02, 1.0, "\n".join(lines), fontsize=_CAPTION_POINTS, va="top", color="#555b61", linespacing=1.25)
         buffer = io.BytesIO()
         metadata = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(file_format)
         figure.savefig(buffer, format=file_format, dpi=DOTS_PER_INCH, metadata=metadata)
     return buffer.getvalue()
 
 
-def _draw(figure: Figure, chart: Chart) -> None:
+def _draw(figure: SubFigure, chart: Chart) -> None:
     failed = [mark for mark in chart.marks if isinstance(mark, FailedRuns)] if chart.z is None else []
     band = None
     if any(np.isfinite(mark.x).any() for mark in failed):
@@ -64,13 +75,14 @@ def _draw(figure: Figure, chart: Chart) -> None:
         draw_failed(band, chart)
     handles, labels = axes.get_legend_handles_labels()
     if 1 < len(labels) <= _LEGEND_MOST:
-        figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=7, frameon=False)
+        columns = max(1, min(6, _LEGEND_LETTERS // (max(map(len, labels)) + 5)))
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=7, frameon=False)
 
 
 def _dress(axes: Any, chart: Chart) -> None:
     if chart.bare:
         axes.set_axis_off()
-        axes.margins(x=BARE_MARGIN)  # the words beside the strokes
+        axes.margins(x=chart.bare_margin, y=0.12)  # the words beside the strokes
         return
     _dress_axis(axes, "x", chart.x)
     _dress_axis(axes, "y", chart.y)
@@ -90,5 +102,8 @@ def _dress_axis(axes: Any, name: str, axis: Axis) -> None:
             [plain(category) for category in axis.categories],
             **({"rotation": 30, "ha": "right"} if long else {}),
         )
-    elif axis.log:
+        return
+    if axis.log:
         getattr(axes, f"set_{name}scale")("log")
+    if axis.unit == "bytes":
+        getattr(axes, f"{name}axis").set_major_formatter(EngFormatter())

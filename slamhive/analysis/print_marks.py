@@ -15,6 +15,7 @@ from slamhive.analysis.chart import (
     Boxes,
     Cells,
     Chart,
+    Density,
     FailedRuns,
     Labels,
     Line,
@@ -22,11 +23,9 @@ from slamhive.analysis.chart import (
     Parallel,
     Points,
     Segments,
+    line_width,
 )
-from slamhive.analysis.density import bin_points, failed_rows
-
-DENSITY_FROM = 20_000
-"""A printed page shows the density of more points; a file with each of them would be huge."""
+from slamhive.analysis.density import failed_rows
 
 MOST_LEVEL_LABELS = 20
 """Labels of more bars than these would overlap, they stand upright."""
@@ -35,6 +34,7 @@ _REFERENCE_COLOUR = "#3d4247"
 _MARKERS = {
     "circle": "o", "square": "s", "triangle-up": "^", "diamond": "D",
     "cross": "P", "star": "*", "triangle-down": "v", "pentagon": "p",
+    "triangle-left": "<", "triangle-right": ">", "hexagon": "h", "diamond-tall": "d",
 }  # fmt: skip
 
 
@@ -51,7 +51,8 @@ def draw_failed(axes: Any, chart: Chart) -> None:
     for mark in (mark for mark in chart.marks if isinstance(mark, FailedRuns)):
         axes.plot(mark.x, failed_rows(mark, chart), "x", color=mark.colour, markersize=3, markeredgewidth=0.7)
     axes.set_ylim(0, 1)
-    axes.set_yticks([0.5], ["failed"])
+    count = sum(mark.total for mark in chart.marks if isinstance(mark, FailedRuns))
+    axes.set_yticks([0.5], [f"{count} failed"])
     axes.grid(visible=False)
     axes.tick_params(axis="x", length=0, labelbottom=False)
 
@@ -62,33 +63,36 @@ def plain(text: str) -> str:
 
 
 def _points(axes: Any, mark: Points, chart: Chart) -> None:
-    if len(mark.x) > DENSITY_FROM and mark.z is None:
-        _density(axes, mark, chart)
-        return
     places = (mark.x, mark.y) if mark.z is None else (mark.x, mark.y, mark.z)
-    look: dict[str, Any] = {"s": 14, "marker": _MARKERS.get(mark.marker, "o"), "linewidths": 0, "alpha": 0.85}
+    if chart.z is not None and mark.z is None:
+        places = (mark.x, mark.y, np.zeros(0))  # only an entry of the legend
+    look: dict[str, Any] = {"s": 16, "marker": _MARKERS.get(mark.marker, "o"), "linewidths": 0, "alpha": 0.85}
+    if mark.emphasis:
+        look |= {"s": 36, "linewidths": 0.8, "edgecolors": "black", "zorder": 3}
     if mark.shades is None:
         label = plain(mark.name) if mark.in_legend else None
         axes.scatter(*places, color=_colour(mark.colour), label=label, **look)
     else:
         shaded = axes.scatter(*places, c=mark.shades, cmap="viridis", label=plain(mark.name), **look)
-        axes.figure.colorbar(shaded, ax=axes, label=plain(mark.shade_label))
+        axes.get_figure().colorbar(shaded, ax=axes, label=plain(mark.shade_label))
     if mark.low is not None and mark.high is not None and mark.z is None:
         reach = np.stack([mark.y - mark.low, mark.high - mark.y])
         axes.errorbar(mark.x, mark.y, np.maximum(reach, 0), fmt="none", ecolor=_colour(mark.colour), elinewidth=0.9)
 
 
-def _density(axes: Any, mark: Points, chart: Chart) -> None:
-    density = bin_points(mark.x, mark.y, log_x=chart.x.log, log_y=chart.y.log)
-    counts = np.where(density.counts > 0, density.counts, np.nan)
-    look = {"cmap": "viridis", "norm": mpl.colors.LogNorm(), "shading": "nearest", "rasterized": True}
-    cells = axes.pcolormesh(density.x_centres, density.y_centres, counts, **look)
-    axes.figure.colorbar(cells, ax=axes, label="runs")
+def _density(axes: Any, mark: Density, chart: Chart) -> None:
+    colour = mpl.colors.to_rgb(_colour(mark.colour))
+    shades = mpl.colors.LinearSegmentedColormap.from_list(mark.name, [(*colour, 0.3), (*colour, 1.0)])
+    counts = np.where(mark.counts > 0, mark.counts.astype(float), np.nan)
+    edges = [10**e if axis.log else e for e, axis in ((mark.x_edges, chart.x), (mark.y_edges, chart.y))]
+    norm = mpl.colors.LogNorm(1, max(mark.most, 2))
+    axes.pcolormesh(*edges, counts, cmap=shades, norm=norm, rasterized=True, linewidth=0)
 
 
-def _line(axes: Any, mark: Line, _chart: Chart) -> None:
+def _line(axes: Any, mark: Line, chart: Chart) -> None:
     places = (mark.x, mark.y) if mark.z is None else (mark.x, mark.y, mark.z)
-    look: dict[str, Any] = {"color": _colour(mark.colour), "label": plain(mark.name), "linewidth": 1.3}
+    look: dict[str, Any] = {"color": _colour(mark.colour), "linewidth": 0.65 * line_width(mark, chart)}
+    look |= {"label": plain(mark.name)} if mark.in_legend else {}
     look |= {"linestyle": "--"} if mark.dashed else {}
     look |= {"drawstyle": "steps-post"} if mark.steps else {}
     axes.plot(*places, **look)
@@ -103,11 +107,14 @@ def _bars(axes: Any, mark: Bars, chart: Chart) -> None:
     if mark.striped:
         look |= {"facecolor": "white", "edgecolor": _colour(mark.colour), "hatch": "////", "linewidth": 0.8}
     else:
-        look |= {"color": _colour(mark.colour)}
+        look |= {"color": list(mark.colours) if mark.colours else _colour(mark.colour)}
     if mark.low is not None and mark.high is not None:
         reach = np.stack([mark.heights - mark.low, mark.high - mark.heights])
         look |= {"yerr": np.where(np.isfinite(reach), np.maximum(reach, 0), 0), "error_kw": {"elinewidth": 0.9}}
     axes.bar(x, mark.heights, **look)
+    if mark.low is not None:
+        return  # words would lie over the whiskers
+    axes.margins(y=0.15)
     turned = {"rotation": 90} if len(mark.heights) / width > MOST_LEVEL_LABELS else {}
     for place, height, text in zip(x, mark.heights, mark.texts or (), strict=False):
         if np.isfinite(height):
@@ -119,21 +126,18 @@ def _boxes(axes: Any, mark: Boxes, chart: Chart) -> None:
     width, offset = _share(chart, mark)
     places = np.array([names.index(category) for category in mark.categories], dtype=int)
     colour = _colour(mark.colour)
-    labelled = False
+    face = (*mpl.colors.to_rgb(colour), 0.15)
+    axes.scatter([], [], marker="s", s=30, facecolors=[face], edgecolors=colour, label=plain(mark.name))
     for place in np.unique(places):
         values = mark.values[(places == place) & np.isfinite(mark.values)]
         if not len(values):
             continue
         at = place + offset
-        axes.boxplot(
-            [values], positions=[at], widths=width * 0.8, manage_ticks=False, showfliers=False,
-            boxprops={"color": colour}, whiskerprops={"color": colour}, capprops={"color": colour},
-            medianprops={"color": colour},
-        )  # fmt: skip
+        look = {"boxprops": {"edgecolor": colour, "facecolor": face}, "patch_artist": True}
+        look |= {f"{part}props": {"color": colour} for part in ("whisker", "cap", "median")}
+        axes.boxplot([values], positions=[at], widths=width * 0.8, manage_ticks=False, showfliers=False, **look)
         spread = at + (np.arange(len(values)) % 5 - 2) * width * 0.08
-        name = {} if labelled else {"label": plain(mark.name)}
-        axes.plot(spread, values, "o", color=colour, markersize=2, alpha=0.6, **name)
-        labelled = True
+        axes.plot(spread, values, "o", color=colour, markersize=2, alpha=0.6)
 
 
 def _share(chart: Chart, mark: Mark) -> tuple[float, float]:
@@ -145,11 +149,12 @@ def _share(chart: Chart, mark: Mark) -> tuple[float, float]:
 
 
 def _cells(axes: Any, mark: Cells, _chart: Chart) -> None:
-    norm = mpl.colors.LogNorm() if mark.log and np.nanmin(mark.values, initial=np.inf) > 0 else None
+    ends = mark.span or (None, None)
+    norm = mpl.colors.LogNorm(*ends) if mark.log else mpl.colors.Normalize(*ends)
     colours = "viridis_r" if mark.lower_is_better else "viridis"
     image = axes.imshow(mark.values, cmap=colours, norm=norm, aspect="auto", origin="lower")
     label = f"{mark.label} [{mark.unit}]" if mark.unit else mark.label
-    axes.figure.colorbar(image, ax=axes, label=plain(label))
+    axes.get_figure().colorbar(image, ax=axes, label=plain(label))
     axes.grid(visible=False)
     for row, texts in enumerate(mark.texts):
         for column, text in enumerate(texts):
@@ -184,16 +189,22 @@ def _labels(axes: Any, mark: Labels, _chart: Chart) -> None:
 def _parallel(axes: Any, mark: Parallel, _chart: Chart) -> None:
     places = np.arange(len(mark.dimensions))
     rows = np.stack([_unit(dimension.values) for dimension in mark.dimensions], axis=1)
-    shades = mpl.colors.Normalize(np.nanmin(mark.shades, initial=0), np.nanmax(mark.shades, initial=1))
+    spread = mpl.colors.LogNorm if mark.shade_axis.log else mpl.colors.Normalize
+    shades = spread(np.nanmin(mark.shades), np.nanmax(mark.shades))
     colours = mpl.colormaps["viridis"]
     for row, shade in zip(rows, mark.shades, strict=True):
         axes.plot(places, row, color=colours(shades(shade)), linewidth=0.6, alpha=0.6)
     axes.set_xticks(places, [plain(dimension.axis.title) for dimension in mark.dimensions], rotation=20, ha="right")
     axes.set_yticks([])
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    axes.margins(x=0.08)
+    behind = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.8}
     for place, dimension in zip(places, mark.dimensions, strict=True):
+        axes.axvline(place, color="#7b838c", linewidth=0.8)
         for height, text in _ends(dimension.values, dimension.axis.categories):
-            axes.text(place, height, f" {text}", fontsize=6)
-    axes.figure.colorbar(mpl.cm.ScalarMappable(shades, colours), ax=axes, label=plain(mark.shade_axis.title))
+            axes.text(place, height, text, fontsize=6, ha="center", va="center", bbox=behind)
+    axes.get_figure().colorbar(mpl.cm.ScalarMappable(shades, colours), ax=axes, label=plain(mark.shade_axis.title))
 
 
 def _unit(values: Array) -> Array:
@@ -219,6 +230,7 @@ _DRAWN_BY: dict[type[Any], Callable[[Any, Any, Chart], None]] = {
     Bars: _bars,
     Boxes: _boxes,
     Cells: _cells,
+    Density: _density,
     Segments: _segments,
     Labels: _labels,
     Parallel: _parallel,

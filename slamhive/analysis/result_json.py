@@ -24,6 +24,7 @@ _TYPES: dict[str, type[Any]] = {
         chart_types.Bars,
         chart_types.Boxes,
         chart_types.Cells,
+        chart_types.Density,
         chart_types.Segments,
         chart_types.Labels,
         chart_types.Dimension,

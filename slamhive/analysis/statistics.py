@@ -17,6 +17,7 @@ Numbers = NDArray[np.float64]
 
 RESAMPLES = 2_000
 CONFIDENCE = 0.95
+MOST_REPEATS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +82,8 @@ class Comparison:
     """Two groups: the difference of their means (first minus second) and how sure its sign is.
 
     ``repeats_to_decide``: how many repeats of each would, at the spread seen, make the interval of the difference
-    exclude 0; None if the means are equal. ``decided``: the interval excludes it already.
+    exclude 0 if the difference stays as it is; None if the means are equal or a million repeats would not do.
+    ``decided``: the interval excludes it already.
     """
 
     difference: float
@@ -123,11 +125,13 @@ def _critical(variances: tuple[float, float], counts: tuple[int, int], confidenc
     return float(stats.t.ppf((1 + confidence) / 2, freedom))
 
 
-def _repeats(difference: float, variances: tuple[float, float], confidence: float) -> int:
+def _repeats(difference: float, variances: tuple[float, float], confidence: float) -> int | None:
     """The smallest number of repeats, the same for both, at which the interval's reach falls below the difference."""
     low, high = 2, 2
-    while _reach(variances, high, confidence) >= difference and high < 1_000_000:
+    while _reach(variances, high, confidence) >= difference:
         high *= 2
+        if high > MOST_REPEATS:
+            return None
     while low < high:
         middle = (low + high) // 2
         if _reach(variances, middle, confidence) < difference:

@@ -6,13 +6,14 @@ name), ``algorithm``. What a run does not have is NaN (numbers) or None (words),
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
 import pandas as pd
 
+from slamhive.analysis.colours import algorithm_colours, dataset_markers
 from slamhive.domain.metrics import CATALOGUE, Direction
 from slamhive.errors import InvalidInput, unknown
 
@@ -98,11 +99,17 @@ class RunTable:
         frame: Columns as :attr:`columns` names them, one row for each run, by run id.
         columns: What each column means, by key.
         rule: When a run counts as failed.
+        colours: The colour of each algorithm.
+        markers: The marker of each dataset.
+        told: Parameters that say what others say already, by key.
     """
 
     frame: pd.DataFrame
     columns: Mapping[str, Column]
     rule: FailureRule = field(default_factory=FailureRule)
+    colours: Mapping[str, str] = field(default_factory=dict)
+    markers: Mapping[str, str] = field(default_factory=dict)
+    told: frozenset[str] = frozenset()
 
     def column(self, key: str) -> Column:
         """The column called ``key``; raises NotFound with the nearest name."""
@@ -130,7 +137,12 @@ class RunTable:
 
     def with_rows(self, rows: pd.DataFrame) -> RunTable:
         """The same columns over other rows."""
-        return RunTable(rows, self.columns, self.rule)
+        return replace(self, frame=rows)
+
+    def described(self, units: Mapping[str, str], told: Collection[str]) -> RunTable:
+        """The same with units of columns by key, and with columns that others ``told`` already."""
+        named = {key: replace(self.columns[key], unit=unit) for key, unit in units.items()}
+        return replace(self, columns={**self.columns, **named}, told=frozenset(told))
 
     def one_protocol(self, keys: Iterable[str]) -> str | None:
         """The protocol in words if any of ``keys`` belongs to one; None if none does.
@@ -152,12 +164,17 @@ class RunTable:
         return str(labels["first"].iloc[0]) if len(labels) else None
 
     def varied(self) -> list[Column]:
-        """The parameters that take more than one value in these runs."""
-        return [
-            column
-            for column in self.columns.values()
-            if column.kind is ColumnKind.PARAMETER and self.frame[column.key].nunique(dropna=False) > 1
-        ]
+        """The parameters that take more than one value in the runs of an algorithm; of equal columns the first.
+
+        What differs between algorithms alone is part of the algorithm.
+        """
+        found: dict[tuple[str, ...], Column] = {}
+        grouped = self.frame.groupby("algorithm", sort=False)
+        for column in self.columns.values():
+            asked = column.kind is ColumnKind.PARAMETER and column.key not in self.told
+            if asked and (grouped[column.key].nunique(dropna=False) > 1).any():
+                found.setdefault(tuple(map(str, self.frame[column.key])), column)
+        return list(found.values())
 
 
 def make_table(
@@ -165,6 +182,7 @@ def make_table(
     parameters: Mapping[str, Iterable[object]],
     metrics: Mapping[str, Iterable[float | None]],
     rule: FailureRule | None = None,
+    installed: Iterable[str] = (),
 ) -> RunTable:
     """A table out of columns, each with one entry for each run.
 
@@ -173,6 +191,7 @@ def make_table(
         parameters: By key or general name; None where a run does not have it.
         metrics: By catalogue key; None where a run does not have it.
         rule: When a run counts as failed; the default rule if None.
+        installed: Algorithms whose colours are settled, see :func:`slamhive.analysis.colours.algorithm_colours`.
     """
     rows = {key: list(values) for key, values in facts.items()}
     count = len(next(iter(rows.values()), []))
@@ -191,7 +210,8 @@ def make_table(
     if extra:
         frame = pd.concat([frame, pd.DataFrame(extra, index=frame.index)], axis=1)
     chosen = rule or FailureRule()
-    return RunTable(mark_failures(frame, chosen), columns, chosen)
+    colours = algorithm_colours(map(str, frame["algorithm"]), installed)
+    return RunTable(mark_failures(frame, chosen), columns, chosen, colours, dataset_markers(map(str, frame["dataset"])))
 
 
 def mark_failures(frame: pd.DataFrame, rule: FailureRule) -> pd.DataFrame:

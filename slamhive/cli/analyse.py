@@ -31,6 +31,7 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
     # matplotlib, pandas and scipy take two seconds to load, which no other command should wait for.
     from slamhive.services.analyses.bundle import write_folder, zipped  # noqa: PLC0415
     from slamhive.services.analyses.run import AnalysisLimits  # noqa: PLC0415
+    from slamhive.services.analyses.tables import PARQUET_REMEDY, WITHOUT_PARQUET, parquet_there  # noqa: PLC0415
 
     figures = _formats(options["figures"])
     hive = cli.hive()
@@ -54,7 +55,7 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         rows = [(entry["form"], entry["title"], entry["charts"], entry["error"] or "") for entry in _brief(report)]
         print_table(("form", "title", "figures", "not shown because"), rows)
         if out is not None:
-            messages.print(f"written to {out}")
+            messages.print(f"written to {out}" + ("" if parquet_there() else f"; {WITHOUT_PARQUET}: {PARQUET_REMEDY}"))
     if refused:
         raise InvalidInput(f"{len(refused)} of {len(report['forms'])} forms do not fit: {refused[0]['error']}")
 

@@ -72,6 +72,16 @@ class RunTableRepository:
                 found.setdefault(general, {})[configuration_id] = value
         return found
 
+    def units(self) -> dict[str, str]:
+        """{key or general name of a parameter: unit}, of those whose definitions agree on one."""
+        query = select(Parameter.key, Parameter.general, Parameter.unit).distinct()
+        found: dict[str, set[str]] = {}
+        for key, general, unit in self._session.execute(query):
+            for name in (key, general):
+                if name is not None:
+                    found.setdefault(name, set()).add(unit)
+        return {name: units.pop() for name, units in found.items() if len(units) == 1}
+
     def metric(self, key: str, run_ids: Sequence[int], fingerprint: str | None = None) -> dict[int, float]:
         """The values of one metric: measured, or under each run's current protocol, or that of ``fingerprint``."""
         metric_id = self._session.execute(select(Metric.id).where(Metric.key == key)).scalar_one_or_none()

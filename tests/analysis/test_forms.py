@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.analysis_file import parse_analysis
-from slamhive.analysis.chart import Bars, Cells, FailedRuns, Line
+from slamhive.analysis.chart import Bars, Cells, FailedRuns, Line, Points
 from slamhive.analysis.forms.pareto import pareto_front
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import FORMATS, print_chart
@@ -194,6 +194,57 @@ def test_repeats_of_one_configuration():
         build("form: repeatability")
     result = build("form: repeatability", configuration_id=[7] * RUNS)
     assert "95 % bootstrap interval" in result.charts[0].caption
+
+
+def test_the_legend_names_algorithms_and_datasets_not_each_pair():
+    (chart,) = build("form: scatter, x: image_rate, y: ate.rmse").charts
+    named = [mark.name for mark in chart.marks if isinstance(mark, Points) and mark.in_legend]
+    assert named == [*sorted(ALGORITHMS), *(f"on {name}" for name in sorted(DATASETS))]
+    assert chart.legend_entries == len(named)
+
+
+def test_maps_of_several_algorithms_share_their_colours():
+    charts = build("form: heatmap, x: image_rate, y: scale").charts
+    cells = [mark for chart in charts for mark in chart.marks if isinstance(mark, Cells)]
+    assert len({entry.span for entry in cells}) == 1
+    low, high = cells[0].span or (0.0, 0.0)
+    values = np.concatenate([entry.values.ravel() for entry in cells])
+    assert (low, high) == (np.nanmin(values), np.nanmax(values))
+
+
+def test_what_cannot_be_told_is_no_zero():
+    table = sweep_table()
+    one = table.with_rows(table.frame.drop_duplicates("configuration_id"))
+    once = one.with_rows(one.frame[(one.frame["algorithm"] == "kiss-icp") & (one.frame["dataset"] == "room")])
+    analysis = parse_analysis(
+        "name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: importance, parameters: [image_rate, scale]}\n"
+    )
+    result = analysis.forms[0].form.build(data_of(once), analysis.forms[0].options)
+    rows = {row[0]: row[1] for row in result.tables[0].rows}
+    assert rows["image_rate with scale"] is None
+    assert float(rows["image_rate"] or 0) > 90
+
+
+def test_settings_compete_over_datasets():
+    result = build("form: critical_difference, of: settings, metric: cpu.mean")
+    (pairs,) = (table for table in result.tables if table.key == "pairs")
+    names = {row[0] for row in pairs.rows} | {row[1] for row in pairs.rows}
+    assert len(names) == len(ALGORITHMS) * len(RATES) * len(SCALES)
+    assert "kiss-icp, image_rate 20, scale 0.5" in names
+    for row in pairs.rows:
+        assert sum(int(cell or 0) for cell in row[4:7]) in {0, len(DATASETS)}
+
+
+def test_a_pair_counts_the_datasets_that_both_were_run_on():
+    table = sweep_table()
+    frame = table.frame
+    without = frame[~((frame["algorithm"] == "rko-lio") & (frame["dataset"] == "v101"))]
+    analysis = parse_analysis("name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: critical_difference}\n")
+    result = analysis.forms[0].form.build(data_of(table.with_rows(without)), analysis.forms[0].options)
+    (pairs,) = (entry for entry in result.tables if entry.key == "pairs")
+    compared = {(row[0], row[1]): sum(int(cell or 0) for cell in row[4:7]) for row in pairs.rows}
+    assert compared["kiss-icp", "rko-lio"] == 2
+    assert compared["kiss-icp", "orb-slam3-stereo"] == 3
 
 
 def test_a_form_that_needs_one_dataset_says_so():

@@ -85,3 +85,19 @@ def test_welch_agrees_with_scipy():
 def test_comparing_needs_repeats():
     with pytest.raises(InvalidInput, match="two runs of each, found 1 and 2"):
         compare_means(np.ones(1), np.ones(2))
+
+
+def test_repeats_that_no_experiment_has_are_not_named():
+    draws = np.random.default_rng(4)
+    noise = draws.normal(0, 1, 4)
+    result = compare_means(noise, noise[::-1] + 1e-5)
+    assert not result.decided
+    assert result.repeats_to_decide is None
+
+
+def test_the_repeats_named_are_the_first_that_decide():
+    """Two samples of unit variance whose means differ by 1: Welch's interval excludes 0 from n = 9 on."""
+    first, second = np.array([-1.0, 1.0]) / np.sqrt(2), np.array([-1.0, 1.0]) / np.sqrt(2) + 1.0
+    needed = compare_means(first, second).repeats_to_decide
+    reaches = {n: stats.t.ppf(0.975, 2 * n - 2) * np.sqrt(2 / n) for n in range(2, 30)}
+    assert needed == min(n for n, reach in reaches.items() if reach < 1)

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field
 
-from slamhive.analysis.chart import Array, Axis
+from slamhive.analysis.chart import Array, Axis, Chart
 from slamhive.analysis.result import Cell, Exclusion, FormResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, Column, RunTable
@@ -152,6 +152,36 @@ def caption(table: RunTable, shown: int, protocol: str | None, *more: str) -> st
     return " ".join(filter(None, [*parts, *more]))
 
 
+def result_of(
+    table: RunTable,
+    protocol: str | None,
+    charts: Sequence[Chart],
+    tables: Sequence[ResultTable],
+    *,
+    lacking: Sequence[str] = (),
+    excluded: Sequence[Exclusion] = (),
+) -> FormResult:
+    """What a form came to over the runs of ``table``.
+
+    Args:
+        table: Every run that the form is about.
+        protocol: Of its figures, in words; None if none depends on one.
+        charts: In the order of the page.
+        tables: Shown ones and raw data.
+        lacking: Columns without which a good run is not shown; those runs are excluded.
+        excluded: More of them; those of no runs are left out.
+    """
+    without = excluded_without(table.good(), lacking, table.columns)
+    return FormResult(
+        charts=tuple(charts),
+        tables=tuple(tables),
+        runs=len(table.frame),
+        failed=len(table.failed()),
+        excluded=(*without, *(entry for entry in excluded if entry.runs)),
+        protocol=protocol,
+    )
+
+
 def excluded_without(rows: pd.DataFrame, keys: Sequence[str], columns: Mapping[str, Column]) -> tuple[Exclusion, ...]:
     """The good runs that lack one of these values, told by which."""
     exclusions = []
@@ -165,7 +195,8 @@ def excluded_without(rows: pd.DataFrame, keys: Sequence[str], columns: Mapping[s
 
 def raw_table(key: str, table: RunTable, keys: Sequence[str], title: str = "Raw data") -> ResultTable:
     """The runs behind a figure, failed ones included, with the reason."""
-    chosen = ["run_id", "configuration_id", "algorithm", "dataset", *[k for k in keys if k not in _ALWAYS]]
+    named = [key for key in dict.fromkeys(keys) if key not in _ALWAYS]
+    chosen = ["run_id", "configuration_id", "algorithm", "dataset", *named]
     columns = [_table_column(table.column(name)) for name in chosen]
     columns.append(TableColumn("failed", "Failed because"))
     rows = tuple(
@@ -198,7 +229,7 @@ def summary_table(key: str, table: RunTable, metrics: Sequence[str], by: Sequenc
 
 
 _SUMMARY = {"mean": "mean", "std": "std", "median": "median", "low": "95 % from", "high": "95 % to"}
-_INTERVAL = "95 %: bootstrap interval of the mean over runs; std with divisor n - 1."
+_INTERVAL = "95 %: bootstrap interval of the mean over runs, too narrow below 10 of them; std with divisor n - 1."
 
 
 def _summary_cells(summary: Summary | None) -> list[Cell]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -10,7 +11,6 @@ import pandas as pd
 from pydantic import Field
 
 from slamhive.analysis.chart import Axis, Bars, Chart
-from slamhive.analysis.colours import algorithm_colours
 from slamhive.analysis.forms.base import (
     FORMS,
     Form,
@@ -20,6 +20,7 @@ from slamhive.analysis.forms.base import (
     number_column,
     raw_table,
     require_runs,
+    result_of,
     summary_table,
 )
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
@@ -60,13 +61,16 @@ class ByAlgorithm(Form[ByAlgorithmOptions]):
         x = Axis("Dataset", categories=tuple(sorted(everything.frame["dataset"].unique())))
         shown = len(table.good().dropna(subset=[options.metric]))
         which = "all configurations" if options.of == "average" else "the best configuration of each"
+        bars = tuple(_means(table, options.metric, x))
         means = Chart(
             key=f"by_algorithm_{options.metric}",
             title=options.title or f"{column.label}, {which}",
             x=x,
             y=Axis(f"{column.label}, mean", column.unit),
-            marks=tuple(_means(table, options.metric, x)),
-            caption=caption(table, shown, protocol, "Bars: mean over runs; whiskers: one standard deviation."),
+            marks=bars,
+            caption=caption(
+                table, shown, protocol, f"Bars: mean over {_counts(bars)} runs; whiskers: one standard deviation."
+            ),
         )
         failures = Chart(
             key="failure_rate",
@@ -76,18 +80,18 @@ class ByAlgorithm(Form[ByAlgorithmOptions]):
             marks=tuple(_failure_rates(table, x)),
             caption=caption(table, len(table.frame), protocol),
         )
-        return FormResult(
-            charts=(means, failures) if len(table.failed()) else (means,),
-            tables=(
+        result = result_of(
+            table,
+            protocol,
+            (means, failures) if len(table.failed()) else (means,),
+            (
                 summary_table("by_algorithm", table, [options.metric], ["algorithm", "dataset"]),
                 _best_table(everything, options.metric, chosen),
                 raw_table("by_algorithm_raw", table, [options.metric]),
             ),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            protocol=protocol,
-            notes=() if len(table.failed()) else ("No run of the selection failed.",),
+            lacking=[options.metric],
         )
+        return result if result.failed else replace(result, notes=("No run of the selection failed.",))
 
 
 def best_configurations(table: RunTable, metric: str) -> dict[tuple[str, str], int]:
@@ -120,7 +124,6 @@ def _only(frame: pd.DataFrame, chosen: dict[tuple[str, str], int]) -> pd.DataFra
 
 
 def _means(table: RunTable, metric: str, x: Axis) -> Iterator[Bars]:
-    colours = algorithm_colours(table.frame["algorithm"])
     for algorithm, rows in table.frame.groupby("algorithm", sort=True):
         found = [_summary(rows, name, metric) for name in x.categories or ()]
         heights = np.array([np.nan if entry is None else entry.mean for entry in found])
@@ -130,9 +133,15 @@ def _means(table: RunTable, metric: str, x: Axis) -> Iterator[Bars]:
             heights=heights,
             low=np.maximum(heights - spread, 0.0),
             high=heights + spread,
-            colour=colours[str(algorithm)],
+            colour=table.colours[str(algorithm)],
             texts=tuple("" if entry is None else f"n = {entry.count}" for entry in found),
         )
+
+
+def _counts(bars: Sequence[Bars]) -> str:
+    """``5`` or ``1 to 5``: over how many runs the bars are means."""
+    counts = sorted({int(text.removeprefix("n = ")) for bar in bars for text in bar.texts or () if text})
+    return " to ".join(map(str, dict.fromkeys((counts[0], counts[-1])))) if counts else "no"
 
 
 def _summary(rows: pd.DataFrame, dataset: str, metric: str) -> Summary | None:
@@ -140,12 +149,12 @@ def _summary(rows: pd.DataFrame, dataset: str, metric: str) -> Summary | None:
 
 
 def _failure_rates(table: RunTable, x: Axis) -> Iterator[Bars]:
-    colours = algorithm_colours(table.frame["algorithm"])
     for algorithm, rows in table.frame.groupby("algorithm", sort=True):
         groups = [rows[rows["dataset"] == name] for name in x.categories or ()]
         rates = [100 * float(group[FAILED].notna().mean()) if len(group) else np.nan for group in groups]
         texts = [f"{group[FAILED].notna().sum()} of {len(group)}" if len(group) else "" for group in groups]
-        yield Bars(str(algorithm), np.array(rates), colour=colours[str(algorithm)], striped=True, texts=tuple(texts))
+        colour = table.colours[str(algorithm)]
+        yield Bars(str(algorithm), np.array(rates), colour=colour, striped=True, texts=tuple(texts))
 
 
 def _best_table(table: RunTable, metric: str, chosen: dict[tuple[str, str], int]) -> ResultTable:

@@ -9,7 +9,6 @@ import pandas as pd
 from pydantic import Field
 
 from slamhive.analysis.chart import Array, Axis, Chart, Line
-from slamhive.analysis.colours import algorithm_colours
 from slamhive.analysis.forms.base import (
     FORMS,
     Form,
@@ -19,6 +18,7 @@ from slamhive.analysis.forms.base import (
     number_column,
     raw_table,
     require_runs,
+    result_of,
     spans_decades,
 )
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
@@ -64,23 +64,23 @@ class Coverage(Form[CoverageOptions]):
             marks=tuple(_curves(table, column.key)),
             caption=caption(table, int(np.isfinite(shown).sum()), protocol, "Shares are of all runs, failed included."),
         )
-        return FormResult(
-            charts=(chart,),
-            tables=(_bounds(table, column.key), raw_table("coverage_raw", table, [column.key])),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            protocol=protocol,
-        )
+        tables = (_bounds(table, column.key), raw_table("coverage_raw", table, [column.key]))
+        return result_of(table, protocol, (chart,), tables, lacking=[column.key])
 
 
 def _curves(table: RunTable, key: str) -> Iterator[Line]:
-    colours = algorithm_colours(table.frame["algorithm"])
+    """Each from nothing at the least error of all on, to the same bound beyond the largest."""
+    everything = _errors(table.frame, key)
+    if not len(everything):
+        return
+    first, last = everything[0], everything[-1] * 1.05
     for algorithm, rows in table.frame.groupby("algorithm", sort=True):
         values = _errors(rows, key)
-        if len(values):
-            shares = 100 * np.arange(1, len(values) + 1) / len(rows)
-            name = f"{algorithm} ({len(values)} of {len(rows)})"
-            yield Line(name, values, shares, colour=colours[str(algorithm)], steps=True)
+        shares = 100 * np.arange(len(values) + 1) / len(rows)
+        name = f"{algorithm} ({len(values)} of {len(rows)})"
+        places = np.concatenate([[first], values, [last]])
+        heights = np.concatenate([shares, shares[-1:]])
+        yield Line(name, places, heights, colour=table.colours[str(algorithm)], steps=True)
 
 
 def _errors(rows: pd.DataFrame, key: str) -> Array:
@@ -99,7 +99,7 @@ def _bounds(table: RunTable, key: str) -> ResultTable:
         places = [int(np.ceil(share * len(group))) - 1 for share in _QUANTILES]
         bounds = [float(values[place]) if place < len(values) else None for place in places]
         rows.append((str(algorithm), len(group), int(group[FAILED].notna().sum()), *bounds))
-    note = "Empty: so many runs failed that no bound keeps that share."
+    note = "None is given where so many runs failed that no bound keeps that share."
     return ResultTable("coverage", "Bounds", tuple(columns), tuple(rows), note)
 
 

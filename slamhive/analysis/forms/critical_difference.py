@@ -19,7 +19,9 @@ from slamhive.analysis.forms.base import (
     number_column,
     raw_table,
     require_runs,
+    result_of,
 )
+from slamhive.analysis.forms.places import settings_words
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import RankTest, compare_means, rank_test
 from slamhive.analysis.table import FAILED, RunTable
@@ -27,13 +29,19 @@ from slamhive.domain.metrics import Direction
 from slamhive.errors import InvalidInput
 
 _ROW = 0.32
+_TICK_LABELS = 10
+_LETTERS = 45
+"""Longer names are cut in the diagram; the table has them whole."""
+_COMPETITOR = "competitor"
 
 
 class CriticalDifferenceOptions(FormOptions):
     """``of`` are the competitors, each dataset is one block."""
 
     metric: str = Field(default="ate.rmse", description="What is ranked.")
-    of: Literal["algorithm", "configuration_id"] = Field(default="algorithm", description="Who competes.")
+    of: Literal["algorithm", "settings"] = Field(
+        default="algorithm", description="Who competes: algorithms, or each algorithm with its parameters."
+    )
     test: Literal["nemenyi", "wilcoxon-holm"] = Field(default="nemenyi", description="Test of pairs after Friedman's.")
     significance: float = Field(default=0.05, gt=0, lt=0.5, description="Level of the tests.")
 
@@ -58,9 +66,14 @@ class CriticalDifference(Form[CriticalDifferenceOptions]):
         if column.direction is Direction.NEUTRAL:
             raise InvalidInput(f"{column.key!r} has no better end", "choose a metric of which less or more is better")
         protocol = table.one_protocol([column.key])
-        names, blocks, scores = _scores(table, options.metric, options.of)
+        competitors = table.frame["algorithm"].astype(str)
+        if options.of == "settings":
+            competitors = competitors + ", " + settings_words(table)
+        table = table.with_rows(table.frame.assign(**{_COMPETITOR: competitors}))
+        names, blocks, scores = _scores(table, options.metric)
         test = rank_test(scores, options.test, options.significance)
         words = "Nemenyi" if options.test == "nemenyi" else "Wilcoxon-Holm"
+        not_rejected = "" if test.p_value < options.significance else ", which does not reject that all are equal"
         chart = Chart(
             key=f"critical_difference_{column.key}",
             title=options.title or f"Ranks by {column.label} over {len(blocks)} datasets",
@@ -71,37 +84,29 @@ class CriticalDifference(Form[CriticalDifferenceOptions]):
                 table,
                 len(table.frame),
                 protocol,
-                f"Friedman p = {test.p_value:.3g} over {len(blocks)} datasets; bars join those that {words} does not "
-                f"tell apart at {options.significance:g}. All repeats of a dataset count by their mean; a competitor "
-                "none of whose runs was good on a dataset has the last rank there.",
+                f"Friedman p = {test.p_value:.3g} over {len(blocks)} datasets{not_rejected}; bars join those "
+                f"that {words} does not tell apart at {options.significance:g}. All repeats of a dataset count by "
+                "their mean; a competitor none of whose runs was good on a dataset has the last rank there.",
             ),
             bare=True,
             height=0.5 + 0.07 * len(names),
         )
-        return FormResult(
-            charts=(chart,),
-            tables=(
-                _pairs(names, test, table, options),
-                raw_table("critical_difference_raw", table, [column.key]),
-            ),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            protocol=protocol,
-        )
+        tables = (_pairs(names, test, table, options), raw_table("critical_difference_raw", table, [column.key]))
+        return result_of(table, protocol, (chart,), tables, lacking=[column.key])
 
 
-def _scores(table: RunTable, metric: str, of: str) -> tuple[list[str], list[str], Array]:
+def _scores(table: RunTable, metric: str) -> tuple[list[str], list[str], Array]:
     """Competitors, datasets, and the costs (datasets, competitors): means of good runs, worse than all if none was.
 
     Only datasets on which every competitor was run take part.
     """
     sign = -1.0 if table.column(metric).direction is Direction.HIGHER else 1.0
-    runs = table.frame.pivot_table(index="dataset", columns=of, values="run_id", aggfunc="size")
+    runs = table.frame.pivot_table(index="dataset", columns=_COMPETITOR, values="run_id", aggfunc="size")
     runs = runs.dropna(axis=0)
     if runs.empty:
-        raise InvalidInput(f"no dataset was run by every {of} of the selection", "narrow the selection to a full grid")
+        raise InvalidInput("no dataset was run by every competitor", "narrow the selection to a full grid")
     good = table.good()
-    means = good.pivot_table(index="dataset", columns=of, values=metric, aggfunc="mean")
+    means = good.pivot_table(index="dataset", columns=_COMPETITOR, values=metric, aggfunc="mean")
     means = sign * means.reindex(index=runs.index, columns=runs.columns)
     worst = means.max(axis=1).fillna(0.0) + 1.0
     filled = means.apply(lambda values: values.fillna(worst), axis=0)
@@ -115,7 +120,8 @@ def _diagram(names: list[str], test: RankTest) -> Iterator[Mark]:
     ticks = np.arange(1, count + 1, dtype=float)
     yield _strokes([1.0], [0.0], [float(count)], [0.0])
     yield _strokes(ticks, np.zeros(count), ticks, np.full(count, 0.12))
-    yield Labels(ticks, np.full(count, 0.15), tuple(f"{tick:g}" for tick in ticks), anchor="centre")
+    named = ticks[:: -(-count // _TICK_LABELS)]
+    yield Labels(named, np.full(len(named), 0.15), tuple(f"{tick:g}" for tick in named), anchor="centre")
     half = (count + 1) // 2
     cliques = test.cliques()
     below = -_ROW * (len(cliques) * 0.5 + 0.6)
@@ -126,7 +132,8 @@ def _diagram(names: list[str], test: RankTest) -> Iterator[Mark]:
         height = below - _ROW * row
         end = 0.7 if left else count + 0.3
         yield _strokes([rank, rank], [0.0, height], [rank, end], [height, height])
-        text = f"{names[competitor]} ({rank:.2f})"
+        name = names[competitor]
+        text = f"{name if len(name) <= _LETTERS else name[: _LETTERS - 1] + '…'} ({rank:.2f})"
         yield Labels(np.array([end]), np.array([height]), (text,), anchor="right" if left else "left")
     for level, clique in enumerate(cliques):
         ranks = test.mean_ranks[list(clique)]
@@ -151,39 +158,44 @@ def _pairs(names: list[str], test: RankTest, table: RunTable, options: CriticalD
         TableColumn("p", "p, corrected"),
         TableColumn("told_apart", "Told apart by ranks"),
         TableColumn("decided", "Datasets decided by repeats"),
-        TableColumn("undecided", "Datasets undecided"),
-        TableColumn("repeats", "Repeats that would decide all"),
+        TableColumn("undecided", "Undecided"),
+        TableColumn("too_few", "Too few repeats to tell"),
+        TableColumn("more", "More repeats that would decide"),
     )
     rows: list[tuple[Cell, ...]] = []
     for (first, second), p_value in sorted(test.pairs.items()):
-        decided, undecided, repeats = _repeats(table, options, names[first], names[second])
         apart = "no" if test.same(first, second) else "yes"
-        rows.append((names[first], names[second], p_value, apart, decided, undecided, repeats))
-    note = "Repeats: Welch's 95 % interval of the difference of means on each dataset, at the spread seen so far."
+        repeats = _repeats(table, options.metric, (names[first], names[second]))
+        rows.append((names[first], names[second], p_value, apart, *repeats))
+    note = (
+        "A dataset is decided if Welch's 95 % interval of the difference of the two means excludes 0; two good runs "
+        "of each are needed to tell. More repeats: of each, on the undecided datasets, at the spread seen so far."
+    )
     return ResultTable("pairs", "Pairs", columns, tuple(rows), note)
 
 
-def _repeats(
-    table: RunTable, options: CriticalDifferenceOptions, first: str, second: str
-) -> tuple[int, int, int | None]:
-    decided = undecided = 0
+def _repeats(table: RunTable, metric: str, names: tuple[str, str]) -> tuple[int, int, int, int | None]:
+    """Datasets decided, undecided, and with fewer than two good runs of one of both; the most repeats that lack."""
+    decided = undecided = too_few = 0
     most: int | None = None
-    good = table.frame[table.frame[FAILED].isna()]
-    for _, rows in good.groupby("dataset", sort=True):
-        groups = [_values(rows, options, name) for name in (first, second)]
+    both = table.frame[table.frame[_COMPETITOR].isin(names)]
+    for _, rows in both.groupby("dataset", sort=True):
+        if rows[_COMPETITOR].nunique() < 2:
+            continue
+        groups = [_values(rows, metric, name) for name in names]
         if min(map(len, groups)) < 2:
-            undecided += 1
+            too_few += 1
             continue
         comparison = compare_means(groups[0], groups[1])
         decided += comparison.decided
         undecided += not comparison.decided
-        if comparison.repeats_to_decide is not None:
-            most = max(most or 0, comparison.repeats_to_decide)
-    return decided, undecided, most
+        if not comparison.decided and comparison.repeats_to_decide is not None:
+            most = max(most or 1, comparison.repeats_to_decide - min(map(len, groups)))
+    return decided, undecided, too_few, most
 
 
-def _values(rows: pd.DataFrame, options: CriticalDifferenceOptions, name: str) -> Array:
-    values = number_column(rows[rows[options.of].astype(str) == name], options.metric)
+def _values(rows: pd.DataFrame, metric: str, name: str) -> Array:
+    values = number_column(rows[(rows[_COMPETITOR] == name) & rows[FAILED].isna()], metric)
     return values[np.isfinite(values)]
 
 

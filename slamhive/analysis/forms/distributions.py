@@ -7,17 +7,16 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from slamhive.analysis.chart import Axis, Boxes, Chart, Mark
-from slamhive.analysis.colours import algorithm_colours
 from slamhive.analysis.forms.base import (
     FORMS,
     Form,
     FormData,
     FormOptions,
     caption,
-    excluded_without,
     number_column,
     raw_table,
     require_runs,
+    result_of,
     spans_decades,
     summary_table,
 )
@@ -53,18 +52,12 @@ class Distributions(Form[DistributionsOptions]):
         for key in options.metrics:
             table.numeric(key, "a distribution")
         protocol = table.one_protocol(options.metrics)
-        good = table.good()
-        return FormResult(
-            charts=tuple(_chart(table, key, protocol, options.title) for key in options.metrics),
-            tables=(
-                summary_table("distributions", table, options.metrics, ["algorithm", "dataset"]),
-                raw_table("distributions_raw", table, options.metrics),
-            ),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            excluded=excluded_without(good, options.metrics, table.columns),
-            protocol=protocol,
+        charts = [_chart(table, key, protocol, options.title) for key in options.metrics]
+        tables = (
+            summary_table("distributions", table, options.metrics, ["algorithm", "dataset"]),
+            raw_table("distributions_raw", table, options.metrics),
         )
+        return result_of(table, protocol, charts, tables, lacking=options.metrics)
 
 
 def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -> Chart:
@@ -82,7 +75,6 @@ def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -
 
 
 def _marks(table: RunTable, key: str, x: Axis) -> Iterator[Mark]:
-    colours = algorithm_colours(table.frame["algorithm"])
     shown = table.good().dropna(subset=[key])
     for algorithm, rows in shown.groupby("algorithm", sort=True):
         yield Boxes(
@@ -90,7 +82,7 @@ def _marks(table: RunTable, key: str, x: Axis) -> Iterator[Mark]:
             categories=tuple(rows["dataset"]),
             values=number_column(rows, key),
             runs=rows["run_id"].to_numpy(dtype=int),
-            colour=colours[str(algorithm)],
+            colour=table.colours[str(algorithm)],
         )
     yield from failed_marks(table, x, "dataset")
 

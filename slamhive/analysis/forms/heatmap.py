@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from pydantic import Field
@@ -16,6 +18,7 @@ from slamhive.analysis.forms.base import (
     number_column,
     raw_table,
     require_runs,
+    result_of,
     spans_decades,
     summary_table,
 )
@@ -58,34 +61,32 @@ class Heatmap(Form[HeatmapOptions]):
         x, y, metric = table.column(options.x), table.column(options.y), table.numeric(options.metric, "a mean")
         protocol = table.one_protocol([options.x, options.y, options.metric])
         x_values, y_values = (distinct_values(table.frame[key], key) for key in (options.x, options.y))
-        axes = (_axis(x, x_values), _axis(y, y_values))
-        charts = []
-        for algorithm, rows in table.frame.groupby("algorithm", sort=True):
-            part = table.with_rows(rows)
-            cells = _cells(part, options, (x_values, y_values))
-            charts.append(
-                Chart(
-                    key=f"heatmap_{algorithm}",
-                    title=options.title or f"{metric.label} of {algorithm}",
-                    x=axes[0],
-                    y=axes[1],
-                    marks=(cells,),
-                    caption=caption(part, len(part.good().dropna(subset=[metric.key])), protocol, _CELL),
-                )
+        parts = {
+            str(algorithm): table.with_rows(rows) for algorithm, rows in table.frame.groupby("algorithm", sort=True)
+        }
+        maps = _on_one_scale([_cells(part, options, (x_values, y_values)) for part in parts.values()])
+        charts = [
+            Chart(
+                key=f"heatmap_{algorithm}",
+                title=f"{options.title or metric.label}, {algorithm}",
+                x=_axis(x, x_values),
+                y=_axis(y, y_values),
+                marks=(cells,),
+                caption=caption(part, len(part.good().dropna(subset=[metric.key])), protocol, _CELL),
             )
-        return FormResult(
-            charts=tuple(charts),
-            tables=(
-                summary_table("heatmap", table, [metric.key], ["algorithm", options.x, options.y]),
-                raw_table("heatmap_raw", table, [options.x, options.y, metric.key]),
-            ),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            protocol=protocol,
+            for (algorithm, part), cells in zip(parts.items(), maps, strict=True)
+        ]
+        tables = (
+            summary_table("heatmap", table, [metric.key], ["algorithm", options.x, options.y]),
+            raw_table("heatmap_raw", table, [options.x, options.y, metric.key]),
         )
+        return result_of(table, protocol, charts, tables, lacking=[options.x, options.y, metric.key])
 
 
-_CELL = "Cells: mean over runs, then failed of all runs where any failed; white: not run, or all failed."
+_CELL = (
+    "Cells: mean over runs, then failed of all runs where any failed; empty: not run, or all failed. The maps of all "
+    "algorithms share one scale of colours."
+)
 
 
 def distinct_values(values: pd.Series, key: str) -> list[object]:
@@ -124,9 +125,16 @@ def _cells(table: RunTable, options: HeatmapOptions, values: tuple[list[object],
         texts=tuple(tuple(row) for row in texts),
         label=f"{column.label}, mean",
         unit=column.unit,
-        log=spans_decades(means.ravel()),
         lower_is_better=column.direction is not Direction.HIGHER,
     )
+
+
+def _on_one_scale(maps: list[Cells]) -> list[Cells]:
+    """The maps with colours that mean the same in each."""
+    values = np.concatenate([cells.values.ravel() for cells in maps])
+    finite = values[np.isfinite(values)]
+    span = (float(finite.min()), float(finite.max())) if len(finite) else None
+    return [replace(cells, log=spans_decades(values), span=span) for cells in maps]
 
 
 FORMS.register(Heatmap.key, Heatmap())

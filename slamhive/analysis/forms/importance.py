@@ -10,18 +10,18 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from slamhive.analysis.chart import Array, Axis, Bars, Cells, Chart
-from slamhive.analysis.colours import OKABE_ITO
+from slamhive.analysis.chart import REFERENCE, Array, Axis, Bars, Cells, Chart
 from slamhive.analysis.forms.base import (
     FORMS,
     Form,
     FormData,
     FormOptions,
     caption,
-    excluded_without,
     number_column,
+    plain_cell,
     raw_table,
     require_runs,
+    result_of,
 )
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED, RunTable
@@ -73,8 +73,7 @@ class Importance(Form[ImportanceOptions]):
             table.column(name)
         if not names:
             raise InvalidInput("nothing varies in the selection", "select runs of several parameters or algorithms")
-        good = table.good()
-        shown = good.dropna(subset=[metric.key])
+        shown = table.good().dropna(subset=[metric.key])
         values = number_column(shown, metric.key)
         logarithm = bool(len(values)) and bool((values > 0).all())
         accuracy = explained_variance(shown, names, np.log10(values) if logarithm else values)
@@ -82,33 +81,24 @@ class Importance(Form[ImportanceOptions]):
         scale = "log10 of the metric" if logarithm else "the metric"
         note = f"Omega squared (W. L. Hays, 1963) of {scale}: shares of variance, corrected for the number of values."
         text = caption(table, len(shown), protocol, note)
-        return FormResult(
-            charts=(
-                _bars(accuracy, failing, options.title or f"What {metric.label} depends on", metric.label, text),
-                _map(accuracy, f"Interactions in {metric.label}", text),
-            ),
-            tables=(_table(accuracy, failing, metric.label), raw_table("importance_raw", table, [*names, metric.key])),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            excluded=excluded_without(good, [metric.key], table.columns),
-            protocol=protocol,
+        charts = (
+            _bars(accuracy, failing, options.title or f"What {metric.label} depends on", metric.label, text),
+            _map(accuracy, f"Interactions in {metric.label}", text),
         )
+        tables = (_table(accuracy, failing, metric.label), raw_table("importance_raw", table, [*names, metric.key]))
+        return result_of(table, protocol, charts, tables, lacking=[metric.key])
 
 
 def default_parameters(table: RunTable) -> list[str]:
-    """Algorithm and dataset if they vary, then all parameters that vary; equal columns count once."""
+    """Algorithm and dataset if they vary, then all parameters that vary."""
     names = [name for name in ("algorithm", "dataset") if table.frame[name].nunique() > 1]
-    seen: set[tuple[object, ...]] = set()
-    for column in table.varied():
-        content = tuple(table.frame[column.key].astype(str))
-        if content not in seen:
-            seen.add(content)
-            names.append(column.key)
-    return names[:MOST_PARAMETERS]
+    return [*names, *(column.key for column in table.varied())][:MOST_PARAMETERS]
 
 
 def explained_variance(rows: pd.DataFrame, names: list[str], values: Array) -> Effects:
-    """Omega squared of each parameter and of each pair beyond the two alone, never below 0.
+    """Omega squared of each parameter and of each pair beyond the two alone, never below 0; NaN if it cannot be told.
+
+    The shares add up where every combination was run equally often; they overlap where it was not.
 
     Args:
         rows: One row for each value, with the parameters.
@@ -121,7 +111,7 @@ def explained_variance(rows: pd.DataFrame, names: list[str], values: Array) -> E
     for first, second in combinations(names, 2):
         joint = codes[first] * (int(codes[second].max(initial=0)) + 1) + codes[second]
         both = _omega_squared(np.unique(joint, return_inverse=True)[1], values)
-        pairs[first, second] = max(0.0, both - main[first] - main[second])
+        pairs[first, second] = float(np.maximum(0.0, both - main[first] - main[second]))  # keeps NaN
     return Effects(tuple(names), main, pairs, len(values))
 
 
@@ -130,15 +120,18 @@ def _codes(values: pd.Series) -> Array:
     if values.nunique() > MOST_GROUPS and pd.api.types.is_numeric_dtype(values):
         groups = pd.qcut(values, MOST_GROUPS, labels=False, duplicates="drop").fillna(-1)
         return np.unique(groups.to_numpy(), return_inverse=True)[1]
-    return np.unique(values.astype(object).where(values.notna(), None).astype(str), return_inverse=True)[1]
+    codes: Array = pd.factorize(values, use_na_sentinel=False)[0]
+    return codes
 
 
 def _omega_squared(groups: Array, values: Array) -> float:
     total = float(((values - values.mean()) ** 2).sum()) if len(values) else 0.0
     counts = np.bincount(groups) if len(groups) else np.zeros(0)
     between_freedom, within_freedom = len(counts) - 1, len(values) - len(counts)
-    if total == 0 or between_freedom < 1 or within_freedom < 1:
+    if total == 0 or between_freedom < 1:
         return 0.0
+    if within_freedom < 1:
+        return float("nan")  # no group has two values: what differs by the groups and what by chance is one
     means = np.bincount(groups, weights=values) / counts
     between = float((counts * (means - values.mean()) ** 2).sum())
     within = max(0.0, total - between) / within_freedom
@@ -146,20 +139,21 @@ def _omega_squared(groups: Array, values: Array) -> float:
 
 
 def _bars(accuracy: Effects, failing: Effects, title: str, label: str, text: str) -> Chart:
-    order = tuple(sorted(accuracy.names, key=lambda name: -accuracy.main[name]))
+    order = tuple(sorted(accuracy.names, key=lambda name: -np.nan_to_num(accuracy.main[name])))
 
     def heights(effects: Effects) -> Array:
         return np.array([100 * effects.main[name] for name in order])
 
+    bars = (
+        Bars(label, heights(accuracy), colour=REFERENCE),
+        Bars("failing", heights(failing), colour=REFERENCE, striped=True),
+    )
     return Chart(
         key="importance",
         title=title,
         x=Axis("parameter", categories=order),
         y=Axis("variance explained", "%"),
-        marks=(
-            Bars(label, heights(accuracy), colour=OKABE_ITO[0]),
-            Bars("failing", heights(failing), colour=OKABE_ITO[1], striped=True),
-        ),
+        marks=bars if any(share > 0 for share in failing.main.values()) else bars[:1],
         caption=text,
     )
 
@@ -179,7 +173,10 @@ def _map(effects: Effects, title: str, text: str) -> Chart:
         x=Axis("", categories=names),
         y=Axis("", categories=names),
         marks=(Cells(values, texts, "variance explained", "%", lower_is_better=False),),
-        caption=f"Diagonal: each parameter alone; below it: what two explain together beyond that. {text}",
+        caption=(
+            "Diagonal: each parameter alone; below it: what two explain together beyond that, empty where no "
+            f"combination was run twice. {text}"
+        ),
     )
 
 
@@ -195,8 +192,8 @@ def _table(accuracy: Effects, failing: Effects, label: str) -> ResultTable:
 def _rows(accuracy: Effects, failing: Effects) -> Iterator[tuple[Cell, ...]]:
     singles = [(name, accuracy.main[name], failing.main[name]) for name in accuracy.names]
     pairs = [(f"{a} with {b}", share, failing.pairs[a, b]) for (a, b), share in accuracy.pairs.items()]
-    for name, first, second in sorted([*singles, *pairs], key=lambda entry: -entry[1]):
-        yield (name, 100 * first, 100 * second)
+    for name, first, second in sorted([*singles, *pairs], key=lambda entry: -np.nan_to_num(entry[1])):
+        yield (name, plain_cell(100 * first), plain_cell(100 * second))
 
 
 FORMS.register(Importance.key, Importance())

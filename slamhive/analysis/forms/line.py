@@ -9,7 +9,6 @@ import pandas as pd
 from pydantic import Field
 
 from slamhive.analysis.chart import Chart, Line, Points
-from slamhive.analysis.colours import algorithm_colours, dataset_markers
 from slamhive.analysis.forms.base import (
     FORMS,
     Form,
@@ -17,14 +16,14 @@ from slamhive.analysis.forms.base import (
     FormOptions,
     axis_of,
     caption,
-    excluded_without,
     number_column,
     raw_table,
     require_runs,
+    result_of,
     spans_decades,
     summary_table,
 )
-from slamhive.analysis.forms.places import failed_marks
+from slamhive.analysis.forms.places import failed_marks, legend, look_of
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
@@ -55,8 +54,7 @@ class LineForm(Form[LineOptions]):
         require_runs(table)
         x, metric = table.numeric(options.x, "the x axis"), table.numeric(options.metric, "a mean")
         protocol = table.one_protocol([x.key, metric.key])
-        good = table.good()
-        shown = good.dropna(subset=[x.key, metric.key])
+        shown = table.good().dropna(subset=[x.key, metric.key])
         x_axis = axis_of(x, log=spans_decades(number_column(shown, x.key)))
         chart = Chart(
             key=f"line_{x.key}_{metric.key}",
@@ -66,23 +64,15 @@ class LineForm(Form[LineOptions]):
             marks=(*mean_lines(shown, x.key, metric.key, table), *failed_marks(table, x_axis, x.key)),
             caption=caption(table, len(shown), protocol, "Lines: mean; bands: 95 % bootstrap interval of the mean."),
         )
-        return FormResult(
-            charts=(chart,),
-            tables=(
-                summary_table("line", table, [metric.key], ["algorithm", "dataset", x.key]),
-                raw_table("line_raw", table, [x.key, metric.key]),
-            ),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            excluded=excluded_without(good, [x.key, metric.key], table.columns),
-            protocol=protocol,
+        tables = (
+            summary_table("line", table, [metric.key], ["algorithm", "dataset", x.key]),
+            raw_table("line_raw", table, [x.key, metric.key]),
         )
+        return result_of(table, protocol, (chart,), tables, lacking=[x.key, metric.key])
 
 
 def mean_lines(shown: pd.DataFrame, x: str, metric: str, table: RunTable) -> Iterator[Line | Points]:
-    """For each algorithm and dataset the line of means with its band, and a marker at each mean."""
-    colours = algorithm_colours(table.frame["algorithm"])
-    markers = dataset_markers(table.frame["dataset"])
+    """For each algorithm and dataset the line of means with its band, a marker at each mean, and the legend."""
     for (algorithm, dataset), rows in shown.groupby(["algorithm", "dataset"], sort=True):
         found = [(float(value), summarise(number_column(group, metric))) for value, group in rows.groupby(x, sort=True)]
         known = [(value, summary) for value, summary in found if summary is not None]
@@ -90,10 +80,11 @@ def mean_lines(shown: pd.DataFrame, x: str, metric: str, table: RunTable) -> Ite
         means = np.array([summary.mean for _, summary in known])
         ends = [(s.mean, s.mean) if s.interval is None else (s.interval.low, s.interval.high) for _, s in known]
         low, high = np.array(ends).reshape(-1, 2).T
-        name, colour = f"{algorithm} on {dataset}", colours[str(algorithm)]
-        yield Line(name, places, means, low=low, high=high, colour=colour)
+        look = look_of(table, str(algorithm), str(dataset))
+        yield Line(x=places, y=means, low=low, high=high, **look)
         texts = tuple(f"{summary.count} runs" for _, summary in known)
-        yield Points(name, places, means, colour=colour, marker=markers[str(dataset)], texts=texts, in_legend=False)
+        yield Points(x=places, y=means, marker=table.markers[str(dataset)], texts=texts, **look)
+    yield from legend(table)
 
 
 FORMS.register(LineForm.key, LineForm())

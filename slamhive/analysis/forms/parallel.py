@@ -12,10 +12,11 @@ from slamhive.analysis.forms.base import (
     FormData,
     FormOptions,
     caption,
-    excluded_without,
     number_column,
     raw_table,
     require_runs,
+    result_of,
+    spans_decades,
 )
 from slamhive.analysis.forms.places import places_on, value_words
 from slamhive.analysis.result import FormResult
@@ -52,8 +53,7 @@ class ParallelCoordinates(Form[ParallelOptions]):
         keys = options.dimensions or ["algorithm", "dataset", *[column.key for column in table.varied()[:10]]]
         columns = [table.column(key) for key in keys if key != metric.key]
         protocol = table.one_protocol([column.key for column in (*columns, metric)])
-        good = table.good()
-        shown = good.dropna(subset=[metric.key])
+        shown = table.good().dropna(subset=[metric.key])
         if len(shown) > MOST_LINES:
             raise InvalidInput(f"{len(shown)} lines cannot be told apart", f"select at most {MOST_LINES} runs")
         if shown.empty:
@@ -62,7 +62,7 @@ class ParallelCoordinates(Form[ParallelOptions]):
         marks = Parallel(
             dimensions=(*(_dimension(column, shown) for column in columns), _dimension(metric, shown)),
             shades=shades,
-            shade_axis=Axis(metric.label, metric.unit),
+            shade_axis=Axis(metric.label, metric.unit, log=spans_decades(shades)),
             runs=shown["run_id"].to_numpy(dtype=int),
         )
         chart = Chart(
@@ -74,14 +74,8 @@ class ParallelCoordinates(Form[ParallelOptions]):
             caption=caption(table, len(shown), protocol, "Failed runs have no line."),
             height=1.1,
         )
-        return FormResult(
-            charts=(chart,),
-            tables=(raw_table("parallel_raw", table, [*keys, metric.key]),),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            excluded=excluded_without(good, [metric.key], table.columns),
-            protocol=protocol,
-        )
+        raw = raw_table("parallel_raw", table, [*keys, metric.key])
+        return result_of(table, protocol, (chart,), (raw,), lacking=[metric.key])
 
 
 def _dimension(column: Column, shown: pd.DataFrame) -> Dimension:

@@ -9,7 +9,6 @@ import pandas as pd
 from pydantic import Field, model_validator
 
 from slamhive.analysis.chart import REFERENCE, Array, Chart, Line, Points
-from slamhive.analysis.colours import algorithm_colours, dataset_markers
 from slamhive.analysis.forms.base import (
     FORMS,
     Form,
@@ -21,8 +20,10 @@ from slamhive.analysis.forms.base import (
     plain_cell,
     raw_table,
     require_runs,
+    result_of,
     spans_decades,
 )
+from slamhive.analysis.forms.places import legend, look_of
 from slamhive.analysis.result import FormResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED, RunTable
 from slamhive.catalogue.validation import explained
@@ -76,31 +77,27 @@ class Pareto(Form[ParetoOptions]):
         signs = np.array([-1.0 if column.direction is Direction.HIGHER else 1.0 for column in columns])
         front = fronts_by_dataset(means, options.metrics, signs)
         x, y = columns[0], columns[1]
+        joined = ", joined by dashed lines" if len(columns) == 2 else ""
         chart = Chart(
             key=f"pareto_{'_'.join(options.metrics)}",
             title=options.title or f"{y.label} against {x.label}",
             x=axis_of(x, log=spans_decades(number_column(means, x.key))),
             y=axis_of(y, log=spans_decades(number_column(means, y.key))),
-            marks=(*_points(means, options.metrics, table), *_front(means[front], x.key, y.key, len(options.metrics))),
+            marks=(
+                *_front(means[front], x.key, y.key, len(options.metrics)),
+                *_points(means.assign(front=front), options.metrics, table),
+            ),
             caption=caption(
                 table,
                 int(means["good"].sum()),
                 protocol,
                 f"One point for each of {len(means)} configurations and datasets (mean over its good runs); "
                 f"{int(front.sum())} are beaten by none of their dataset in "
-                f"{', '.join(column.label for column in columns)}.",
+                f"{', '.join(column.label for column in columns)}: outlined{joined}.",
             ),
         )
-        return FormResult(
-            charts=(chart,),
-            tables=(
-                _front_table(means[front], table, options.metrics),
-                raw_table("pareto_raw", table, options.metrics),
-            ),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            protocol=protocol,
-        )
+        tables = (_front_table(means[front], table, options.metrics), raw_table("pareto_raw", table, options.metrics))
+        return result_of(table, protocol, (chart,), tables, lacking=options.metrics)
 
 
 def configuration_means(table: RunTable, metrics: list[str]) -> pd.DataFrame:
@@ -146,20 +143,20 @@ def fronts_by_dataset(means: pd.DataFrame, metrics: list[str], signs: Array) -> 
 
 
 def _points(means: pd.DataFrame, metrics: list[str], table: RunTable) -> Iterator[Points]:
-    colours = algorithm_colours(table.frame["algorithm"])
-    markers = dataset_markers(table.frame["dataset"])
-    for (algorithm, dataset), rows in means.groupby(["algorithm", "dataset"], sort=True):
+    grouped = means.groupby(["front", "algorithm", "dataset"], sort=True)  # what is on the front is drawn over the rest
+    for (on_front, algorithm, dataset), rows in grouped:
         yield Points(
-            name=f"{algorithm} on {dataset}",
+            **look_of(table, str(algorithm), str(dataset)),
             x=number_column(rows, metrics[0]),
             y=number_column(rows, metrics[1]),
-            colour=colours[str(algorithm)],
-            marker=markers[str(dataset)],
+            marker=table.markers[str(dataset)],
+            emphasis=bool(on_front),
             texts=tuple(
                 f"configuration {row.configuration_id}: {row.good} good of {row.runs} runs"
                 for row in rows.itertuples(index=False)
             ),
         )
+    yield from legend(table)
 
 
 def _front(front: pd.DataFrame, x: str, y: str, metrics: int) -> Iterator[Line]:
@@ -169,7 +166,7 @@ def _front(front: pd.DataFrame, x: str, y: str, metrics: int) -> Iterator[Line]:
     for dataset, rows in front.groupby("dataset", sort=True):
         ordered = rows.sort_values(x)
         places = number_column(ordered, x), number_column(ordered, y)
-        yield Line(f"front on {dataset}", *places, colour=REFERENCE, dashed=True)
+        yield Line(f"front on {dataset}", *places, colour=REFERENCE, dashed=True, in_legend=False)
 
 
 def _front_table(front: pd.DataFrame, table: RunTable, metrics: list[str]) -> ResultTable:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from slamhive.analysis.chart import Array, Axis, FailedRuns
-from slamhive.analysis.colours import algorithm_colours
+from slamhive.analysis.chart import REFERENCE, Array, Axis, FailedRuns, Points
+from slamhive.analysis.colours import MARKERS
 from slamhive.analysis.table import RunTable
+
+_NOWHERE = np.zeros(0)
 
 
 def places_on(axis: Axis, values: pd.Series) -> Array:
@@ -22,14 +25,53 @@ def places_on(axis: Axis, values: pd.Series) -> Array:
 
 def failed_marks(table: RunTable, axis: Axis, key: str) -> Iterator[FailedRuns]:
     """Failed runs by algorithm, at their place on the x axis: a parameter they do have, a metric they do not."""
-    colours = algorithm_colours(table.frame["algorithm"])
     for algorithm, rows in table.failed().groupby("algorithm", sort=True):
         yield FailedRuns(
             x=places_on(axis, rows[key]),
             runs=rows["run_id"].to_numpy(dtype=int),
-            colour=colours[str(algorithm)],
+            colour=table.colours[str(algorithm)],
             name=f"{algorithm}, failed",
+            group=str(algorithm),
         )
+
+
+def look_of(table: RunTable, algorithm: str, dataset: str) -> dict[str, Any]:
+    """How one algorithm on one dataset is drawn; :func:`legend` tells what the looks mean."""
+    return {
+        "name": f"{algorithm} on {dataset}",
+        "colour": table.colours[algorithm],
+        "in_legend": False,
+        "group": algorithm,
+    }
+
+
+def legend(table: RunTable, *, markers: bool = True) -> Iterator[Points]:
+    """An entry for each algorithm's colour and, if there are several, each dataset's marker: never one for each pair.
+
+    Args:
+        table: The runs of the chart.
+        markers: The chart has markers.
+    """
+    algorithms = sorted(table.frame["algorithm"].unique())
+    datasets = sorted(table.frame["dataset"].unique())
+    shapes = {table.markers[name] for name in datasets} if markers else set()
+    told_apart = len(shapes) > 1
+    for name in algorithms:
+        yield Points(name, _NOWHERE, _NOWHERE, colour=table.colours[name], marker=MARKERS[0], group=name)
+    for name in datasets if told_apart else ():
+        yield Points(f"on {name}", _NOWHERE, _NOWHERE, colour=REFERENCE, marker=table.markers[name])
+
+
+def settings_words(table: RunTable) -> pd.Series:
+    """For each run what tells its configuration apart besides algorithm and dataset: the parameters that vary."""
+    varied = [column.key for column in table.varied()]
+
+    def words(row: pd.Series) -> str:
+        return ", ".join(f"{key} {value_words(row[key])}" for key in varied if not pd.isna(row[key])) or "as given"
+
+    unique = table.frame[["configuration_id", *varied]].drop_duplicates("configuration_id")
+    named = dict(zip(unique["configuration_id"], unique.apply(words, axis=1), strict=True)) if len(unique) else {}
+    return table.frame["configuration_id"].map(named)
 
 
 def value_words(value: object) -> str:

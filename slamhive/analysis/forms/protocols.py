@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 from pydantic import Field
 
 from slamhive.analysis.chart import Axis, Boxes, Chart
-from slamhive.analysis.colours import OKABE_ITO
-from slamhive.analysis.forms.base import FORMS, Form, FormData, FormOptions, plain_cell, require_runs
+from slamhive.analysis.colours import PALETTE
+from slamhive.analysis.forms.base import (
+    FORMS,
+    Form,
+    FormData,
+    FormOptions,
+    plain_cell,
+    require_runs,
+    result_of,
+    spans_decades,
+)
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
@@ -56,7 +66,7 @@ class Protocols(Form[ProtocolsOptions]):
             key=f"protocols_{column.key}",
             title=options.title or f"{column.label} by protocol",
             x=Axis("Algorithm", categories=tuple(sorted(algorithms.loc[complete.index].unique()))),
-            y=Axis(column.label, column.unit),
+            y=Axis(column.label, column.unit, spans_decades(complete.to_numpy(dtype=float).ravel())),
             marks=tuple(_boxes(complete, algorithms, labels)),
             caption=(
                 f"n = {len(complete)} runs that were evaluated under all {wide.shape[1]} protocols, of "
@@ -64,13 +74,10 @@ class Protocols(Form[ProtocolsOptions]):
                 "Figures of different protocols stand side by side here and are not averaged."
             ),
         )
-        return FormResult(
-            charts=(chart,),
-            tables=(_summary(complete, algorithms, labels, column.unit), _raw(wide, algorithms, labels, column.unit)),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            notes=(f"{len(wide) - len(complete)} runs lack one of the protocols and are not shown.",),
-        )
+        tables = (_summary(complete, algorithms, labels, column.unit), _raw(wide, algorithms, labels, column.unit))
+        lacking = len(wide) - len(complete)
+        notes = (f"{lacking} runs lack one of the protocols and are not shown.",) if lacking else ()
+        return replace(result_of(table, None, (chart,), tables), notes=notes)
 
 
 def _wide(table: RunTable, every: pd.DataFrame, key: str) -> tuple[pd.DataFrame, dict[str, str]]:
@@ -89,7 +96,7 @@ def _boxes(wide: pd.DataFrame, algorithms: pd.Series, labels: dict[str, str]) ->
             categories=names,
             values=wide[fingerprint].to_numpy(dtype=float),
             runs=np.asarray(wide.index, dtype=int),
-            colour=OKABE_ITO[place % len(OKABE_ITO)],
+            colour=PALETTE[place % len(PALETTE)],
         )
 
 

@@ -6,18 +6,17 @@ import numpy as np
 from pydantic import Field
 
 from slamhive.analysis.chart import REFERENCE, Axis, Chart, FailedRuns, Line, Mark, Points
-from slamhive.analysis.colours import algorithm_colours
 from slamhive.analysis.forms.base import (
     FORMS,
     Form,
     FormData,
     FormOptions,
     caption,
-    excluded_without,
     number_column,
     one_value,
     raw_table,
     require_runs,
+    result_of,
     summary_table,
 )
 from slamhive.analysis.result import FormResult
@@ -56,17 +55,12 @@ class Repeatability(Form[RepeatabilityOptions]):
         for key in options.metrics:
             table.numeric(key, "repeatability")
         protocol = table.one_protocol(options.metrics)
-        return FormResult(
-            charts=tuple(_chart(table, key, protocol, options.title) for key in options.metrics),
-            tables=(
-                summary_table("repeatability", table, options.metrics, ["algorithm", "dataset"]),
-                raw_table("repeatability_raw", table, ["seed", *options.metrics]),
-            ),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            excluded=excluded_without(table.good(), options.metrics, table.columns),
-            protocol=protocol,
+        charts = [_chart(table, key, protocol, options.title) for key in options.metrics]
+        tables = (
+            summary_table("repeatability", table, options.metrics, ["algorithm", "dataset"]),
+            raw_table("repeatability_raw", table, ["seed", *options.metrics]),
         )
+        return result_of(table, protocol, charts, tables, lacking=options.metrics)
 
 
 def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -> Chart:
@@ -74,8 +68,7 @@ def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -
     shown = table.good().dropna(subset=[key])
     failed = table.failed()
     order = {int(run): float(place) for place, run in enumerate(table.frame["run_id"], start=1)}
-    algorithm = str(table.frame["algorithm"].iloc[0])
-    colour = algorithm_colours([algorithm])[algorithm]
+    colour = table.colours[str(table.frame["algorithm"].iloc[0])]
     runs = shown["run_id"].to_numpy(dtype=int)
     values = number_column(shown, key)
     marks: list[Mark] = [Points("runs", np.array([order[run] for run in runs]), values, colour=colour, runs=runs)]

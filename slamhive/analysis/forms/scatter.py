@@ -2,30 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
-import pandas as pd
 from pydantic import Field
 
-from slamhive.analysis.chart import Axis, Chart, Mark, Points
-from slamhive.analysis.colours import algorithm_colours, dataset_markers
-from slamhive.analysis.forms.base import (
-    FORMS,
-    Form,
-    FormData,
-    axis_of,
-    caption,
-    excluded_without,
-    number_column,
-    raw_table,
-    require_runs,
-    spans_decades,
-)
-from slamhive.analysis.forms.coverage_scale import CoverageScaleOptions, scaled_by_coverage
-from slamhive.analysis.forms.places import failed_marks, places_on
+from slamhive.analysis.chart import Chart
+from slamhive.analysis.density import rule_words
+from slamhive.analysis.forms.base import FORMS, Form, FormData, caption
+from slamhive.analysis.forms.cloud import cloud_of
+from slamhive.analysis.forms.coverage_scale import CoverageScaleOptions
+from slamhive.analysis.forms.places import failed_marks, legend
 from slamhive.analysis.result import FormResult
-from slamhive.analysis.table import RunTable
-from slamhive.errors import InvalidInput
 
 
 class ScatterOptions(CoverageScaleOptions):
@@ -49,48 +34,17 @@ class Scatter(Form[ScatterOptions]):
 
     def build(self, data: FormData, options: ScatterOptions) -> FormResult:
         """One chart and its raw data."""
-        table = data.table
-        require_runs(table)
-        if options.x == options.y:
-            raise InvalidInput(f"x and y are both {options.x!r}", "choose two different columns")
-        x, y = table.column(options.x), table.numeric(options.y, "the y axis")
-        protocol = table.one_protocol([x.key, y.key])
-        table, scaling = scaled_by_coverage(table, [x.key, y.key], options)
-        good = table.good()
-        shown = good.dropna(subset=[x.key, y.key])
-        x_axis = axis_of(
-            x, log=x.numeric and spans_decades(number_column(shown, x.key)), values=table.frame[x.key].dropna()
-        )
+        cloud = cloud_of(data.table, [options.x, options.y], options)
+        x, y = cloud.columns
         chart = Chart(
             key=f"scatter_{x.key}_{y.key}",
             title=options.title or f"{y.label} over {x.label}",
-            x=x_axis,
-            y=axis_of(y, log=spans_decades(number_column(shown, y.key))),
-            marks=(*_points(shown, x_axis, x.key, y.key, table), *failed_marks(table, x_axis, x.key)),
-            caption=caption(table, len(shown), protocol, scaling),
+            x=cloud.axes[0],
+            y=cloud.axes[1],
+            marks=(*cloud.points(), *failed_marks(cloud.table, cloud.axes[0], x.key), *legend(cloud.table)),
+            caption=caption(cloud.table, len(cloud.shown), cloud.protocol, cloud.scaling, rule_words(len(cloud.shown))),
         )
-        return FormResult(
-            charts=(chart,),
-            tables=(raw_table(chart.key, table, [x.key, y.key]),),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            excluded=excluded_without(good, [x.key, y.key], table.columns),
-            protocol=protocol,
-        )
-
-
-def _points(shown: pd.DataFrame, axis: Axis, x: str, y: str, table: RunTable) -> Iterator[Mark]:
-    colours = algorithm_colours(table.frame["algorithm"])
-    markers = dataset_markers(table.frame["dataset"])
-    for (algorithm, dataset), rows in shown.groupby(["algorithm", "dataset"], sort=True):
-        yield Points(
-            name=f"{algorithm} on {dataset}",
-            x=places_on(axis, rows[x]),
-            y=number_column(rows, y),
-            colour=colours[algorithm],
-            marker=markers[dataset],
-            runs=rows["run_id"].to_numpy(dtype=int),
-        )
+        return cloud.result(chart)
 
 
 FORMS.register(Scatter.key, Scatter())

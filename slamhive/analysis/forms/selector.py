@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 from pydantic import Field
 
 from slamhive.analysis.chart import Array, Axis, Bars, Chart
-from slamhive.analysis.forms.base import FORMS, Form, FormData, FormOptions, number_column, raw_table, require_runs
-from slamhive.analysis.forms.places import value_words
+from slamhive.analysis.forms.base import (
+    FORMS,
+    Form,
+    FormData,
+    FormOptions,
+    number_column,
+    raw_table,
+    require_runs,
+    result_of,
+)
+from slamhive.analysis.forms.places import settings_words
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
-from slamhive.analysis.table import FAILED, RunTable
+from slamhive.analysis.table import FAILED, Column, RunTable
 from slamhive.domain.metrics import Direction
 from slamhive.errors import InvalidInput
 
@@ -92,21 +100,20 @@ class Selector(Form[SelectorOptions]):
             f"{100 * options.kept_share:g} % of their runs. Failed runs keep nothing. {table.rule.words} "
             f"{under}Ranked by datasets covered, then by the mean of {rank.label}; whiskers: 95 % bootstrap interval."
         )
-        charts = (_chart(chosen[:_SHOWN], rank.label, rank.unit, options.title, text),) if chosen else ()
+        charts = (_chart(chosen[:_SHOWN], rank, options.title, text, table),) if chosen else ()
         notes = () if chosen else (f"No tested setting keeps {words}.",)
-        return FormResult(
-            charts=charts,
-            tables=(
-                _ranking(chosen, rank.label, rank.unit, text),
+        result = result_of(
+            table,
+            protocol,
+            charts,
+            (
+                _ranking(chosen, rank.label, rank.unit, "" if chosen else text),
                 _reasons(table, bounds),
                 _untested(table),
                 raw_table("selector_raw", table, [rank.key, *(bound.key for bound in bounds)]),
             ),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            protocol=protocol,
-            notes=notes,
         )
+        return replace(result, notes=notes)
 
 
 def parse_bound(text: str) -> Bound:
@@ -126,20 +133,8 @@ def _bound_words(bound: Bound, table: RunTable) -> str:
     return f"{column.label} {bound.sign} {bound.limit:g} {column.unit}".rstrip()
 
 
-def _settings(table: RunTable) -> pd.Series:
-    """What tells configurations apart besides the dataset, in words: the parameters that vary."""
-    varied = [column.key for column in table.varied()]
-
-    def words(row: pd.Series) -> str:
-        return ", ".join(f"{key} {value_words(row[key])}" for key in varied if not pd.isna(row[key]))
-
-    unique = table.frame[["configuration_id", *varied]].drop_duplicates("configuration_id")
-    named = dict(zip(unique["configuration_id"], unique.apply(words, axis=1), strict=True)) if len(unique) else {}
-    return table.frame["configuration_id"].map(named)
-
-
 def _candidates(table: RunTable, bounds: list[Bound], rank_by: str) -> list[Candidate]:
-    frame = table.frame.assign(settings=_settings(table))
+    frame = table.frame.assign(settings=settings_words(table))
     kept = frame[FAILED].isna().to_numpy(dtype=bool)
     for bound in bounds:
         kept = kept & bound.holds(number_column(frame, bound.key))
@@ -150,7 +145,7 @@ def _candidates(table: RunTable, bounds: list[Bound], rank_by: str) -> list[Cand
             Candidate(
                 algorithm=str(algorithm),
                 configurations=tuple(int(entry) for entry in sorted(rows["configuration_id"].unique())),
-                settings=str(settings) or "as given",
+                settings=str(settings),
                 runs=len(rows),
                 failed=int(rows[FAILED].notna().sum()),
                 kept=int(rows["kept"].sum()),
@@ -161,19 +156,24 @@ def _candidates(table: RunTable, bounds: list[Bound], rank_by: str) -> list[Cand
     return found
 
 
-def _chart(chosen: list[Candidate], label: str, unit: str, title: str | None, text: str) -> Chart:
+def _chart(chosen: list[Candidate], rank: Column, title: str | None, text: str, table: RunTable) -> Chart:
     names = tuple(f"{place}. {entry.algorithm}" for place, entry in enumerate(chosen, start=1))
     scores = [entry.score for entry in chosen if entry.score is not None]
     ends = [(s.mean, s.mean) if s.interval is None else (s.interval.low, s.interval.high) for s in scores]
     low, high = np.array(ends).reshape(-1, 2).T
     bars = Bars(
-        label, np.array([score.mean for score in scores]), low, high, texts=tuple(f"n = {s.count}" for s in scores)
+        rank.label,
+        np.array([score.mean for score in scores]),
+        low,
+        high,
+        texts=tuple(f"{entry.settings}; n = {score.count}" for entry, score in zip(chosen, scores, strict=True)),
+        colours=tuple(table.colours[entry.algorithm] for entry in chosen),
     )
     return Chart(
         key="selector",
-        title=title or f"The best {len(chosen)} by {label}",
+        title=title or f"The best {len(chosen)} by {rank.label}",
         x=Axis("rank", categories=names),
-        y=Axis(f"{label}, mean", unit),
+        y=Axis(f"{rank.label}, mean", rank.unit),
         marks=(bars,),
         caption=text,
     )

@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from slamhive.analysis.chart import REFERENCE, Chart, Line, Points
-from slamhive.analysis.colours import algorithm_colours
+from slamhive.analysis.chart import Chart, Line, Points
 from slamhive.analysis.forms.base import (
     FORMS,
     Form,
@@ -22,10 +21,11 @@ from slamhive.analysis.forms.base import (
     number_column,
     raw_table,
     require_runs,
+    result_of,
     spans_decades,
 )
 from slamhive.analysis.forms.line import mean_lines
-from slamhive.analysis.forms.places import failed_marks
+from slamhive.analysis.forms.places import failed_marks, look_of
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED, RunTable
 from slamhive.domain.metrics import Direction
@@ -98,13 +98,8 @@ class Sensitivity(Form[SensitivityOptions]):
                 f"{broken.format(100 * options.failure_rate, options.factor)}.",
             ),
         )
-        return FormResult(
-            charts=(chart,),
-            tables=(_table(points, table, options), raw_table("sensitivity_raw", table, [x.key, metric.key])),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            protocol=protocol,
-        )
+        tables = (_table(points, table, options), raw_table("sensitivity_raw", table, [x.key, metric.key]))
+        return result_of(table, protocol, (chart,), tables, lacking=[x.key, metric.key])
 
 
 def breaking_points(table: RunTable, options: SensitivityOptions) -> Iterator[BreakingPoint]:
@@ -151,16 +146,15 @@ def _much_worse(mean: float | None, baseline: float | None, factor: float, *, hi
 
 
 def _limits(points: list[BreakingPoint], shown: pd.DataFrame, metric: str, table: RunTable) -> Iterator[Line | Points]:
-    colours = algorithm_colours(table.frame["algorithm"])
     values = number_column(shown, metric)
     if not len(values):
         return
     ends = np.array([np.nanmin(values), np.nanmax(values)])
     for point in points:
         if point.first_bad is not None:
-            name = f"{point.algorithm} on {point.dataset} breaks"
-            colour = colours.get(point.algorithm, REFERENCE)
-            yield Line(name, np.full(2, point.first_bad), ends, colour=colour, dashed=True)
+            look = look_of(table, point.algorithm, point.dataset)
+            look["name"] += " breaks"
+            yield Line(x=np.full(2, point.first_bad), y=ends, dashed=True, **look)
 
 
 def _table(points: list[BreakingPoint], table: RunTable, options: SensitivityOptions) -> ResultTable:

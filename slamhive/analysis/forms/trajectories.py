@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from slamhive.analysis.chart import REFERENCE, Array, Axis, Chart, Line, Points
-from slamhive.analysis.colours import OKABE_ITO, algorithm_colours
+from slamhive.analysis.colours import PALETTE
 from slamhive.analysis.forms.base import (
     FORMS,
     Form,
@@ -19,8 +21,10 @@ from slamhive.analysis.forms.base import (
     one_value,
     raw_table,
     require_runs,
+    result_of,
     spans_decades,
 )
+from slamhive.analysis.forms.places import legend
 from slamhive.analysis.result import Exclusion, FormResult, ResultTable, TableColumn
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
@@ -62,23 +66,19 @@ class Trajectories(Form[TrajectoriesOptions]):
         text = caption(table, len(tracks), protocol, f"Ground truth of {dataset} dashed; circles: start.")
         plane = _widest_plane(tracks[0].reference_positions_m)
         start_s = float(tracks[0].reference_stamps_s[0])
-        names = _names(tracks, table)
-        charts = [_path(tracks, names, plane, options.title or f"Trajectories on {dataset}", text)]
-        charts += [_coordinate(tracks, names, axis, start_s, text) for axis in range(3)]
-        errors = [line for line in _errors(tracks, names, start_s) if len(line.y)]
+        looks = _looks(tracks, table)
+        key = [] if looks[tracks[0].run_id]["in_legend"] else list(legend(table, markers=False))
+        charts = [_path(tracks, looks, plane, options.title or f"Trajectories on {dataset}", text)]
+        charts += [_coordinate(tracks, looks, axis, start_s, text) for axis in range(3)]
+        errors = [line for line in _errors(tracks, looks, start_s) if len(line.y)]
         if errors:
             spread = spans_decades(np.concatenate([line.y for line in errors]))
             y = Axis("position error", "m", spread)
             time = Axis("time since the start of the ground truth", "s")
             charts.append(Chart("trajectory_error", "Position error", time, y, tuple(errors), text))
-        return FormResult(
-            charts=tuple(charts),
-            tables=(raw_table("trajectories", table, ["ate.rmse", "tracked_fraction"], "Errors"), _poses(tracks)),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            excluded=tuple(without),
-            protocol=protocol,
-        )
+        charts = [replace(chart, marks=(*chart.marks, *key)) for chart in charts]
+        tables = (raw_table("trajectories", table, ["ate.rmse", "tracked_fraction"], "Errors"), _poses(tracks))
+        return result_of(table, protocol, charts, tables, excluded=without)
 
 
 def _tracks(data: FormData, most: int) -> tuple[list[RunTrack], list[Exclusion]]:
@@ -93,23 +93,23 @@ def _tracks(data: FormData, most: int) -> tuple[list[RunTrack], list[Exclusion]]
         lacking += [] if track is not None else [run]
         tracks += [] if track is None else [track]
     left_over = runs[len(tracks) + len(lacking) :]
-    found = [
+    return tracks, [
         Exclusion("no files of an evaluation", tuple(lacking)),
         Exclusion("beyond the number drawn", tuple(left_over)),
     ]
-    return tracks, [entry for entry in found if entry.runs]
 
 
-def _names(tracks: list[RunTrack], table: RunTable) -> dict[int, tuple[str, str]]:
-    """{run: (name, colour)}: by algorithm, or by run where there is one algorithm only."""
+def _looks(tracks: list[RunTrack], table: RunTable) -> dict[int, dict[str, Any]]:
+    """{run: how it is drawn}: coloured by algorithm; by run where there is one algorithm only, and few runs of it."""
     algorithms = dict(zip(table.frame["run_id"], table.frame["algorithm"], strict=True))
-    colours = algorithm_colours(table.frame["algorithm"])
-    several = len(set(algorithms.values())) > 1
+    single = len(set(algorithms.values())) == 1 and len(tracks) <= len(PALETTE)
     return {
-        track.run_id: (
-            f"run {track.run_id}, {algorithms[track.run_id]}",
-            colours[algorithms[track.run_id]] if several else OKABE_ITO[place % len(OKABE_ITO)],
-        )
+        track.run_id: {
+            "name": f"run {track.run_id}, {algorithms[track.run_id]}",
+            "colour": PALETTE[place] if single else table.colours[algorithms[track.run_id]],
+            "in_legend": single,
+            "group": f"run {track.run_id}" if single else algorithms[track.run_id],
+        }
         for place, track in enumerate(tracks)
     }
 
@@ -119,14 +119,14 @@ def _widest_plane(positions_m: Array) -> str:
     return {2: "xy", 1: "xz", 0: "yz"}[dropped]
 
 
-def _path(tracks: list[RunTrack], names: dict[int, tuple[str, str]], plane: str, title: str, text: str) -> Chart:
+def _path(tracks: list[RunTrack], looks: dict[int, dict[str, Any]], plane: str, title: str, text: str) -> Chart:
     first, second = _PLANES[plane]
     marks: list[Line | Points] = []
     for track in tracks:
-        name, colour = names[track.run_id]
+        look = looks[track.run_id]
         x, y = track.positions_m[:, first], track.positions_m[:, second]
-        marks.append(Line(name, x, y, colour=colour, runs=track.run_id))
-        marks.append(Points(name, x[:1], y[:1], colour=colour, in_legend=False))
+        marks.append(Line(x=x, y=y, runs=track.run_id, **look))
+        marks.append(Points(x=x[:1], y=y[:1], **look | {"in_legend": False}))
     reference = tracks[0].reference_positions_m
     marks.append(Line("ground truth", reference[:, first], reference[:, second], colour=REFERENCE, dashed=True))
     return Chart(
@@ -142,12 +142,9 @@ def _path(tracks: list[RunTrack], names: dict[int, tuple[str, str]], plane: str,
 
 
 def _coordinate(
-    tracks: list[RunTrack], names: dict[int, tuple[str, str]], axis: int, start_s: float, text: str
+    tracks: list[RunTrack], looks: dict[int, dict[str, Any]], axis: int, start_s: float, text: str
 ) -> Chart:
-    lines = [
-        Line(names[t.run_id][0], t.stamps_s - start_s, t.positions_m[:, axis], colour=names[t.run_id][1], runs=t.run_id)
-        for t in tracks
-    ]
+    lines = [Line(x=t.stamps_s - start_s, y=t.positions_m[:, axis], runs=t.run_id, **looks[t.run_id]) for t in tracks]
     reference = tracks[0]
     times_s = reference.reference_stamps_s - start_s
     lines.append(Line("ground truth", times_s, reference.reference_positions_m[:, axis], colour=REFERENCE, dashed=True))
@@ -162,12 +159,11 @@ def _coordinate(
     )
 
 
-def _errors(tracks: list[RunTrack], names: dict[int, tuple[str, str]], start_s: float) -> Iterator[Line]:
+def _errors(tracks: list[RunTrack], looks: dict[int, dict[str, Any]], start_s: float) -> Iterator[Line]:
     for track in tracks:
         known = np.isfinite(track.errors_m)
-        name, colour = names[track.run_id]
         times_s = track.stamps_s[known] - start_s
-        yield Line(name, times_s, track.errors_m[known], colour=colour, runs=track.run_id)
+        yield Line(x=times_s, y=track.errors_m[known], runs=track.run_id, **looks[track.run_id])
 
 
 def _poses(tracks: list[RunTrack]) -> ResultTable:

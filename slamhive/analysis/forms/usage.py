@@ -7,9 +7,19 @@ from collections.abc import Iterator
 import numpy as np
 from pydantic import Field
 
-from slamhive.analysis.chart import Array, Axis, Chart, Line
-from slamhive.analysis.colours import algorithm_colours
-from slamhive.analysis.forms.base import FORMS, Form, FormData, FormOptions, RunUsage, caption, raw_table, require_runs
+from slamhive.analysis.chart import Array, Axis, Chart, Line, Points
+from slamhive.analysis.forms.base import (
+    FORMS,
+    Form,
+    FormData,
+    FormOptions,
+    RunUsage,
+    caption,
+    raw_table,
+    require_runs,
+    result_of,
+)
+from slamhive.analysis.forms.places import legend
 from slamhive.analysis.result import Exclusion, FormResult, ResultTable, TableColumn
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
@@ -76,20 +86,11 @@ class Usage(Form[UsageOptions]):
             ),
         )
         excluded = (Exclusion("not sampled", tuple(without)), Exclusion("beyond the number drawn", tuple(left_over)))
-        return FormResult(
-            charts=charts,
-            tables=(
-                raw_table("usage", table, ["cpu.mean", "cpu.max", "ram.max"], "Means and peaks"),
-                _samples(sampled),
-            ),
-            runs=len(table.frame),
-            failed=len(table.failed()),
-            excluded=tuple(entry for entry in excluded if entry.runs),
-        )
+        tables = (raw_table("usage", table, ["cpu.mean", "cpu.max", "ram.max"], "Means and peaks"), _samples(sampled))
+        return result_of(table, None, charts, tables, excluded=excluded)
 
 
-def _lines(sampled: list[RunUsage], table: RunTable, what: str) -> Iterator[Line]:
-    colours = algorithm_colours(table.frame["algorithm"])
+def _lines(sampled: list[RunUsage], table: RunTable, what: str) -> Iterator[Line | Points]:
     failed = set(table.failed()["run_id"])
     algorithms = dict(zip(table.frame["run_id"], table.frame["algorithm"], strict=True))
     for usage in sampled:
@@ -99,10 +100,13 @@ def _lines(sampled: list[RunUsage], table: RunTable, what: str) -> Iterator[Line
             name=f"run {usage.run_id}, {algorithms[usage.run_id]}",
             x=usage.times_s[kept],
             y=values[kept],
-            colour=colours[algorithms[usage.run_id]],
+            colour=table.colours[algorithms[usage.run_id]],
             dashed=usage.run_id in failed,
             runs=usage.run_id,
+            in_legend=False,
+            group=algorithms[usage.run_id],
         )
+    yield from legend(table, markers=False)
 
 
 def _evenly(count: int) -> Array:

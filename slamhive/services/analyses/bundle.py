@@ -19,7 +19,7 @@ from slamhive.analysis.result import FormResult, ResultTable
 from slamhive.analysis.result_json import from_json
 from slamhive.files import write_aside
 from slamhive.services.analyses.report import SHOWN_ROWS, excluded_words, file_name
-from slamhive.services.analyses.tables import table_csv, table_latex
+from slamhive.services.analyses.tables import parquet_there, table_csv, table_latex, table_parquet
 from slamhive.services.markdown import markdown_html
 
 PLOTLY_FILE = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
@@ -120,6 +120,11 @@ def shown_form(form: dict[str, Any]) -> dict[str, Any]:
         **{key: form[key] for key in ("place", "form", "title", "description", "text", "error")},
         "charts": [] if result is None else result.charts,
         "tables": [_shown_table(table) for table in tables],
+        "raw": [
+            {"key": table.key, "title": table.title, "rows": len(table.rows)}
+            for table in (() if result is None else result.tables)
+            if table.raw
+        ],
         "notes": [*(() if result is None else result.notes), *excluded_words(form)],
         "runs": None if result is None else result.runs,
         "failed": None if result is None else result.failed,
@@ -127,7 +132,13 @@ def shown_form(form: dict[str, Any]) -> dict[str, Any]:
 
 
 def _shown_table(table: ResultTable) -> dict[str, Any]:
-    return {"table": table, "rows": table.rows[:SHOWN_ROWS], "more": len(table.rows) - SHOWN_ROWS}
+    rows = table.rows[:SHOWN_ROWS]
+    numeric = [
+        column.key
+        for place, column in enumerate(table.columns)
+        if all(isinstance(row[place], int | float | None) for row in rows)
+    ]
+    return {"table": table, "rows": rows, "more": len(table.rows) - SHOWN_ROWS, "numeric": numeric}
 
 
 def figures_json(report: dict[str, Any]) -> dict[str, Any]:
@@ -142,6 +153,8 @@ def figures_json(report: dict[str, Any]) -> dict[str, Any]:
 
 def _table_files(place: int, table: ResultTable) -> Iterator[tuple[str, bytes]]:
     yield f"tables/{file_name(place, table.key, 'csv')}", table_csv(table).encode()
+    if parquet_there():
+        yield f"tables/{file_name(place, table.key, 'parquet')}", table_parquet(table)
     if not table.raw:
         yield f"tables/{file_name(place, table.key, 'tex')}", table_latex(table).encode()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from slamhive.analysis.analysis_file import Analysis, FormRequest
@@ -34,7 +34,7 @@ class AnalysisSources:
     store: Store
     find: Find
     saved_search: Callable[[str], str]
-    sensors_of: Callable[[str], str | None]
+    sensors: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ def run_analysis(
     progress(0.05, f"reading {len(run_ids)} runs")
     keys = {key for request in analysis.forms for key in request.form.needs(request.options)}
     asked = TableRequest(run_ids, keys, analysis.protocol, analysis.rule)
-    table = load_table(sources.store, asked, sources.sensors_of)
+    table = load_table(sources.store, asked, sources.sensors)
     for key in analysis.one:
         one_value(table, key, "the analysis")
     compared = [request for request in analysis.forms if request.form.all_protocols]

@@ -64,7 +64,7 @@ class Analyses:
             store=self._store,
             find=self._searches.find,
             saved_search=self._saved_search,
-            sensors_of=self._sensors,
+            sensors={entry.name: entry.setup.value for entry in self._catalogue.algorithms()},
         )
         return report_json(run_analysis(analysis, sources, limits, progress), utc_now())
 
@@ -75,12 +75,6 @@ class Analyses:
 
     def _saved_search(self, name: str) -> str:
         return self._searches.saved_named(name).filter_text
-
-    def _sensors(self, algorithm: str) -> str | None:
-        try:
-            return self._catalogue.algorithm(algorithm).setup.value
-        except (NotFound, InvalidInput):  # left the installation, or its folder is broken: its runs remain
-            return None
 
 
 def _paper_names(transaction: Transaction) -> PaperNames:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,8 @@ from slamhive.store.store import Store
 Columns = dict[str, list[Any]]
 ById = dict[str, dict[int, Any]]
 
+_ENDINGS = {"hz": "Hz", "s": "s", "m": "m", "px": "px", "rad": "rad"}
+
 RULE_METRICS = ("ate.rmse", "tracked_fraction")
 """Every table holds what the rule of failures looks at."""
 
@@ -32,20 +34,20 @@ class TableRequest:
     rule: FailureRule
 
 
-def load_table(store: Store, request: TableRequest, sensors_of: Callable[[str], str | None]) -> RunTable:
+def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) -> RunTable:
     """The table of the requested runs.
 
     Args:
         store: Where the runs are.
         request: Which runs and figures.
-        sensors_of: The sensor set-up of an algorithm by its name; None if it is not known.
+        sensors: The sensor set-up of each installed algorithm by its name.
 
     Raises:
         NotFound: for a protocol that nothing was evaluated under.
     """
     metrics = sorted({key for key in request.keys if key in CATALOGUE} | set(RULE_METRICS))
 
-    def work(transaction: Any) -> tuple[Columns, ById, ById, ById]:
+    def work(transaction: Any) -> tuple[Columns, ById, ById, ById, dict[str, str]]:
         source = transaction.run_table
         facts = source.facts(request.run_ids)
         parameters = source.parameters(facts["configuration_id"])
@@ -54,21 +56,19 @@ def load_table(store: Store, request: TableRequest, sensors_of: Callable[[str], 
             count = len(facts["run_id"])
             facts["protocol"] = [request.protocol] * count
             facts["protocol_label"] = [source.protocol_label(request.protocol)] * count
-        return facts, parameters, source.axes(facts["run_id"]), figures
+        return facts, parameters, source.axes(facts["run_id"]), figures, source.units()
 
-    facts, parameters, axes, figures = store.read(work)
+    facts, parameters, axes, figures, units = store.read(work)
     variants = facts.pop("variant")
     facts["variant"] = [_variant_words(variant) for variant in variants]
-    facts["sensors"] = _looked_up(facts["algorithm"], sensors_of)
+    facts["sensors"] = [sensors.get(name) for name in facts["algorithm"]]
     columns = _by_id(parameters, facts["configuration_id"]) | _variant_columns(variants)
     new = {name: values for name, values in axes.items() if name not in columns and name not in facts}
     columns |= _by_id(new, facts["run_id"])
-    return make_table(
-        facts,
-        columns,
-        _by_id(figures, facts["run_id"]),
-        request.rule,
-    )
+    known = {name: _unit(name, units) for name in columns if name not in new}
+    known |= {name: known.get(_source(columns[name], columns, known), "") for name in new}
+    table = make_table(facts, columns, _by_id(figures, facts["run_id"]), request.rule, installed=sensors)
+    return table.described(known, _told_by_axes(variants, new, facts["run_id"]))
 
 
 def load_every_protocol(store: Store, keys: Collection[str], run_ids: Sequence[int]) -> pd.DataFrame:
@@ -86,9 +86,27 @@ def check_size(run_ids: Sequence[int], limit: int) -> None:
         raise InvalidInput(f"the selection holds {len(run_ids)} runs, {limit} are allowed", "narrow it")
 
 
-def _looked_up(names: Sequence[str], lookup: Callable[[str], str | None]) -> list[str | None]:
-    known = {name: lookup(name) for name in set(names)}
-    return [known[name] for name in names]
+def _told_by_axes(variants: Sequence[Any], axes: Mapping[str, Mapping[int, Any]], run_ids: Sequence[int]) -> set[str]:
+    """The options of steps, if all runs that have any come from experiments, whose axes say the same in few columns."""
+    named = {run_id for values in axes.values() for run_id in values}
+    covered = all(run_id in named for run_id, variant in zip(run_ids, variants, strict=True) if variant)
+    return set(_variant_columns(variants)) if covered else set()
+
+
+def _unit(name: str, units: Mapping[str, str]) -> str:
+    """The unit of a parameter, or of an option of a step by the ending of its name."""
+    if not name.startswith(VARIANT_PREFIX):
+        return units.get(name, "")
+    return _ENDINGS.get(name.rpartition(".")[2].rpartition("_")[2], "")
+
+
+def _source(axis: list[Any], columns: Columns, known: Collection[str]) -> str:
+    """The parameter or option that an axis of an experiment sets; empty if it cannot be told."""
+    for name in known:
+        pairs = [pair for pair in zip(axis, columns[name], strict=True) if None not in pair]
+        if pairs and all(own == other for own, other in pairs) and len(set(axis)) > 1:
+            return name
+    return ""
 
 
 def _by_id(values: Mapping[str, Mapping[int, Any]], ids: Sequence[int]) -> Columns:

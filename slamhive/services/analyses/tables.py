@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from importlib.util import find_spec
 
 import pandas as pd
 
@@ -13,6 +14,9 @@ from slamhive.services.table_text import safe_cell
 
 LATEX_ROWS = 500
 """A printed table is not longer; the CSV file has all rows."""
+
+WITHOUT_PARQUET = "Parquet needs pyarrow, which is not installed"
+PARQUET_REMEDY = "pip install slamhive[parquet]"
 
 _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
@@ -31,6 +35,11 @@ def table_csv(table: ResultTable) -> str:
     return text.getvalue()
 
 
+def parquet_there() -> bool:
+    """Whether Parquet files can be written: pyarrow is installed."""
+    return find_spec("pyarrow") is not None
+
+
 def table_parquet(table: ResultTable) -> bytes:
     """A Parquet file; raises Unavailable without pyarrow."""
     frame = pd.DataFrame(list(table.rows), columns=[column.key for column in table.columns])
@@ -41,8 +50,7 @@ def table_parquet(table: ResultTable) -> bytes:
     try:
         frame.to_parquet(buffer, engine="pyarrow", index=False)
     except ImportError:
-        remedy = "pip install slamhive[parquet]"
-        raise Unavailable("Parquet needs pyarrow, which is not installed", remedy) from None
+        raise Unavailable(WITHOUT_PARQUET, PARQUET_REMEDY) from None
     return buffer.getvalue()
 
 

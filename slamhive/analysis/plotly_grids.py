@@ -1,0 +1,89 @@
+"""The marks of a chart that are grids, as Plotly traces: heat maps and the densities of many points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slamhive.analysis.chart import Cells, Chart, Density
+from slamhive.analysis.plotly_values import Json, escaped, numbers, translucent
+
+SCALE = "Viridis"
+
+
+def density(mark: Density, chart: Chart) -> list[Json]:
+    """One colour from pale to full over decades, nothing where there is no point."""
+    full = max(np.log10(mark.most), 0.3)
+    edges = [10**e if axis.log else e for e, axis in ((mark.x_edges, chart.x), (mark.y_edges, chart.y))]
+    return [
+        {
+            "type": "heatmap",
+            "name": escaped(mark.name),
+            "x": numbers(edges[0]),
+            "y": numbers(edges[1]),
+            "z": numbers(np.where(mark.counts > 0, np.log10(np.maximum(mark.counts, 1)), np.nan)),
+            "zmin": 0,
+            "zmax": float(full),
+            "customdata": numbers(mark.counts),
+            "colorscale": [[0, translucent(mark.colour, 0.3)], [1, translucent(mark.colour, 1.0)]],
+            "showscale": False,
+            "hoverongaps": False,
+            "legendgroup": escaped(mark.group or mark.name),
+            "hovertemplate": f"%{{customdata}} runs of {escaped(mark.name)}<extra></extra>",
+        }
+    ]
+
+
+def cells(mark: Cells, chart: Chart) -> list[Json]:
+    """A heat map with its words."""
+    values = np.log10(mark.values) if mark.log else mark.values
+    low, high = mark.span or (float(np.nanmin(mark.values, initial=np.inf)), float(np.nanmax(mark.values, initial=0.0)))
+    ends = (math.log10(low), math.log10(high)) if mark.log else (low, high)
+    title = f"{mark.label} [{mark.unit}]" if mark.unit else mark.label
+    bar: Json = {"title": {"text": escaped(title)}}
+    if mark.log:
+        ticks = np.linspace(*ends, 5)
+        bar |= {"tickvals": ticks.tolist(), "ticktext": [f"{10**tick:.3g}" for tick in ticks]}
+    return [
+        {
+            "type": "heatmap",
+            "x": [escaped(name) for name in chart.x.categories or ()],
+            "y": [escaped(name) for name in chart.y.categories or ()],
+            "z": numbers(values),
+            **({"zmin": ends[0], "zmax": ends[1]} if mark.span else {}),
+            "text": [
+                [escaped(text) if known else "" for text, known in zip(*row, strict=True)]
+                for row in zip(mark.texts, np.isfinite(mark.values), strict=True)
+            ],
+            "texttemplate": "%{text}",
+            "colorscale": SCALE,
+            "reversescale": mark.lower_is_better,
+            "colorbar": bar,
+            "hoverongaps": False,
+            "hovertemplate": "%{x}<br>%{y}<br>%{text}<extra></extra>",
+            "xgap": 1,
+            "ygap": 1,
+        },
+        *_words_of_empty_cells(mark, chart),
+    ]
+
+
+def _words_of_empty_cells(mark: Cells, chart: Chart) -> list[Json]:
+    """Words in cells are made to be seen on the cell's colour; where there is none they are on the page's."""
+    rows, columns = np.nonzero(~np.isfinite(mark.values))
+    places = [(int(r), int(c)) for r, c in zip(rows, columns, strict=True) if mark.texts[r][c]]
+    if not places:
+        return []
+    x, y = chart.x.categories or (), chart.y.categories or ()
+    return [
+        {
+            "type": "scatter",
+            "mode": "text",
+            "x": [escaped(x[column]) for _, column in places],
+            "y": [escaped(y[row]) for row, _ in places],
+            "text": [escaped(mark.texts[row][column]) for row, column in places],
+            "hoverinfo": "skip",
+            "showlegend": False,
+        }
+    ]
