@@ -6,6 +6,9 @@ Fills a store (see ``search_data.py``), computes an analysis of all its runs, se
 of its own, and asks as many clients as browsers would: lists, sorted and filtered lists, the pages of runs, the page
 and the figures of the analysis, help. A browser that has a page asks with its ETag, so both columns are real: without,
 and with. Prints requests a second and the times of each address. Asked: 200 a second on 2 cores.
+
+The last column is the CPU time of a page of a workstation, which keeps none: that of one thread, so it hardly depends
+on what else the machine does. Asked: 150 ms.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.search_data import fill, make
 from slamhive.services.hive import open_hive
+from slamhive.web.app import create_app
 
 ROOT = Path(__file__).resolve().parents[1]
 ANALYSIS = """name: All runs
@@ -52,6 +56,7 @@ def addresses(runs: int, token: str) -> list[str]:
     """The mix: each address as often as it stands here."""
     some = [f"/runs/{1 + place * (runs // 4)}" for place in range(4)]
     return [
+        "/",
         "/runs",
         "/runs?sort=ate.rmse",
         "/runs?where=ate.rmse+%3C+0.1&limit=50",
@@ -60,6 +65,8 @@ def addresses(runs: int, token: str) -> list[str]:
         f"/analyses/{token}",
         f"/analyses/{token}/figures.json",
         "/analyses",
+        "/experiments",
+        "/configurations",
         "/help/analysis",
         "/help/web",
         "/algorithms",
@@ -117,6 +124,22 @@ def measure(url: str, paths: list[str], clients: int, seconds: float, *, keeps: 
     return sum(map(len, took.values())) / wall_s, {path: statistics.median(times) for path, times in took.items()}
 
 
+def made_anew(paths: list[str]) -> dict[str, float]:
+    """CPU time (s) of each page where none is kept: the median of five, once templates and statements are compiled."""
+    hive = open_hive()
+    client = create_app(hive).test_client()
+    took = {}
+    for path in dict.fromkeys(paths):
+        times = []
+        for _ in range(6):
+            began = time.thread_time()
+            client.get(path).close()
+            times.append(time.thread_time() - began)
+        took[path] = statistics.median(times[1:])
+    hive.close()
+    return took
+
+
 def main() -> None:
     """Fill, serve, measure, print."""
     parser = argparse.ArgumentParser()
@@ -141,6 +164,8 @@ def main() -> None:
         files = {path.name: path.stat().st_size for path in hive.stored_analyses.folder(token).root.glob("*.gz")}
         print("; ".join(f"{name} {size / 1e6:.2f} MB" for name, size in sorted(files.items())))
         hive.close()
+        paths = addresses(options.runs, token)
+        anew = made_anew(paths)
         environment = {
             **os.environ,
             "SLAMHIVE_MODE": "view-only",
@@ -150,7 +175,6 @@ def main() -> None:
         try:
             assert server.stdout is not None
             url = f"http://127.0.0.1:{int(server.stdout.readline())}"
-            paths = addresses(options.runs, token)
             measure(url, paths, 1, 1.0, keeps=False)
             print(f"load of the machine before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
             plain, times = measure(url, paths, options.clients, options.seconds, keeps=False)
@@ -159,9 +183,10 @@ def main() -> None:
             server.terminate()
             server.wait()
         print(f"\nrequests a second: {plain:.0f} without ETags, {kept:.0f} with\n")
-        print(f"{'address':60} {'median':>9} {'with ETag':>10}")
+        print(f"{'address':60} {'median':>9} {'with ETag':>10} {'CPU anew':>10}")
         for path in dict.fromkeys(paths):
-            print(f"{path.replace(token, 'TOKEN'):60} {1e3 * times[path]:7.1f} ms {1e3 * kept_times[path]:7.1f} ms")
+            figures = (1e3 * took[path] for took in (times, kept_times, anew))
+            print(f"{path.replace(token, 'TOKEN'):60} " + " ".join(f"{figure:7.1f} ms" for figure in figures))
 
 
 if __name__ == "__main__":
