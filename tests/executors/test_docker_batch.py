@@ -14,6 +14,7 @@ from slamhive.evaluation.batch import Batch, BatchMount
 from slamhive.executors.docker_batch import DockerStarter
 from slamhive.executors.docker_engine import INSTALLATION_LABEL
 from slamhive.executors.registry import ExecutorContext
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.docker
 
@@ -27,7 +28,7 @@ def run(base_image, tmp_path: Path, monkeypatch) -> Run:
     starter = DockerStarter(context, base_image)
     monkeypatch.setattr(starter, "_ensure_image", lambda client: None)
 
-    def run_script(script: str, timeout_s: float = 30.0, cores: tuple[int, ...] | None = None):
+    def run_script(script: str, timeout_s: float = PATIENCE_S, cores: tuple[int, ...] | None = None):
         path = tmp_path / "script.py"
         path.write_text(f"#!/usr/bin/python3\n{script}")
         path.chmod(0o755)

@@ -62,7 +62,7 @@ class PrivateDaemon:
     def end(self, number: signal.Signals) -> None:
         assert self.process is not None
         self.process.send_signal(number)
-        self.process.wait(30)
+        self.process.wait(START_S)
         # Its containerd may outlive a killed daemon, or leave a pid file that keeps the next one from starting.
         pid_file = self.folder / "exec" / "containerd" / "containerd.pid"
         if pid_file.exists():
