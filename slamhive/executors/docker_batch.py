@@ -67,6 +67,7 @@ class DockerStarter:
         with contextlib.closing(connect()) as client:
             self._ensure_image(client)
             container = self._create(client, batch)
+            output: Any = None
             try:
                 with engine_errors("starting the evaluation", Unavailable):
                     # Attached before the start: following the log instead loses the last words of a short container.
@@ -75,6 +76,8 @@ class DockerStarter:
                 given_up = LineFeed(_lines_of(output)).follow(batch.timeout_s, take, stopping)
                 return given_up or _how_it_ended(container, last)
             finally:
+                if output is not None:
+                    _hang_up(output)
                 with engine_errors("removing the evaluation container", EngineUnavailable):
                     container.remove(force=True, v=True)
 
@@ -130,6 +133,13 @@ def _lines_of(output: Iterable[bytes]) -> Iterator[str]:
         pass
     if rest:
         yield rest.decode(errors="replace")
+
+
+def _hang_up(output: Any) -> None:
+    """Close the connection of an attached output: the SDK closes its socket, and not the file that still holds it."""
+    with contextlib.suppress(OSError):  # the engine has hung up already
+        output.close()
+    output._response.close()
 
 
 def _how_it_ended(container: Any, last: deque[str]) -> str | None:
