@@ -4,6 +4,7 @@
   const PAGE = 100;
   const { columns, rows } = window.slamhiveRuns;
   const texts = rows.map((row) => row.map((value) => value === null ? "" : String(value)).join("\n").toLowerCase());
+  const numeric = columns.map((_, place) => rows.some((row) => typeof row[place] === "number"));
   const table = document.getElementById("runs");
   const search = document.getElementById("search");
   let sorted = { column: 0, descending: false };
@@ -17,10 +18,10 @@
     return (sorted.descending ? -order : order) || a - b;
   }
 
-  function cell(value, column) {
+  function cell(value, index) {
     const place = document.createElement("td");
     if (value === null) place.textContent = "–";
-    else if (column.key === "id") {
+    else if (columns[index].key === "id") {
       const link = document.createElement("a");
       link.href = `runs/${Number(value)}.html`;
       link.textContent = value;
@@ -29,14 +30,14 @@
       place.textContent = Number(value.toPrecision(5)).toString();
       place.title = value;
     } else place.textContent = value;
-    if (typeof value === "number") place.className = "number";
+    if (numeric[index]) place.className = "number";
     return place;
   }
 
   function show() {
     table.tBodies[0].replaceChildren(...shown.slice(first, first + PAGE).map((index) => {
       const line = document.createElement("tr");
-      line.append(...rows[index].map((value, place) => cell(value, columns[place])));
+      line.append(...rows[index].map(cell));
       return line;
     }));
     const last = Math.min(first + PAGE, shown.length);
