@@ -26,12 +26,8 @@
     }
     place.classList.remove("without");
     if (!place.classList.contains("js-plotly-plot")) place.replaceChildren();
-    const { data, layout } = slamhiveThemed(figure, MARGIN);
     const name = `${document.title.split(" – ")[0]} ${key}`.replace(/\W+/g, "-").toLowerCase();
-    Plotly.react(place, data, layout, {
-      responsive: true,
-      displaylogo: false,
-      modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+    slamhiveShow(place, figure, MARGIN, {
       toImageButtonOptions: { format: "svg", filename: name },
       showTips: false,
     });

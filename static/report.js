@@ -45,7 +45,19 @@
     }
     return { data, layout };
   }
-  window.slamhiveThemed = themed;
+
+  /** Draws a figure anew; its bar of buttons does not offer Plotly's own, to upload the chart to a server. */
+  function show(place, figure, margin, options) {
+    const { data, layout } = themed(figure, margin);
+    return Plotly.react(place, data, layout, {
+      responsive: true,
+      displaylogo: false,
+      plotlyServerURL: "",
+      modeBarButtonsToRemove: ["sendChartToCloud", "select2d", "lasso2d", "autoScale2d"],
+      ...options,
+    });
+  }
+  window.slamhiveShow = show;
 
   const source = document.getElementById("figures");
   if (!source) return;
@@ -88,11 +100,8 @@
   function draw(place) {
     const figure = figures[place.dataset.chart];
     if (!figure) return;
-    const { data, layout } = themed(figure, MARGIN);
     place.showsPoints = false;
-    Plotly.react(place, data, layout, {
-      responsive: true,
-      displaylogo: false,
+    show(place, figure, MARGIN, {
       displayModeBar: place.clientWidth < NARROW_PX ? false : "hover",
       toImageButtonOptions: { format: "svg" },
     });

@@ -127,3 +127,12 @@ def test_figures_show_what_evo_computed_on_a_real_run(web: Web):
     assert series.error is not None
     assert series.error.values.max() == pytest.approx(result.metrics["ate.max"], abs=1e-8)
     assert series.aligned
+
+
+def test_no_figure_offers_to_upload_itself():
+    drawing = [path for path in (project_root() / "static").glob("*.js") if "Plotly.react" in path.read_text()]
+    assert [path.name for path in drawing] == ["report.js"], "one place draws, so that one place forbids it"
+    script = drawing[0].read_text()
+    assert script.count("Plotly.react") == 1
+    assert '"sendChartToCloud"' in script
+    assert 'plotlyServerURL: ""' in script
