@@ -19,8 +19,13 @@ _FEW = ("rmse", "median", "max")
 
 _EVO = "evo (https://github.com/MichaelGrupp/evo)"
 _STURM = "Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012, eq. (1) to (3)"
-_PAIRS = "pairs as evo"
-_BY_SECONDS = "pairs as the script of the TUM RGB-D benchmark"
+_TUM_SCRIPT = "pairs after the script of the TUM RGB-D benchmark, which has no tolerance"
+_PAIRS = {
+    "": "pairs as evo",
+    ".frames": "pairs as evo",
+    ".seconds": _TUM_SCRIPT,
+    ".degrees": f"consecutive pairs as evo; all {_TUM_SCRIPT}",
+}
 _KITTI = "Geiger et al., CVPR 2012, and the KITTI odometry devkit (evaluate_odometry.cpp)"
 _ZHANG = "Zhang and Scaramuzza, A Tutorial on Quantitative Trajectory Evaluation, IROS 2018"
 _ENGEL = "Engel et al., A Photometrically Calibrated Benchmark For Monocular Visual Odometry, arXiv 1607.02555"
@@ -47,7 +52,8 @@ def _relative() -> list[Metric]:
         "seconds": f"pairs {pairs} in seconds (1 s); all pairs: each pose with the nearest, within a tenth of it",
         "degrees": (
             f"pairs {pairs} in degrees (10) of rotation summed along the estimate; all pairs: each pose with the "
-            "nearest, within a tenth of it"
+            "nearest, within a tenth of it (evo takes any two poses whose orientations differ by that, however far "
+            "apart in time, which measures drift)"
         ),
     }
     metres = f"pairs {pairs} in metres (1 m) of estimated path; all pairs: within a tenth of it"
@@ -60,7 +66,7 @@ def _relative() -> list[Metric]:
 def _both_parts(suffix: str, label: str, pairs: str, names: tuple[tuple[str, ...], tuple[str, ...]]) -> list[Metric]:
     moved = f"the relative pose error: translation part over {pairs}"
     turned = f"the relative pose error: rotation angle over {pairs}"
-    source = f"{_STURM}; {_BY_SECONDS if suffix == '.seconds' else _PAIRS}"
+    source = f"{_STURM}; {_PAIRS[suffix]}"
     return [
         *statistics(_one(f"rpe{suffix}", label, "m", Group.RELATIVE, moved, source), names[0]),
         *statistics(_one(f"rpe_rot{suffix}", f"{label} rotation", "deg", Group.RELATIVE, turned, source), names[1]),

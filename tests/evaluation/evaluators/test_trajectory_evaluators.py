@@ -1,9 +1,11 @@
 """The synthetic checks that every implementation has to pass, and the figures of trajectories that are known."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Alignment, Association, Protocol, RpePairs
@@ -225,6 +227,42 @@ class TestStartEndDrift:
         lost = kept(loop(), np.arange(400) < 300)
         with pytest.raises(InvalidInput, match="drift needs an alignment at the end of the ground truth"):
             StartEndDrift().evaluate(paired(truth, lost))
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(("unit", "delta"), [("seconds", 1.0), ("degrees", 10.0)])
+def test_all_pairs_by_seconds_and_degrees_equal_a_search_by_hand(unit, delta):
+    """Every later pose is tried, with matrices and another library's angles; the nearest within a tenth counts."""
+    pair = paired(loop(), noisy(loop()))
+    true, estimated = (as_matrices(poses) for poses in (pair.matched_reference, pair.aligned))
+    turns = np.degrees([angle_rad(np.linalg.inv(a) @ b) for a, b in pairwise(estimated)])
+    along = pair.aligned.stamps_s if unit == "seconds" else np.concatenate(([0.0], np.cumsum(turns)))
+    errors = []
+    for i in range(len(along) - 1):
+        off = [abs(along[j] - along[i] - delta) for j in range(i + 1, len(along))]
+        j = i + 1 + off.index(min(off))
+        if min(off) <= delta / 10:
+            moves = [np.linalg.inv(poses[i]) @ poses[j] for poses in (true, estimated)]
+            errors.append(np.linalg.inv(moves[0]) @ moves[1])
+    assert len(errors) > 200
+    figures = RelativeErrors().evaluate(pair).values
+    for part, found in (
+        ("rpe", np.array([np.linalg.norm(E[:3, 3]) for E in errors])),
+        ("rpe_rot", np.degrees([angle_rad(E) for E in errors])),
+    ):
+        assert figures[f"{part}.{unit}.rmse"] == pytest.approx(np.sqrt(np.mean(found**2)), rel=1e-9)
+        assert figures[f"{part}.{unit}.median"] == pytest.approx(np.median(found), rel=1e-9)
+        assert figures[f"{part}.{unit}.max"] == pytest.approx(np.max(found), rel=1e-9)
+
+
+def as_matrices(poses):
+    matrices = np.tile(np.eye(4), (len(poses), 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = Rotation.from_quat(poses.quats_xyzw).as_matrix(), poses.positions_m
+    return matrices
+
+
+def angle_rad(T):
+    return Rotation.from_matrix(T[:3, :3]).magnitude()
 
 
 def test_pairs_take_the_nearest_and_the_first_of_equals():
