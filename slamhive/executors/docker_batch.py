@@ -9,7 +9,7 @@ import tempfile
 import threading
 import uuid
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -67,17 +67,10 @@ class DockerStarter:
         with contextlib.closing(connect()) as client:
             self._ensure_image(client)
             container = self._create(client, batch)
-            output: Any = None
             try:
-                with engine_errors("starting the evaluation", Unavailable):
-                    # Attached before the start: following the log instead loses the last words of a short container.
-                    output = container.attach(stdout=True, stderr=False, stream=True)
-                    container.start()
-                given_up = LineFeed(_lines_of(output)).follow(batch.timeout_s, take, stopping)
-                return given_up or _how_it_ended(container, last)
+                feed = LineFeed(_lines_of(_started(container)))
+                return feed.follow(batch.timeout_s, take, stopping) or _how_it_ended(container, last)
             finally:
-                if output is not None:
-                    _hang_up(output)
                 with engine_errors("removing the evaluation container", EngineUnavailable):
                     container.remove(force=True, v=True)
 
@@ -121,8 +114,24 @@ class DockerStarter:
                 raise Unavailable(f"image {self._image} was removed from outside", "try again") from None
 
 
-def _lines_of(output: Iterable[bytes]) -> Iterator[str]:
-    """An attached standard output line by line; ends also if the connection breaks: the exit code tells the rest."""
+def _started(container: Any) -> Any:
+    """Start the container; what it prints, to be closed by who reads it."""
+    with engine_errors("starting the evaluation", Unavailable):
+        # Attached before the start: following the log instead loses the last words of a short container.
+        output = container.attach(stdout=True, stderr=False, stream=True)
+        try:
+            container.start()
+        except BaseException:
+            _hang_up(output)
+            raise
+        return output
+
+
+def _lines_of(output: Any) -> Iterator[str]:
+    """An attached standard output line by line; ends also if the connection breaks: the exit code tells the rest.
+
+    The engine ends it with the container. Who reads it closes it then: somebody else would close it under the reader.
+    """
     rest = b""
     try:
         for chunk in output:
@@ -131,6 +140,8 @@ def _lines_of(output: Iterable[bytes]) -> Iterator[str]:
                 yield line.decode(errors="replace")
     except (requests.exceptions.RequestException, docker.errors.APIError, OSError):
         pass
+    finally:
+        _hang_up(output)
     if rest:
         yield rest.decode(errors="replace")
 

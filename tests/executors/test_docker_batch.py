@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import docker
+import docker.errors
 import pytest
+from docker.models.containers import Container
 
+from slamhive.errors import Unavailable
 from slamhive.evaluation.batch import Batch, BatchMount
 from slamhive.executors.docker_batch import DockerStarter
 from slamhive.executors.docker_engine import INSTALLATION_LABEL
@@ -58,6 +62,16 @@ def test_last_words_of_a_bad_end(run: Run):
 
 def test_time_limit(run: Run):
     assert run("import time\ntime.sleep(60)\n", timeout_s=0.5)[0] == "it was still running after 0 s"
+
+
+def test_a_container_that_cannot_start_leaves_no_connection_open(run: Run, monkeypatch):
+    def refuse(container):
+        raise docker.errors.APIError("no more processes")
+
+    monkeypatch.setattr(Container, "start", refuse)
+    with pytest.raises(Unavailable, match="starting the evaluation: no more processes"):
+        run("print('never')\n")
+    gc.collect()  # a connection that is left open warns here
 
 
 def test_it_keeps_to_its_cores(run: Run):
