@@ -110,7 +110,8 @@ class Listing:
 
     def summary(self, shown: int, count: Count, *, grouped: bool = False) -> str:
         """What is shown, how many, and what is left out."""
-        return summary(shown, count, self.in_words(), self.hive.searches.left_out(self.search), grouped=grouped)
+        left_out = self.hive.searches.left_out(self.search, count)
+        return summary(shown, count, self.in_words(), left_out, grouped=grouped)
 
 
 def print_export(content: TableExport[Record], pages: Pages[Record], *, kind: str) -> None:

@@ -13,7 +13,7 @@ from slamhive.services.catalogue import Catalogue, check_writable
 from slamhive.services.driver_context import utc_now
 from slamhive.services.imports.external import imported_algorithms
 from slamhive.settings import Settings
-from slamhive.store.records import GroupPage, RunSort, SavedSearchRecord
+from slamhive.store.records import Count, GroupPage, RunSort, SavedSearchRecord
 from slamhive.store.store import Store
 
 _KINDS = {
@@ -91,8 +91,13 @@ class Searches:
         """How many match, however long counting takes."""
         return self._store.read(lambda t: t.searches.exact_count(search))
 
-    def left_out(self, search: Search) -> LeftOut:
-        """How many runs there are, and how many have no value of each metric that ``search`` compares."""
+    def left_out(self, search: Search, found: Count) -> LeftOut:
+        """How many runs there are, and how many have no value of each metric that ``search`` compares.
+
+        ``found``: how many it finds, which without a filter is the number of all.
+        """
+        if search.tree is None:
+            return LeftOut(found.number, {})
         total, having = self._store.read(lambda t: (t.searches.total(), t.searches.with_metrics(search)))
         return LeftOut(total, {key: total - number for key, number in having.items() if number < total})
 

@@ -29,7 +29,6 @@ from slamhive.services.comparisons import ToolFigures
 from slamhive.services.current_protocols import missing_figures
 from slamhive.services.downloads import list_downloads, open_download
 from slamhive.services.hive import Hive
-from slamhive.services.searches import LeftOut
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.web.columns import Column, all_columns, column
 from slamhive.web.context import hive, now
@@ -60,10 +59,10 @@ def index() -> Response:
             raise
         return make_response(_search_page(services, RunQuery.unread(request.args), error=error), status_of(error))
     shown = [column(key, vocabulary) for key in query.columns]
-    left_out = services.searches.left_out(query.search)
     if query.grouped:
-        return make_response(_group_page(services, query, shown, left_out))
+        return make_response(_group_page(services, query, shown))
     page = services.runs(query.search, query.sort, query.after, query.limit)
+    left_out = services.searches.left_out(query.search, page.count)
     return make_response(
         _search_page(
             services,
@@ -78,11 +77,12 @@ def index() -> Response:
     )
 
 
-def _group_page(services: Hive, query: RunQuery, shown: list[Column], left_out: LeftOut) -> str:
+def _group_page(services: Hive, query: RunQuery, shown: list[Column]) -> str:
     figures = search.group_columns(query.columns)
     page = services.searches.groups(
         query.search, query.sort, query.after, query.limit, [entry.metric.key for entry in figures]
     )
+    left_out = services.searches.left_out(query.search, page.runs)
     return _search_page(
         services,
         query,
