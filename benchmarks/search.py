@@ -3,11 +3,11 @@
     python benchmarks/search.py --runs 100000 --mlflow /path/to/venv/bin/python
     python benchmarks/search.py --runs 1000000 --only mariadb
 
-"clock" is what a user waits for, "CPU" what client and server worked for it: on a machine that does other things at the
-same time only the second tells anything. Every query is a page as the web server makes it: filter text read, matches and
-what is left out counted, 50 runs with all their parameters and figures. The values in the filter are drawn anew before
-each, so that nothing is answered from a cache of results. On SQLite the same pages are then asked of the web server, whose
-memory is told.
+"clock" is what a user waits for, "CPU" what client and server worked for it: on a machine that does other things at
+the same time only the second tells anything. Every query is a page as the web server makes it: filter text read,
+matches and what is left out counted, 50 runs with all their parameters and figures. The values in the filter are drawn
+anew before each, so that nothing is answered from a cache of results. On SQLite the same pages are then asked of the
+web server, whose memory is told.
 """
 
 from __future__ import annotations
