@@ -16,7 +16,17 @@ from slamhive.web.views.experiments import with_time_left
 
 blueprint = Blueprint("dashboard", __name__)
 
-RESULT_COLUMNS = ("id", "algorithm", "dataset", "variant", "parameters", "state", "ended_at", "ate.rmse", "tracked_fraction")
+RESULT_COLUMNS = (
+    "id",
+    "algorithm",
+    "dataset",
+    "variant",
+    "parameters",
+    "state",
+    "ended_at",
+    "ate.rmse",
+    "tracked_fraction",
+)
 QUEUE_COLUMNS = ("id", "algorithm", "dataset", "variant", "parameters", "created_at")
 LIST_LENGTH = 10
 GOING_ON = (Standing.STORING, Standing.ACTIVE, Standing.PAUSED)
