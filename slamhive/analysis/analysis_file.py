@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -17,6 +17,8 @@ from slamhive.analysis.selection import Expression, check_names, in_words, parse
 from slamhive.analysis.table import FailureRule
 from slamhive.catalogue.validation import first_problem_at
 from slamhive.errors import InvalidInput, SlamHiveError
+
+PROTOCOL = "protocol:"
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -43,6 +45,12 @@ class Analysis:
     rule: FailureRule
     forms: tuple[FormRequest, ...]
     source: str
+    places: Mapping[str, str] = field(default_factory=dict)
+    """Where each set, by its name, and the protocol, under ``protocol:``, stand, for messages."""
+
+    def placed(self, part: str, error: SlamHiveError) -> SlamHiveError:
+        """The error with the place of a part of :attr:`places` before it."""
+        return type(error)(f"{self.places[part]}: {error.message}", error.remedy) if part in self.places else error
 
     @property
     def selection_words(self) -> str:
@@ -64,11 +72,6 @@ def set_words(chosen: SetModel) -> str:
     listed = ", ".join(map(str, ids[:8])) + (f" and {len(ids) - 8} more" if len(ids) > 8 else "")
     of = "" if noun == "run" else "runs of "
     return f"{of}{noun}{'s' if len(ids) > 1 else ''} {listed}"
-
-
-def load_analysis(path: Path, names: PaperNames | None = None) -> Analysis:
-    """Read the analysis at ``path``; raises InvalidInput naming file, line and what is wrong."""
-    return parse_analysis(strict_yaml.read_text(path), str(path), names)
 
 
 def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames | None = None) -> Analysis:
@@ -103,6 +106,7 @@ def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames |
         rule=FailureRule(**model.failed_when.model_dump()),
         forms=forms,
         source=text,
+        places={name: str(places.of("select", name)) for name in model.select} | {PROTOCOL: str(places.of("protocol"))},
     )
 
 

@@ -35,6 +35,10 @@ IMPORTERS: Registry[Importer] = Registry("dataset importer", "slamhive.dataset_i
 IMPORTERS.register(KittiOdometryImporter.name, KittiOdometryImporter())
 
 
+AUTO = "auto"
+"""In place of a format: the one that fits."""
+
+
 def detect_format(path: Path) -> str:
     """The name of the importer that can convert ``path``.
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import click
 
-from slamhive.bags.importers import IMPORTERS
 from slamhive.bags.room import RoomOptions
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import messages, print_json, print_table, progress_bar
@@ -27,8 +26,7 @@ def dataset() -> None:
 @json_option
 @pass_cli
 def import_(cli: CliContext, importer: str, source: Path, name: str, as_json: bool) -> None:
-    """Convert a recording in FORMAT (kitti-odometry) at SOURCE into a dataset."""
-    IMPORTERS.get(importer)
+    """Convert a recording in FORMAT (kitti-odometry; auto finds out) at SOURCE into a dataset."""
     with progress_bar(f"importing {name}") as progress:
         made = cli.hive(indexed=False).catalogue.import_dataset(importer, source, name, progress)
     _report(made, as_json)

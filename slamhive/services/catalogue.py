@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from slamhive.bags.importers import IMPORTERS
+from slamhive.bags.importers import AUTO, IMPORTERS, detect_format
 from slamhive.bags.room import RoomOptions, render_room
 from slamhive.catalogue.algorithm_file import ALGORITHM_FILE, load_algorithms
 from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
@@ -103,11 +103,15 @@ class Catalogue:
         return (*self._scan_algorithms()[1], *self._scan_datasets()[1])
 
     def import_dataset(self, importer_name: str, source: Path, name: str, progress: Progress) -> Dataset:
-        """Convert a recording of another format into the dataset ``name``; nothing is left behind on failure."""
-        importer = IMPORTERS.get(importer_name)
+        """Convert a recording of another format into the dataset ``name``; nothing is left behind on failure.
+
+        ``importer_name`` may be :data:`~slamhive.bags.importers.AUTO`.
+        """
+        chosen = None if importer_name == AUTO else IMPORTERS.get(importer_name)
         folder = self._new_dataset_folder(name)
         if not source.exists():
             raise InvalidInput(f"{source} does not exist", "give the folder that holds the recording")
+        importer = chosen or IMPORTERS.get(detect_format(source))
         return importer.convert(source, folder, name, progress)
 
     def render_room(self, options: RoomOptions, progress: Progress, *, replace: bool = False) -> Dataset:

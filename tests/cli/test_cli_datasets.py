@@ -9,9 +9,12 @@ import pytest
 from click.testing import CliRunner, Result
 
 from slamhive.cli import main
+from tests.bags.test_kitti_odometry import sequence
 from tests.services.tiny_project import environment, make_dataset, make_project
 
 pytestmark = pytest.mark.integration
+
+__all__ = ["sequence"]
 
 
 @pytest.fixture
@@ -57,3 +60,14 @@ def test_what_is_left_out_stays_on_one_line(slamhive, tmp_path):
     path.write_text(path.read_text().replace("duration_s: ", "duration_s: .inf #"))
     (line,) = [text for text in slamhive("dataset", "list").stderr.splitlines() if "left out" in text]
     assert line.endswith("duration_s: inf is not a finite number; write the number itself")
+
+
+def test_the_format_of_a_recording_is_found_out(slamhive, sequence, tmp_path):
+    made = slamhive("dataset", "import", "auto", str(sequence), "--name", "found")
+    assert made.exit_code == 0, made.stderr
+    assert "cam0" in slamhive("dataset", "show", "found").stdout
+    (tmp_path / "empty").mkdir()
+    refused = slamhive("dataset", "import", "auto", str(tmp_path / "empty"), "--name", "other")
+    assert refused.exit_code == 1
+    assert "is in no format that can be imported; known formats: kitti-odometry" in refused.stderr
+    assert not (tmp_path / "data" / "datasets" / "other").exists()

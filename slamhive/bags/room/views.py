@@ -7,19 +7,13 @@ from functools import lru_cache
 import numpy as np
 
 from slamhive.bags.geometry import Array, rotation_xyz, transform
-from slamhive.bags.room.camera import Camera, Renderer
+from slamhive.bags.room.camera import Renderer
 from slamhive.bags.room.rig import make_rig
 from slamhive.bags.room.sensing import add_noise
 from slamhive.bags.room.world import ROOM_SIZE_M, clearance_m
 
 _CLEARANCE_M = 0.6
 _VIEW_STREAM = 5
-
-
-def render_view(T_world_camera: Array, camera: Camera, seed: int = 1) -> Array:
-    """The grey image (height, width) uint8, without noise, that ``camera`` at ``T_world_camera`` (4, 4) sees."""
-    view = _renderer(seed).view(T_world_camera, camera)
-    return np.clip(np.rint(view.grey), 0, 255).astype(np.uint8)
 
 
 def sample_views(count: int, seed: int = 1, width: int = 640, height: int = 480) -> list[Array]:

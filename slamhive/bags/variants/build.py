@@ -16,11 +16,6 @@ from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput
 
 
-def is_identity(dataset: Dataset, variant: Variant) -> bool:
-    """Whether ``variant`` of ``dataset`` is the dataset itself (all factors are 1); raises as :func:`treat`."""
-    return not any(treatment.steps for treatment in treat(dataset, variant))
-
-
 def build_variant(dataset: Dataset, variant: Variant, folder: Path, progress: Progress) -> Dataset:
     """Make ``variant`` of ``dataset`` in ``folder``, which is empty; the dataset itself if nothing changes.
 
