@@ -69,7 +69,7 @@ class _Unpacked:
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _Ready:
     """Where folders of runs lie unpacked, and what the runs refer to."""
 
     aside: Path
@@ -106,7 +106,7 @@ class ArchiveImport:
                 contents = self._check_and_unpack(archive, aside, progress)
                 around = Surroundings(self._settings, self._store, self._catalogue, archive, contents, report.notes)
                 around.import_before_runs(report.counts)
-                self._runs(archive, contents, _Place(aside, around), report, progress)
+                self._runs(archive, contents, _Ready(aside, around), report, progress)
                 around.import_after_runs(report.counts, kept_numbers=report.kept_numbers)
         self._store.refresh_statistics()
         return report
@@ -159,7 +159,7 @@ class ArchiveImport:
     # -- runs ------------------------------------------------------------------------------------------------------
 
     def _runs(
-        self, archive: ArchiveReader, contents: Contents, place: _Place, report: ArchiveReport, progress: Progress
+        self, archive: ArchiveReader, contents: Contents, ready: _Ready, report: ArchiveReport, progress: Progress
     ) -> None:
         known = self._store.read(lambda t: ArchiveRepository(t.session).known(list(contents.runs)))
         numbers = dict(known)
@@ -168,18 +168,18 @@ class ArchiveImport:
         stream = iter(archive.lines(layout.RUNS))
         done = 0
         while batch := [lines.run_from_line(content) for content in islice(stream, BATCH)]:
-            self._batch(batch, place, numbers, report)
+            self._batch(batch, ready, numbers, report)
             done += len(batch)
             progress(_CHECKING + (1 - _CHECKING) * done / len(contents.runs), f"{done}/{len(contents.runs)} runs")
 
-    def _batch(self, batch: list[lines.RunLine], place: _Place, numbers: dict[str, int], report: ArchiveReport) -> None:
+    def _batch(self, batch: list[lines.RunLine], ready: _Ready, numbers: dict[str, int], report: ArchiveReport) -> None:
         wanted = [
             line
             for line in batch
             if line.uid not in numbers or (line.record is None and self._lacks_folder(numbers[line.uid]))
         ]
         report.known += len(batch) - len(wanted)
-        unpacked = [self._read(line, place) for line in wanted]
+        unpacked = [self._read(line, ready) for line in wanted]
         new = [entry for entry in unpacked if entry.line.uid not in numbers]
         report.completed += len(unpacked) - len(new)
         keep = report.kept_numbers and not any(self._folder(entry.line.id).root.exists() for entry in new)
@@ -197,11 +197,12 @@ class ArchiveImport:
     def _lacks_folder(self, number: int) -> bool:
         return not self._folder(number).record.exists()
 
-    def _read(self, line: lines.RunLine, place: _Place) -> _Unpacked:
-        folder = None if line.record is not None else RunFolder(place.aside / str(line.id))
-        record = line.record or {} if folder is None else folder.read_record()
-        found = [] if folder is None else found_evaluations(folder)
-        experiment = place.around.experiment_name(line.experiment)
+    def _read(self, line: lines.RunLine, ready: _Ready) -> _Unpacked:
+        folder, record, found = None, line.record, []
+        if record is None:
+            folder = RunFolder(ready.aside / str(line.id))
+            record, found = folder.read_record(), found_evaluations(folder)
+        experiment = ready.around.experiment_name(line.experiment)
         record = {**record, "request": {**record["request"], "experiment": experiment}}
         filed = read_filed(self._catalogue, record, f"the record of run {line.id}")
         run = FolderRun(record, filed, found, _current(line, folder, found), line.evaluations, line.attempt)
