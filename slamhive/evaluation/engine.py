@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import evo
+import numpy as np
 from evo.core.result import Result
 
 from slamhive.errors import InvalidInput, NotFound
@@ -110,6 +111,8 @@ def _figures(evaluator: Evaluator, paired: Paired) -> Figures:
         return evaluator.evaluate(paired)
     except InvalidInput as error:
         return absent(evaluator.keys, str(error))
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        return absent(evaluator.keys, f"it cannot be computed: {error}")
 
 
 def _read_estimate(task: EvaluationTask) -> Trajectory:

@@ -12,6 +12,8 @@ import pytest
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation.artefacts import FILES, run_task
+from slamhive.evaluation.evaluators.base import Figures
+from slamhive.evaluation.evaluators.consistency import Consistency
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask, result_from_json
 from slamhive.evaluation.references import References
 from slamhive.runtime.pcd import write_pcd
@@ -257,3 +259,15 @@ def test_a_map_is_measured_without_a_ground_truth_as_far_as_it_can_be(bench: Ben
     result = bench.run(reference=None, files=files)
     assert {"map.points", "map.entropy"} <= result.metrics.keys()
     assert "nothing moves the map" in result.missing["map.chamfer"]
+
+
+@pytest.mark.parametrize("error", [np.linalg.LinAlgError("Singular matrix"), ZeroDivisionError("division by zero")])
+def test_numbers_that_break_one_evaluator_leave_the_others(bench: Bench, monkeypatch, error: Exception) -> None:
+    def broken(_self: Consistency, _paired: object) -> Figures:
+        raise error
+
+    monkeypatch.setattr(Consistency, "evaluate", broken)
+    result = bench.run()
+    assert result.reason is None
+    assert "ate.rmse" in result.metrics
+    assert result.missing["nees.position"] == f"it cannot be computed: {error}"

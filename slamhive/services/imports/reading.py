@@ -12,11 +12,11 @@ from slamhive.trajectory.euroc import read_euroc
 from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.table import count_columns, read_bounded
-from slamhive.trajectory.tum import format_tum, parse_tum
+from slamhive.trajectory.tum import format_tum, parse_positions, parse_tum
 
 _HALF = 16
 _FEWEST_POSES = 2
-_TUM_COLUMNS, _KITTI_COLUMNS = 8, 12
+_POSITION_COLUMNS, _TUM_COLUMNS, _KITTI_COLUMNS = 4, 8, 12
 _FIRST_NANOSECONDS = 1e11
 """100 s; as seconds it would be three thousand years."""
 
@@ -45,6 +45,21 @@ class Loaded:
         return trial_digits(self.candidate) + hashlib.sha256(self.text).hexdigest()[:_HALF]
 
 
+@dataclass(frozen=True, slots=True)
+class LoadedTruth:
+    """A ground truth that was read.
+
+    Attributes:
+        text: In TUM format, or lines of stamp and position; the bytes of the file itself if they were.
+        span_s: From its first stamp to its last.
+        positions_only: It holds no orientations.
+    """
+
+    text: bytes
+    span_s: float
+    positions_only: bool
+
+
 def trial_digits(candidate: Candidate) -> str:
     """What the ids of all imports of one trial begin with."""
     names = f"{candidate.algorithm}\0{candidate.dataset}\0{candidate.trial}"
@@ -55,8 +70,7 @@ def load(candidate: Candidate) -> Loaded:
     """Read a candidate; raises NotFound or InvalidInput naming file, line and value."""
     data = read_bounded(candidate.path)
     found, trajectory = read_any(candidate.path, data, candidate.format, candidate.times)
-    if len(trajectory) < _FEWEST_POSES:
-        raise InvalidInput(f"{candidate.path} holds a single pose", "a trajectory needs two at least")
+    _check_length(candidate.path, trajectory, "trajectory")
     return Loaded(
         candidate=candidate,
         text=data if found is TrajectoryFormat.TUM else _as_tum(trajectory),
@@ -66,11 +80,17 @@ def load(candidate: Candidate) -> Loaded:
     )
 
 
-def load_truth(path: Path, times: Path | None = None) -> tuple[bytes, Trajectory]:
-    """A ground truth in TUM format, and as poses; raises as :func:`load`."""
+def load_truth(path: Path, times: Path | None = None) -> LoadedTruth:
+    """A ground truth, which may hold positions alone; raises as :func:`load`."""
     data = read_bounded(path)
-    found, trajectory = read_any(path, data, TrajectoryFormat.AUTO, times)
-    return data if found is TrajectoryFormat.TUM else _as_tum(trajectory), trajectory
+    positions_only = count_columns(data) == _POSITION_COLUMNS
+    if positions_only:
+        found, trajectory = TrajectoryFormat.TUM, parse_positions(data, str(path))
+    else:
+        found, trajectory = read_any(path, data, TrajectoryFormat.AUTO, times)
+    _check_length(path, trajectory, "ground truth")
+    text = data if found is TrajectoryFormat.TUM else _as_tum(trajectory)
+    return LoadedTruth(text, trajectory.span_s, positions_only)
 
 
 def read_any(
@@ -102,6 +122,11 @@ def _first_number(data: bytes) -> float:
         return float(row.replace(b",", b" ").split()[0])
     except ValueError:
         return 0.0
+
+
+def _check_length(path: Path, trajectory: Trajectory, kind: str) -> None:
+    if len(trajectory) < _FEWEST_POSES:
+        raise InvalidInput(f"{path} holds a single pose", f"a {kind} needs two at least")
 
 
 def _as_tum(trajectory: Trajectory) -> bytes:

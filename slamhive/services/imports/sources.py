@@ -18,6 +18,8 @@ from slamhive.trajectory.table import read_bounded
 _NEEDED = ("algorithm", "dataset", "file")
 _OPTIONAL = ("trial", "sensors", "groundtruth", "relations", "times", "format")
 _ONLY_TRIAL = "1"
+_LINK = "is a link, and links are not followed; put the file there"
+_UNPRINTABLE = "the name holds characters that cannot be printed; rename it"
 
 
 def find(request: ImportRequest) -> Found:
@@ -84,17 +86,27 @@ def _in_folder(request: ImportRequest, found: Found) -> Iterator[Candidate]:
 
 
 def _files(root: Path, found: Found) -> Iterator[tuple[str, Path]]:
-    """All plain files below ``root``; links are named and not followed, hidden ones passed over."""
+    """All plain files below ``root``; links are named and not followed, hidden ones passed over.
+
+    Names that cannot be printed (line ends, escape sequences, bytes that are no UTF-8) are problems: they would go into
+    messages, the database and the record of the run.
+    """
     for folder, folders, files in os.walk(root):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in sorted([*files, *folders]):
             path = Path(folder) / name
             relative = path.relative_to(root).as_posix()
-            if path.is_symlink():
-                found.problems.append(Problem(relative, "is a link, and links are not followed; put the file there"))
+            refusal = _LINK if path.is_symlink() else _UNPRINTABLE if not name.isprintable() else None
+            if refusal is not None:
+                found.problems.append(Problem(_printable(relative), refusal))
                 folders[:] = [entry for entry in folders if entry != name]
             elif name in files and not name.startswith("."):
                 yield relative, path
+
+
+def _printable(name: str) -> str:
+    """``name`` with what cannot be printed written as escapes."""
+    return name if name.isprintable() else repr(name)[1:-1]
 
 
 def _in_table(request: ImportRequest, found: Found) -> Iterator[Candidate]:
@@ -103,15 +115,22 @@ def _in_table(request: ImportRequest, found: Found) -> Iterator[Candidate]:
         text = read_bounded(path).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InvalidInput(f"{path} is not a text file", "save the table as CSV in UTF-8") from None
-    reader = csv.DictReader(io.StringIO(text, newline=""))
-    columns = [name or "" for name in reader.fieldnames or []]
+    columns, rows = _read_table(path, text)
     _check_columns(path, columns)
-    for number, row in enumerate(reader, start=2):
+    for number, row in enumerate(rows, start=2):
         name = f"{path.name}, row {number}"
         try:
             yield _row(request, found, {key: (row.get(key) or "").strip() for key in columns}, name)
         except SlamHiveError as error:
             found.problems.append(Problem(name, str(error)))
+
+
+def _read_table(path: Path, text: str) -> tuple[list[str], list[dict[str, str]]]:
+    reader = csv.DictReader(io.StringIO(text, newline=""))
+    try:
+        return [name or "" for name in reader.fieldnames or []], list(reader)
+    except csv.Error as error:
+        raise InvalidInput(f"{path}, line {reader.line_num}: {error}", "save the table as CSV") from None
 
 
 def _check_columns(path: Path, columns: list[str]) -> None:
@@ -159,6 +178,8 @@ def _inside(folder: Path, text: str) -> Path:
     relative = PurePosixPath(text)
     if not text or "\0" in text or relative.is_absolute() or ".." in relative.parts:
         raise InvalidInput(f"file {text[:80]!r} is not below {folder}", "name files relative to the table")
+    if not text.isprintable():
+        raise InvalidInput(f"file {text[:80]!r}: {_UNPRINTABLE}")
     path = folder / relative
     if any(part.is_symlink() for part in (path, *path.parents) if part != folder and folder in part.parents):
         raise InvalidInput(f"file {text[:80]!r} is a link, and links are not followed", "put the file there")

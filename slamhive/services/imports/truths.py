@@ -75,21 +75,22 @@ class Truths:
         """The dataset that the files become, and its files by name."""
         contents: dict[str, bytes] = {}
         duration_s = 0.0
+        truth: GroundTruth | None = None
         if files.relations is not None:
             contents[RELATIONS_FILE], duration_s = _read_relations(files.relations)
         if files.trajectory is not None:
-            contents[GROUND_TRUTH_FILE], trajectory = load_truth(files.trajectory, files.times)
-            duration_s = trajectory.span_s
-        has_truth = GROUND_TRUTH_FILE in contents
+            loaded = load_truth(files.trajectory, files.times)
+            contents[GROUND_TRUTH_FILE], duration_s = loaded.text, loaded.span_s
+            truth = GroundTruth(GROUND_TRUTH_FILE, self._gravity_aligned, loaded.positions_only)
         dataset = Dataset(
             name=name,
             folder=self._folder / name,
             bag="",
             duration_s=duration_s,
             sensors=(),
-            groundtruth=GroundTruth(GROUND_TRUTH_FILE, self._gravity_aligned) if has_truth else None,
+            groundtruth=truth,
             checksum=f"sha256:{hashlib.sha256(b''.join(contents.values())).hexdigest()}",
-            title=f"{name}, {'ground truth' if has_truth else 'relations'} alone",
+            title=f"{name}, {'relations' if truth is None else 'ground truth'} alone",
             description="Made for trajectories that were imported; there is no recording to run anything on.",
             relations=RELATIONS_FILE if RELATIONS_FILE in contents else None,
         )
@@ -105,8 +106,8 @@ class Truths:
         if known.groundtruth is None and known.relations is None:
             raise InvalidInput(f"dataset {known.name} has no ground truth", "add one to its folder")
         if files.trajectory is not None:
-            text, _ = load_truth(files.trajectory, files.times)
-            _check_file(known, "ground truth", known.groundtruth_path, text, "--groundtruth")
+            truth = load_truth(files.trajectory, files.times)
+            _check_file(known, "ground truth", known.groundtruth_path, truth.text, "--groundtruth")
             if known.groundtruth is not None and self._gravity_aligned and not known.groundtruth.gravity_aligned:
                 raise InvalidInput(
                     f"dataset {known.name} is here, and its ground truth is said not to be aligned with gravity",

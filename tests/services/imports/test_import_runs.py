@@ -171,6 +171,29 @@ def test_a_dataset_without_a_ground_truth_is_told_with_the_remedy(hive, source):
     assert report.imported == EVERY_FILE // 2
 
 
+def test_a_ground_truth_of_positions_alone_is_taken(hive, source):
+    rows = [line.split()[:4] for line in trajectory().splitlines()]
+    write(source / "seq1" / "groundtruth.txt", "".join(" ".join(row) + "\n" for row in rows))
+    report = carry_out(hive, source)
+    assert (report.imported, report.problems) == (EVERY_FILE, [])
+    assert hive.catalogue.dataset("seq1").groundtruth.positions_only
+    assert not hive.catalogue.dataset("seq2").groundtruth.positions_only
+    (run_id,) = [
+        run_id for run_id in report.run_ids if hive.run(run_id).detail.startswith("imported from alpha/seq1/0")
+    ]
+    assert CliRunner().invoke(main, ["evaluate", str(run_id)]).exit_code == 0
+    figures = hive.run(run_id).metrics
+    assert 0 < figures["ate.rmse"] < 0.1
+    assert "ate_rot.rmse" not in figures
+
+
+def test_a_ground_truth_of_a_single_pose_is_refused(hive, source):
+    write(source / "seq1" / "groundtruth.txt", trajectory(0, poses=1))
+    (problem,) = carry_out(hive, source).problems
+    assert problem.text.endswith("groundtruth.txt holds a single pose; a ground truth needs two at least")
+    assert not (hive.settings.datasets_folder / "seq1").exists()
+
+
 def test_a_dataset_that_is_here_keeps_its_ground_truth(hive, source):
     carry_out(hive, source)
     write(source / "seq1" / "groundtruth.txt", trajectory(5))

@@ -1,5 +1,7 @@
 """What is found at a source, before anything is stored."""
 
+import os
+
 import pytest
 
 from slamhive.domain.sensors import SensorSetup
@@ -33,9 +35,7 @@ def test_a_folder_is_read_by_its_pattern(tmp_path):
     assert not found.problems
 
 
-@pytest.mark.parametrize(
-    "name", ["<script>alert(1)<", "=cmd|' A1", "a b", "-x", "@SUM(A1)", "name\nline", "ä", "x" * 65, "a..b"]
-)
+@pytest.mark.parametrize("name", ["<script>alert(1)<", "=cmd|' A1", "a b", "-x", "@SUM(A1)", "ä", "x" * 65, "a..b"])
 def test_names_that_could_do_harm_are_refused_one_by_one(tmp_path, name):
     make_source(tmp_path, ("alpha",))
     write(tmp_path / name / "seq1" / "0.txt", trajectory(1))
@@ -55,6 +55,25 @@ def test_links_are_named_and_not_followed(tmp_path):
     assert len(found.candidates) == 4
     assert set(problems(found)) == {"alpha/seq1/9.txt", "beta"}
     assert all("links are not followed" in text for text in problems(found).values())
+
+
+UNPRINTABLE = ("red\x1b[31m.txt", "two\nlines.txt", os.fsdecode(b"no utf-8 \xff.txt"), "\u202etxt.exe")
+
+
+@pytest.mark.parametrize("name", UNPRINTABLE)
+@pytest.mark.parametrize("place", ["alpha/seq1", "."])
+def test_names_that_cannot_be_printed_are_told_in_printable_words(tmp_path, name, place):
+    write(tmp_path / "alpha" / "seq1" / "0.txt", "1 0 0 0 0 0 0 1\n")
+    (tmp_path / place / name).write_text("1 0 0 0 0 0 0 1\n")
+    folder = tmp_path / os.fsdecode(b"folder \xff")
+    write(folder / "seq1" / "7.txt", "1 0 0 0 0 0 0 1\n")
+    found = find(ImportRequest(tmp_path))
+    assert [candidate.name for candidate in found.candidates] == ["alpha/seq1/0.txt"]
+    assert found.left_out == []
+    assert len(found.problems) == 2
+    for problem in found.problems:
+        assert problem.text == "the name holds characters that cannot be printed; rename it"
+        assert problem.name.isprintable()
 
 
 def test_a_pattern_without_trial_takes_one_run_per_dataset(tmp_path):
@@ -94,6 +113,7 @@ def test_a_table_says_everything(tmp_path):
         ("alpha,seq1,<b>,a.txt", "trial name '<b>' is not allowed"),
         ("alpha,seq1,0,b.txt", "is there twice"),
         ("alpha,seq1,1,link.txt", "is a link"),
+        ("alpha,seq1,1,a\x1b[31m.txt", r"file 'a\\x1b\[31m.txt': the name holds characters that cannot be printed"),
     ],
 )
 def test_rows_that_cannot_be_used_are_told_one_by_one(tmp_path, row, message):
@@ -112,6 +132,7 @@ def test_rows_that_cannot_be_used_are_told_one_by_one(tmp_path, row, message):
         ("algorithm,dataset\n", "lacks the column file"),
         ("algorithm,dataset,fiel\n", "did you mean 'file'"),
         ("", "lacks the column algorithm"),
+        (f"algorithm,dataset,file\na,b,{'x' * 200_000}\n", "runs.csv, line 1: field larger than field limit"),
     ],
 )
 def test_tables_of_other_columns_are_refused(tmp_path, text, message):
