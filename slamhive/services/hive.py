@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import tempfile
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,6 +20,7 @@ from slamhive.executors.base import Executor
 from slamhive.executors.registry import AUTO, ExecutorContext, choose_executor, installation_id, open_executor
 from slamhive.project import project_root
 from slamhive.runs.folder import RunFolder
+from slamhive.runs.log_line import read_tail
 from slamhive.search.binding import Search
 from slamhive.services.analyses.jobs import AnalysisJobs
 from slamhive.services.analyses.stored import StoredAnalyses
@@ -200,17 +202,13 @@ class Hive:
         """The last ``max_bytes`` of what the run has printed so far."""
         run = self.run(run_id)
         folder = self.folder(run_id)
-        if run.state is RunState.RUNNING and run.handle is not None:
-            self._fetch_log(run, folder)
-        try:
-            with folder.log.open("rb") as stream:
-                stream.seek(0, 2)
-                stream.seek(max(0, stream.tell() - max_bytes))
-                return stream.read().decode(errors="replace")
-        except FileNotFoundError:
-            return ""
-        except OSError as error:
-            raise Unavailable(f"{folder.log} cannot be read: {error.strerror}") from None
+        if run.state is not RunState.RUNNING or run.handle is None:
+            return read_tail(folder.log, max_bytes)
+        # Not into the run's folder: the worker may have the whole log there by the time that ours is written.
+        with tempfile.TemporaryDirectory(prefix="slamhive-log-") as aside:
+            path = Path(aside) / folder.log.name
+            self._fetch_log(run, path)
+            return read_tail(path, max_bytes) or read_tail(folder.log, max_bytes)
 
     def progress(self, run_id: int) -> RunProgress | None:
         """How far an active run is; None for one that waits or has ended."""
@@ -331,9 +329,9 @@ class Hive:
             return EvaluationRunner(DockerStarter(self._executor_context()))
         return EvaluationRunner(ProcessStarter(self.catalogue.project_root))
 
-    def _fetch_log(self, run: RunRecord, folder: RunFolder) -> None:
+    def _fetch_log(self, run: RunRecord, path: Path) -> None:
         try:
-            self.executor(run.executor).save_log(handle_from_json(run.handle or {}), folder.log)
+            self.executor(run.executor).save_log(handle_from_json(run.handle or {}), path)
         except SlamHiveError as error:
             logger.info("log of run %d: %s", run.id, error)
 

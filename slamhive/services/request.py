@@ -91,6 +91,7 @@ class Submission:
             value = getattr(self, name)
             if value is not None:
                 bounds.check(value)
+        BOUNDS["seed"].check(self.seed + self.repeat - 1)
         self.stop_when.check()
         if self.alignment is not None and self.alignment not in set(Alignment):
             raise InvalidInput(f"alignment {self.alignment!r} is not known", f"use one of {', '.join(Alignment)}")

@@ -151,6 +151,8 @@ def test_a_stopping_worker_leaves_the_run_to_the_next(hive):
     thread.join(PATIENCE_S)
     assert hive.run(run_id).state is RunState.RUNNING
     assert executor.stopped == 0
+    assert hive.log(run_id) == "hello\n"
+    assert not hive.folder(run_id).log.exists(), "whoever looks at a log writes into no run folder"
     executor.statuses = [Exited(0)]
     hive.worker().run(until_idle=True)
     assert hive.run(run_id).state is RunState.SUCCEEDED
@@ -193,6 +195,7 @@ def test_repeats_share_a_configuration_and_differ_in_seed(hive):
         ({"parameters": {"seconds": "soon"}}, InvalidInput, "parameter seconds='soon'"),
         ({"parameters": {"seconds": 61}}, InvalidInput, "0 to 60 s"),
         ({"repeat": 0}, InvalidInput, "repeat 0"),
+        ({"repeat": 3, "seed": 2**31 - 2}, InvalidInput, "seed 2147483648 is not allowed; use 0 to 2147483647"),
         ({"playback_mode": "fast"}, InvalidInput, "use one of realtime, sequential"),
         ({"playback_rate": 0.0}, InvalidInput, "playback rate"),
         ({"executor": "podman"}, NotFound, "unknown executor 'podman'"),
