@@ -16,7 +16,7 @@ from slamhive.analysis.paper_file import PaperNames, convert, is_paper_file
 from slamhive.analysis.selection import Expression, check_names, in_words, parse_expression, union_of
 from slamhive.analysis.table import FailureRule
 from slamhive.catalogue.validation import first_problem_at
-from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 
 PROTOCOL = "protocol:"
 
@@ -50,7 +50,10 @@ class Analysis:
 
     def placed(self, part: str, error: SlamHiveError) -> SlamHiveError:
         """The error with the place of a part of :attr:`places` before it."""
-        return type(error)(f"{self.places[part]}: {error.message}", error.remedy) if part in self.places else error
+        if part not in self.places:
+            return error
+        kind = NotFound if isinstance(error, NotFound) else InvalidInput
+        return kind(f"{self.places[part]}: {error.message}", error.remedy)
 
     @property
     def selection_words(self) -> str:

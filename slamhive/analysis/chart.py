@@ -265,11 +265,14 @@ def _least_width_px(mark: Mark, chart: Chart) -> int:
     if isinstance(mark, Parallel):
         return 90 * (len(mark.dimensions) + 1)
     if isinstance(mark, Cells):
-        return 160 + 60 * columns
+        letters = max((len(line) for row in mark.texts for text in row for line in text.split("\n")), default=0)
+        return 220 + columns * max(48, 8 * letters)
     if isinstance(mark, Bars | Boxes):
         groups = sum(isinstance(other, type(mark)) for other in chart.marks)
         return 80 + 14 * columns * groups
-    return 640 if chart.bare else 0
+    if isinstance(mark, Labels) and chart.bare:
+        return 260 + 14 * max(map(len, mark.texts), default=0)
+    return 0
 
 
 def line_width(line: Line, chart: Chart) -> float:

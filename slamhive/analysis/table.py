@@ -54,6 +54,7 @@ FACTS = (
     Column("host", "Host", ColumnKind.FACT, numeric=False),
     Column("protocol", "Protocol", ColumnKind.FACT, numeric=False),
     Column("protocol_label", "Protocol in words", ColumnKind.FACT, numeric=False),
+    Column("evaluation", "Evaluation", ColumnKind.FACT, numeric=False),
 )
 """The columns that every table has, in this order."""
 
@@ -74,7 +75,8 @@ class FailureRule:
     """When a run counts as failed: one rule for every figure, stated on each.
 
     It did not end well; or it tracked less than ``tracked_fraction_below`` of the ground truth's time (the published
-    SLAM Hive takes 0.75); or its ATE RMSE is above ``ate_rmse_above_m``; or no evaluation gave it figures.
+    SLAM Hive takes 0.75); or its ATE RMSE is above ``ate_rmse_above_m``; or its evaluation failed. A run that nobody
+    has evaluated has not failed: it is in no table, and its absence is told (:attr:`RunTable.unevaluated`).
     """
 
     tracked_fraction_below: float | None = 0.75
@@ -83,7 +85,7 @@ class FailureRule:
     @property
     def words(self) -> str:
         """The rule as a sentence for captions."""
-        parts = ["did not end well", "has no figures"]
+        parts = ["did not end well", "could not be evaluated"]
         if self.tracked_fraction_below is not None:
             parts.append(f"tracked less than {100 * self.tracked_fraction_below:.4g} % of the time")
         if self.ate_rmse_above_m is not None:
@@ -102,6 +104,7 @@ class RunTable:
         colours: The colour of each algorithm.
         markers: The marker of each dataset.
         told: Parameters that say what others say already, by key.
+        unevaluated: How many runs are left out because nobody has evaluated them under the protocol in question.
     """
 
     frame: pd.DataFrame
@@ -110,21 +113,23 @@ class RunTable:
     colours: Mapping[str, str] = field(default_factory=dict)
     markers: Mapping[str, str] = field(default_factory=dict)
     told: frozenset[str] = frozenset()
+    unevaluated: int = 0
 
     def column(self, key: str) -> Column:
         """The column called ``key``; raises NotFound with the nearest name."""
         try:
             return self.columns[key]
         except KeyError:
-            raise unknown("metric or parameter", key, list(self.columns)) from None
+            known = [*self.columns, *(name for name in CATALOGUE if name not in self.columns)]
+            raise unknown("metric or parameter", key, known) from None
 
     def numeric(self, key: str, purpose: str) -> Column:
         """The column called ``key``, which must hold numbers; raises NotFound or InvalidInput."""
         column = self.column(key)
         if not column.numeric:
-            numbers = [other.key for other in self.columns.values() if other.numeric and other.kind is column.kind]
-            hint = f"use one with numbers: {', '.join(numbers[:8])}" if numbers else "use a metric"
-            raise InvalidInput(f"{purpose} needs numbers, {key!r} holds words", hint)
+            others = [other.key for other in self.varied() if other.numeric]
+            numbers = [*others[:6], *(name for name in self.columns if name in CATALOGUE)]
+            raise InvalidInput(f"{purpose} needs numbers, {key!r} holds words", f"use for example {', '.join(numbers)}")
         return column
 
     def failed(self) -> pd.DataFrame:
@@ -226,7 +231,7 @@ def mark_failures(frame: pd.DataFrame, rule: FailureRule) -> pd.DataFrame:
     reasons = frame["reason"].where(frame["reason"].notna(), frame["state"]).to_numpy(dtype=object)
     why[ended_badly] = reasons[ended_badly]
     if "ate.rmse" in frame:
-        mark(frame["ate.rmse"].isna(), "not evaluated")
+        mark(frame["ate.rmse"].isna() & (frame["evaluation"] != "succeeded"), "could not be evaluated")
         if rule.ate_rmse_above_m is not None:
             mark(frame["ate.rmse"] > rule.ate_rmse_above_m, "ATE too high")
     if "tracked_fraction" in frame and rule.tracked_fraction_below is not None:

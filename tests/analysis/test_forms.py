@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from slamhive.analysis.analysis_file import parse_analysis
 from slamhive.analysis.chart import Bars, Cells, FailedRuns, Line, Points
+from slamhive.analysis.colours import PALETTE, algorithm_colours
 from slamhive.analysis.forms.pareto import pareto_front
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import FORMATS, print_chart
 from slamhive.analysis.result import FormResult
-from slamhive.analysis.table import FailureRule
+from slamhive.analysis.table import Column, ColumnKind, FailureRule
 from slamhive.errors import InvalidInput, NotFound
 from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, REPEATS, SCALES, data_of, sweep_table
 
@@ -79,7 +81,9 @@ def test_an_empty_selection_is_told(form):
         ("form: heatmap, x: run_id, y: scale", InvalidInput, "'run_id' has 360 values"),
         ("form: pareto, metrics: [ate.rmse, image_rate]", InvalidInput, "'image_rate' has no better end"),
         ("form: pareto, metrics: [ate.rmse, ate.rmse]", InvalidInput, "named twice"),
-        ("form: line, x: dataset", InvalidInput, "the x axis needs numbers"),
+        ("form: line, x: dataset", InvalidInput, "the x axis needs numbers, .*use for example image_rate, scale"),
+        ("form: line, x: image_rate, metric: cpu.meen", NotFound, "did you mean 'cpu.mean'"),
+        ("form: line, x: image_rate, metric: cpu.p9", NotFound, "unknown metric or parameter"),
     ],
 )
 def test_what_does_not_fit_is_one_line(options, error, words):
@@ -194,6 +198,30 @@ def test_repeats_of_one_configuration():
         build("form: repeatability")
     result = build("form: repeatability", configuration_id=[7] * RUNS)
     assert "95 % bootstrap interval" in result.charts[0].caption
+
+
+@pytest.mark.parametrize(
+    "form", ["line", "scatter", "distributions", "coverage", "importance", "parallel", "sensitivity"]
+)
+def test_no_figure_without_a_point(form):
+    with pytest.raises(InvalidInput, match="all 360 runs failed; A run counts as failed if"):
+        build(f"form: {form}, {FORMS[form]}", rule=FailureRule(ate_rmse_above_m=1e-9))
+
+
+def test_parameters_that_only_one_algorithm_has_do_not_vary():
+    table = sweep_table()
+    own = np.where(table.frame["algorithm"] == "kiss-icp", 3.0, np.nan)
+    column = Column("own", "own", ColumnKind.PARAMETER)
+    widened = replace(table, frame=table.frame.assign(own=own), columns={**table.columns, "own": column})
+    assert [entry.key for entry in widened.varied()] == ["image_rate", "scale"]
+
+
+def test_installed_algorithms_keep_their_colours():
+    installed = [f"{letter}-slam" for letter in "abcdefgh"]
+    alone = algorithm_colours(["c-slam"], installed)["c-slam"]
+    assert alone == PALETTE[2] == algorithm_colours(["b-slam", "c-slam", "z-slam"], installed)["c-slam"]
+    many = algorithm_colours([f"other-{place}" for place in range(10)], installed)
+    assert len(set(many.values())) == 10
 
 
 def test_the_legend_names_algorithms_and_datasets_not_each_pair():

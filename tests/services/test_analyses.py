@@ -7,12 +7,16 @@ import zipfile
 from io import BytesIO
 from typing import Any
 
+import pandas as pd
 import pytest
 
+from slamhive.analysis.colours import PALETTE
 from slamhive.analysis.result import ResultTable, TableColumn
+from slamhive.analysis.table import FailureRule
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.services.analyses.bundle import report_page, write_folder, zipped
 from slamhive.services.analyses.run import AnalysisLimits
+from slamhive.services.analyses.table import TableRequest, load_table
 from slamhive.services.analyses.tables import latex, table_csv, table_latex
 from tests.web.web_world import add_runs, evaluate_run, fail_run, finish_run, make_hive
 
@@ -75,17 +79,22 @@ def test_sets_and_their_algebra(world):
 @pytest.mark.parametrize(
     ("select", "error", "words"),
     [
-        ("{a: {where: 'ate.rms < 1'}}", InvalidInput, "did you mean 'ate.rmse'"),
+        ("{a: {where: 'ate.rms < 1'}}", InvalidInput, "line 3: .*did you mean 'ate.rmse'"),
         ("{a: {where: 'ate.rmse < 0'}}", InvalidInput, "the selection holds no run: a holds 0"),
-        ("{a: {experiment: nothing}}", NotFound, "unknown experiment 'nothing'"),
-        ("{a: {search: nothing}}", NotFound, "nothing"),
-        ("{a: {group: nothing}}", NotFound, "unknown group 'nothing'"),
-        ("{a: {runs: [1, 99]}}", NotFound, "unknown runs 99"),
+        ("{a: {experiment: nothing}}", NotFound, "line 3: unknown experiment 'nothing'"),
+        ("{a: {search: nothing}}", NotFound, "line 3: unknown saved search 'nothing'"),
+        ("{a: {group: nothing}}", NotFound, "line 3: unknown group 'nothing'"),
+        ("{a: {runs: [1, 99]}}", NotFound, "line 3: unknown runs 99"),
     ],
 )
 def test_selections_that_cannot_be(world, select, error, words):
     with pytest.raises(error, match=words):
         compute(world, select)
+
+
+def test_a_protocol_that_nothing_was_evaluated_under_is_told_with_its_line(world):
+    with pytest.raises(NotFound, match="line 4: unknown protocol 'sim3'"):
+        compute(world, "{a: {where: 'id >= 1'}}", use="protocol: sim3")
 
 
 def test_a_form_that_does_not_fit_leaves_the_others_alone(world):
@@ -119,3 +128,27 @@ def test_the_files_of_a_report(world, tmp_path):
     with zipfile.ZipFile(BytesIO(zipped(again, root, []))) as archive:
         assert archive.testzip() is None
         assert "tables/01_distributions_raw.csv" in archive.namelist()
+        raw = pd.read_parquet(BytesIO(archive.read("tables/01_distributions_raw.parquet")))
+    assert len(raw) == 5
+    assert raw["ate.rmse"].notna().sum() == 4
+
+
+def test_without_pyarrow_a_report_has_no_parquet(world, monkeypatch):
+    monkeypatch.setattr("slamhive.services.analyses.bundle.parquet_there", lambda: False)
+    report = compute(world, "{all: {where: 'id >= 1'}}")
+    with zipfile.ZipFile(BytesIO(zipped(report, world.catalogue.project_root, []))) as archive:
+        assert not [name for name in archive.namelist() if name.endswith(".parquet")]
+
+
+def test_parameters_have_their_units_and_algorithms_their_colours(world):
+    table = load_table(
+        world.store,
+        TableRequest([1, 2, 3, 4, 5], {"ate.rmse"}, None, FailureRule()),
+        {"another": "mono", "eye-slam-mono": "mono"},
+    )
+    assert table.colours["eye-slam-mono"] == PALETTE[1]
+    assert set(table.frame["sensors"].dropna()) == {"mono"}
+    units = world.store.read(lambda t: t.run_table.units())
+    assert {key: table.columns[key].unit for key in units if key in table.columns} == {
+        key: unit for key, unit in units.items() if key in table.columns
+    }

@@ -116,6 +116,20 @@ def require_runs(table: RunTable) -> None:
         raise InvalidInput("the selection holds no run", "widen it; the page of runs shows what there is")
 
 
+def with_values(table: RunTable, keys: Sequence[str]) -> pd.DataFrame:
+    """The good runs that have all these values; raises InvalidInput if no run is good, or none of them has one."""
+    good = table.good()
+    if good.empty:
+        raise InvalidInput(f"all {len(table.frame)} runs count as failed", "loosen 'failed_when', or select others")
+    for key in keys:
+        if good[key].isna().all():
+            raise InvalidInput(f"no good run has a value of {key!r}", "choose one that was measured")
+    shown = good.dropna(subset=list(keys))
+    if shown.empty:
+        raise InvalidInput(f"no good run has all of {', '.join(keys)}", "choose those that were measured together")
+    return shown
+
+
 def one_value(table: RunTable, key: str, purpose: str) -> str:
     """The only value of a column of words; raises InvalidInput naming the values if there are several."""
     values = sorted(str(value) for value in table.frame[key].dropna().unique())

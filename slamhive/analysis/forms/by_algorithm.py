@@ -83,7 +83,7 @@ class ByAlgorithm(Form[ByAlgorithmOptions]):
         result = result_of(
             table,
             protocol,
-            (means, failures) if len(table.failed()) else (means,),
+            [*([means] if shown else []), *([failures] if len(table.failed()) else [])],
             (
                 summary_table("by_algorithm", table, [options.metric], ["algorithm", "dataset"]),
                 _best_table(everything, options.metric, chosen),
@@ -91,7 +91,9 @@ class ByAlgorithm(Form[ByAlgorithmOptions]):
             ),
             lacking=[options.metric],
         )
-        return result if result.failed else replace(result, notes=("No run of the selection failed.",))
+        notes = [] if result.failed else ["No run of the selection failed."]
+        notes += [] if shown else [f"No good run has a value of {column.label}."]
+        return replace(result, notes=tuple(notes))
 
 
 def best_configurations(table: RunTable, metric: str) -> dict[tuple[str, str], int]:

@@ -8,7 +8,15 @@ from dataclasses import dataclass
 import pandas as pd
 
 from slamhive.analysis.chart import Axis, Chart, Points
-from slamhive.analysis.forms.base import axis_of, number_column, raw_table, require_runs, result_of, spans_decades
+from slamhive.analysis.forms.base import (
+    axis_of,
+    number_column,
+    raw_table,
+    require_runs,
+    result_of,
+    spans_decades,
+    with_values,
+)
 from slamhive.analysis.forms.coverage_scale import CoverageScaleOptions, scaled_by_coverage
 from slamhive.analysis.forms.places import look_of, places_on
 from slamhive.analysis.result import FormResult
@@ -73,7 +81,7 @@ def cloud_of(table: RunTable, keys: list[str], options: CoverageScaleOptions) ->
     columns = (*(table.column(key) for key in keys[:-1]), table.numeric(keys[-1], f"the {last} axis"))
     protocol = table.one_protocol(keys)
     table, scaling = scaled_by_coverage(table, keys, options)
-    shown = table.good().dropna(subset=keys)
+    shown = with_values(table, keys)
     axes = tuple(
         axis_of(
             column,

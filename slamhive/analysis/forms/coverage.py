@@ -20,6 +20,7 @@ from slamhive.analysis.forms.base import (
     require_runs,
     result_of,
     spans_decades,
+    with_values,
 )
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED, RunTable
@@ -55,7 +56,7 @@ class Coverage(Form[CoverageOptions]):
         if column.direction is not Direction.LOWER:
             raise InvalidInput(f"{column.key!r} is no error", "choose a metric of which less is better")
         protocol = table.one_protocol([column.key])
-        shown = number_column(table.good(), column.key)
+        shown = number_column(with_values(table, [column.key]), column.key)
         chart = Chart(
             key=f"coverage_{column.key}",
             title=options.title or f"Share of runs below a bound of {column.label}",

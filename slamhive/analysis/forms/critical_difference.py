@@ -20,6 +20,7 @@ from slamhive.analysis.forms.base import (
     raw_table,
     require_runs,
     result_of,
+    with_values,
 )
 from slamhive.analysis.forms.places import settings_words
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
@@ -65,6 +66,7 @@ class CriticalDifference(Form[CriticalDifferenceOptions]):
         column = table.numeric(options.metric, "a rank")
         if column.direction is Direction.NEUTRAL:
             raise InvalidInput(f"{column.key!r} has no better end", "choose a metric of which less or more is better")
+        with_values(table, [column.key])
         protocol = table.one_protocol([column.key])
         competitors = table.frame["algorithm"].astype(str)
         if options.of == "settings":

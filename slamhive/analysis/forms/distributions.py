@@ -19,6 +19,7 @@ from slamhive.analysis.forms.base import (
     result_of,
     spans_decades,
     summary_table,
+    with_values,
 )
 from slamhive.analysis.forms.places import failed_marks
 from slamhive.analysis.result import FormResult
@@ -62,7 +63,7 @@ class Distributions(Form[DistributionsOptions]):
 
 def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -> Chart:
     column = table.column(key)
-    shown = table.good().dropna(subset=[key])
+    shown = with_values(table, [key])
     x = Axis("Dataset", categories=tuple(sorted(table.frame["dataset"].unique())))
     return Chart(
         key=f"distribution_{key}",

@@ -21,6 +21,7 @@ from slamhive.analysis.forms.base import (
     result_of,
     spans_decades,
     summary_table,
+    with_values,
 )
 from slamhive.analysis.forms.places import value_words
 from slamhive.analysis.result import FormResult
@@ -60,6 +61,8 @@ class Heatmap(Form[HeatmapOptions]):
             raise InvalidInput(f"x and y are both {options.x!r}", "choose two different parameters")
         x, y, metric = table.column(options.x), table.column(options.y), table.numeric(options.metric, "a mean")
         protocol = table.one_protocol([options.x, options.y, options.metric])
+        if len(table.good()):
+            with_values(table, [metric.key])
         x_values, y_values = (distinct_values(table.frame[key], key) for key in (options.x, options.y))
         parts = {
             str(algorithm): table.with_rows(rows) for algorithm, rows in table.frame.groupby("algorithm", sort=True)

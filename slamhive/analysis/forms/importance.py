@@ -22,6 +22,7 @@ from slamhive.analysis.forms.base import (
     raw_table,
     require_runs,
     result_of,
+    with_values,
 )
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED, RunTable
@@ -73,7 +74,7 @@ class Importance(Form[ImportanceOptions]):
             table.column(name)
         if not names:
             raise InvalidInput("nothing varies in the selection", "select runs of several parameters or algorithms")
-        shown = table.good().dropna(subset=[metric.key])
+        shown = with_values(table, [metric.key])
         values = number_column(shown, metric.key)
         logarithm = bool(len(values)) and bool((values > 0).all())
         accuracy = explained_variance(shown, names, np.log10(values) if logarithm else values)

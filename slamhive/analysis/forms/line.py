@@ -22,6 +22,7 @@ from slamhive.analysis.forms.base import (
     result_of,
     spans_decades,
     summary_table,
+    with_values,
 )
 from slamhive.analysis.forms.places import failed_marks, legend, look_of
 from slamhive.analysis.result import FormResult
@@ -54,7 +55,7 @@ class LineForm(Form[LineOptions]):
         require_runs(table)
         x, metric = table.numeric(options.x, "the x axis"), table.numeric(options.metric, "a mean")
         protocol = table.one_protocol([x.key, metric.key])
-        shown = table.good().dropna(subset=[x.key, metric.key])
+        shown = with_values(table, [x.key, metric.key])
         x_axis = axis_of(x, log=spans_decades(number_column(shown, x.key)))
         chart = Chart(
             key=f"line_{x.key}_{metric.key}",

@@ -17,6 +17,7 @@ from slamhive.analysis.forms.base import (
     require_runs,
     result_of,
     spans_decades,
+    with_values,
 )
 from slamhive.analysis.forms.places import places_on, value_words
 from slamhive.analysis.result import FormResult
@@ -53,11 +54,9 @@ class ParallelCoordinates(Form[ParallelOptions]):
         keys = options.dimensions or ["algorithm", "dataset", *[column.key for column in table.varied()[:10]]]
         columns = [table.column(key) for key in keys if key != metric.key]
         protocol = table.one_protocol([column.key for column in (*columns, metric)])
-        shown = table.good().dropna(subset=[metric.key])
+        shown = with_values(table, [metric.key])
         if len(shown) > MOST_LINES:
             raise InvalidInput(f"{len(shown)} lines cannot be told apart", f"select at most {MOST_LINES} runs")
-        if shown.empty:
-            raise InvalidInput(f"no good run has a value of {metric.key!r}", "choose a metric that was computed")
         shades = number_column(shown, metric.key)
         marks = Parallel(
             dimensions=(*(_dimension(column, shown) for column in columns), _dimension(metric, shown)),

@@ -18,11 +18,14 @@ from slamhive.analysis.forms.base import (
     require_runs,
     result_of,
     summary_table,
+    with_values,
 )
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
+
+_TICK_LABELS = 30
 
 
 class RepeatabilityOptions(FormOptions):
@@ -65,9 +68,9 @@ class Repeatability(Form[RepeatabilityOptions]):
 
 def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -> Chart:
     column = table.column(key)
-    shown = table.good().dropna(subset=[key])
+    shown = with_values(table, [key])
     failed = table.failed()
-    order = {int(run): float(place) for place, run in enumerate(table.frame["run_id"], start=1)}
+    order = {int(run): float(place) for place, run in enumerate(table.frame["run_id"])}
     colour = table.colours[str(table.frame["algorithm"].iloc[0])]
     runs = shown["run_id"].to_numpy(dtype=int)
     values = number_column(shown, key)
@@ -75,7 +78,7 @@ def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -
     summary = summarise(values)
     more = ""
     if summary is not None:
-        ends = np.array([1.0, float(len(order))])
+        ends = np.array([0.0, len(order) - 1.0])
         interval = summary.interval
         low, high = (None, None) if interval is None else (np.full(2, interval.low), np.full(2, interval.high))
         marks.append(Line("mean", ends, np.full(2, summary.mean), low=low, high=high, colour=REFERENCE, dashed=True))
@@ -87,11 +90,17 @@ def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -
     return Chart(
         key=f"repeatability_{key}",
         title=title or f"{column.label} of {len(order)} repeats",
-        x=Axis("repeat"),
+        x=Axis("repeat", categories=_numbers(len(order)), numbered=True),
         y=Axis(column.label, column.unit),
         marks=tuple(marks),
         caption=caption(table, len(shown), protocol, more),
     )
+
+
+def _numbers(count: int) -> tuple[str, ...]:
+    """1 to ``count``, no more of them in words than there is room for."""
+    every = -(-count // _TICK_LABELS)
+    return tuple(str(place) if (place - 1) % every == 0 else "" for place in range(1, count + 1))
 
 
 FORMS.register(Repeatability.key, Repeatability())

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from slamhive.analysis.chart import Array, Axis, Bars, Chart
 from slamhive.analysis.forms.base import (
@@ -23,6 +24,7 @@ from slamhive.analysis.forms.places import settings_words
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, Column, RunTable
+from slamhive.catalogue.validation import explained
 from slamhive.domain.metrics import Direction
 from slamhive.errors import InvalidInput
 
@@ -58,10 +60,20 @@ class Candidate:
     score: Summary | None
 
 
+def _bound_text(text: str) -> str:
+    try:
+        parse_bound(text)
+    except InvalidInput as error:
+        raise explained(error) from None
+    return text
+
+
 class SelectorOptions(FormOptions):
     """Bounds that each run must keep, as filters are written: ``ate.rmse < 0.1``."""
 
-    bounds: list[str] = Field(min_length=1, max_length=20, description="metric < number, or >, <=, >=")
+    bounds: list[Annotated[str, AfterValidator(_bound_text)]] = Field(
+        min_length=1, max_length=20, description="metric < number, or >, <=, >="
+    )
     rank_by: str = Field(default="ate.rmse", description="What the configurations are ranked by.")
     kept_share: float = Field(
         default=1.0, gt=0, le=1, description="Share of a configuration's runs that keep all bounds."

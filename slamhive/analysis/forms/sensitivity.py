@@ -23,6 +23,7 @@ from slamhive.analysis.forms.base import (
     require_runs,
     result_of,
     spans_decades,
+    with_values,
 )
 from slamhive.analysis.forms.line import mean_lines
 from slamhive.analysis.forms.places import failed_marks, look_of
@@ -76,7 +77,7 @@ class Sensitivity(Form[SensitivityOptions]):
         if table.frame[x.key].nunique() < 2:
             raise InvalidInput(f"{x.key!r} has one value in the selection", "a degradation needs two values or more")
         protocol = table.one_protocol([x.key, metric.key])
-        shown = table.good().dropna(subset=[x.key, metric.key])
+        shown = with_values(table, [x.key, metric.key])
         points = list(breaking_points(table, options))
         x_axis = axis_of(x, log=spans_decades(number_column(shown, x.key)))
         broken = "whose runs fail in a share of {:g} % or more, or whose mean is worse than {:g} times the undegraded"

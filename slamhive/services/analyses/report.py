@@ -41,6 +41,7 @@ def report_json(outcome: AnalysisOutcome, now: datetime) -> dict[str, Any]:
         "datasets": sorted(table.frame["dataset"].unique()),
         "failed": outcome.failed_runs,
         "failed_because": dict(sorted(reasons.items())),
+        "unevaluated": table.unevaluated,
         "rule": table.rule.words,
         "protocols": [
             {"fingerprint": str(name), "label": str(labels.iloc[0]), "runs": len(labels)} for name, labels in protocols

@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from slamhive.analysis.analysis_file import Analysis, FormRequest
+from slamhive.analysis.analysis_file import PROTOCOL, Analysis, FormRequest
 from slamhive.analysis.forms import FormData, one_value
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.table import RunTable
-from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.services.analyses.files import StoredRunFiles
 from slamhive.services.analyses.selection import Find, select_runs
 from slamhive.services.analyses.table import TableRequest, check_size, load_every_protocol, load_table
@@ -88,7 +88,10 @@ def run_analysis(
     progress(0.05, f"reading {len(run_ids)} runs")
     keys = {key for request in analysis.forms for key in request.form.needs(request.options)}
     asked = TableRequest(run_ids, keys, analysis.protocol, analysis.rule)
-    table = load_table(sources.store, asked, sources.sensors)
+    try:
+        table = load_table(sources.store, asked, sources.sensors)
+    except NotFound as error:
+        raise analysis.placed(PROTOCOL, error) from None
     for key in analysis.one:
         one_value(table, key, "the analysis")
     compared = [request for request in analysis.forms if request.form.all_protocols]

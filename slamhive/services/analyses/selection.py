@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from slamhive.analysis.analysis_file import Analysis, set_words
 from slamhive.analysis.analysis_model import SetModel
 from slamhive.analysis.selection import evaluate, names_in
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.store.store import Store, Transaction
 
 Find = Callable[[str], Sequence[int]]
@@ -27,7 +27,14 @@ def select_runs(analysis: Analysis, store: Store, find: Find, saved: Callable[[s
         InvalidInput: for a filter that is none, and if nothing is selected.
         NotFound: for an experiment, saved search or group that does not exist, and for runs that do not.
     """
-    sets = {name: frozenset(_members(analysis.sets[name], store, find, saved)) for name in names_in(analysis.use)}
+
+    def members(name: str) -> frozenset[int]:
+        try:
+            return frozenset(_members(analysis.sets[name], store, find, saved))
+        except SlamHiveError as error:
+            raise analysis.placed(name, error) from None
+
+    sets = {name: members(name) for name in names_in(analysis.use)}
     chosen = evaluate(analysis.use, lambda name: sets[name])
     if not chosen:
         sizes = ", ".join(f"{name} holds {len(sets[name])} ({set_words(analysis.sets[name])})" for name in sorted(sets))

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import pandas as pd
 
 from slamhive.analysis.table import FailureRule, RunTable, make_table
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.run import RunState
 from slamhive.domain.variant import variant_from_json
 from slamhive.errors import InvalidInput
 from slamhive.search.fields import VARIANT_PREFIX
+from slamhive.store.records import EvaluationState
 from slamhive.store.store import Store
 
 Columns = dict[str, list[Any]]
@@ -44,21 +47,20 @@ def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) 
 
     Raises:
         NotFound: for a protocol that nothing was evaluated under.
+        InvalidInput: none of the runs has been evaluated yet.
     """
     metrics = sorted({key for key in request.keys if key in CATALOGUE} | set(RULE_METRICS))
 
     def work(transaction: Any) -> tuple[Columns, ById, ById, ById, dict[str, str]]:
         source = transaction.run_table
         facts = source.facts(request.run_ids)
-        parameters = source.parameters(facts["configuration_id"])
         figures = {key: source.metric(key, facts["run_id"], request.protocol) for key in metrics}
-        if request.protocol is not None:
-            count = len(facts["run_id"])
-            facts["protocol"] = [request.protocol] * count
-            facts["protocol_label"] = [source.protocol_label(request.protocol)] * count
+        facts = _evaluated(source, facts, figures["ate.rmse"], request.protocol)
+        parameters = source.parameters(facts["configuration_id"])
         return facts, parameters, source.axes(facts["run_id"]), figures, source.units()
 
     facts, parameters, axes, figures, units = store.read(work)
+    unevaluated = len(set(request.run_ids)) - len(facts["run_id"])
     variants = facts.pop("variant")
     facts["variant"] = [_variant_words(variant) for variant in variants]
     facts["sensors"] = [sensors.get(name) for name in facts["algorithm"]]
@@ -68,7 +70,31 @@ def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) 
     known = {name: _unit(name, units) for name in columns if name not in new}
     known |= {name: known.get(_source(columns[name], columns, known), "") for name in new}
     table = make_table(facts, columns, _by_id(figures, facts["run_id"]), request.rule, installed=sensors)
-    return table.described(known, _told_by_axes(variants, new, facts["run_id"]))
+    told = _told_by_axes(variants, new, facts["run_id"])
+    return replace(table.described(known, told), unevaluated=unevaluated)
+
+
+def _evaluated(source: Any, facts: Columns, errors_m: Mapping[int, float], protocol: str | None) -> Columns:
+    """The facts of runs whose figures are there or cannot be had, how their evaluations ended, and under what protocol.
+
+    What remains are good runs that nobody has evaluated: an absent figure is not a failure.
+    """
+    ended_well = [state == RunState.SUCCEEDED for state in facts["state"]]
+    pairs = list(zip(facts["run_id"], ended_well, strict=True))
+    lacking = [run_id for run_id, well in pairs if well and run_id not in errors_m]
+    evaluations = dict.fromkeys(errors_m, EvaluationState.SUCCEEDED) | source.evaluated(lacking, protocol)
+    kept = [not well or run_id in evaluations for run_id, well in pairs]
+    if not any(kept) and kept:
+        under = "" if protocol is None else f" under protocol {source.protocol_label(protocol)} ({protocol})"
+        raise InvalidInput(f"none of the {len(kept)} runs has been evaluated{under}", "evaluate them first")
+    chosen = {name: list(compress(values, kept)) for name, values in facts.items()}
+    chosen["evaluation"] = [evaluations.get(run_id) for run_id in chosen["run_id"]]
+    if protocol is not None:
+        label = source.protocol_label(protocol)
+        there = [state == EvaluationState.SUCCEEDED for state in chosen["evaluation"]]
+        chosen["protocol"] = [protocol if known else None for known in there]
+        chosen["protocol_label"] = [label if known else None for known in there]
+    return chosen
 
 
 def load_every_protocol(store: Store, keys: Collection[str], run_ids: Sequence[int]) -> pd.DataFrame:
