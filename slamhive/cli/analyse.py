@@ -52,6 +52,8 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         print_json({key: report[key] for key in report if key != "forms"} | {"forms": _brief(report)})
     else:
         messages.print(f"{report['runs']} runs, {report['failed']} failed: {report['selection']}")
+        if report["unevaluated"]:
+            messages.print(f"left out: {report['unevaluated']} runs that nobody has evaluated under this protocol")
         rows = [(entry["form"], entry["title"], entry["charts"], entry["error"] or "") for entry in _brief(report)]
         print_table(("form", "title", "figures", "not shown because"), rows)
         if out is not None:

@@ -17,6 +17,7 @@ from slamhive.store.models import (
     Configuration,
     ConfigurationValue,
     Dataset,
+    Evaluation,
     Experiment,
     ExperimentCell,
     Host,
@@ -26,6 +27,7 @@ from slamhive.store.models import (
     Protocol,
     Run,
 )
+from slamhive.store.records import EvaluationState
 from slamhive.store.rows import chunks
 
 SCANNED_FROM = 2_000
@@ -98,6 +100,20 @@ class RunTableRepository:
         if fingerprint is None:
             query = query.join(Run, Run.id == MetricValue.run_id)
         return {run_id: value for run_id, value in self._rows(query, MetricValue.run_id, run_ids)}  # noqa: C416
+
+    def evaluated(self, run_ids: Sequence[int], fingerprint: str | None = None) -> dict[int, EvaluationState]:
+        """How the evaluations of runs ended, under any protocol or that of ``fingerprint``; a success counts most.
+
+        Runs none of whose evaluations has ended are not in it.
+        """
+        query = select(Evaluation.run_id, Evaluation.state).where(Evaluation.open.is_(None))
+        if fingerprint is not None:
+            query = query.where(Evaluation.protocol_id == self.protocol_id(fingerprint))
+        found: dict[int, EvaluationState] = {}
+        for run_id, state in self._rows(query, Evaluation.run_id, run_ids):
+            if found.get(run_id) is not EvaluationState.SUCCEEDED:
+                found[run_id] = EvaluationState(state)
+        return found
 
     def every_protocol(self, keys: Iterable[str], run_ids: Sequence[int]) -> list[ProtocolValue]:
         """The values of metrics under all protocols that the runs were evaluated under."""
