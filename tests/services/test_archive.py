@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from slamhive.errors import Conflict, Forbidden, InvalidInput
 from slamhive.services.archive.exporting import ExportReport, ExportRequest, Part, export_archive
 from slamhive.services.archive.importing import ArchiveImport, ArchiveReport
 from slamhive.services.archive.layout import MANIFEST
+from slamhive.services.archive.writing import archive_writer
 from slamhive.services.experiments.records import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
@@ -217,6 +219,20 @@ def test_a_part_of_an_experiment_queues_nothing(hive: Hive, tmp_path: Path, monk
     reindex(other, lambda _done, _total: None)
     assert other.store.read(lambda t: t.runs.counts_by_state())[RunState.QUEUED] == 0
     other.close()
+
+
+def test_large_and_small_members_are_packed_alike(tmp_path: Path) -> None:
+    text = "".join(f"{1403636580 + step / 200:.9f} {step * 7 % 1013 / 997:.6f}\n" for step in range(60_000)).encode()
+    (tmp_path / "traj.txt").write_bytes(text)
+    with archive_writer(tmp_path / "a.zip") as archive:
+        archive.add_file("large", tmp_path / "traj.txt")
+        archive.add_bytes("small", text[:100_000])
+        archive.finish({"made_at": "", "software": "", "counts": {}})
+    with zipfile.ZipFile(tmp_path / "a.zip") as file:
+        for name in ("large", "small"):
+            packer = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
+            data = file.read(name)
+            assert file.getinfo(name).compress_size == len(packer.compress(data) + packer.flush())
 
 
 def test_an_export_that_fails_leaves_no_file(world: Hive, tmp_path: Path) -> None:

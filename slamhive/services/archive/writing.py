@@ -81,11 +81,13 @@ class ArchiveWriter:
         info = zipfile.ZipInfo(name, max(time.gmtime(modified_s)[:6], _OLDEST))
         info.compress_type = zipfile.ZIP_STORED if Path(name).suffix in _PACKED else zipfile.ZIP_DEFLATED
         info.external_attr = (stat.S_IFREG | 0o644) << 16
+        # Only this way do members that are written in parts get it too; later Pythons keep the name.
+        info._compresslevel = _LEVEL  # type: ignore[attr-defined]
         digest = hashlib.sha256()
         if length <= _BLOCK_BYTES:
             data = source.read()
             digest.update(data)
-            self._file.writestr(info, data, compresslevel=_LEVEL)
+            self._file.writestr(info, data)
         else:
             self._stream(info, source, length, digest)
         self._sums.append(f"{digest.hexdigest()}  {name}\n")
