@@ -11,6 +11,7 @@ from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
 from slamhive.cli.output import messages, print_json
 from slamhive.cli.runs import print_runs
+from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.domain.run import RunState
@@ -22,6 +23,8 @@ from slamhive.services.current_protocols import CurrentProtocols
 from slamhive.services.hive import Hive
 from slamhive.services.run_json import run_to_json
 from slamhive.store import EvaluationRecord
+
+_NAMED_RUNS = 20
 
 
 @click.command()
@@ -96,14 +99,13 @@ def _report(service: CurrentProtocols, ended: list[EvaluationRecord], *, as_json
         messages.print(f"run {run_id} cannot be evaluated: {reason}", markup=False, soft_wrap=True)
     others = service.shown_otherwise(ended)
     if others:
-        numbers = " ".join(map(str, others))
-        fingerprint = next(record.protocol.fingerprint for record in ended if record.run_id == others[0])
-        messages.print(
-            f"lists go on showing other figures of run {numbers}; to change that: "
-            f"slamhive protocol use {fingerprint} {numbers}",
-            markup=False,
-            soft_wrap=True,
-        )
+        if len(others) > _NAMED_RUNS:
+            words = f"{plural(len(others), 'run')}; to change that: the same command with --current"
+        else:
+            numbers = " ".join(map(str, others))
+            fingerprint = next(record.protocol.fingerprint for record in ended if record.run_id == others[0])
+            words = f"run {numbers}; to change that: slamhive protocol use {fingerprint} {numbers}"
+        messages.print(f"lists go on showing other figures of {words}", markup=False, soft_wrap=True)
 
 
 COMMANDS = (evaluate,)

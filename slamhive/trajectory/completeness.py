@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from slamhive.errors import InvalidInput
 from slamhive.trajectory.model import FloatArray
+
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +26,16 @@ class Completeness:
     tracked_fraction: float
     longest_gap_s: float
     gap_count: int
+
+
+def covers(estimate_stamps_s: FloatArray, stamps_s: FloatArray, gap_s: float) -> BoolArray:
+    """Whether there is a pose at each of ``stamps_s``, or poses on both sides, no further apart than ``gap_s``."""
+    if len(estimate_stamps_s) == 1:
+        return np.asarray(stamps_s == estimate_stamps_s[0])
+    after = np.clip(np.searchsorted(estimate_stamps_s, stamps_s), 1, len(estimate_stamps_s) - 1)
+    before_s, after_s = estimate_stamps_s[after - 1], estimate_stamps_s[after]
+    inside = (before_s <= stamps_s) & (stamps_s <= after_s) & (after_s - before_s <= gap_s)
+    return np.asarray(inside | (stamps_s == before_s) | (stamps_s == after_s))
 
 
 def measure_completeness(estimate_stamps_s: FloatArray, reference_stamps_s: FloatArray, gap_s: float) -> Completeness:

@@ -73,7 +73,7 @@ MAP_METRICS = (
         "Chamfer distance",
         "m",
         "Half the sum of the mean distances from map to reference and from reference to map.",
-        "Fan et al., A Point Set Generation Network, CVPR 2017, section 4.1, with distances instead of squares",
+        "Fan et al., A Point Set Generation Network, CVPR 2017, with distances instead of squares",
     ),
     _map(
         "map.entropy",

@@ -226,8 +226,9 @@ def _drift_and_scale() -> list[Metric]:
                 "Scale",
                 "",
                 group,
-                "Factor applied to the estimate by a Sim(3) alignment; 1 for every other alignment.",
-                "Umeyama, PAMI 1991, eq. (42), by evo",
+                "Factor applied to the estimate by an alignment that leaves the scale open, Sim(3) or the scale alone; "
+                "1 for every other.",
+                "Umeyama, PAMI 1991, eq. (42)",
             )
         ),
     ]
@@ -251,7 +252,8 @@ def _completeness() -> list[Metric]:
             "Gaps",
             "",
             group,
-            "How many times the estimate pauses for longer than the gap threshold of the protocol.",
+            "How many times there is no pose for longer than the gap threshold of the protocol inside the ground "
+            "truth's span, its start and its end included.",
         ),
         _one(
             "time_to_first_pose",
@@ -275,7 +277,8 @@ def _completeness() -> list[Metric]:
                 "",
                 group,
                 f"Area under the curve 'share of the ground truth's time within x m', x from 0 to {SCORE_LIMIT_M:g} m, "
-                "over that maximum: 1 is always tracked without error; time without a pose counts as not within.",
+                "over that maximum: 1 is always tracked without error; time without a pose counts as not within. "
+                "Pauses of the ground truth itself, longer than the gap threshold, are no part of its time.",
                 "After the ranking of ETH3D (Schops et al., BAD SLAM, CVPR 2019), over time instead of sequences",
             )
         ),

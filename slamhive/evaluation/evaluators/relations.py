@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.evaluators.base import RELATIONS, Figures, Paired, absent
 from slamhive.evaluation.evaluators.pairs import statistics
+from slamhive.trajectory.completeness import covers
 from slamhive.trajectory.interpolation import interpolate
 from slamhive.trajectory.model import FloatArray, Trajectory
 from slamhive.trajectory.table import parse_table, read_bounded
@@ -25,8 +25,6 @@ from slamhive.trajectory.transforms import (
     rotation_angles_rad,
     rotations_from_quats,
 )
-
-BoolArray = npt.NDArray[np.bool_]
 
 LAYOUT = "timestamp1 timestamp2 x y z roll pitch yaw"
 _NAMES = ("rmse", "mean", "std", "max")
@@ -112,7 +110,7 @@ def relation_figures(relations: Relations, estimate: Trajectory, gap_s: float) -
     Raises:
         InvalidInput: The estimate covers no relation.
     """
-    covered = _covers(estimate, relations.from_s, gap_s) & _covers(estimate, relations.to_s, gap_s)
+    covered = covers(estimate.stamps_s, relations.from_s, gap_s) & covers(estimate.stamps_s, relations.to_s, gap_s)
     if not covered.any():
         raise InvalidInput(
             f"the estimate has no poses at the times of any of the {len(covered)} relations",
@@ -128,16 +126,6 @@ def relation_figures(relations: Relations, estimate: Trajectory, gap_s: float) -
         **statistics("relations.rotation", errors_deg, _NAMES),
         "relations.matched_fraction": float(np.mean(covered)),
     }
-
-
-def _covers(estimate: Trajectory, stamps_s: FloatArray, gap_s: float) -> BoolArray:
-    """Whether there is a pose at each stamp, or poses on both sides no further apart than ``gap_s``."""
-    if len(estimate) == 1:
-        return np.asarray(stamps_s == estimate.stamps_s[0])
-    after = np.clip(np.searchsorted(estimate.stamps_s, stamps_s), 1, len(estimate) - 1)
-    before_s, after_s = estimate.stamps_s[after - 1], estimate.stamps_s[after]
-    inside = (before_s <= stamps_s) & (stamps_s <= after_s) & (after_s - before_s <= gap_s)
-    return np.asarray(inside | (stamps_s == before_s) | (stamps_s == after_s))
 
 
 def _quats_from_euler(angles_rad: FloatArray) -> FloatArray:

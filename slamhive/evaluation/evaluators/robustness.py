@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from slamhive.domain.metrics.trajectories import SCORE_LIMIT_M
+from slamhive.domain.protocol import Association
 from slamhive.evaluation.evaluators.base import Figures, Paired
+from slamhive.trajectory.completeness import covers
 from slamhive.trajectory.model import FloatArray
 
 
@@ -15,18 +17,29 @@ class Robustness:
     keys = ("time_to_first_pose", "tracking.losses", "completeness.score")
 
     def evaluate(self, paired: Paired) -> Figures:
-        """All three are always known."""
+        """There is no score where the poses of the ground truth itself are further apart than the gap threshold."""
         start_s, end_s = float(paired.reference.stamps_s[0]), float(paired.reference.stamps_s[-1])
         gap_s = paired.protocol.gap_threshold_s
-        errors_m = np.linalg.norm(paired.aligned.positions_m - paired.matched_reference.positions_m, axis=1)
-        covered_s = score_seconds(paired.matched_reference.stamps_s, errors_m, gap_s, SCORE_LIMIT_M)
-        return Figures(
-            {
-                "time_to_first_pose": max(0.0, float(paired.estimate.stamps_s[0]) - start_s),
-                "tracking.losses": float(count_losses(paired.estimate.stamps_s, start_s, end_s, gap_s)),
-                "completeness.score": covered_s / (end_s - start_s),
-            }
-        )
+        values = {
+            "time_to_first_pose": max(0.0, float(paired.estimate.stamps_s[0]) - start_s),
+            "tracking.losses": float(count_losses(paired.estimate.stamps_s, start_s, end_s, gap_s)),
+        }
+        steps_s = np.diff(paired.reference.stamps_s)
+        known_s = float(steps_s[steps_s <= gap_s].sum())
+        if known_s == 0:
+            reason = f"the poses of the ground truth are more than {gap_s:g} s apart, the gap threshold"
+            return Figures(values, {"completeness.score": reason})
+        covered_s = score_seconds(paired.matched_reference.stamps_s, _errors_m(paired), gap_s, SCORE_LIMIT_M)
+        return Figures({**values, "completeness.score": covered_s / known_s})
+
+
+def _errors_m(paired: Paired) -> FloatArray:
+    """Of the matched poses; infinite where the protocol holds a pose although there is none."""
+    errors_m = np.linalg.norm(paired.aligned.positions_m - paired.matched_reference.positions_m, axis=1)
+    if paired.protocol.association is Association.HOLD:
+        stamps_s = paired.matched_reference.stamps_s
+        errors_m[~covers(paired.estimate.stamps_s, stamps_s, paired.protocol.gap_threshold_s)] = np.inf
+    return np.asarray(errors_m)
 
 
 def count_losses(stamps_s: FloatArray, start_s: float, end_s: float, gap_s: float) -> int:

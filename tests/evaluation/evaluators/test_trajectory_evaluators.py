@@ -78,6 +78,29 @@ def test_the_missing_middle_shows_in_the_score_and_not_in_the_error():
     assert values["time_to_first_pose"] == 0
 
 
+def test_pauses_of_the_ground_truth_are_no_part_of_the_score():
+    """Ground truth at both ends only, as of TUM VI: a perfect estimate of the whole has the score 1."""
+    ends = kept(loop(), (np.arange(400) < 60) | (np.arange(400) >= 340))
+    assert Robustness().evaluate(paired(ends, loop())).values["completeness.score"] == pytest.approx(1.0)
+    half = kept(loop(), np.arange(400) < 60)
+    score = Robustness().evaluate(paired(ends, half)).values["completeness.score"]
+    assert score == pytest.approx(0.5, abs=0.01)
+    rare = kept(loop(), np.arange(400) % 30 == 0)
+    figures = Robustness().evaluate(paired(rare, loop()))
+    assert figures.missing == {
+        "completeness.score": "the poses of the ground truth are more than 1 s apart, the gap threshold"
+    }
+
+
+def test_a_pose_that_is_held_is_no_pose_for_the_score():
+    lost = kept(loop(), np.arange(400) < 200)
+    scores = [
+        Robustness().evaluate(paired(loop(), lost, Protocol(Alignment.NONE, association=association))).values
+        for association in (Association.HOLD, Association.NEAREST)
+    ]
+    assert scores[0]["completeness.score"] == pytest.approx(scores[1]["completeness.score"], abs=0.005)
+
+
 def test_the_score_is_the_area_under_the_share_within():
     truth = loop()
     shift_m = np.zeros((len(truth), 3))
