@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
@@ -61,12 +62,17 @@ def _set_name(name: str) -> str:
     return name
 
 
-def _expression(text: str) -> str:
-    try:
-        parse_expression(text)
-    except InvalidInput as error:
-        raise explained(error) from None
-    return text
+def read_by(parse: Callable[[str], object]) -> AfterValidator:
+    """What makes a text one that ``parse`` can read; its InvalidInput is told as the mistake in the file."""
+
+    def check(text: str) -> str:
+        try:
+            parse(text)
+        except InvalidInput as error:
+            raise explained(error) from None
+        return text
+
+    return AfterValidator(check)
 
 
 class AnalysisModel(_Model):
@@ -79,7 +85,7 @@ class AnalysisModel(_Model):
     select: dict[Annotated[str, AfterValidator(_set_name)], SetModel] = Field(
         min_length=1, max_length=MAX_SETS, description="Sets of runs, each under a name of yours."
     )
-    use: Annotated[str, AfterValidator(_expression)] | None = Field(
+    use: Annotated[str, read_by(parse_expression)] | None = Field(
         default=None, max_length=10_000, description="An expression over the sets, (a | b) - c; their union if absent."
     )
     protocol: str | None = Field(

@@ -80,7 +80,10 @@ class Importance(Form[ImportanceOptions]):
         accuracy = explained_variance(shown, names, np.log10(values) if logarithm else values)
         failing = explained_variance(table.frame, names, table.frame[FAILED].notna().to_numpy(dtype=float))
         scale = "log10 of the metric" if logarithm else "the metric"
-        note = f"Omega squared (W. L. Hays, 1963) of {scale}: shares of variance, corrected for the number of values."
+        note = (
+            f"Omega squared (W. L. Hays, 1963) of {scale}: shares of variance, corrected for the number of values. "
+            "They overlap where not all combinations have equally many good runs."
+        )
         text = caption(table, len(shown), protocol, note)
         charts = (
             _bars(accuracy, failing, options.title or f"What {metric.label} depends on", metric.label, text),

@@ -21,14 +21,15 @@ from slamhive.analysis.forms.base import (
 )
 from slamhive.analysis.forms.places import places_on, value_words
 from slamhive.analysis.result import FormResult
-from slamhive.analysis.table import Column
+from slamhive.analysis.table import Column, RunTable
 from slamhive.errors import InvalidInput
 
 MOST_LINES = 20_000
+MOST_PARAMETERS = 10
 
 
 class ParallelOptions(FormOptions):
-    """``dimensions`` default to the algorithm, the dataset and all parameters that vary."""
+    """``dimensions`` default to the algorithm, the dataset and the parameters, as far as they vary."""
 
     dimensions: list[str] = Field(default_factory=list, max_length=15, description="Axes from left to right.")
     metric: str = Field(default="ate.rmse", description="The last axis, and the colour.")
@@ -51,7 +52,7 @@ class ParallelCoordinates(Form[ParallelOptions]):
         table = data.table
         require_runs(table)
         metric = table.numeric(options.metric, "the colour")
-        keys = options.dimensions or ["algorithm", "dataset", *[column.key for column in table.varied()[:10]]]
+        keys = options.dimensions or _default_dimensions(table)
         columns = [table.column(key) for key in keys if key != metric.key]
         protocol = table.one_protocol([column.key for column in (*columns, metric)])
         shown = with_values(table, [metric.key])
@@ -75,6 +76,12 @@ class ParallelCoordinates(Form[ParallelOptions]):
         )
         raw = raw_table("parallel_raw", table, [*keys, metric.key])
         return result_of(table, protocol, (chart,), (raw,), lacking=[metric.key])
+
+
+def _default_dimensions(table: RunTable) -> list[str]:
+    """Algorithm and dataset where there are several, the first parameters that vary; the algorithm if nothing does."""
+    names = [name for name in ("algorithm", "dataset") if table.frame[name].nunique() > 1]
+    return [*names, *(column.key for column in table.varied()[:MOST_PARAMETERS])] or ["algorithm"]
 
 
 def _dimension(column: Column, shown: pd.DataFrame) -> Dimension:

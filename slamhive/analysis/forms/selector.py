@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
+from slamhive.analysis.analysis_model import read_by
 from slamhive.analysis.chart import Array, Axis, Bars, Chart
 from slamhive.analysis.forms.base import (
     FORMS,
@@ -24,7 +25,6 @@ from slamhive.analysis.forms.places import settings_words
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, Column, RunTable
-from slamhive.catalogue.validation import explained
 from slamhive.domain.metrics import Direction
 from slamhive.errors import InvalidInput
 
@@ -60,18 +60,22 @@ class Candidate:
     score: Summary | None
 
 
-def _bound_text(text: str) -> str:
+def parse_bound(text: str) -> Bound:
+    """``ate.rmse < 0.1``; raises InvalidInput."""
+    match = _BOUND.fullmatch(text)
     try:
-        parse_bound(text)
-    except InvalidInput as error:
-        raise explained(error) from None
-    return text
+        if match is not None:
+            sign = match["sign"].replace("=>", ">=")
+            return Bound(match["key"], sign, float(match["number"]))
+    except ValueError:
+        pass
+    raise InvalidInput(f"bound {text!r} is not METRIC < NUMBER", "write for example: ate.rmse < 0.1")
 
 
 class SelectorOptions(FormOptions):
     """Bounds that each run must keep, as filters are written: ``ate.rmse < 0.1``."""
 
-    bounds: list[Annotated[str, AfterValidator(_bound_text)]] = Field(
+    bounds: list[Annotated[str, read_by(parse_bound)]] = Field(
         min_length=1, max_length=20, description="metric < number, or >, <=, >="
     )
     rank_by: str = Field(default="ate.rmse", description="What the configurations are ranked by.")
@@ -126,18 +130,6 @@ class Selector(Form[SelectorOptions]):
             ),
         )
         return replace(result, notes=notes)
-
-
-def parse_bound(text: str) -> Bound:
-    """``ate.rmse < 0.1``; raises InvalidInput."""
-    match = _BOUND.fullmatch(text)
-    try:
-        if match is not None:
-            sign = match["sign"].replace("=>", ">=")
-            return Bound(match["key"], sign, float(match["number"]))
-    except ValueError:
-        pass
-    raise InvalidInput(f"bound {text!r} is not METRIC < NUMBER", "write for example: ate.rmse < 0.1")
 
 
 def _bound_words(bound: Bound, table: RunTable) -> str:
