@@ -12,6 +12,8 @@ from slamhive.services.analyses.folder import PAGE, REPORT, SOURCE, AnalysisFold
 from slamhive.services.hive import Hive
 
 MOST_WAIT_S = 30.0
+MOST_WAITING = 3
+"""Threads of the server that one may hold who asks for many files at once; the others are left for pages."""
 MOST_KEPT_BYTES = 50_000_000
 MEDIA_TYPES = {
     "pdf": "application/pdf",
@@ -28,7 +30,7 @@ PAGE_FILE, ZIP_FILE = "report.html", "report.zip"
 
 
 class AnalysisFiles:
-    """Makes files and keeps the latest in memory; nothing is written.
+    """Makes files and keeps the latest that were made in memory; nothing is written.
 
     Args:
         hive: The services.
@@ -37,6 +39,7 @@ class AnalysisFiles:
     def __init__(self, hive: Hive) -> None:
         self._hive = hive
         self._making = threading.Lock()
+        self._places = threading.BoundedSemaphore(1 + MOST_WAITING)
         self._kept: OrderedDict[tuple[str, str, str], bytes] = OrderedDict()
         self._kept_bytes = 0
 
@@ -50,12 +53,14 @@ class AnalysisFiles:
         if place is None and name not in (PAGE_FILE, ZIP_FILE):
             raise NotFound(f"the analysis has no file {name[:100]!r}", "its page lists them")
         key = token, name, str(record.ended_at)
+        content = self._kept.get(key)
+        if content is not None:
+            return content
         with self._one_at_a_time():
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key]
-            content = self._make(folder, name, place)
-            self._keep(key, content)
+            content = self._kept.get(key)
+            if content is None:
+                content = self._make(folder, name, place)
+                self._keep(key, content)
         return content
 
     def _make(self, folder: AnalysisFolder, name: str, place: tuple[int, str] | None) -> bytes:
@@ -87,9 +92,15 @@ class AnalysisFiles:
 
     @contextmanager
     def _one_at_a_time(self) -> Iterator[None]:
-        if not self._making.acquire(timeout=MOST_WAIT_S):
-            raise Unavailable("many files of analyses are being made", "try again in a minute")
+        busy = Unavailable("many files of analyses are being made", "try again in a minute")
+        if not self._places.acquire(blocking=False):
+            raise busy
         try:
-            yield
+            if not self._making.acquire(timeout=MOST_WAIT_S):
+                raise busy
+            try:
+                yield
+            finally:
+                self._making.release()
         finally:
-            self._making.release()
+            self._places.release()

@@ -10,6 +10,7 @@ import shutil
 import sqlite3
 import threading
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,15 +18,18 @@ import pytest
 from flask import Response
 
 from slamhive.analysis.forms import FORMS
+from slamhive.errors import Unavailable
 from slamhive.services.analyses.jobs import AnalysisJobs
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
 from slamhive.store import AnalysisState
+from slamhive.web.analysis_files import MOST_WAITING, AnalysisFiles
 from slamhive.web.analysis_text import ALL, first_text, form_helps
 from slamhive.web.caching import PageCache
 from slamhive.web.context import COMPUTER_EXTENSION
 from slamhive.web.security import API_HEADER
 from slamhive.web.views.help import OF_PAGE
+from tests.waiting import eventually
 from tests.web import web_world as world
 from tests.web.test_web_security import VALUES
 from tests.web.web_world import HOSTILE, Web, make_web
@@ -127,6 +131,23 @@ def test_every_file_of_the_page_comes(computed: tuple[Web, str]):
 def test_only_known_files_come(computed: tuple[Web, str], name: str):
     web, token = computed
     assert web.client.get(f"/analyses/{token}/files/{name}").status_code == 404
+
+
+def test_few_wait_for_files_and_what_was_made_comes_at_once(computed: tuple[Web, str], monkeypatch: pytest.MonkeyPatch):
+    web, token = computed
+    files = AnalysisFiles(web.hive)
+    made = files.get(token, "report.html")
+    go_on = threading.Event()
+    monkeypatch.setattr(AnalysisFiles, "_make", lambda *_: b"" if go_on.wait(60) else b"late")
+    names = list(web.hive.stored_analyses.folder(token).read_result("page.json.gz")["files"])[: 1 + MOST_WAITING]
+    with ThreadPoolExecutor() as pool:
+        waiting = [pool.submit(files.get, token, name) for name in names]
+        eventually(lambda: files._places._value == 0, "all places were taken")
+        with pytest.raises(Unavailable, match="many files"):
+            files.get(token, "report.zip")
+        assert files.get(token, "report.html") == made
+        go_on.set()
+        assert [future.result() for future in waiting] == [b""] * len(names)
 
 
 @pytest.mark.parametrize("token", ["x", "0" * 32, "..%2f..%2fruns", "0" * 5000])
