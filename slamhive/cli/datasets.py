@@ -106,12 +106,13 @@ def _report(entry: Dataset, as_json: bool) -> None:
     if as_json:
         print_json(_to_json(entry))
         return
-    click.echo(f"{entry.name}: {entry.duration_s:.1f} s, {entry.bag_path}")
+    click.echo(f"{entry.name}: {entry.duration_s:.1f} s, {entry.bag_path if entry.bag else 'no recording'}")
     for label, text in (
         ("title", entry.title),
         ("attributes", ", ".join(entry.attributes)),
         ("licence", entry.licence),
         ("ground truth", _ground_truth_in_words(entry)),
+        ("relations", entry.relations),
     ):
         if text:
             click.echo(f"{label}: {text}")
@@ -129,14 +130,14 @@ def _calibration(entry: Dataset) -> list[tuple[str, str, str]]:
 
 def _ground_truth(entry: Dataset) -> str:
     if entry.groundtruth_path is None:
-        return "no"
+        return "no" if entry.relations is None else "relations"
     return "yes" if entry.groundtruth_path.is_file() else "file missing"
 
 
 def _ground_truth_in_words(entry: Dataset) -> str:
     truth = entry.groundtruth
     if truth is None:
-        return "none"
+        return "none" if entry.relations is None else "no trajectory"
     traits = (
         "" if entry.groundtruth_path is not None and entry.groundtruth_path.is_file() else "the file is missing",
         "z axis up" if truth.gravity_aligned else "z axis not known to point up",

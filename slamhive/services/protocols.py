@@ -107,7 +107,7 @@ class Protocols:
             for entry in self.used():
                 if entry.protocol.fingerprint == name:
                     return exactly(entry.protocol, name)
-        known = [BY_SENSORS, *Alignment, *PRESETS.names()]
+        known = [BY_SENSORS, *(entry.value for entry in Alignment), *PRESETS.names()]
         raise unknown("protocol", name[:_SHOWN], known, "slamhive protocol list shows them")
 
     def find(self, text: str) -> ProtocolRequest:

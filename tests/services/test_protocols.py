@@ -60,6 +60,8 @@ def test_names_files_and_fingerprints_lead_to_a_protocol(hive: Hive, tmp_path: P
     assert protocols.find(str(path)).values == {"alignment": "sim3", "rpe_delta_m": 2.0}
     with pytest.raises(NotFound, match="unknown protocol 'evvo'; did you mean 'evo'"):
         protocols.find("evvo")
+    with pytest.raises(NotFound, match="unknown protocol 'simm3'; did you mean 'sim3'"):
+        protocols.find("simm3")
     with pytest.raises(NotFound, match="unknown protocol '0123456789ab'"):
         protocols.find("0123456789ab")
     with pytest.raises(InvalidInput, match=r"none\.yaml does not exist"):

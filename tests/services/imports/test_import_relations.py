@@ -75,6 +75,18 @@ def test_the_command_imports_evaluates_and_says_what_is_missing(hive, source):
     assert figures["relations.translation.rmse"] == pytest.approx(math.sqrt(np.mean(np.square(errors_m))), rel=1e-6)
 
 
+def test_a_dataset_without_recording_can_be_looked_at(hive, source):
+    write(source / "seq1" / "groundtruth.txt", trajectory())
+    write(source / "alpha" / "seq1" / "0.txt", trajectory(1))
+    carry_out(hive, source)
+    code, shown, _ = command("dataset", "show", "building")
+    assert (code, shown.splitlines()[0]) == (0, "building: 2.5 s, no recording")
+    assert "ground truth: no trajectory\nrelations: relations.txt\n" in shown
+    assert "ground truth: groundtruth.txt" in command("dataset", "show", "seq1")[1]
+    listed = command("dataset", "list")[1].splitlines()
+    assert [line.split()[-1] for line in listed if line.startswith(("building", "seq1"))] == ["relations", "yes"]
+
+
 def test_what_a_protocol_cannot_do_without_a_trajectory_is_told_and_the_older_figures_stay(hive, source):
     command("runs", "import", source, "--sensors", "lidar")
     (run,) = json.loads(command("runs", "--json")[1])
