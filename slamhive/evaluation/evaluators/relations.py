@@ -27,6 +27,7 @@ from slamhive.trajectory.transforms import (
 )
 
 LAYOUT = "timestamp1 timestamp2 x y z roll pitch yaw"
+_WHOLE_TURN_RAD = 6.2832
 _NAMES = ("rmse", "mean", "std", "max")
 
 
@@ -94,6 +95,10 @@ def parse_relations(data: bytes, name: str) -> Relations:
     finite = np.isfinite(table.values).all(axis=1)
     if not finite.all():
         raise table.error(int((~finite).argmax()), "a number is not finite", "leave the relation out")
+    largest_rad = np.abs(table.values[:, 5:8]).max(axis=1)
+    if largest_rad.max() > _WHOLE_TURN_RAD:
+        row = int(largest_rad.argmax())
+        raise table.error(row, f"an angle of {largest_rad[row]:g} is more than a turn", "write radians, not degrees")
     return Relations(
         table.values[:, 0], table.values[:, 1], table.values[:, 2:5], _quats_from_euler(table.values[:, 5:8])
     )

@@ -121,9 +121,9 @@ class Truths:
 
 def _check_file(known: Dataset, kind: str, here: Path | None, text: bytes, option: str) -> None:
     if here is None or read_bounded(here) != text:
-        found = f"other {kind}" if kind == "relations" else f"another {kind}"
+        other = f"with other {kind} than those" if kind == "relations" else f"with another {kind} than the one"
         raise InvalidInput(
-            f"dataset {known.name} is here with {found} than the one to import",
+            f"dataset {known.name} is here {f'without {kind}, unlike the one' if here is None else other} to import",
             f"import under another name of the dataset, or leave the {kind} out ({option} '')",
         )
 

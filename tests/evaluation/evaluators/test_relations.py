@@ -84,6 +84,7 @@ def test_all_three_angles_are_read(tmp_path):
         ("1 2 3\n", "line 1: 3 columns instead of 8"),
         ("1 2 0 0 0 0 0 x\n", "'x' is not a number"),
         ("1 2 0 0 0 0 0 nan\n", "line 1: a number is not finite"),
+        ("1 2 0 0 0 0 0 3.1\n1 3 0 0 0 0 0 -90\n", "line 2: an angle of 90 is more than a turn; write radians"),
     ],
 )
 def test_a_malformed_file_is_one_clear_line(tmp_path, text, message):

@@ -133,8 +133,11 @@ def test_other_relations_than_those_that_are_here_are_refused(hive, source):
     write(source / "building" / "relations.txt", "100 101 5 0 0 0 0 0\n")
     write(source / "beta" / "building" / "0.txt", trajectory(2))
     (problem,) = carry_out(hive, source).problems
-    assert "building is here with other relations than the one to import" in problem.text
+    assert "building is here with other relations than those to import" in problem.text
     assert carry_out(hive, source, relations="").imported == 1
+    write(source / "building" / "groundtruth.txt", trajectory())
+    (problem,) = carry_out(hive, source, relations="").problems
+    assert "building is here without ground truth, unlike the one to import" in problem.text
 
 
 def test_a_table_names_relations(hive, tmp_path):
