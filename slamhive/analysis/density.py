@@ -19,7 +19,7 @@ SINGLE_MOST = 3_000
 SPACE_MOST = 20_000
 """In three dimensions, where there is no density to see through, so many are drawn."""
 
-COLUMNS, ROWS = 240, 160
+COLUMNS, ROWS = 180, 110
 SHARES_OF_A_CATEGORY = 5
 NEIGHBOURS = 4
 """Cells on each side of one that count as its surroundings."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -10,11 +11,11 @@ from slamhive.analysis.chart import Cells, Chart, Density
 from slamhive.analysis.plotly_values import Json, escaped, numbers, translucent
 
 SCALE = "Viridis"
+_STOPS = 9
 
 
 def density(mark: Density, chart: Chart) -> list[Json]:
     """One colour from pale to full over decades, nothing where there is no point."""
-    full = max(np.log10(mark.most), 0.3)
     edges = [10**e if axis.log else e for e, axis in ((mark.x_edges, chart.x), (mark.y_edges, chart.y))]
     return [
         {
@@ -22,17 +23,24 @@ def density(mark: Density, chart: Chart) -> list[Json]:
             "name": escaped(mark.name),
             "x": numbers(edges[0]),
             "y": numbers(edges[1]),
-            "z": numbers(np.where(mark.counts > 0, np.log10(np.maximum(mark.counts, 1)), np.nan)),
+            "z": numbers(np.where(mark.counts > 0, mark.counts, np.nan)),
             "zmin": 0,
-            "zmax": float(full),
-            "customdata": numbers(mark.counts),
-            "colorscale": [[0, translucent(mark.colour, 0.3)], [1, translucent(mark.colour, 1.0)]],
+            "zmax": mark.most,
+            "colorscale": _over_decades(mark),
             "showscale": False,
             "hoverongaps": False,
             "legendgroup": escaped(mark.group or mark.name),
-            "hovertemplate": f"%{{customdata}} runs of {escaped(mark.name)}<extra></extra>",
+            "hovertemplate": f"%{{z}} runs of {escaped(mark.name)}<extra></extra>",
         }
     ]
+
+
+def _over_decades(mark: Density) -> list[list[Any]]:
+    """A scale of colours that is even in the logarithm of the counts, from 1 to the most."""
+    shares = np.linspace(0, 1, _STOPS)
+    stops = [[float(mark.most**share / mark.most), translucent(mark.colour, 0.3 + 0.7 * share)] for share in shares]
+    stops[-1][0] = 1.0
+    return [[0.0, stops[0][1]], *stops] if mark.most > 1 else [[0.0, stops[-1][1]], [1.0, stops[-1][1]]]
 
 
 def cells(mark: Cells, chart: Chart) -> list[Json]:

@@ -90,7 +90,7 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
     gap_s = math.inf
     if run.protocol is not None:
         evaluation = folder.evaluation(run.protocol.fingerprint)
-        gap_s = _gap_s(evaluation)
+        gap_s = gap_of(evaluation)
         estimate = read_track(evaluation / "traj.tum", gap_s)
         groundtruth = read_track(evaluation / "groundtruth.tum")
         error = _columns(evaluation / "errors.csv", ("timestamp", "ape_m"))
@@ -109,7 +109,8 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
     return RunSeries(**found, aligned=aligned, gap_s=gap_s, reasons=reasons)
 
 
-def _gap_s(evaluation: Path) -> float:
+def gap_of(evaluation: Path) -> float:
+    """How long a pause of the estimate is a gap under the protocol of an evaluation, in s; infinite if unknown."""
     try:
         content = json.loads((evaluation / PROTOCOL_FILE).read_text(encoding="utf-8"))
         return protocol_from_content(content).gap_threshold_s

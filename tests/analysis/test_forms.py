@@ -11,13 +11,14 @@ import pytest
 from slamhive.analysis.analysis_file import parse_analysis
 from slamhive.analysis.chart import Bars, Cells, FailedRuns, Line, Points
 from slamhive.analysis.colours import PALETTE, algorithm_colours
+from slamhive.analysis.forms import RunTrack
 from slamhive.analysis.forms.pareto import pareto_front
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import FORMATS, print_chart
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.table import Column, ColumnKind, FailureRule
 from slamhive.errors import InvalidInput, NotFound
-from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, REPEATS, SCALES, data_of, sweep_table
+from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, REPEATS, SCALES, NoFiles, data_of, sweep_table
 
 pytestmark = pytest.mark.integration
 
@@ -281,3 +282,28 @@ def test_a_form_that_needs_one_dataset_says_so():
         build("form: usage")
     with pytest.raises(InvalidInput, match="evaluated under 0 protocol"):
         build("form: protocols")
+
+
+class TracksWithAPause(NoFiles):
+    """Every run has four poses, with a pause in the middle."""
+
+    def track(self, run_id: int) -> RunTrack | None:
+        stamps_s = np.array([0.0, 0.1, 5.0, 5.1])
+        positions_m = np.stack([stamps_s, stamps_s**2, 0 * stamps_s], axis=1)
+        errors_m = np.array([0.1, 0.1, np.nan, 0.2])
+        return RunTrack(run_id, stamps_s, positions_m, errors_m, np.array([0, 0, 1, 1]), stamps_s, positions_m)
+
+
+def test_no_line_is_drawn_over_a_pause():
+    table = sweep_table()
+    one = table.with_rows(table.frame[table.frame["dataset"] == "room"].head(3))
+    analysis = parse_analysis("name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: trajectories}\n")
+    data = replace(data_of(one), files=TracksWithAPause())
+    result = analysis.forms[0].form.build(data, analysis.forms[0].options)
+    for chart in result.charts:
+        estimates = [mark for mark in chart.marks if isinstance(mark, Line) and mark.runs]
+        assert len(estimates) == 3
+        assert all(np.isnan(mark.x[2]) and np.isnan(mark.y[2]) for mark in estimates)
+        assert "Lines break where no pose came" in chart.caption
+    (poses,) = (entry for entry in result.tables if entry.key == "poses")
+    assert len(poses.rows) == 12

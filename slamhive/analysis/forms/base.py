@@ -34,13 +34,15 @@ OptionsT = TypeVar("OptionsT", bound=FormOptions)
 class RunTrack:
     """The aligned estimate of one run and its ground truth, as its evaluation left them.
 
-    Stamps in s, positions (n, 3) in m in the ground truth's frame; ``errors_m`` has one entry for each pose.
+    Stamps in s, positions (n, 3) in m in the ground truth's frame; ``errors_m`` and ``pieces`` have one entry for each
+    pose. ``pieces`` numbers the stretches between pauses that are longer than the protocol's gap.
     """
 
     run_id: int
     stamps_s: Array
     positions_m: Array
     errors_m: Array
+    pieces: Array
     reference_stamps_s: Array
     reference_positions_m: Array
 

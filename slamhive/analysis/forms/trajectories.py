@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -63,14 +62,17 @@ class Trajectories(Form[TrajectoriesOptions]):
         tracks, without = _tracks(data, options.most_runs)
         if not tracks:
             raise InvalidInput("no selected run has an evaluated trajectory with files", "evaluate again, with files")
-        text = caption(table, len(tracks), protocol, f"Ground truth of {dataset} dashed; circles: start.")
+        pauses = any(track.pieces[-1] for track in tracks)
+        broken = " Lines break where no pose came for longer than the protocol's gap." if pauses else ""
+        text = caption(table, len(tracks), protocol, f"Ground truth of {dataset} dashed; circles: start.{broken}")
         plane = _widest_plane(tracks[0].reference_positions_m)
         start_s = float(tracks[0].reference_stamps_s[0])
         looks = _looks(tracks, table)
         key = [] if looks[tracks[0].run_id]["in_legend"] else list(legend(table, markers=False))
         charts = [_path(tracks, looks, plane, options.title or f"Trajectories on {dataset}", text)]
         charts += [_coordinate(tracks, looks, axis, start_s, text) for axis in range(3)]
-        errors = [line for line in _errors(tracks, looks, start_s) if len(line.y)]
+        evaluated = [track for track in tracks if np.isfinite(track.errors_m).any()]
+        errors = [_over_time(track, track.errors_m, looks[track.run_id], start_s) for track in evaluated]
         if errors:
             spread = spans_decades(np.concatenate([line.y for line in errors]))
             y = Axis("position error", "m", spread)
@@ -125,7 +127,7 @@ def _path(tracks: list[RunTrack], looks: dict[int, dict[str, Any]], plane: str, 
     for track in tracks:
         look = looks[track.run_id]
         x, y = track.positions_m[:, first], track.positions_m[:, second]
-        marks.append(Line(x=x, y=y, runs=track.run_id, **look))
+        marks.append(Line(x=_apart(track, x), y=_apart(track, y), runs=track.run_id, **look))
         marks.append(Points(x=x[:1], y=y[:1], **look | {"in_legend": False}))
     reference = tracks[0].reference_positions_m
     marks.append(Line("ground truth", reference[:, first], reference[:, second], colour=REFERENCE, dashed=True))
@@ -141,10 +143,15 @@ def _path(tracks: list[RunTrack], looks: dict[int, dict[str, Any]], plane: str, 
     )
 
 
+def _apart(track: RunTrack, values: Array) -> Array:
+    """The values of a track with NaN between its pieces, where no line is drawn."""
+    return np.insert(values, np.flatnonzero(np.diff(track.pieces)) + 1, np.nan)
+
+
 def _coordinate(
     tracks: list[RunTrack], looks: dict[int, dict[str, Any]], axis: int, start_s: float, text: str
 ) -> Chart:
-    lines = [Line(x=t.stamps_s - start_s, y=t.positions_m[:, axis], runs=t.run_id, **looks[t.run_id]) for t in tracks]
+    lines = [_over_time(track, track.positions_m[:, axis], looks[track.run_id], start_s) for track in tracks]
     reference = tracks[0]
     times_s = reference.reference_stamps_s - start_s
     lines.append(Line("ground truth", times_s, reference.reference_positions_m[:, axis], colour=REFERENCE, dashed=True))
@@ -159,11 +166,8 @@ def _coordinate(
     )
 
 
-def _errors(tracks: list[RunTrack], looks: dict[int, dict[str, Any]], start_s: float) -> Iterator[Line]:
-    for track in tracks:
-        known = np.isfinite(track.errors_m)
-        times_s = track.stamps_s[known] - start_s
-        yield Line(x=times_s, y=track.errors_m[known], runs=track.run_id, **looks[track.run_id])
+def _over_time(track: RunTrack, values: Array, look: dict[str, Any], start_s: float) -> Line:
+    return Line(x=_apart(track, track.stamps_s - start_s), y=_apart(track, values), runs=track.run_id, **look)
 
 
 def _poses(tracks: list[RunTrack]) -> ResultTable:

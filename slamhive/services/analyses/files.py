@@ -9,7 +9,7 @@ import numpy as np
 from slamhive.analysis.forms import RunTrack, RunUsage
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.untrusted import read_numeric_columns
-from slamhive.services.series import LIMIT_BYTES, read_track
+from slamhive.services.series import LIMIT_BYTES, gap_of, read_track
 
 
 class StoredRunFiles:
@@ -30,7 +30,8 @@ class StoredRunFiles:
         if fingerprint is None:
             return None
         evaluation = self._folder(run_id).evaluation(fingerprint)
-        estimate, reference = read_track(evaluation / "traj.tum"), read_track(evaluation / "groundtruth.tum")
+        estimate = read_track(evaluation / "traj.tum", gap_of(evaluation))
+        reference = read_track(evaluation / "groundtruth.tum")
         if estimate is None or reference is None:
             return None
         errors = read_numeric_columns(evaluation / "errors.csv", ("timestamp", "ape_m"), LIMIT_BYTES)
@@ -43,6 +44,7 @@ class StoredRunFiles:
             stamps_s=estimate.times_s,
             positions_m=estimate.positions_m,
             errors_m=errors_m,
+            pieces=estimate.pieces,
             reference_stamps_s=reference.times_s,
             reference_positions_m=reference.positions_m,
         )
