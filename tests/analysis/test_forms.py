@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from slamhive.analysis.print_chart import FORMATS, print_chart
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.table import Column, ColumnKind, FailureRule
 from slamhive.errors import InvalidInput, NotFound
+from slamhive.services.analyses.tables import table_csv, table_latex
 from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, REPEATS, SCALES, NoFiles, data_of, sweep_table
 
 pytestmark = pytest.mark.integration
@@ -156,6 +158,21 @@ def test_hostile_names_are_escaped():
     text = json.dumps(plotly_figure(result.charts[0]))
     assert "<img" not in text
     assert b"<img" not in print_chart(result.charts[0], "svg")
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_hostile_names_are_words_in_every_form(form):
+    """HTML in hovers, legends and axes; formulas and commands in tables."""
+    hostile = {name: f"=<img src=x onerror=alert(1)>%{{x}}{name}" for name in (*ALGORITHMS, *DATASETS)}
+    plain = sweep_table().frame
+    changed = {key: [hostile[name] for name in plain[key]] for key in ("algorithm", "dataset")}
+    result = build(f"form: {form}, {FORMS[form]}", **changed)
+    drawn = json.dumps([plotly_figure(chart) for chart in result.charts])
+    assert "<img" not in drawn
+    assert not re.search(r"(?<!\\u200b)%\{x\}(kiss|orb|rko|kitti|room|v101)", drawn)
+    for table in result.tables:
+        assert not re.search(r"(^|,)\"?=<", table_csv(table), re.MULTILINE)
+        assert "%{" not in table_latex(table).replace(r"\%\{", "").partition("\n")[2]
 
 
 def test_where_each_algorithm_breaks():
