@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from random import Random
 from typing import Any
 
@@ -26,6 +27,8 @@ COUNTED = 2_000
 """Matches are counted up to here; an exact number of more takes as long as looking at all of them."""
 
 _SAMPLE = 300
+_TRIED = 12
+"""Lists to begin with that are tried on the sample, of a filter that joins more comparisons."""
 
 
 def list_page(
@@ -97,8 +100,8 @@ class Matches:
         tree = self.search.tree
         if tree is None:
             return Count(int(self.session.execute(select(func.count()).select_from(RUNS)).scalar_one()))
-        found = starts(self.sql, tree) if isinstance(tree, Condition) else []
-        return Count(self._number(found[0].ids.subquery())) if found else None
+        start = next(starts(tree), None) if isinstance(tree, Condition) else None
+        return None if start is None else Count(self._number(start.ids(self.sql).subquery()))
 
     def ids(self, limit: int | None) -> Select[Any]:
         """The ids of the matches, in no order; ``limit`` of them."""
@@ -123,7 +126,7 @@ class Matches:
 
     def _best_start(self) -> Start | None:
         """The list to begin with that costs least: how long they are is estimated from a sample of runs."""
-        found = starts(self.sql, self.search.tree)
+        found = list(islice(starts(self.search.tree), _TRIED))
         if len(found) < 2:
             return found[0] if found else None
         newest = self.session.execute(select(func.max(RUNS.c.id))).scalar_one() or 0

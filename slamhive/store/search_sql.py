@@ -15,6 +15,7 @@ from sqlalchemy import (
     Select,
     TableClause,
     and_,
+    case,
     column,
     false,
     func,
@@ -62,6 +63,9 @@ NULLABLE = frozenset(name for name in SEARCHED if Run.__table__.c[name].nullable
 NEVER = literal(0) == 1
 """Unlike ``false()`` it is not folded, which would take the condition that joins two tables with it."""
 
+_SEEN_APART = 12
+"""So many parts of an ``and`` may choose an index for themselves."""
+
 COMPLEMENTS = frozenset({Sign.NOT_EQUAL, Sign.NOT_IN, Sign.UNLIKE, Sign.MISSING})
 _COMPARE: dict[Sign, Callable[[Any, Any], ColumnElement[bool]]] = {
     Sign.EQUAL: lambda column, value: column == value,
@@ -90,7 +94,10 @@ class Sql:
         parts = [self.test(part, runs) for part in tree.parts]
         if tree.word == "not":
             return not_(parts[0])
-        return and_(*parts) if tree.word == "and" else or_(*parts)
+        if tree.word == "or":
+            return or_(*parts)
+        # Each of many parts lets SQLite expect fewer runs, until it reads all of them rather than walk along an order.
+        return and_(*parts) if len(parts) <= _SEEN_APART else case((and_(*parts), 1), else_=0) == 1
 
     def _test_one(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
         if leaf.sign is Sign.MISSING:

@@ -134,6 +134,14 @@ def test_sql_finds_what_a_plain_filter_finds(filled: World, plan: None, test: Pr
     assert count.number == len(wanted) if count.exact else len(wanted) > count.number
 
 
+def test_many_comparisons_find_what_the_narrowest_of_them_finds(filled: World, plan: None):
+    parts = [f"ate.rmse < {0.2 + place} and nFeatures > {-place} and seed >= 0" for place in range(60)]
+    found = filled.ids("ate.rmse < 0.2 and has nFeatures")
+    assert 2 < len(found) < len(filled.runs)
+    assert filled.ids(" and ".join(parts)) == found
+    assert filled.ids(" or ".join(f"({part})" for part in parts[:1] * 50)) == found
+
+
 @QUIETLY
 @given(test=FILTERS, fingerprint=st.sampled_from([SE3.fingerprint, SIM3.fingerprint]))
 def test_a_chosen_protocol_is_the_one_that_counts(filled: World, plan: None, test: Probe, fingerprint: str):
