@@ -6,6 +6,7 @@ import contextlib
 import errno
 import hashlib
 import os
+import stat
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -32,6 +33,21 @@ def write_aside(path: Path, content: str | bytes) -> None:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
         raise Unavailable(f"{path} cannot be written: {error.strerror}", remedy_of(error)) from None
+
+
+def make_shared_folder(path: Path) -> None:
+    """Make ``path``, open to the same group as the folder around it; fine if it is there. Raises OSError.
+
+    A web server and a worker that run as different users share a folder through its group.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        path.mkdir()
+    except FileExistsError:
+        return
+    around = path.parent.stat().st_mode
+    if around & stat.S_IWGRP:
+        path.chmod(stat.S_IMODE(path.stat().st_mode) | stat.S_IWGRP | (around & stat.S_ISGID))
 
 
 def remedy_of(error: OSError) -> str:

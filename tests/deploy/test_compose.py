@@ -85,6 +85,15 @@ def test_web_is_local_unprivileged_and_without_the_engine(services):
     assert not any("docker.sock" in volume for volume in web["volumes"])
 
 
+def test_web_writes_what_pages_store_and_nothing_else(services):
+    data = [volume for volume in services["web"]["volumes"] if "SLAMHIVE_DATA" in volume]
+    assert [volume.rpartition("}")[2] for volume in data] == [":ro", "/experiments"]
+    command = services["worker"]["command"][-1]
+    group = services["web"]["user"].partition(":")[2]
+    assert f"-g {group} -m 2775" in command
+    assert command.endswith("exec slamhive worker"), "it must get the signals"
+
+
 def test_worker_sees_the_data_root_under_the_path_of_the_host(services):
     data = next(volume for volume in services["worker"]["volumes"] if "SLAMHIVE_DATA" in volume)
     source, target = data.rsplit(":", 1)

@@ -93,7 +93,9 @@ def worker(engine, images, environment, data):
         str(data): {"bind": str(data), "mode": "rw"},
         **ALGORITHMS,
     }
-    container = run_container(engine, images["worker"], environment, volumes=volumes)
+    service = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]["worker"]
+    command = [word.replace("$$", "$") for word in service["command"]]
+    container = run_container(engine, images["worker"], environment, command=command, volumes=volumes)
     yield container
     container.remove(force=True)
 
@@ -139,7 +141,11 @@ def web(engine, images, environment, data, worker):
         read_only=service["read_only"],
         security_opt=["no-new-privileges:true"],
         tmpfs=dict.fromkeys(service["tmpfs"], ""),
-        volumes={str(data): {"bind": str(data), "mode": "ro"}, **ALGORITHMS},
+        volumes={
+            str(data): {"bind": str(data), "mode": "ro"},
+            str(data / "experiments"): {"bind": str(data / "experiments"), "mode": "rw"},
+            **ALGORITHMS,
+        },
     )
     yield container, f"http://127.0.0.1:{port}"
     container.remove(force=True)
@@ -183,10 +189,13 @@ def test_pages_show_the_algorithms(web):
     assert b"orb-slam3-stereo" in get(f"{url}/algorithms")
 
 
-def test_web_server_can_neither_write_data_nor_reach_the_engine(web, data):
+def test_web_server_can_write_experiments_but_neither_runs_nor_reach_the_engine(web, data):
     container, _ = web
-    code, _ = container.exec_run(["touch", str(data / "forged")])
-    assert code != 0
+    code, output = container.exec_run(["mkdir", str(data / "experiments" / "asked-for")])
+    assert code == 0, output
+    for folder in (data, data / "runs", data / "datasets"):
+        code, _ = container.exec_run(["touch", str(folder / "forged")])
+        assert code != 0
     code, _ = container.exec_run(["ls", "/var/run/docker.sock"])
     assert code != 0
 

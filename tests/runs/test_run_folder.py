@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.errors import InvalidInput, NotFound, Unavailable
-from slamhive.files import write_aside
+from slamhive.files import make_shared_folder, write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.untrusted import read_regular_file
 
@@ -72,3 +72,17 @@ def test_reading_is_bounded(tmp_path: Path):
     path = tmp_path / "big"
     path.write_bytes(b"x" * 100)
     assert read_regular_file(path, 10) == b"x" * 10
+
+
+@pytest.mark.parametrize(("around", "made"), [(0o2775, 0o2775), (0o775, 0o775), (0o755, 0o755)])
+def test_a_folder_is_shared_with_the_group_that_shares_the_one_around_it(tmp_path, around, made):
+    parent = tmp_path / "experiments"
+    parent.mkdir()
+    parent.chmod(around)
+    before = os.umask(0o022)
+    try:
+        make_shared_folder(parent / "trial")
+        make_shared_folder(parent / "trial")
+    finally:
+        os.umask(before)
+    assert (parent / "trial").stat().st_mode & 0o7777 == made

@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 
 from slamhive.errors import Conflict, InvalidInput, Unavailable
-from slamhive.files import remedy_of, write_aside
+from slamhive.files import make_shared_folder, remedy_of, write_aside
 from slamhive.store.experiment_records import ExperimentState
 
 SOURCE = "experiment.yaml"
@@ -51,8 +51,10 @@ class ExperimentFolder:
         The kernel lets go of the lock when its process dies, however it dies.
         """
         try:
-            self.root.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self.root / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            make_shared_folder(self.root)
+            # To be read is enough for a lock, also on the file of another user.
+            flags = os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+            descriptor = os.open(self.root / LOCK, flags, 0o644)
         except OSError as error:
             raise Unavailable(f"{self.root} cannot be used: {error.strerror}", remedy_of(error)) from None
         try:
