@@ -104,6 +104,7 @@ class RunTable:
         colours: The colour of each algorithm.
         markers: The marker of each dataset.
         told: Parameters that say what others say already, by key.
+        installed: The sensor set-up of each installed algorithm, with runs or without.
         unevaluated: How many runs are left out because nobody has evaluated them under the protocol in question.
     """
 
@@ -113,6 +114,7 @@ class RunTable:
     colours: Mapping[str, str] = field(default_factory=dict)
     markers: Mapping[str, str] = field(default_factory=dict)
     told: frozenset[str] = frozenset()
+    installed: Mapping[str, str] = field(default_factory=dict)
     unevaluated: int = 0
 
     def column(self, key: str) -> Column:
@@ -187,7 +189,7 @@ def make_table(
     parameters: Mapping[str, Iterable[object]],
     metrics: Mapping[str, Iterable[float | None]],
     rule: FailureRule | None = None,
-    installed: Iterable[str] = (),
+    installed: Mapping[str, str] | None = None,
 ) -> RunTable:
     """A table out of columns, each with one entry for each run.
 
@@ -196,7 +198,7 @@ def make_table(
         parameters: By key or general name; None where a run does not have it.
         metrics: By catalogue key; None where a run does not have it.
         rule: When a run counts as failed; the default rule if None.
-        installed: Algorithms whose colours are settled, see :func:`slamhive.analysis.colours.algorithm_colours`.
+        installed: The sensor set-up of each installed algorithm, with runs or without.
     """
     rows = {key: list(values) for key, values in facts.items()}
     count = len(next(iter(rows.values()), []))
@@ -215,8 +217,15 @@ def make_table(
     if extra:
         frame = pd.concat([frame, pd.DataFrame(extra, index=frame.index)], axis=1)
     chosen = rule or FailureRule()
-    colours = algorithm_colours(map(str, frame["algorithm"]), installed)
-    return RunTable(mark_failures(frame, chosen), columns, chosen, colours, dataset_markers(map(str, frame["dataset"])))
+    known = installed or {}
+    return RunTable(
+        frame=mark_failures(frame, chosen),
+        columns=columns,
+        rule=chosen,
+        colours=algorithm_colours(map(str, frame["algorithm"]), known),
+        markers=dataset_markers(map(str, frame["dataset"])),
+        installed=known,
+    )
 
 
 def mark_failures(frame: pd.DataFrame, rule: FailureRule) -> pd.DataFrame:

@@ -210,6 +210,17 @@ def test_the_selector_ranks_what_keeps_all_bounds():
     assert {row[0]: row[3] for row in reasons.rows}["orb-slam3-stereo"] == 0
 
 
+def test_installed_algorithms_without_runs_were_never_tested():
+    installed = {"kiss-icp": "lidar", "new-lidar": "lidar", "new-mono": "mono"}
+    table = replace(sweep_table(), installed=installed)
+    analysis = parse_analysis(
+        "name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: selector, bounds: ['ate.rmse < 1']}\n"
+    )
+    result = analysis.forms[0].form.build(data_of(table), analysis.forms[0].options)
+    (untested,) = (entry for entry in result.tables if entry.key == "untested")
+    assert untested.rows == tuple(("new-lidar", dataset) for dataset in DATASETS)
+
+
 def test_repeats_of_one_configuration():
     with pytest.raises(InvalidInput, match="needs one configuration_id, the selection holds 180"):
         build("form: repeatability")

@@ -224,16 +224,19 @@ def _reasons(table: RunTable, bounds: list[Bound]) -> ResultTable:
 
 
 def _untested(table: RunTable) -> ResultTable:
-    """Algorithms and datasets of the selection that were never run together."""
+    """What was never run together: the algorithms of the selection, and installed ones of its set-ups, by dataset."""
     columns = (TableColumn("algorithm", "Algorithm"), TableColumn("dataset", "Never run on"))
     tested = set(zip(table.frame["algorithm"], table.frame["dataset"], strict=True))
+    setups = set(table.frame["sensors"].dropna())
+    algorithms = set(table.frame["algorithm"]) | {name for name, setup in table.installed.items() if setup in setups}
     rows: tuple[tuple[Cell, ...], ...] = tuple(
         (algorithm, dataset)
-        for algorithm in sorted(table.frame["algorithm"].unique())
+        for algorithm in sorted(algorithms)
         for dataset in sorted(table.frame["dataset"].unique())
         if (algorithm, dataset) not in tested
     )
-    return ResultTable("untested", "Never tested", columns, rows, "Of the algorithms and datasets of this selection.")
+    note = "Algorithms of this selection, and installed ones that sense with the same, on its datasets."
+    return ResultTable("untested", "Never tested", columns, rows, note)
 
 
 FORMS.register(Selector.key, Selector())
