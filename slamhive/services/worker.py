@@ -252,6 +252,9 @@ class Worker:
                 self._held.cancel |= self._store.read(lambda t, held=held: t.queue.cancel_requested(held))  # type: ignore[misc]
             except SlamHiveError as error:
                 logger.warning("heartbeat: %s", str(error))
+            except Exception:
+                # Without a heartbeat another worker would take over what this one goes on with.
+                logger.exception("a fault of the heartbeat; it goes on")
 
     def _beat(self, held: set[int]) -> None:
         now = utc_now()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -41,6 +42,28 @@ def test_a_fault_of_ours_ends_the_run_and_not_the_worker(hive):
     assert "internal error: ZeroDivisionError: oops" in bad.detail
     assert executor.discarded == [bad.uid]
     assert finish(hive, FakeExecutor([Exited(0)], write_trajectory())).state is RunState.SUCCEEDED
+
+
+def test_a_fault_of_the_heartbeat_does_not_end_it(hive, monkeypatch):
+    beats: list[set[int]] = []
+    enough, ends = threading.Event(), threading.Event()
+
+    def beat(held: set[int]) -> None:
+        beats.append(held)
+        if len(beats) == 1:
+            raise ZeroDivisionError("oops")
+        enough.set()
+
+    worker = hive.worker()
+    worker._settings = replace(worker._settings, lease_s=0.01)
+    worker._held.add(7)
+    monkeypatch.setattr(worker, "_beat", beat)
+    thread = threading.Thread(target=worker._heartbeat, args=(ends,))
+    thread.start()
+    assert enough.wait(PATIENCE_S)
+    ends.set()
+    thread.join(PATIENCE_S)
+    assert beats[:2] == [{7}, {7}]
 
 
 def test_a_disk_that_is_full_for_a_while_loses_nothing(hive):
