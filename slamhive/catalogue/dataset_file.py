@@ -56,6 +56,7 @@ class _GroundTruthModel(BaseModel):
     file: str
     gravity_aligned: bool
     positions_only: bool = False
+    kitti_poses: str | None = None
 
 
 class _DatasetModel(BaseModel):
@@ -105,6 +106,7 @@ def load_dataset(folder: Path) -> Dataset:
     check_name_in(path, "dataset", model.name)
     files = {
         "ground truth": None if model.groundtruth is None else model.groundtruth.file,
+        "KITTI poses": None if model.groundtruth is None else model.groundtruth.kitti_poses,
         "reference map": model.reference_map,
         "relations": model.relations,
     }
@@ -165,6 +167,8 @@ def dataset_to_yaml(dataset: Dataset) -> str:
             "gravity_aligned": dataset.groundtruth.gravity_aligned,
             "positions_only": dataset.groundtruth.positions_only,
         }
+        if dataset.groundtruth.kitti_poses is not None:
+            content["groundtruth"]["kitti_poses"] = dataset.groundtruth.kitti_poses
     for key in ("reference_map", "relations"):
         if getattr(dataset, key) is not None:
             content[key] = getattr(dataset, key)

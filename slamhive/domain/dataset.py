@@ -13,12 +13,15 @@ from slamhive.errors import InvalidInput, lacks
 class GroundTruth:
     """The reference trajectory of a dataset: TUM format, poses of the body frame in a fixed world frame.
 
-    ``gravity_aligned`` says that the world's z axis points up, which yaw + position alignment needs.
+    ``gravity_aligned`` says that the world's z axis points up, which yaw + position alignment needs. ``kitti_poses`` is
+    the file of the same poses as KITTI publishes them, where they come from one: matrices of seven digits, which the
+    KITTI protocol takes as they are.
     """
 
     file: str
     gravity_aligned: bool
     positions_only: bool = False
+    kitti_poses: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,6 +69,11 @@ class RunFolder:
         return self.root / "work"
 
     @property
+    def kitti_poses(self) -> Path:
+        """``kitti_poses.txt``: the estimate of a run that was imported from KITTI format, as that file has it."""
+        return self.root / "kitti_poses.txt"
+
+    @property
     def result(self) -> Path:
         """What the container sees as ``/slamhive/result``."""
         return self.root / "result"

@@ -26,30 +26,44 @@ def read_kitti(poses_path: Path, times_path: Path) -> Trajectory:
         NotFound: One of the files does not exist.
         InvalidInput: One of them is malformed, or they differ in length; the message names file, line and value.
     """
-    poses = parse_table(read_bounded(poses_path), str(poses_path), 12, LAYOUT)
+    matrices = _read_poses(poses_path)
     times = parse_table(read_bounded(times_path), str(times_path), 1, "timestamp")
-    count, stamps_s = len(poses.values), times.values[:, 0]
+    count, stamps_s = len(matrices), times.values[:, 0]
     if len(stamps_s) != count:
         raise InvalidInput(
             f"{poses_path} has {count} poses, {times_path} has {len(stamps_s)} stamps", "both need one line per frame"
         )
-    matrices = poses.values.reshape(count, 3, 4)
-    finite = np.isfinite(poses.values).all(axis=1)
+    quats_xyzw = quats_from_rotations(matrices[:, :, :3])
+    problem = find_problem(stamps_s, matrices[:, :, 3], quats_xyzw)
+    if problem is not None:
+        raise times.error(problem.index, problem.found, problem.remedy)
+    return Trajectory(stamps_s, matrices[:, :, 3], quats_xyzw)
+
+
+def read_kitti_matrices(path: Path) -> FloatArray:
+    """The poses as the file has them, shape (n, 4, 4): not made orthonormal. Raises as :func:`read_kitti`."""
+    rows = _read_poses(path)
+    matrices = np.tile(np.eye(4), (len(rows), 1, 1))
+    matrices[:, :3] = rows
+    return matrices
+
+
+def _read_poses(path: Path) -> FloatArray:
+    """The upper 3x4 of every pose, shape (n, 3, 4)."""
+    table = parse_table(read_bounded(path), str(path), 12, LAYOUT)
+    finite = np.isfinite(table.values).all(axis=1)
     if not finite.all():
-        raise poses.error(int((~finite).argmax()), "a number is not finite", "leave out frames that are not known")
+        raise table.error(int((~finite).argmax()), "a number is not finite", "leave out frames that are not known")
+    matrices = table.values.reshape(-1, 3, 4)
     rotations = matrices[:, :, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         errors = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         wrong = ~(errors < _ORTHOGONAL_TOLERANCE) | (np.linalg.det(rotations) < 0)
     if wrong.any():
-        raise poses.error(
+        raise table.error(
             int(wrong.argmax()), "the 3x3 part is not a rotation", "write orthonormal matrices of determinant 1"
         )
-    quats_xyzw = quats_from_rotations(rotations)
-    problem = find_problem(stamps_s, matrices[:, :, 3], quats_xyzw)
-    if problem is not None:
-        raise times.error(problem.index, problem.found, problem.remedy)
-    return Trajectory(stamps_s, matrices[:, :, 3], quats_xyzw)
+    return matrices
 
 
 def format_kitti(positions_m: FloatArray, quats_xyzw: FloatArray) -> str:

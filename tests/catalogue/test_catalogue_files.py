@@ -11,6 +11,7 @@ from slamhive.catalogue.dataset_file import dataset_to_yaml, load_dataset
 from slamhive.catalogue.run_config import build_run_config
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.sensors import SensorKind
+from slamhive.domain.dataset import GroundTruth
 from slamhive.errors import InvalidInput
 from slamhive.runtime.config import from_yaml, to_yaml
 from tests.services.tiny_project import make_dataset, make_project
@@ -29,7 +30,9 @@ def test_a_dataset_comes_back_equal(tmp_path):
 
 
 def test_a_reference_map_and_relations_come_back(tmp_path):
-    dataset = replace(make_dataset(tmp_path), reference_map="room.pcd", relations="aces.relations")
+    truth = GroundTruth("groundtruth.txt", gravity_aligned=True, kitti_poses="groundtruth_kitti.txt")
+    files: dict[str, Any] = {"groundtruth": truth, "reference_map": "room.pcd", "relations": "aces.relations"}
+    dataset = replace(make_dataset(tmp_path), **files)
     (dataset.folder / "dataset.yaml").write_text(dataset_to_yaml(dataset))
     assert load_dataset(dataset.folder) == dataset
 
@@ -48,6 +51,7 @@ def test_a_reference_map_and_relations_lie_in_the_folder(tmp_path, key):
     [
         ("bag: track.bag", "bag: ../../etc/passwd", "bag: must be a path inside the dataset folder"),
         ("file: groundtruth.txt", "file: ../x", "must be a plain file name"),
+        ("file: groundtruth.txt", "file: a\n  kitti_poses: ../x", "KITTI poses file '../x' must be a plain file name"),
         ("kind: lidar", "kind: sonar", "sensors.0.kind"),
         ("rate_hz: 10.0", "rate_hz: -1", "sensors.0.rate_hz"),
         ("format: 1", "format: 2", "format"),

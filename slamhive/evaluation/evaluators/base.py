@@ -22,6 +22,8 @@ COVARIANCES = "covariances"
 MAP = "map"
 RELATIONS = "relations"
 REFERENCE_MAP = "reference_map"
+KITTI_ESTIMATE = "kitti_estimate"
+KITTI_REFERENCE = "kitti_reference"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +43,7 @@ class Paired:
         time_offset_s: What was added to the estimate's stamps.
         T_body_estimate: Pose, in the body frame, of the frame whose poses the estimate holds, shape (4, 4).
         files: What else there is of run and dataset, by name: :data:`COVARIANCES`, :data:`MAP`, :data:`RELATIONS`,
-            :data:`REFERENCE_MAP`; those that are not there are left out.
+            :data:`REFERENCE_MAP`, :data:`KITTI_ESTIMATE`, :data:`KITTI_REFERENCE`; what is not there is left out.
     """
 
     protocol: Protocol

@@ -2,22 +2,34 @@
 
 Geiger, Lenz, Urtasun, "Are we ready for Autonomous Driving? The KITTI Vision Benchmark Suite", CVPR 2012, and the
 odometry devkit (``evaluate_odometry.cpp``). Its single precision is kept: that of path lengths decides where a segment
-ends, that of the arc cosine shows in the sixth digit of the rotation error.
+ends, that of the arc cosine and of the sums over all segments shows in the sixth digit.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from slamhive.domain.metrics.trajectories import KITTI_LENGTHS_M, KITTI_STEP
-from slamhive.domain.protocol import Association
+from slamhive.domain.protocol import Alignment, Association
 from slamhive.errors import InvalidInput
-from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
+from slamhive.evaluation.evaluators.base import (
+    KITTI_ESTIMATE,
+    KITTI_REFERENCE,
+    ROTATIONS_UNKNOWN,
+    Figures,
+    Paired,
+    absent,
+)
 from slamhive.evaluation.evaluators.pairs import IndexArray
+from slamhive.trajectory.kitti import read_kitti_matrices
 from slamhive.trajectory.model import FloatArray, Poses
 from slamhive.trajectory.transforms import rotations_from_quats
+
+_SAME_POSITION_M = 1e-6
+"""Positions of one pose in two files, written with different digits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +56,7 @@ class KittiProtocol:
         if not paired.rotations_known:
             return absent(self.keys, ROTATIONS_UNKNOWN)
         _check_complete(paired)
-        found = kitti_segments(_matrices(paired.matched_reference), _matrices(paired.aligned))
+        found = kitti_segments(*(_published(paired) or map(_matrices, (paired.matched_reference, paired.aligned))))
         if len(found.lengths_m) == 0:
             path_m = paired.matched_reference.path_length_m
             shortest = f"the path is {path_m:.4g} m, the shortest segment {KITTI_LENGTHS_M[0]} m"
@@ -108,11 +120,38 @@ def _matrices(poses: Poses) -> FloatArray:
     return matrices
 
 
+def _published(paired: Paired) -> tuple[FloatArray, FloatArray] | None:
+    """The poses of both as their KITTI files have them, if both come from one and nothing has moved them since.
+
+    Their matrices have seven digits, and the devkit takes what is left of them to orthonormality for rotation.
+    """
+    protocol, files = paired.protocol, paired.files
+    moved = protocol.alignment is not Alignment.NONE or not np.array_equal(paired.T_body_estimate, np.eye(4))
+    if moved or protocol.association is not Association.INDEX or protocol.reference is not None:
+        return None
+    if KITTI_REFERENCE not in files or KITTI_ESTIMATE not in files:
+        return None
+    return _as_in(files[KITTI_REFERENCE], paired.matched_reference), _as_in(files[KITTI_ESTIMATE], paired.aligned)
+
+
+def _as_in(path: Path, poses: Poses) -> FloatArray:
+    """The matrices in the file at ``path``; raises InvalidInput if they are not those of the poses."""
+    matrices = read_kitti_matrices(path)
+    if len(matrices) != len(poses) or np.abs(matrices[:, :3, 3] - poses.positions_m).max() > _SAME_POSITION_M:
+        raise InvalidInput(f"{path.name} does not hold the poses of the trajectory", "import it again")
+    return matrices
+
+
 def _means(suffix: str, found: KittiSegments, chosen: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> dict[str, float]:
     return {
-        f"kitti.translation{suffix}": 100.0 * float(found.translations[chosen].mean()),
-        f"kitti.rotation{suffix}": float(np.rad2deg(found.rotations_radpm[chosen].mean())),
+        f"kitti.translation{suffix}": 100.0 * mean_as_devkit(found.translations[chosen]),
+        f"kitti.rotation{suffix}": float(np.rad2deg(mean_as_devkit(found.rotations_radpm[chosen]))),
     }
+
+
+def mean_as_devkit(errors: FloatArray) -> float:
+    """Summed one after the other in single precision, as ``saveStats`` of the devkit does."""
+    return float(np.cumsum(errors, dtype=np.float32)[-1]) / len(errors)
 
 
 def _check_complete(paired: Paired) -> None:

@@ -260,8 +260,8 @@ class _Export:
         except SlamHiveError:
             return
         self._archive.add_file(f"datasets/{name}/{DATASET_FILE}", folder / DATASET_FILE)
-        truth = None if dataset.groundtruth is None else dataset.groundtruth.file
-        for file in (truth, dataset.relations):
+        truths = () if dataset.groundtruth is None else (dataset.groundtruth.file, dataset.groundtruth.kitti_poses)
+        for file in (*truths, dataset.relations):
             if file is not None:
                 self._archive.add_file(f"datasets/{name}/{file}", folder / file)
 

@@ -28,6 +28,7 @@ class Loaded:
     Attributes:
         candidate: What it was.
         text: In TUM format; the bytes of the file itself if they were.
+        kitti_poses: The bytes of the file itself if it was in KITTI format, else None.
         poses: How many.
         format: Which it was.
         checksum: Of the file, ``sha256:<hex>``.
@@ -35,6 +36,7 @@ class Loaded:
 
     candidate: Candidate
     text: bytes
+    kitti_poses: bytes | None
     poses: int
     format: TrajectoryFormat
     checksum: str
@@ -51,11 +53,13 @@ class LoadedTruth:
 
     Attributes:
         text: In TUM format, or lines of stamp and position; the bytes of the file itself if they were.
+        kitti_poses: The bytes of the file itself if it was in KITTI format, else None.
         span_s: From its first stamp to its last.
         positions_only: It holds no orientations.
     """
 
     text: bytes
+    kitti_poses: bytes | None
     span_s: float
     positions_only: bool
 
@@ -74,6 +78,7 @@ def load(candidate: Candidate) -> Loaded:
     return Loaded(
         candidate=candidate,
         text=data if found is TrajectoryFormat.TUM else _as_tum(trajectory),
+        kitti_poses=data if found is TrajectoryFormat.KITTI else None,
         poses=len(trajectory),
         format=found,
         checksum=f"sha256:{hashlib.sha256(data).hexdigest()}",
@@ -90,7 +95,8 @@ def load_truth(path: Path, times: Path | None = None) -> LoadedTruth:
         found, trajectory = read_any(path, data, TrajectoryFormat.AUTO, times)
     _check_length(path, trajectory, "ground truth")
     text = data if found is TrajectoryFormat.TUM else _as_tum(trajectory)
-    return LoadedTruth(text, trajectory.span_s, positions_only)
+    kitti_poses = data if found is TrajectoryFormat.KITTI else None
+    return LoadedTruth(text, kitti_poses, trajectory.span_s, positions_only)
 
 
 def read_any(

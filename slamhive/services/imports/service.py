@@ -199,6 +199,8 @@ class Imports:
         aside.create()
         try:
             aside.trajectory.write_bytes(entry.text)
+            if entry.kitti_poses is not None:
+                aside.kitti_poses.write_bytes(entry.kitti_poses)
             aside.write_record(record)
             aside.root.rename(self._folder(run.id).root)
         except OSError as error:

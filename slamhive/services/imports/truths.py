@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slamhive.bags.staging import GROUND_TRUTH_FILE, new_dataset_folder
@@ -17,6 +17,7 @@ from slamhive.services.imports.reading import load_truth
 from slamhive.trajectory.table import read_bounded
 
 RELATIONS_FILE = "relations.txt"
+KITTI_POSES_FILE = "groundtruth_kitti.txt"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +83,9 @@ class Truths:
             loaded = load_truth(files.trajectory, files.times)
             contents[GROUND_TRUTH_FILE], duration_s = loaded.text, loaded.span_s
             truth = GroundTruth(GROUND_TRUTH_FILE, self._gravity_aligned, loaded.positions_only)
+            if loaded.kitti_poses is not None:
+                contents[KITTI_POSES_FILE] = loaded.kitti_poses
+                truth = replace(truth, kitti_poses=KITTI_POSES_FILE)
         dataset = Dataset(
             name=name,
             folder=self._folder / name,

@@ -1,6 +1,7 @@
 """The synthetic checks that every implementation has to pass, and the figures of trajectories that are known."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,7 @@ from slamhive.domain.protocol import Alignment, Association, Protocol, RpePairs
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN
 from slamhive.evaluation.evaluators.drift import ScaleErrors, StartEndDrift
-from slamhive.evaluation.evaluators.kitti import KittiProtocol
+from slamhive.evaluation.evaluators.kitti import KittiProtocol, kitti_segments
 from slamhive.evaluation.evaluators.pairs import all_pairs, consecutive_pairs
 from slamhive.evaluation.evaluators.relative import RelativeErrors
 from slamhive.evaluation.evaluators.robustness import Robustness, count_losses
@@ -43,6 +44,52 @@ def test_a_rigid_move_gives_zero_everywhere(make, pairs):
     for key, value in errors.items():
         # An arc cosine in single precision, as the devkit's, is no better than 3e-4 rad near zero: over 100 m.
         assert value == pytest.approx(0, abs=3e-4 if key.startswith("kitti.rotation") else 1e-6), key
+
+
+DEVKIT = Protocol(Alignment.NONE, association=Association.INDEX)
+
+
+@pytest.fixture
+def published(tmp_path):
+    """A winding road and an estimate as KITTI files of few digits: their matrices are not quite orthonormal."""
+    files = {}
+    for name, trajectory, digits in (("kitti_reference", road(), 9), ("kitti_estimate", scaled(road(), 1.01), 3)):
+        T = as_matrices(trajectory)[:, :3]
+        T[:, :, :3] = T[:, :, :3].round(digits)
+        files[name] = tmp_path / f"{name}.txt"
+        np.savetxt(files[name], T.reshape(-1, 12), fmt="%.9f")
+    return files
+
+
+def test_the_devkit_takes_the_matrices_of_kitti_files_as_they_are(published):
+    pair = paired(road(), scaled(road(), 1.01), DEVKIT, files=published)
+    whole = KittiProtocol().evaluate(pair).values
+    T = [np.pad(np.loadtxt(path).reshape(-1, 3, 4), ((0, 0), (0, 1), (0, 0))) for path in published.values()]
+    for matrices in T:
+        matrices[:, 3, 3] = 1
+    expected = kitti_segments(*T)
+    assert whole["kitti.rotation"] == pytest.approx(np.rad2deg(expected.rotations_radpm.mean()), rel=1e-5)
+    assert whole["kitti.translation"] == pytest.approx(100 * expected.translations.mean(), rel=1e-5)
+    without = KittiProtocol().evaluate(paired(road(), scaled(road(), 1.01), DEVKIT)).values
+    assert without["kitti.rotation"] < 0.5 * whole["kitti.rotation"]
+
+
+@pytest.mark.parametrize(
+    "protocol",
+    [
+        replace(DEVKIT, alignment=Alignment.SE3),
+        Protocol(Alignment.NONE),
+        replace(DEVKIT, reference="a.txt"),
+    ],
+)
+def test_what_was_moved_or_matched_otherwise_is_no_longer_what_the_file_has(published, protocol):
+    with_files = KittiProtocol().evaluate(paired(road(), road(), protocol, files=published)).values
+    assert with_files == KittiProtocol().evaluate(paired(road(), road(), protocol)).values
+
+
+def test_a_kitti_file_of_other_poses_is_refused(published):
+    with pytest.raises(InvalidInput, match=r"kitti_estimate\.txt does not hold the poses of the trajectory"):
+        KittiProtocol().evaluate(paired(road(), road(), DEVKIT, files=published))
 
 
 def test_a_scale_of_two_percent():
