@@ -80,7 +80,8 @@ def _form_help(form: Any) -> FormHelp:
         if field.default_factory is not None:
             default = field.default_factory()
         if field.is_required():
-            example[name] = ["ate.rmse", "rpe.rmse"] if described.get("type") == "array" else "ate.rmse"
+            metrics = ["ate.rmse", "rpe.rmse"] if described.get("type") == "array" else "ate.rmse"
+            example[name] = described.get("examples", [metrics])[0]
         shown = "" if default in (None, "") else str(default)
         options.append(
             OptionHelp(name, _kind(described), "needed" if field.is_required() else shown, field.description or "")

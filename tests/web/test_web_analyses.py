@@ -79,7 +79,8 @@ def test_the_page_of_an_analysis(computed: tuple[Web, str]):
     assert HOSTILE not in page
     assert "<strong>bold</strong>" in page
     assert 'href="javascript' not in page
-    assert "2 runs" in page
+    assert "About 1 run of" in page
+    assert "1 further run left out" in " ".join(page.replace("<strong>", "").replace("</strong>", "").split())
     assert "runs 1, 2" in page
     assert f"/analyses/{token}/files/01_" in page
     assert HOSTILE not in web.client.get("/analyses").text

@@ -76,7 +76,10 @@ class SelectorOptions(FormOptions):
     """Bounds that each run must keep, as filters are written: ``ate.rmse < 0.1``."""
 
     bounds: list[Annotated[str, read_by(parse_bound)]] = Field(
-        min_length=1, max_length=20, description="metric < number, or >, <=, >="
+        min_length=1,
+        max_length=20,
+        description="metric < number, or >, <=, >=",
+        examples=[["ate.rmse < 0.1", "tracked_fraction > 0.9"]],
     )
     rank_by: str = Field(default="ate.rmse", description="What the configurations are ranked by.")
     kept_share: float = Field(
