@@ -23,7 +23,7 @@ from slamhive.store.search_sql import RUNS, Sql
 from slamhive.store.search_starts import Start, starts
 
 LARGEST_PAGE = 1000
-COUNTED = 2_000
+COUNTED = 1_000
 """Matches are counted up to here; an exact number of more takes as long as looking at all of them."""
 
 _SAMPLE = 300
