@@ -10,8 +10,8 @@ from slamhive.catalogue.algorithm_file import load_algorithms, package_hash
 from slamhive.catalogue.dataset_file import dataset_to_yaml, load_dataset
 from slamhive.catalogue.run_config import build_run_config
 from slamhive.domain.configuration import Configuration
-from slamhive.domain.sensors import SensorKind
 from slamhive.domain.dataset import GroundTruth
+from slamhive.domain.sensors import SensorKind
 from slamhive.errors import InvalidInput
 from slamhive.runtime.config import from_yaml, to_yaml
 from tests.services.tiny_project import make_dataset, make_project

@@ -45,8 +45,9 @@ class Part(StrEnum):
     PICTURES = "pictures"
 
 
+_OF_TRAJECTORIES = (".tum", "/traj.txt", "/keyframe.txt", "/errors.csv", "pe.zip", "kitti_poses.txt")
 _LEFT_OUT: dict[Part, Callable[[str], bool]] = {
-    Part.TRAJECTORIES: lambda name: name.endswith((".tum", "/traj.txt", "/keyframe.txt", "/errors.csv", "pe.zip")),
+    Part.TRAJECTORIES: lambda name: name.endswith(_OF_TRAJECTORIES),
     Part.MAPS: lambda name: name.endswith(".pcd"),
     Part.LOGS: lambda name: name in ("log.txt", "preparation.txt"),
     Part.PICTURES: lambda name: name.endswith(".png"),
