@@ -13,7 +13,7 @@ from slamhive.analysis.chart import Array, Axis, Chart, Density, FailedRuns, Mar
 DENSITY_FROM = 10_000
 """Beyond so many points of a chart the density is drawn: a screen could not tell them apart, nor paint them fast."""
 
-SINGLE_MOST = 3_000
+SINGLE_MOST = 1_500
 """So many of them, where they lie apart, are points of their own all the same."""
 
 SPACE_MOST = 20_000
