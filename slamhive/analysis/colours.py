@@ -16,6 +16,9 @@ MARKERS = (
 )  # fmt: skip
 """The shapes that datasets are told apart by."""
 
+MARKERS_IN_SPACE = 8
+"""So many of them, the first ones, can be drawn in three dimensions."""
+
 
 def algorithm_colours(names: Iterable[str], known: Iterable[str] = ()) -> dict[str, str]:
     """A colour for each algorithm.

@@ -259,6 +259,15 @@ def test_the_legend_names_algorithms_and_datasets_not_each_pair():
     assert chart.legend_entries == len(named)
 
 
+def test_markers_that_cannot_be_told_apart_mean_nothing():
+    names = [f"sequence_{place % 9}" for place in range(RUNS)]
+    (flat,) = build("form: scatter, x: image_rate, y: ate.rmse", dataset=names).charts
+    (space,) = build("form: scatter_3d, x: image_rate, y: scale, z: ate.rmse", dataset=names).charts
+    assert flat.legend_entries == 3 + 9
+    assert space.legend_entries == 3
+    assert {mark.marker for mark in space.marks if isinstance(mark, Points)} == {"circle"}
+
+
 def test_maps_of_several_algorithms_share_their_colours():
     charts = build("form: heatmap, x: image_rate, y: scale").charts
     cells = [mark for chart in charts for mark in chart.marks if isinstance(mark, Cells)]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from pydantic import Field
 
 from slamhive.analysis.chart import Chart
+from slamhive.analysis.colours import MARKERS, MARKERS_IN_SPACE
 from slamhive.analysis.density import rule_words
 from slamhive.analysis.forms.base import FORMS, Form, FormData, caption
 from slamhive.analysis.forms.cloud import cloud_of
@@ -34,7 +37,10 @@ class Scatter3d(Form[Scatter3dOptions]):
 
     def build(self, data: FormData, options: Scatter3dOptions) -> FormResult:
         """One chart and its raw data."""
-        cloud = cloud_of(data.table, [options.x, options.y, options.z], options)
+        table = data.table
+        if len(table.markers) > MARKERS_IN_SPACE:
+            table = replace(table, markers=dict.fromkeys(table.markers, MARKERS[0]))
+        cloud = cloud_of(table, [options.x, options.y, options.z], options)
         x, y, z = cloud.columns
         chart = Chart(
             key=f"scatter_3d_{'_'.join(cloud.keys)}",
