@@ -260,6 +260,11 @@ class Chart:
         return sum(getattr(mark, "in_legend", True) for mark in named)
 
 
+def crowded(chart: Chart) -> bool:
+    """Whether points lie around a density: then they are drawn small."""
+    return any(isinstance(mark, Density) for mark in chart.marks)
+
+
 def _least_width_px(mark: Mark, chart: Chart) -> int:
     columns = len(chart.x.categories or ())
     if isinstance(mark, Parallel):

@@ -20,6 +20,7 @@ from slamhive.analysis.chart import (
     Parallel,
     Points,
     Segments,
+    crowded,
     line_width,
 )
 from slamhive.analysis.density import failed_rows
@@ -54,7 +55,7 @@ def traces_of(mark: Mark, chart: Chart) -> list[Json]:
 def _points(mark: Points, chart: Chart) -> list[Json]:
     marker: Json = {
         "symbol": mark.marker,
-        "size": 7 if len(mark.x) < WEBGL_FROM else 4,
+        "size": 4 if len(mark.x) >= WEBGL_FROM or (len(mark.x) and crowded(chart)) else 7,
         "color": colour_of_mark(mark.colour),
     }
     if mark.emphasis:

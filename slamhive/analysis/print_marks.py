@@ -23,6 +23,7 @@ from slamhive.analysis.chart import (
     Parallel,
     Points,
     Segments,
+    crowded,
     line_width,
 )
 from slamhive.analysis.density import failed_rows
@@ -66,7 +67,12 @@ def _points(axes: Any, mark: Points, chart: Chart) -> None:
     places = (mark.x, mark.y) if mark.z is None else (mark.x, mark.y, mark.z)
     if chart.z is not None and mark.z is None:
         places = (mark.x, mark.y, np.zeros(0))  # only an entry of the legend
-    look: dict[str, Any] = {"s": 16, "marker": _MARKERS.get(mark.marker, "o"), "linewidths": 0, "alpha": 0.85}
+    look: dict[str, Any] = {
+        "s": 6 if crowded(chart) else 16,
+        "marker": _MARKERS.get(mark.marker, "o"),
+        "linewidths": 0,
+        "alpha": 0.85,
+    }
     if mark.emphasis:
         look |= {"s": 36, "linewidths": 0.8, "edgecolors": "black", "zorder": 3}
     if mark.shades is None:
@@ -86,6 +92,7 @@ def _density(axes: Any, mark: Density, chart: Chart) -> None:
     counts = np.where(mark.counts > 0, mark.counts.astype(float), np.nan)
     edges = [10**e if axis.log else e for e, axis in ((mark.x_edges, chart.x), (mark.y_edges, chart.y))]
     norm = mpl.colors.LogNorm(1, max(mark.most, 2))
+    axes.use_sticky_edges = False  # the outermost points are not to be cut
     axes.pcolormesh(*edges, counts, cmap=shades, norm=norm, rasterized=True, linewidth=0)
 
 
