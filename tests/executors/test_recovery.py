@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -11,6 +12,7 @@ import uuid
 from datetime import timedelta
 from pathlib import Path
 
+import docker.errors
 import psutil
 import pytest
 
@@ -134,7 +136,8 @@ def test_sweep_leaves_evaluations_alone_that_work_or_are_about_to(bench, monkeyp
 
     def evaluation(command: str):
         labels = {KEY_LABEL: f"{EVALUATION_KEY}{uuid.uuid4().hex}", INSTALLATION_LABEL: bench.context.installation}
-        return executor._engine().containers.create(bench.image, ["sh", "-c", command], labels=labels)
+        containers = executor._engine().containers
+        return containers.create(bench.image, ["sh", "-c", command], labels=labels, network_mode="none")
 
     made, working, over = (evaluation(command) for command in ("true", "sleep 100", "true"))
     try:
@@ -145,7 +148,9 @@ def test_sweep_leaves_evaluations_alone_that_work_or_are_about_to(bench, monkeyp
         monkeypatch.setattr(docker_executor, "_START_PATIENCE", timedelta(0))
         assert executor.sweep(set()) == [made.name]
     finally:
-        working.remove(force=True)
+        for container in (made, working, over):
+            with contextlib.suppress(docker.errors.NotFound):
+                container.remove(force=True)
 
 
 @docker_only

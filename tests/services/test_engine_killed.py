@@ -49,7 +49,9 @@ class PrivateDaemon:
             "pidfile": self.folder / "pid",
             "bridge": "none",
         }
-        command = ["dockerd", "--iptables=false", *(f"--{key}={value}" for key, value in options.items())]
+        # In a network of its own: a daemon without a bridge removes docker0, which another daemon of the machine uses.
+        alone = ["unshare", "--net", "dockerd", "--iptables=false"]
+        command = [*alone, *(f"--{key}={value}" for key, value in options.items())]
         with (self.folder / "log").open("ab") as log:
             self.process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
         deadline = time.monotonic() + START_S
