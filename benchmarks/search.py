@@ -36,8 +36,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.search_data import fill, make
 from benchmarks.web import SERVER
-from slamhive.search.binding import read_search
-from slamhive.search.fields import Vocabulary, vocabulary_of
+from slamhive.project import project_root
+from slamhive.search.binding import Search, read_search
+from slamhive.search.fields import vocabulary_of
+from slamhive.services.catalogue import Catalogue
+from slamhive.services.searches import Searches
+from slamhive.settings import load_settings
 from slamhive.store import RunSort, Store, open_store
 from tests.services.mariadb import DatabaseServer, find_server
 
@@ -85,16 +89,16 @@ DEEP = frozenset({"deep page"})
 
 
 def page(
-    store: Store, vocabulary: Vocabulary, text: str, sort: RunSort, after: str | None, *, grouped: bool
+    searches: Searches, store: Store, search: Search, sort: RunSort, after: str | None, *, grouped: bool
 ) -> str | None:
     """One page; the key of the next."""
-    search = read_search(text, vocabulary)
-    if search.tree is not None:
-        store.read(lambda t: (t.searches.total(), t.searches.with_metrics(search)))
     if grouped:
-        metrics = ["ate.rmse", "tracked_fraction", "cpu.mean"]
-        return store.read(lambda t: t.searches.groups(search, sort, after, 50, metrics)).next_key
-    return store.read(lambda t: t.runs.page(search, sort, after, 50, with_metrics=True)).next_key
+        groups = searches.groups(search, sort, after, 50, ["ate.rmse", "tracked_fraction", "cpu.mean"])
+        searches.left_out(search, groups.runs)
+        return groups.next_key
+    found = store.read(lambda t: t.runs.page(search, sort, after, 50, with_metrics=True))
+    searches.left_out(search, found.count)
+    return found.next_key
 
 
 @dataclass
@@ -110,19 +114,25 @@ def measure(store: Store, repeats: int, server_cpu_s: Callable[[], float] = lamb
     """How long each query took, by class."""
     stored, protocols = store.read(lambda t: (t.searches.parameters(), t.searches.protocols()))
     vocabulary = vocabulary_of(stored, protocols=protocols)
+    settings = load_settings(project_root())
+    searches = Searches(settings, store, Catalogue(settings, project_root()))
+
+    def ask(text: str, sort: RunSort, after: str | None, *, grouped: bool) -> str | None:
+        return page(searches, store, read_search(text, vocabulary), sort, after, grouped=grouped)
+
     found: dict[str, Times] = {}
     for name, (draw, sort) in QUERIES.items():
         chance = np.random.default_rng(5)
         after: str | None = None
         if name in DEEP:
             for _ in range(40):
-                after = page(store, vocabulary, "", sort, after, grouped=False)
-        page(store, vocabulary, draw(chance), sort, after, grouped=name in GROUPED)  # compiles the statements
+                after = ask("", sort, after, grouped=False)
+        ask(draw(chance), sort, after, grouped=name in GROUPED)  # compiles the statements
         times, before_s = Times([], []), server_cpu_s()
         for _ in range(repeats):
             text = draw(chance)
             began, worked = time.perf_counter(), time.process_time()
-            page(store, vocabulary, text, sort, after, grouped=name in GROUPED)
+            ask(text, sort, after, grouped=name in GROUPED)
             times.clock_ms.append(1e3 * (time.perf_counter() - began))
             times.cpu_ms.append(1e3 * (time.process_time() - worked))
         times.server_ms = 1e3 * (server_cpu_s() - before_s) / repeats

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from slamhive.domain.names import check_name
@@ -26,6 +27,14 @@ _KINDS = {
 }
 
 
+KEPT_FROM = 50_000
+"""From so many runs on what is left out is not counted for every page."""
+
+KEPT_S = 10.0
+_Key = tuple[tuple[str, ...], str | None]
+_Having = tuple[int, dict[str, int]]
+
+
 @dataclass(frozen=True, slots=True)
 class LeftOut:
     """What a page of a search does not show: of ``total`` runs, those without a metric that the search compares."""
@@ -41,12 +50,17 @@ class Searches:
         settings: In force.
         store: The database.
         catalogue: Algorithms, which tell parameters and sensors.
+        clock: Monotonic seconds.
     """
 
-    def __init__(self, settings: Settings, store: Store, catalogue: Catalogue) -> None:
+    def __init__(
+        self, settings: Settings, store: Store, catalogue: Catalogue, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._settings = settings
         self._store = store
         self._catalogue = catalogue
+        self._clock = clock
+        self._counts: dict[_Key, tuple[float, _Having]] = {}
 
     def metrics(self) -> list[str]:
         """The metrics that any run has a value of."""
@@ -98,8 +112,24 @@ class Searches:
         """
         if search.tree is None:
             return LeftOut(found.number, {})
-        total, having = self._store.read(lambda t: (t.searches.total(), t.searches.with_metrics(search)))
+        names = tuple(field.name for field in search.metrics)
+        total, having = self._kept(
+            (names, search.protocol),
+            lambda: self._store.read(lambda t: (t.searches.total(), t.searches.with_metrics(search))),
+        )
         return LeftOut(total, {key: total - number for key, number in having.items() if number < total})
+
+    def _kept(self, key: _Key, count: Callable[[], _Having]) -> _Having:
+        """What ``count`` returns, or returned within the last seconds if there are very many runs."""
+        until_s, kept = self._counts.get(key, (0.0, (0, {})))
+        if self._clock() < until_s:
+            return kept
+        found = count()
+        if found[0] >= KEPT_FROM:
+            now_s = self._clock()
+            self._counts = {k: entry for k, entry in self._counts.items() if entry[0] > now_s}
+            self._counts[key] = (now_s + KEPT_S, found)
+        return found
 
     def groups(self, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
         """The configurations of the matching runs, with mean and spread of ``metrics`` over the repeats."""
