@@ -42,6 +42,7 @@ OUTPUT_FOLDER = "output"
 
 _PR_SET_PDEATHSIG = 1
 _PR_SET_CHILD_SUBREAPER = 36
+_PR_SET_NO_NEW_PRIVS = 38
 _TICK_S = 0.05
 _TREE_SCAN_S = 0.5
 _READ_BYTES = 1 << 16
@@ -126,6 +127,8 @@ class Supervisor:
         try:
             os.setpgid(0, 0)
             _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+            # As containers: what becomes another user could neither be measured nor ended by this one.
+            _prctl(_PR_SET_NO_NEW_PRIVS, 1)
             for number in (signal.SIGTERM, signal.SIGUSR1, signal.SIGPIPE):
                 signal.signal(number, signal.SIG_DFL)
             _limit_resources()

@@ -49,6 +49,19 @@ def test_processes_that_multiply_are_all_ended(bench):
 
 @pytest.mark.integration
 @process_only
+def test_nothing_becomes_another_user(bench):
+    script = (
+        "import os, pathlib\n"
+        "status = pathlib.Path('/proc/self/status').read_text()\n"
+        "pathlib.Path(os.environ['SLAMHIVE_RESULT'], 'status').write_text(status)\n"
+    )
+    spec, handle = bench.start(script)
+    assert wait_for_end(bench.executor, handle).exit_code == 0
+    assert "NoNewPrivs:\t1\n" in (bench.result(spec) / "status").read_text()
+
+
+@pytest.mark.integration
+@process_only
 def test_resource_limits(bench):
     script = (
         "import json, os, pathlib, resource\n"
