@@ -8,7 +8,7 @@ from typing import Any
 
 from slamhive.analysis.analysis_file import Analysis, parse_analysis
 from slamhive.analysis.paper_file import PaperNames
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.errors import InvalidInput
 from slamhive.services.analyses.report import report_json
 from slamhive.services.analyses.run import AnalysisLimits, AnalysisSources, run_analysis
 from slamhive.services.analyses.selection import select_runs
@@ -17,6 +17,7 @@ from slamhive.services.driver_context import utc_now
 from slamhive.services.searches import Searches
 from slamhive.settings import Settings
 from slamhive.store.store import Store, Transaction
+from slamhive.strict_yaml import read_text
 
 MAX_SOURCE_BYTES = 1_000_000
 
@@ -45,12 +46,7 @@ class Analyses:
 
     def read_file(self, path: Path) -> Analysis:
         """The same from a file."""
-        try:
-            return self.read(path.read_text(encoding="utf-8"), str(path))
-        except FileNotFoundError:
-            raise NotFound(f"{path} does not exist") from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise InvalidInput(f"{path} cannot be read as text: {error}") from None
+        return self.read(read_text(path), str(path))
 
     def compute(
         self,
