@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import textwrap
 import threading
 from typing import Any
@@ -38,6 +39,8 @@ _LOOK: Any = {
 }
 """Words stay words in PDF and SVG, so that they can be searched and changed."""
 
+_CLIP_NAME = re.compile(rb'(?<=[#"])p[0-9a-f]{10}(?=[)"])')
+
 _lock = threading.Lock()
 
 
@@ -52,10 +55,28 @@ def print_chart(chart: Chart, file_format: str) -> bytes:
         plot, words = parts
         _draw(plot, thinned(chart))
         words.text(0.02, 1.0, "\n".join(lines), fontsize=_CAPTION_POINTS, va="top", color="#555b61", linespacing=1.25)
+        _settle_layout(figure)
         buffer = io.BytesIO()
         metadata = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(file_format)
         figure.savefig(buffer, format=file_format, dpi=DOTS_PER_INCH, metadata=metadata)
-    return buffer.getvalue()
+    return _numbered_clips(buffer.getvalue()) if file_format == "svg" else buffer.getvalue()
+
+
+def _settle_layout(figure: Figure) -> None:
+    """Place everything, to digits that are the same each time: the solver of the layout leaves the last to chance."""
+    engine = figure.get_layout_engine()
+    assert engine is not None, "figures here have one"
+    engine.execute(figure)
+    figure.set_layout_engine("none")
+    for axes in figure.axes:
+        left, bottom, width, height = (round(value, 9) for value in axes.get_position(original=True).bounds)
+        axes.set_position((left, bottom, width, height))
+
+
+def _numbered_clips(svg: bytes) -> bytes:
+    """The file with its clipping areas numbered: matplotlib names them by a hash of all digits of their coordinates."""
+    names: dict[bytes, bytes] = {}
+    return _CLIP_NAME.sub(lambda found: names.setdefault(found[0], b"clip%d" % len(names)), svg)
 
 
 def _draw(figure: SubFigure, chart: Chart) -> None:
