@@ -54,19 +54,21 @@ class DatabaseServer:
         self._program = program
         self._options = options
         self._data = folder / "data"
+        self._scratch = folder / "scratch"
         self._log = folder / "server.log"
         self._process: subprocess.Popen[bytes] | None = None
 
     def create(self) -> None:
         """Make the system tables and a user who may do anything in databases called ``slamhive...``."""
         self._data.mkdir()
+        self._scratch.mkdir()
         if Path(self._program).name == "mariadbd":
             installer = shutil.which("mariadb-install-db", path=_SEARCH_PATH)
             if installer is None:
                 raise ServerFailed("mariadb-install-db is missing; it comes with mariadb-server-core")
-            command = [installer, "--no-defaults", f"--datadir={self._data}", "--skip-test-db", *_as_root()]
+            command = [installer, *self._own_folders(), "--skip-test-db", *_as_root()]
         else:
-            command = [self._program, "--no-defaults", f"--datadir={self._data}", "--initialize-insecure", *_as_root()]
+            command = [self._program, *self._own_folders(), "--initialize-insecure", *_as_root()]
         result = subprocess.run(command, capture_output=True, text=True, timeout=START_TIMEOUT_S, check=False)
         if result.returncode != 0:
             raise ServerFailed(f"{command[0]} failed: {(result.stdout + result.stderr)[-1000:]}")
@@ -80,8 +82,7 @@ class DatabaseServer:
         command = [
             *_bound_to_this_process(),
             self._program,
-            "--no-defaults",
-            f"--datadir={self._data}",
+            *self._own_folders(),
             f"--socket={self._folder / 'socket'}",
             f"--pid-file={self._folder / 'pid'}",
             f"--init-file={self._folder / 'users.sql'}",
@@ -99,6 +100,10 @@ class DatabaseServer:
                 self.kill()
                 raise ServerFailed(f"{self._program} did not start: {self._log.read_text(errors='replace')[-1500:]}")
             time.sleep(0.05)
+
+    def _own_folders(self) -> list[str]:
+        """Where data are, and temporary tables: a server that starts removes those of all that share its folder."""
+        return ["--no-defaults", f"--datadir={self._data}", f"--tmpdir={self._scratch}"]
 
     def stop(self) -> None:
         """End the server in order."""
