@@ -148,10 +148,13 @@ def progress_bar(title: str) -> Iterator[Callable[[float, str], None]]:
 
 
 @contextmanager
-def counting_bar(title: str, total: int) -> Iterator[Callable[[int, str], None]]:
-    """As :func:`progress_bar`, for done / total; yields a function that takes how many are done, and a text."""
+def counting_bar(title: str, total: int, *, tells_left: bool = True) -> Iterator[Callable[[int, str], None]]:
+    """As :func:`progress_bar`, for done / total; yields a function that takes how many are done, and a text.
+
+    ``tells_left``: the time left is told, taking the rest to go as fast as what is done; for texts that say nothing.
+    """
     if not messages.is_terminal:
-        plain = _plain_progress(title)
+        plain = _plain_progress(title, tells_left=tells_left)
         yield lambda done, text: plain(done / total if total else 1.0, f"{done}/{total} {text}")
         return
     with Progress(
@@ -159,15 +162,14 @@ def counting_bar(title: str, total: int) -> Iterator[Callable[[int, str], None]]
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
+        *((TextColumn("left"), TimeRemainingColumn()) if tells_left else ()),
         console=messages,
     ) as bar:
         task = bar.add_task(title, total=total)
         yield lambda done, text: bar.update(task, completed=done, description=f"{title}: {text}")
 
 
-def _plain_progress(title: str) -> Callable[[float, str], None]:
+def _plain_progress(title: str, *, tells_left: bool = True) -> Callable[[float, str], None]:
     started = time.monotonic()
     last = [started - _PLAIN_INTERVAL_S, -1.0]
 
@@ -178,7 +180,7 @@ def _plain_progress(title: str) -> Callable[[float, str], None]:
             return
         last[:] = [now, fraction]
         elapsed_s = now - started
-        left = f", {elapsed_s * (1 / fraction - 1):.0f} s left" if 0.01 < fraction < 1 else ""
+        left = f", {elapsed_s * (1 / fraction - 1):.0f} s left" if tells_left and 0.01 < fraction < 1 else ""
         messages.print(Text(f"{title}: {text} ({fraction:.0%}, {elapsed_s:.0f} s{left})"), soft_wrap=True)
 
     return show

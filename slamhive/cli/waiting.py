@@ -127,7 +127,7 @@ def _show_experiment(
 ) -> None:
     waiting = hive.experiments.unfinished(name)
     total = len(waiting)
-    with counting_bar("runs", total) as show:
+    with counting_bar("runs", total, tells_left=False) as show:
         while waiting and not failure:
             began = time.monotonic()
             left = hive.experiments.unfinished(name)
