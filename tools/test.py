@@ -113,13 +113,23 @@ def run_tier(tier: Tier) -> Outcome:
     except (CannotRun, StepFailed) as reason:
         print(reason)
         return Outcome("not run", str(reason).splitlines()[0])
+    outcome = run_timed(tier)
+    if tier.limit_s is not None and outcome.seconds > tier.limit_s and outcome.state == "passed":
+        # Shared machines stall for some seconds now and then: what is too slow is so twice.
+        print(f"took {outcome.seconds:.1f} s, which is too long: once more")
+        outcome = run_timed(tier)
+        if outcome.seconds > tier.limit_s and outcome.state == "passed":
+            outcome.state = "failed"
+            outcome.note = f"took {outcome.seconds:.1f} s, must stay under {tier.limit_s:g} s"
+    outcome.note = outcome.note or note
+    return outcome
+
+
+def run_timed(tier: Tier) -> Outcome:
+    """Run a tier for which everything is there."""
     started = time.monotonic()
     outcome = run_pytest(tier) if tier.marks else run_commands(tier)
     outcome.seconds = time.monotonic() - started
-    outcome.note = outcome.note or note
-    if tier.limit_s is not None and outcome.seconds > tier.limit_s and outcome.state == "passed":
-        outcome.state = "failed"
-        outcome.note = f"took {outcome.seconds:.1f} s, must stay under {tier.limit_s:g} s"
     return outcome
 
 

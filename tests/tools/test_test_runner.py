@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,18 @@ def test_slow_unit_tier_fails(runner, monkeypatch):
     monkeypatch.setattr(runner, "run_pytest", lambda tier: runner.Outcome(passed=1))
     assert runner.run_tier(runner.Tier("unit", marks="x", limit_s=0.0)).state == "failed"
     assert runner.run_tier(runner.Tier("unit", marks="x", limit_s=9.0)).state == "passed"
+
+
+def test_a_tier_that_was_slow_once_gets_another_chance(runner, monkeypatch):
+    waits_s = [0.2, 0.0]
+
+    def run(_tier: object) -> object:
+        time.sleep(waits_s.pop(0))
+        return runner.Outcome(passed=1)
+
+    monkeypatch.setattr(runner, "run_pytest", run)
+    outcome = runner.run_tier(runner.Tier("unit", marks="x", limit_s=0.1))
+    assert (outcome.state, waits_s) == ("passed", [])
 
 
 def test_without_rights_the_engine_tier_names_the_command(runner, monkeypatch):
