@@ -30,7 +30,7 @@ from slamhive.store.models import (
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.records import SavedSearchRecord
 from slamhive.store.rows import chunks, get_or_insert
-from slamhive.store.searches import SearchRepository
+from slamhive.store.searches import SearchRepository, saved_columns
 
 _RUNS = Run.__table__
 _CELLS = ExperimentCell.__table__
@@ -165,14 +165,7 @@ class ArchiveRepository:
 
     def saved_search_if_absent(self, record: SavedSearchRecord, created_at: datetime) -> None:
         """Save a search unless its name is taken."""
-        values = {
-            "filter_text": record.filter_text,
-            "shown_columns": list(record.columns),
-            "sort": record.sort.key,
-            "descending": record.sort.descending,
-            "grouped": record.grouped,
-            "created_at": created_at,
-        }
+        values = saved_columns(record) | {"created_at": created_at}
         get_or_insert(self._session, SavedSearch, {"name": record.name}, values)
 
     def _numbers(self, column: ColumnElement[int], *conditions: ColumnElement[bool]) -> set[int]:

@@ -94,13 +94,7 @@ class SearchRepository:
 
     def save(self, record: SavedSearchRecord, now: datetime) -> bool:
         """Save under its name, over what has it; whether it is new."""
-        values = {
-            "filter_text": record.filter_text,
-            "shown_columns": list(record.columns),
-            "sort": record.sort.key,
-            "descending": record.sort.descending,
-            "grouped": record.grouped,
-        }
+        values = saved_columns(record)
         if changed(self._session, update(_SAVED).where(_SAVED.c.name == record.name).values(values)):
             return False
         self._session.execute(insert(_SAVED).values(name=record.name, created_at=now, **values))
@@ -134,3 +128,14 @@ def _saved(row: Row[Any]) -> SavedSearchRecord:
         sort=RunSort(row.sort, row.descending),
         grouped=row.grouped,
     )
+
+
+def saved_columns(record: SavedSearchRecord) -> dict[str, Any]:
+    """What is stored of a saved search besides its name and the time."""
+    return {
+        "filter_text": record.filter_text,
+        "shown_columns": list(record.columns),
+        "sort": record.sort.key,
+        "descending": record.sort.descending,
+        "grouped": record.grouped,
+    }
