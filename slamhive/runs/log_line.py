@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-import stat
 from pathlib import Path
+
+from slamhive.runs.untrusted import open_regular_file
 
 ERROR_PREFIX = "error: "
 TAIL_BYTES = 20_000
@@ -27,13 +28,9 @@ def last_error_line(log: str) -> str | None:
 
 def read_tail(path: Path, max_bytes: int = TAIL_BYTES) -> str:
     """The end of the regular file at ``path``; empty if there is none, as for a link, pipe or folder."""
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError:
+    stream = open_regular_file(path)
+    if stream is None:
         return ""
-    with os.fdopen(descriptor, "rb") as stream:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            return ""
-        stream.seek(max(0, status.st_size - max_bytes))
+    with stream:
+        stream.seek(max(0, os.fstat(stream.fileno()).st_size - max_bytes))
         return stream.read(max_bytes).decode("utf-8", errors="replace")

@@ -11,7 +11,7 @@ import stat
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -30,8 +30,8 @@ LONGEST_LINE_BYTES = 1_000_000
 _LINE_ENDS = ("\n", "\r", "\v", "\f", "\x1c", "\x1d", "\x1e", "\x85", "\u2028", "\u2029")
 
 
-def read_regular_file(path: Path, limit_bytes: int) -> bytes | None:
-    """The first ``limit_bytes`` of the regular file at ``path``; None if there is none, as for a link, pipe or folder.
+def open_regular_file(path: Path) -> BinaryIO | None:
+    """The regular file at ``path``, opened without waiting; None if there is none, as for a link, pipe or folder.
 
     The parent folder is followed, the file itself is not: an algorithm may have put a link to anything in its place.
     """
@@ -42,7 +42,15 @@ def read_regular_file(path: Path, limit_bytes: int) -> bytes | None:
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         return None
-    with os.fdopen(descriptor, "rb") as stream:
+    return os.fdopen(descriptor, "rb")
+
+
+def read_regular_file(path: Path, limit_bytes: int) -> bytes | None:
+    """The first ``limit_bytes`` of what :func:`open_regular_file` opens; None if there is none."""
+    stream = open_regular_file(path)
+    if stream is None:
+        return None
+    with stream:
         return stream.read(limit_bytes)
 
 

@@ -11,6 +11,7 @@ from typing import BinaryIO
 
 from slamhive.errors import NotFound
 from slamhive.runs.folder import RunFolder
+from slamhive.runs.untrusted import open_regular_file
 
 EVALUATION_FILES = {
     "result.json": "application/json",
@@ -63,11 +64,10 @@ def open_download(folder: RunFolder, fingerprints: Iterable[str], key: str) -> t
     """The file known as ``key``, opened; raises NotFound. A link put in its place meanwhile is not followed."""
     for download in list_downloads(folder, fingerprints):
         if download.key == key:
-            try:
-                descriptor = os.open(download.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-            except OSError:
+            stream = open_regular_file(download.path)
+            if stream is None:
                 break
-            return download, os.fdopen(descriptor, "rb")
+            return download, stream
     raise NotFound(f"there is no file {key!r} in this run", "its page lists the files that are there")
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from slamhive.errors import InvalidInput, Unavailable
+from slamhive.runs.untrusted import open_regular_file
 from slamhive.services.archive.layout import CHECKSUMS, LARGEST_DIRECTORY_BYTES, MANIFEST, ROWS, Manifest
 
 _BLOCK_BYTES = 1 << 20
@@ -43,14 +44,11 @@ class ArchiveWriter:
 
     def add_file(self, name: str, path: Path) -> bool:
         """Add the regular file at ``path``; False if there is none any more, as for a link, pipe or folder."""
-        try:
-            descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-        except OSError:
+        source = open_regular_file(path)
+        if source is None:
             return False
-        with os.fdopen(descriptor, "rb") as source:
-            status = os.fstat(descriptor)
-            if not stat.S_ISREG(status.st_mode):
-                return False
+        with source:
+            status = os.fstat(source.fileno())
             self._add(name, source, status.st_size, status.st_mtime)
         return True
 
