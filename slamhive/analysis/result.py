@@ -35,6 +35,11 @@ class ResultTable:
     caption: str = ""
     raw: bool = False
 
+    def __post_init__(self) -> None:
+        keys = [column.key for column in self.columns]
+        if len(set(keys)) != len(keys):
+            raise ValueError(f"table {self.key!r} has two columns of one key: {', '.join(keys)}")
+
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:

@@ -16,10 +16,11 @@ from slamhive.analysis.forms import RunTrack
 from slamhive.analysis.forms.pareto import pareto_front
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import FORMATS, print_chart
-from slamhive.analysis.result import FormResult
+from slamhive.analysis.result import FormResult, ResultTable, TableColumn
+from slamhive.analysis.table import FAILED as FAILED_COLUMN
 from slamhive.analysis.table import Column, ColumnKind, FailureRule
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.services.analyses.tables import table_csv, table_latex
+from slamhive.services.analyses.tables import table_csv, table_latex, table_parquet
 from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, REPEATS, SCALES, NoFiles, data_of, sweep_table
 
 pytestmark = pytest.mark.integration
@@ -194,6 +195,31 @@ def test_importance_finds_what_was_put_in():
     assert failing["algorithm with image_rate"] > 30
 
 
+@pytest.mark.parametrize("axes", ["x: dataset, y: algorithm", "x: algorithm, y: dataset", "x: dataset, y: image_rate"])
+def test_a_heat_map_over_datasets_and_algorithms_can_be_exported(axes):
+    result = build(f"form: heatmap, {axes}")
+    for table in result.tables:
+        assert table_parquet(table)
+        assert table_csv(table)
+    assert len(result.charts) == (1 if "algorithm" in axes else len(ALGORITHMS))
+
+
+def test_a_table_cannot_have_one_column_twice():
+    column = TableColumn("algorithm", "Algorithm")
+    with pytest.raises(ValueError, match="two columns of one key"):
+        ResultTable("t", "t", (column, column), ())
+
+
+def test_datasets_that_no_number_of_repeats_decides_are_named():
+    table = sweep_table()
+    same = table.frame["ate.rmse"].mask(table.frame["dataset"] == "room", table.frame["scale"])
+    tied = table.with_rows(table.frame.assign(**{"ate.rmse": same, FAILED_COLUMN: None}))
+    analysis = parse_analysis("name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: critical_difference}\n")
+    result = analysis.forms[0].form.build(data_of(tied), analysis.forms[0].options)
+    (pairs,) = (entry for entry in result.tables if entry.key == "pairs")
+    assert {row[8] for row in pairs.rows} == {"room"}
+
+
 def test_failed_runs_never_count_as_accurate():
     result = build("form: coverage")
     (table,) = (table for table in result.tables if table.key == "coverage")
@@ -345,3 +371,57 @@ def test_no_line_is_drawn_over_a_pause():
         assert "Lines break where no pose came" in chart.caption
     (poses,) = (entry for entry in result.tables if entry.key == "poses")
     assert len(poses.rows) == 12
+
+
+class TracksOfTwoSensors(NoFiles):
+    """Estimates of two frames, 0.11 m apart; each equals the ground truth in its own frame."""
+
+    def __init__(self, lidar_runs: set[int]) -> None:
+        self.lidar_runs = lidar_runs
+
+    def track(self, run_id: int) -> RunTrack | None:
+        timestamps_s = np.arange(5.0)
+        positions_m = np.stack([timestamps_s, timestamps_s**2, 0 * timestamps_s], axis=1)
+        positions_m[:, 0] += 0.11 if run_id in self.lidar_runs else 0.0
+        return RunTrack(
+            run_id, timestamps_s, positions_m, 0 * timestamps_s, 0 * timestamps_s, timestamps_s, positions_m
+        )
+
+
+def test_every_run_is_drawn_with_the_ground_truth_of_its_own_sensor():
+    table = sweep_table()
+    room = table.frame[(table.frame["dataset"] == "room") & (table.frame["image_rate"] == 20)]
+    chosen = table.with_rows(room.groupby("algorithm").head(2))
+    lidar_runs = set(room[room["algorithm"] == "rko-lio"]["run_id"])
+    analysis = parse_analysis("name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: trajectories}\n")
+    data = replace(data_of(chosen), files=TracksOfTwoSensors(lidar_runs))
+    result = analysis.forms[0].form.build(data, analysis.forms[0].options)
+    for chart in result.charts[:4]:
+        truths = {mark.name: mark for mark in chart.marks if isinstance(mark, Line) and mark.dashed}
+        assert set(truths) == {"ground truth for kiss-icp, orb-slam3-stereo", "ground truth for rko-lio"}
+        for mark in chart.marks:
+            if isinstance(mark, Line) and mark.runs:
+                own = truths["ground truth for rko-lio" if mark.runs in lidar_runs else min(truths)]
+                assert np.array_equal(mark.x, own.x)
+                assert np.array_equal(mark.y, own.y)
+        assert "follow 2 different sensors" in chart.caption
+
+
+def test_a_parameter_of_one_algorithm_counts_within_it():
+    table = sweep_table()
+    draws = np.random.default_rng(2)
+    own = np.where(table.frame["algorithm"] == "kiss-icp", draws.integers(0, 3, RUNS).astype(float), np.nan)
+    values = table.frame["algorithm"].map({"kiss-icp": 1.0, "orb-slam3-stereo": 4.0, "rko-lio": 9.0}) + np.nan_to_num(
+        own
+    )
+    columns = {**table.columns, "own": Column("own", "own", ColumnKind.PARAMETER)}
+    frame = table.frame.assign(own=own, **{"ate.rmse": values, FAILED_COLUMN: None})
+    analysis = parse_analysis(
+        "name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: importance, parameters: [algorithm, own]}\n"
+    )
+    result = analysis.forms[0].form.build(
+        data_of(replace(table, frame=frame, columns=columns)), analysis.forms[0].options
+    )
+    shares = {row[0]: row[1] for row in result.tables[0].rows}
+    assert set(shares) == {"algorithm", "own"}
+    assert sum(float(share or 0) for share in shares.values()) == pytest.approx(100, abs=0.01)

@@ -225,8 +225,9 @@ def raw_table(key: str, table: RunTable, keys: Sequence[str], title: str = "Raw 
 def summary_table(key: str, table: RunTable, metrics: Sequence[str], by: Sequence[str]) -> ResultTable:
     """One row for each group of runs: how many, how many failed, and each metric's mean, spread and interval.
 
-    Failed runs have no part in a mean; their number stands beside it.
+    Failed runs have no part in a mean; their number stands beside it. A column that ``by`` names twice stands once.
     """
+    by = list(dict.fromkeys(by))
     columns = [_table_column(table.column(name)) for name in by]
     columns += [TableColumn("runs", "Runs"), TableColumn("failed", "Failed")]
     for metric in metrics:
@@ -234,7 +235,7 @@ def summary_table(key: str, table: RunTable, metrics: Sequence[str], by: Sequenc
         for part, label in _SUMMARY.items():
             columns.append(TableColumn(f"{metric}.{part}", f"{column.label} {label}", column.unit))
     rows = []
-    for names, group in table.frame.groupby(list(by), sort=True, dropna=False):
+    for names, group in table.frame.groupby(by, sort=True, dropna=False):
         failed = int(group[FAILED].notna().sum())
         good = group[group[FAILED].isna()]
         cells: list[Cell] = [*(plain_cell(name) for name in names), len(group), failed]

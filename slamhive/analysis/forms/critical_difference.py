@@ -163,6 +163,7 @@ def _pairs(names: list[str], test: RankTest, table: RunTable, options: CriticalD
         TableColumn("undecided", "Undecided"),
         TableColumn("too_few", "Too few repeats to tell"),
         TableColumn("more", "More repeats that would decide"),
+        TableColumn("never", "Undecided by any number of repeats"),
     )
     rows: list[tuple[Cell, ...]] = []
     for (first, second), p_value in sorted(test.pairs.items()):
@@ -171,17 +172,23 @@ def _pairs(names: list[str], test: RankTest, table: RunTable, options: CriticalD
         rows.append((names[first], names[second], p_value, apart, *repeats))
     note = (
         "A dataset is decided if Welch's 95 % interval of the difference of the two means excludes 0; two good runs "
-        "of each are needed to tell. More repeats: of each, on the undecided datasets, at the spread seen so far."
+        "of each are needed to tell. More repeats: how many of each would decide the undecided datasets at the spread "
+        "seen so far. The last column names the datasets that a million repeats would not decide, because the means "
+        "are equal or nearly so."
     )
     return ResultTable("pairs", "Pairs", columns, tuple(rows), note)
 
 
-def _repeats(table: RunTable, metric: str, names: tuple[str, str]) -> tuple[int, int, int, int | None]:
-    """Datasets decided, undecided, and with fewer than two good runs of one of both; the most repeats that lack."""
+def _repeats(table: RunTable, metric: str, names: tuple[str, str]) -> tuple[int, int, int, int | None, str | None]:
+    """Datasets decided, undecided, and with fewer than two good runs of one of both; then the remedy.
+
+    The remedy is the number of repeats still missing for each, and the datasets that no number of them decides.
+    """
     decided = undecided = too_few = 0
-    most: int | None = None
+    missing: list[int] = []
+    never: list[str] = []
     both = table.frame[table.frame[_COMPETITOR].isin(names)]
-    for _, rows in both.groupby("dataset", sort=True):
+    for dataset, rows in both.groupby("dataset", sort=True):
         if rows[_COMPETITOR].nunique() < 2:
             continue
         groups = [_values(rows, metric, name) for name in names]
@@ -191,9 +198,13 @@ def _repeats(table: RunTable, metric: str, names: tuple[str, str]) -> tuple[int,
         comparison = compare_means(groups[0], groups[1])
         decided += comparison.decided
         undecided += not comparison.decided
-        if not comparison.decided and comparison.repeats_to_decide is not None:
-            most = max(most or 1, comparison.repeats_to_decide - min(map(len, groups)))
-    return decided, undecided, too_few, most
+        if comparison.decided:
+            continue
+        if comparison.repeats_to_decide is None:
+            never.append(str(dataset))
+        else:
+            missing.append(max(1, comparison.repeats_to_decide - min(map(len, groups))))
+    return decided, undecided, too_few, max(missing, default=None), ", ".join(never) or None
 
 
 def _values(rows: pd.DataFrame, metric: str, name: str) -> Array:

@@ -64,14 +64,12 @@ class Heatmap(Form[HeatmapOptions]):
         if len(table.good()):
             with_values(table, [metric.key])
         x_values, y_values = (distinct_values(table.frame[key], key) for key in (options.x, options.y))
-        parts = {
-            str(algorithm): table.with_rows(rows) for algorithm, rows in table.frame.groupby("algorithm", sort=True)
-        }
+        parts = _parts(table, (options.x, options.y))
         maps = _on_one_scale([_cells(part, options, (x_values, y_values)) for part in parts.values()])
         charts = [
             Chart(
-                key=f"heatmap_{algorithm}",
-                title=f"{options.title or metric.label}, {algorithm}",
+                key="_".join(filter(None, ("heatmap", algorithm))),
+                title=", ".join(filter(None, (options.title or metric.label, algorithm))),
                 x=_axis(x, x_values),
                 y=_axis(y, y_values),
                 marks=(cells,),
@@ -84,6 +82,13 @@ class Heatmap(Form[HeatmapOptions]):
             raw_table("heatmap_raw", table, [options.x, options.y, metric.key]),
         )
         return result_of(table, protocol, charts, tables, lacking=[options.x, options.y, metric.key])
+
+
+def _parts(table: RunTable, axes: tuple[str, str]) -> dict[str, RunTable]:
+    """The runs of each map, by algorithm; one map of all, called "", where the algorithms are an axis themselves."""
+    if "algorithm" in axes:
+        return {"": table}
+    return {str(algorithm): table.with_rows(rows) for algorithm, rows in table.frame.groupby("algorithm", sort=True)}
 
 
 _CELL = (

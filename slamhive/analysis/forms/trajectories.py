@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -62,15 +63,15 @@ class Trajectories(Form[TrajectoriesOptions]):
         tracks, without = _tracks(data, options.most_runs)
         if not tracks:
             raise InvalidInput("no selected run has an evaluated trajectory with files", "evaluate again, with files")
-        pauses = any(track.pieces[-1] for track in tracks)
-        broken = " Lines break where no pose came for longer than the protocol's gap." if pauses else ""
-        text = caption(table, len(tracks), protocol, f"Ground truth of {dataset} dashed; circles: start.{broken}")
+        truths = _ground_truths(tracks, table)
+        text = caption(table, len(tracks), protocol, *_notes(dataset, tracks, truths))
         plane = _widest_plane(tracks[0].reference_positions_m)
-        start_s = float(tracks[0].reference_stamps_s[0])
+        start_s = min(float(truth.timestamps_s[0]) for truth in truths)
         looks = _looks(tracks, table)
         key = [] if looks[tracks[0].run_id]["in_legend"] else list(legend(table, markers=False))
-        charts = [_path(tracks, looks, plane, options.title or f"Trajectories on {dataset}", text)]
-        charts += [_coordinate(tracks, looks, axis, start_s, text) for axis in range(3)]
+        drawn = _Drawn(tracks, looks, truths, start_s, text)
+        charts = [_path(drawn, plane, options.title or f"Trajectories on {dataset}")]
+        charts += [_coordinate(drawn, axis) for axis in range(3)]
         evaluated = [track for track in tracks if np.isfinite(track.errors_m).any()]
         errors = [_over_time(track, track.errors_m, looks[track.run_id], start_s) for track in evaluated]
         if errors:
@@ -81,6 +82,68 @@ class Trajectories(Form[TrajectoriesOptions]):
         charts = [replace(chart, marks=(*chart.marks, *key)) for chart in charts]
         tables = (raw_table("trajectories", table, ["ate.rmse", "tracked_fraction"], "Errors"), _poses(tracks))
         return result_of(table, protocol, charts, tables, excluded=without)
+
+
+@dataclass(frozen=True, slots=True)
+class _GroundTruth:
+    """The ground truth in the frame of some runs' sensor: timestamps (n,) in s, positions (n, 3) in m."""
+
+    name: str
+    timestamps_s: Array
+    positions_m: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """What the charts share."""
+
+    tracks: list[RunTrack]
+    looks: dict[int, dict[str, Any]]
+    truths: list[_GroundTruth]
+    start_s: float
+    text: str
+
+
+def _ground_truths(tracks: list[RunTrack], table: RunTable) -> list[_GroundTruth]:
+    """Each ground truth once. Runs have different ones if their estimates follow different sensors."""
+    algorithms = dict(zip(table.frame["run_id"], table.frame["algorithm"], strict=True))
+    found: list[tuple[RunTrack, set[str]]] = []
+    for track in tracks:
+        known = next((names for first, names in found if _same_ground_truth(first, track)), None)
+        if known is None:
+            known = set()
+            found.append((track, known))
+        known.add(str(algorithms[track.run_id]))
+    alone = len(found) == 1
+    return [
+        _GroundTruth(
+            "ground truth" if alone else f"ground truth for {', '.join(sorted(names))}",
+            track.reference_stamps_s,
+            track.reference_positions_m,
+        )
+        for track, names in found
+    ]
+
+
+def _same_ground_truth(first: RunTrack, second: RunTrack) -> bool:
+    """Whether two ground truths are equal to a tenth of a millimetre at every timestamp."""
+    one, other = first.reference_positions_m, second.reference_positions_m
+    return (
+        one.shape == other.shape
+        and np.allclose(first.reference_stamps_s, second.reference_stamps_s, rtol=0, atol=1e-6)
+        and np.allclose(one, other, rtol=0, atol=1e-4)
+    )
+
+
+def _notes(dataset: str, tracks: list[RunTrack], truths: list[_GroundTruth]) -> Iterator[str]:
+    yield f"Ground truth of {dataset} dashed; circles: start."
+    if len(truths) > 1:
+        yield (
+            f"The estimates follow {len(truths)} different sensors, so the ground truth is drawn {len(truths)} times, "
+            "once in the frame of each: compare a run with its own."
+        )
+    if any(track.pieces[-1] for track in tracks):
+        yield "Lines break where no pose came for longer than the protocol's gap."
 
 
 def _tracks(data: FormData, most: int) -> tuple[list[RunTrack], list[Exclusion]]:
@@ -121,23 +184,24 @@ def _widest_plane(positions_m: Array) -> str:
     return {2: "xy", 1: "xz", 0: "yz"}[dropped]
 
 
-def _path(tracks: list[RunTrack], looks: dict[int, dict[str, Any]], plane: str, title: str, text: str) -> Chart:
+def _path(drawn: _Drawn, plane: str, title: str) -> Chart:
     first, second = _PLANES[plane]
     marks: list[Line | Points] = []
-    for track in tracks:
-        look = looks[track.run_id]
+    for track in drawn.tracks:
+        look = drawn.looks[track.run_id]
         x, y = track.positions_m[:, first], track.positions_m[:, second]
         marks.append(Line(x=_apart(track, x), y=_apart(track, y), runs=track.run_id, **look))
         marks.append(Points(x=x[:1], y=y[:1], **look | {"in_legend": False}))
-    reference = tracks[0].reference_positions_m
-    marks.append(Line("ground truth", reference[:, first], reference[:, second], colour=REFERENCE, dashed=True))
+    for truth in drawn.truths:
+        x, y = truth.positions_m[:, first], truth.positions_m[:, second]
+        marks.append(Line(truth.name, x, y, colour=REFERENCE, dashed=True))
     return Chart(
         key=f"trajectories_{plane}",
         title=title,
         x=Axis(_AXES[first], "m"),
         y=Axis(_AXES[second], "m"),
         marks=tuple(marks),
-        caption=text,
+        caption=drawn.text,
         equal_aspect=True,
         height=1.3,
     )
@@ -148,20 +212,21 @@ def _apart(track: RunTrack, values: Array) -> Array:
     return np.insert(values, np.flatnonzero(np.diff(track.pieces)) + 1, np.nan)
 
 
-def _coordinate(
-    tracks: list[RunTrack], looks: dict[int, dict[str, Any]], axis: int, start_s: float, text: str
-) -> Chart:
-    lines = [_over_time(track, track.positions_m[:, axis], looks[track.run_id], start_s) for track in tracks]
-    reference = tracks[0]
-    times_s = reference.reference_stamps_s - start_s
-    lines.append(Line("ground truth", times_s, reference.reference_positions_m[:, axis], colour=REFERENCE, dashed=True))
+def _coordinate(drawn: _Drawn, axis: int) -> Chart:
+    start_s = drawn.start_s
+    lines = [
+        _over_time(track, track.positions_m[:, axis], drawn.looks[track.run_id], start_s) for track in drawn.tracks
+    ]
+    for truth in drawn.truths:
+        times_s, values = truth.timestamps_s - start_s, truth.positions_m[:, axis]
+        lines.append(Line(truth.name, times_s, values, colour=REFERENCE, dashed=True))
     return Chart(
         key=f"trajectories_{_AXES[axis]}",
         title=f"{_AXES[axis]} over time",
         x=Axis("time since the start of the ground truth", "s"),
         y=Axis(_AXES[axis], "m"),
         marks=tuple(lines),
-        caption=text,
+        caption=drawn.text,
         height=0.7,
     )
 
