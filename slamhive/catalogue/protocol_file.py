@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from slamhive import strict_yaml
 from slamhive.catalogue.validation import first_problem_at
-from slamhive.domain.protocol import BOUNDS, MOST_SEGMENT_LENGTHS, Alignment, Association, RpePairs
+from slamhive.domain.protocol import BOUNDS, MOST_SEGMENT_LENGTHS, Alignment, Association, Duplicates, RpePairs
 from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.domain.sensors import is_rigid
 from slamhive.errors import InvalidInput
@@ -84,6 +84,11 @@ class ProtocolModel(BaseModel):
     segment_tolerance_m: (
         Annotated[float, _number("segment_tolerance_m", "m", "How far a segment's length may be off")] | None
     ) = None
+
+    duplicates: Annotated[Duplicates, Field(strict=False)] | None = Field(
+        None,
+        description="What is done with poses of one file that have the same timestamp; default refuse.",
+    )
 
     @field_validator("reference")
     @classmethod

@@ -12,7 +12,7 @@ from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_
 from slamhive.cli.output import messages, print_json
 from slamhive.cli.runs import print_runs
 from slamhive.domain.numbers import plural
-from slamhive.domain.protocol import Alignment
+from slamhive.domain.protocol import Alignment, Duplicates
 from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput
@@ -33,6 +33,7 @@ _NAMED_RUNS = 20
 @click.option("--where", metavar="FILTER", help="All that succeeded and match, e.g. 'dataset ~ MH_*'.")
 @click.option("--protocol", metavar="NAME|FILE", help="`slamhive protocol list` names them; default: by the sensors.")
 @click.option("--align", type=choice(Alignment), help="Short for a protocol of this alignment, the rest by default.")
+@click.option("--duplicates", type=choice(Duplicates), help="Which poses count where a timestamp occurs twice.")
 @click.option("--current", is_flag=True, help="Lists and pages shall show the figures of this protocol from now on.")
 @click.option("--plots", is_flag=True, help="Also draw the figures (trajectory, xyz, rpy, raw errors, error map).")
 @json_option
@@ -50,7 +51,7 @@ def evaluate(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **opti
         )
     hive = cli.hive()
     hive.check_writable()
-    asked = _asked(hive, options["protocol"], options["align"])
+    asked = _asked(hive, options["protocol"], options["align"], options["duplicates"])
     service = hive.evaluations_service
     waiting: list[int] = []
     if options["all_unevaluated"]:
@@ -80,11 +81,15 @@ def _succeeded(hive: Hive, where: str) -> list[int]:
     return hive.searches.run_ids(replace(search, tree=join("and", parts)))
 
 
-def _asked(hive: Hive, protocol: str | None, align: str | None) -> ProtocolRequest | None:
+def _asked(hive: Hive, protocol: str | None, align: str | None, duplicates: str | None) -> ProtocolRequest | None:
     if protocol is not None and align is not None:
         raise InvalidInput("--protocol and --align exclude each other", "write the alignment into the protocol")
     name = protocol if align is None else align
-    return None if name is None else hive.protocols.find(name)
+    asked = None if name is None else hive.protocols.find(name)
+    if duplicates is None:
+        return asked
+    asked = asked or ProtocolRequest()
+    return ProtocolRequest({**asked.values, "duplicates": duplicates}, asked.name)
 
 
 def _report(service: CurrentProtocols, ended: list[EvaluationRecord], *, as_json: bool) -> None:

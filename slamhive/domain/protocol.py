@@ -58,6 +58,27 @@ class RpePairs(StrEnum):
     CONSECUTIVE = "consecutive"
 
 
+class Duplicates(StrEnum):
+    """What is done with poses of one file that have the same timestamp.
+
+    ``refuse``: nothing is evaluated. ``first``: the first of them counts. ``mean``: one pose in their middle counts.
+    ``keep``: all of them count, each as a pose of its own (as evo does).
+    """
+
+    REFUSE = "refuse"
+    FIRST = "first"
+    MEAN = "mean"
+    KEEP = "keep"
+
+
+DUPLICATES_LABELS = {
+    Duplicates.REFUSE: "refused",
+    Duplicates.FIRST: "the first counts",
+    Duplicates.MEAN: "their mean counts",
+    Duplicates.KEEP: "all count",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Protocol:
     """Association, time offset, alignment, reference and deltas.
@@ -85,6 +106,7 @@ class Protocol:
         rpe_delta_deg: Rotation between the poses of a pair, for the relative error by angle.
         segment_lengths_m: Path lengths of the segments; empty for 10, 20, 30, 40 and 50 % of the ground truth's path.
         segment_tolerance_m: How far a segment's length may be off; None for a fifth of it.
+        duplicates: What is done with poses of one file that have the same timestamp.
 
     Raises:
         InvalidInput: Naming the field and the value that cannot be meant.
@@ -107,6 +129,7 @@ class Protocol:
     rpe_delta_deg: float = 10.0
     segment_lengths_m: tuple[float, ...] = ()
     segment_tolerance_m: float | None = None
+    duplicates: Duplicates = Duplicates.REFUSE
 
     def __post_init__(self) -> None:
         for name, (minimum, maximum) in BOUNDS.items():
@@ -203,7 +226,12 @@ def protocol_from_content(content: Mapping[str, Any]) -> Protocol:
         raise InvalidInput(f"a field of the protocol has a type that is not allowed: {error}") from None
 
 
-_ENUMS: dict[str, type[StrEnum]] = {"alignment": Alignment, "association": Association, "rpe_pairs": RpePairs}
+_ENUMS: dict[str, type[StrEnum]] = {
+    "alignment": Alignment,
+    "association": Association,
+    "rpe_pairs": RpePairs,
+    "duplicates": Duplicates,
+}
 
 
 def _member(kind: type[StrEnum], name: str, value: str) -> StrEnum:
@@ -244,8 +272,11 @@ def _words(protocol: Protocol) -> list[str]:
     words.append(f"RPE over {protocol.rpe_delta_m:g} m")
     if protocol.rpe_pairs is RpePairs.CONSECUTIVE:
         words.append("consecutive pairs")
+    if protocol.duplicates is not Duplicates.REFUSE:
+        words.append(f"duplicate timestamps: {DUPLICATES_LABELS[protocol.duplicates]}")
     shown = {"alignment", "association", "align_poses", "offset_search_s", "time_offset_s", "T_body_sensor"}
     shown |= {"reference", "rpe_delta_m", "rpe_pairs", "association_tolerance_s", "interpolation_interval_s"}
+    shown |= {"duplicates"}
     for field in fields(protocol):
         value = getattr(protocol, field.name)
         if field.name not in shown and value != field.default:

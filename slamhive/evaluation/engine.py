@@ -119,6 +119,7 @@ def _read_estimate(task: EvaluationTask) -> Trajectory:
     if task.estimate.is_symlink():
         raise InvalidInput(f"the estimate {task.estimate.name} is a link, which is not followed")
     try:
-        return parse_tum(read_bounded(task.estimate), f"estimate {task.estimate.name}")
+        data = read_bounded(task.estimate)
+        return parse_tum(data, f"estimate {task.estimate.name}", task.protocol.duplicates)
     except NotFound:
         raise InvalidInput(f"there is no estimate: {task.estimate.name} does not exist") from None

@@ -78,9 +78,17 @@ def _over_time(figure: Figure, matched: PoseTrajectory3D, aligned: PoseTrajector
 def _speeds(figure: Figure, matched: PoseTrajectory3D, aligned: PoseTrajectory3D) -> None:
     axes = figure.add_subplot()
     start_s = matched.timestamps[0]
-    plot.speeds(axes, matched, start_timestamp=start_s, **_REFERENCE_STYLE)
-    plot.speeds(axes, aligned, start_timestamp=start_s, **_ESTIMATE_STYLE)
+    plot.speeds(axes, _each_time_once(matched), start_timestamp=start_s, **_REFERENCE_STYLE)
+    plot.speeds(axes, _each_time_once(aligned), start_timestamp=start_s, **_ESTIMATE_STYLE)
     axes.legend()
+
+
+def _each_time_once(trajectory: PoseTrajectory3D) -> PoseTrajectory3D:
+    """The poses without those that repeat a timestamp: between two poses at one time there is no speed."""
+    later = np.flatnonzero(np.diff(trajectory.timestamps, prepend=-np.inf) > 0)
+    return PoseTrajectory3D(
+        trajectory.positions_xyz[later], trajectory.orientations_quat_wxyz[later], trajectory.timestamps[later]
+    )
 
 
 def _errors(figure: Figure, result: Result) -> None:

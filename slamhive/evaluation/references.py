@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamhive.domain.protocol import Alignment
+from slamhive.domain.protocol import Alignment, Duplicates
 from slamhive.domain.sensors import Matrix4
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.job import EvaluationTask
@@ -66,8 +66,8 @@ class References:
     """Ground truths by file and by the sensor frame they are moved into, read when first asked for."""
 
     def __init__(self) -> None:
-        self._bodies: dict[tuple[Path, bool], Reference | InvalidInput] = {}
-        self._moved: dict[tuple[Path, bool, Matrix4], Reference] = {}
+        self._bodies: dict[_File, Reference | InvalidInput] = {}
+        self._moved: dict[tuple[_File, Matrix4], Reference] = {}
 
     def preload(self, tasks: Iterable[EvaluationTask]) -> None:
         """Read what ``tasks`` need. A malformed ground truth raises when its task asks for it."""
@@ -80,32 +80,41 @@ class References:
         if task.reference is None:
             raise InvalidInput(NO_TRUTH)
         T_body_sensor = task.protocol.T_body_sensor or task.T_body_sensor
-        key = (task.reference, task.positions_only, T_body_sensor)
+        file = _File(task.reference, task.positions_only, task.protocol.duplicates)
+        key = (file, T_body_sensor)
         if key not in self._moved:
-            body = self._body(task.reference, positions_only=task.positions_only)
+            body = self._body(file)
             if isinstance(body, InvalidInput):
                 raise body
             self._moved[key] = _moved(body, rigid_transform(T_body_sensor, "T_body_sensor"))
         return self._moved[key]
 
-    def _body(self, path: Path, *, positions_only: bool) -> Reference | InvalidInput:
-        key = (path, positions_only)
-        if key not in self._bodies:
+    def _body(self, file: _File) -> Reference | InvalidInput:
+        if file not in self._bodies:
             try:
-                self._bodies[key] = _read(path, positions_only=positions_only)
+                self._bodies[file] = _read(file)
             except NotFound:
-                self._bodies[key] = InvalidInput(f"there is no ground truth: {path.name} does not exist")
+                self._bodies[file] = InvalidInput(f"there is no ground truth: {file.path.name} does not exist")
             except InvalidInput as error:
-                self._bodies[key] = error
-        return self._bodies[key]
+                self._bodies[file] = error
+        return self._bodies[file]
 
 
-def _read(path: Path, *, positions_only: bool) -> Reference:
+@dataclass(frozen=True, slots=True)
+class _File:
+    """A file of a ground truth, and how it is read."""
+
+    path: Path
+    positions_only: bool
+    duplicates: Duplicates
+
+
+def _read(file: _File) -> Reference:
     """The ground truth as it stands in the file: eight columns, or four, which are positions."""
-    data, name = read_bounded(path), f"ground truth {path.name}"
+    data, name = read_bounded(file.path), f"ground truth {file.path.name}"
     if count_columns(data) == _POSITION_COLUMNS:
-        return Reference(parse_positions(data, name), rotations_known=False)
-    return Reference(parse_tum(data, name), rotations_known=not positions_only)
+        return Reference(parse_positions(data, name, file.duplicates), rotations_known=False)
+    return Reference(parse_tum(data, name, file.duplicates), rotations_known=not file.positions_only)
 
 
 def _moved(body: Reference, T_body_sensor: FloatArray) -> Reference:

@@ -42,8 +42,8 @@ def measure_completeness(estimate_stamps_s: FloatArray, reference_stamps_s: Floa
     """Coverage of the reference's span by the estimate.
 
     Args:
-        estimate_stamps_s: Strictly increasing, shape (n,), n >= 1; stamps outside the span do not count.
-        reference_stamps_s: Strictly increasing, shape (m,).
+        estimate_stamps_s: Never decreasing, shape (n,), n >= 1; stamps outside the span do not count.
+        reference_stamps_s: Never decreasing, shape (m,).
         gap_s: A longer time without a pose is a gap.
 
     Raises:

@@ -20,7 +20,8 @@ def interpolate(trajectory: Trajectory, stamps_s: FloatArray) -> Poses:
         return Poses(stamps_s, alone.positions_m, alone.quats_xyzw)
     before = np.clip(np.searchsorted(trajectory.stamps_s, stamps_s, side="right") - 1, 0, len(trajectory) - 2)
     begin_s, end_s = trajectory.stamps_s[before], trajectory.stamps_s[before + 1]
-    part = np.clip((stamps_s - begin_s) / (end_s - begin_s), 0.0, 1.0)[:, None]
+    interval_s = np.where(end_s > begin_s, end_s - begin_s, 1.0)  # two poses at one time: the later one counts
+    part = np.where(end_s > begin_s, np.clip((stamps_s - begin_s) / interval_s, 0.0, 1.0), 1.0)[:, None]
     positions_m = (1 - part) * trajectory.positions_m[before] + part * trajectory.positions_m[before + 1]
     quats_xyzw = _slerp(trajectory.quats_xyzw[before], trajectory.quats_xyzw[before + 1], part)
     return Poses(stamps_s, positions_m, quats_xyzw)

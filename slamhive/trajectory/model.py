@@ -65,8 +65,9 @@ class Poses:
 class Trajectory(Poses):
     """Poses of a moving frame in a fixed one, in the order of time.
 
-    Creating one validates it: at least one pose, stamps strictly increasing, every number finite, quaternions unit
-    within :data:`QUATERNION_TOLERANCE`. They are normalised, and the arrays are made read-only.
+    Creating one validates it: at least one pose, stamps never decreasing, every number finite, quaternions unit
+    within :data:`QUATERNION_TOLERANCE`. They are normalised, and the arrays are made read-only. A stamp may occur more
+    than once only where the reader of a file was told to keep such poses.
 
     Raises:
         InvalidInput: Naming the first bad pose, counted from 0, and the value.
@@ -82,7 +83,7 @@ class Trajectory(Poses):
             raise InvalidInput(f"a trajectory takes arrays of shape (n,), (n, 3) and (n, 4), got {shapes}")
         if count == 0:
             raise InvalidInput("a trajectory needs at least one pose")
-        problem = find_problem(stamps_s, positions_m, quats_xyzw)
+        problem = find_problem(stamps_s, positions_m, quats_xyzw, duplicates=True)
         if problem is not None:
             raise InvalidInput(f"pose {problem.index}: {problem.found}", problem.remedy)
         quats_xyzw /= np.linalg.norm(quats_xyzw, axis=1, keepdims=True)
@@ -91,12 +92,17 @@ class Trajectory(Poses):
             object.__setattr__(self, name, array)
 
 
-def find_problem(stamps_s: FloatArray, positions_m: FloatArray, quats_xyzw: FloatArray) -> PoseProblem | None:
-    """The first pose that cannot be part of a trajectory, None if all can. Shapes (n,), (n, 3), (n, 4)."""
+def find_problem(
+    stamps_s: FloatArray, positions_m: FloatArray, quats_xyzw: FloatArray, *, duplicates: bool = False
+) -> PoseProblem | None:
+    """The first pose that cannot be part of a trajectory, None if all can. Shapes (n,), (n, 3), (n, 4).
+
+    ``duplicates``: several poses may have the same timestamp.
+    """
     rows = np.column_stack((stamps_s, positions_m, quats_xyzw))
     candidates = [
         _not_finite(rows),
-        _out_of_order(stamps_s),
+        _out_of_order(stamps_s, duplicates=duplicates),
         _too_far(positions_m),
         _not_unit(quats_xyzw),
     ]
@@ -117,13 +123,18 @@ def _not_finite(rows: FloatArray) -> PoseProblem | None:
     return PoseProblem(index, f"{names[column]} is {rows[index, column]}", "leave out poses that are not known")
 
 
-def _out_of_order(stamps_s: FloatArray) -> PoseProblem | None:
-    before = _first(np.diff(stamps_s) <= 0)
+def _out_of_order(stamps_s: FloatArray, *, duplicates: bool) -> PoseProblem | None:
+    steps_s = np.diff(stamps_s)
+    before = _first(steps_s < 0 if duplicates else steps_s <= 0)
     if before is None:
         return None
     earlier, later = stamps_s[before], stamps_s[before + 1]
     if earlier == later:
-        return PoseProblem(before + 1, f"timestamp {later:.9f} occurs twice", "keep one pose per timestamp")
+        return PoseProblem(
+            before + 1,
+            f"timestamp {later:.9f} occurs twice",
+            "write one pose for each timestamp; of recorded files --duplicates first, mean or keep says what counts",
+        )
     return PoseProblem(
         before + 1,
         f"timestamp {later:.9f} comes after {earlier:.9f}",

@@ -41,9 +41,10 @@ def turning_misfit(reference: Trajectory, estimate: Trajectory) -> Misfit:
     times.
     """
     stamps_s = estimate.stamps_s
-    apart = max(1, round(TURNING_S / float(np.median(np.diff(stamps_s))))) if len(estimate) > 1 else 1
+    step_s = float(np.median(np.diff(stamps_s))) if len(estimate) > 1 else 0.0
+    apart = max(1, round(TURNING_S / step_s)) if step_s > 0 else 1
     begins_s, ends_s = stamps_s[:-apart], stamps_s[apart:]
-    kept = ends_s - begins_s <= LONGEST_TURNING_S
+    kept = (ends_s > begins_s) & (ends_s - begins_s <= LONGEST_TURNING_S)
     rates = rotation_angles_rad(estimate.quats_xyzw[:-apart][kept], estimate.quats_xyzw[apart:][kept])
     begins_s, ends_s = begins_s[kept], ends_s[kept]
     rates /= ends_s - begins_s

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from slamhive.domain.protocol import Duplicates
 from slamhive.files import write_aside
-from slamhive.trajectory.model import FloatArray, Trajectory, find_problem
-from slamhive.trajectory.table import parse_table, read_bounded
+from slamhive.trajectory.duplicates import repair
+from slamhive.trajectory.model import FloatArray, Poses, Trajectory, find_problem
+from slamhive.trajectory.table import NumberTable, parse_table, read_bounded
 
 LAYOUT = "timestamp tx ty tz qx qy qz qw"
 POSITIONS_LAYOUT = "timestamp tx ty tz"
@@ -28,27 +30,32 @@ def read_tum(path: Path) -> Trajectory:
     return parse_tum(read_bounded(path), str(path))
 
 
-def parse_tum(data: bytes, name: str) -> Trajectory:
-    """The trajectory in the bytes of a TUM file that messages call ``name``; raises InvalidInput."""
+def parse_tum(data: bytes, name: str, duplicates: Duplicates = Duplicates.REFUSE) -> Trajectory:
+    """The trajectory in the bytes of a TUM file that messages call ``name``; raises InvalidInput.
+
+    ``duplicates``: what is done with poses that have the same timestamp.
+    """
     table = parse_table(data, name, 8, LAYOUT)
-    stamps_s, positions_m, quats_xyzw = table.values[:, 0], table.values[:, 1:4], table.values[:, 4:8]
-    problem = find_problem(stamps_s, positions_m, quats_xyzw)
-    if problem is not None:
-        raise table.error(problem.index, problem.found, problem.remedy)
-    return Trajectory(stamps_s, positions_m, quats_xyzw)
+    return checked(table, Poses(table.values[:, 0], table.values[:, 1:4], table.values[:, 4:8]), duplicates)
 
 
-def parse_positions(data: bytes, name: str) -> Trajectory:
+def parse_positions(data: bytes, name: str, duplicates: Duplicates = Duplicates.REFUSE) -> Trajectory:
     """The trajectory in lines of stamp and position, from a receiver or a total station; its orientations are void.
 
     Raises InvalidInput.
     """
     table = parse_table(data, name, 4, POSITIONS_LAYOUT)
     quats_xyzw = np.tile((0.0, 0.0, 0.0, 1.0), (len(table.values), 1))
-    problem = find_problem(table.values[:, 0], table.values[:, 1:4], quats_xyzw)
+    return checked(table, Poses(table.values[:, 0], table.values[:, 1:4], quats_xyzw), duplicates)
+
+
+def checked(table: NumberTable, poses: Poses, duplicates: Duplicates) -> Trajectory:
+    """The trajectory of the poses that stood in the rows of ``table``; raises InvalidInput naming the line."""
+    allowed = duplicates is not Duplicates.REFUSE
+    problem = find_problem(poses.stamps_s, poses.positions_m, poses.quats_xyzw, duplicates=allowed)
     if problem is not None:
         raise table.error(problem.index, problem.found, problem.remedy)
-    return Trajectory(table.values[:, 0], table.values[:, 1:4], quats_xyzw)
+    return repair(poses, duplicates)
 
 
 def format_tum(

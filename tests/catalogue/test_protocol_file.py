@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.catalogue.protocol_file import load_protocol, parse_protocol, protocol_schema
-from slamhive.domain.protocol import Alignment, Association, Protocol, RpePairs
+from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol, RpePairs
 from slamhive.errors import InvalidInput
 
 WHOLE = """\
@@ -28,6 +28,7 @@ rpe_delta_frames: 10
 rpe_delta_deg: 45
 segment_lengths_m: [8, 16, 24]
 segment_tolerance_m: 0.5
+duplicates: mean
 """
 
 
@@ -53,6 +54,7 @@ def test_every_field_is_read(tmp_path: Path) -> None:
         rpe_delta_deg=45,
         segment_lengths_m=(8, 16, 24),
         segment_tolerance_m=0.5,
+        duplicates=Duplicates.MEAN,
     )
     fields = {line.partition(":")[0] for line in WHOLE.splitlines() if not line.startswith("#")}
     assert set(json.loads(protocol_schema())["properties"]) == fields

@@ -8,6 +8,7 @@ from slamhive.domain.protocol import (
     BOUNDS,
     Alignment,
     Association,
+    Duplicates,
     Protocol,
     RpePairs,
     protocol_from_content,
@@ -50,6 +51,15 @@ EVERYTHING = Protocol(
 def test_fingerprints_stay_what_they_are(protocol: Protocol, fingerprint: str) -> None:
     """Figures are filed under these: a change here would part old figures from new ones of the same protocol."""
     assert protocol.fingerprint == fingerprint
+
+
+def test_a_repair_of_duplicates_has_a_fingerprint_and_a_name_of_its_own() -> None:
+    plain = Protocol(Alignment.SE3)
+    assert Protocol(Alignment.SE3, duplicates=Duplicates.REFUSE) == plain
+    repaired = [Protocol(Alignment.SE3, duplicates=how) for how in Duplicates]
+    assert len({entry.fingerprint for entry in repaired}) == len({entry.label for entry in repaired}) == len(Duplicates)
+    assert protocol_from_content(repaired[1].content) == repaired[1]
+    assert repaired[1].label.endswith("duplicate timestamps: the first counts")
 
 
 def test_whole_numbers_are_numbers() -> None:
