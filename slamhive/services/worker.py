@@ -10,7 +10,7 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 
 from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError, Unavailable
@@ -127,7 +127,8 @@ class Worker:
         turns = Turns()
         while not self._stopping.is_set():
             try:
-                busy = self._work_once(cores, turns)
+                away = self._absent.names()
+                busy = self._work_once(cores, turns, away)
             except (SlamHiveError, OSError) as error:
                 logger.warning("%s; trying again in %.0f s", error, TROUBLE_PAUSE_S)
                 self._stopping.wait(TROUBLE_PAUSE_S)
@@ -138,13 +139,13 @@ class Worker:
                 continue
             if busy:
                 continue
-            if until_idle and not self._held.snapshot() and not self._waits_for_engine():
+            if until_idle and not self._held.snapshot() and not self._waits_for_engine(away):
                 return
             self._stopping.wait(IDLE_PAUSE_S)
 
-    def _work_once(self, cores: tuple[int, ...] | None, turns: Turns) -> bool:
-        """One run, or one batch of evaluations; whether there was anything to do."""
-        now, near, away = self._context.now(), turns.near, self._absent.names()
+    def _work_once(self, cores: tuple[int, ...] | None, turns: Turns, away: Collection[str]) -> bool:
+        """One run whose executor is not ``away``, or one batch of evaluations; whether there was anything to do."""
+        now, near = self._context.now(), turns.near
         run = self._store.write(
             lambda t: t.queue.claim(self.owner, now, self._settings.lease_s, self._only, near, away)
         )
@@ -160,9 +161,9 @@ class Worker:
         analysed = self._only is None and self._analyses.work_once(self.owner, self._stopping)
         return run is not None or evaluated > 0 or analysed
 
-    def _waits_for_engine(self) -> bool:
-        """Whether runs are left that could go on if an engine answered."""
-        return bool(self._absent.names()) and self._store.read(lambda t: t.queue.waits(self._only))
+    def _waits_for_engine(self, away: Collection[str]) -> bool:
+        """Whether runs were left out because their engine was ``away``; it may have come back since."""
+        return bool(away) and self._store.read(lambda t: t.queue.waits(self._only))
 
     def _drive(self, run: RunRecord, cores: tuple[int, ...] | None) -> None:
         self._held.add(run.id)

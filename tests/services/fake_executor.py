@@ -72,11 +72,11 @@ class FakeExecutor:
 
 
 def write_trajectory(poses: int = 3) -> Callable[[RunSpec], None]:
-    """A start that leaves a trajectory."""
+    """A start that leaves a trajectory on a curve, at timestamps of the tiny dataset."""
 
     def on_start(spec: RunSpec) -> None:
         result = next(mount.source for mount in spec.mounts if mount.target == "/slamhive/result")
-        (result / "traj.txt").write_text("".join(f"{i} {i} 0 0 0 0 0 1\n" for i in range(poses)))
+        (result / "traj.txt").write_text("".join(f"{100 + i / 3:.6f} {i} {i * i} 0 0 0 0 1\n" for i in range(poses)))
 
     return on_start
 

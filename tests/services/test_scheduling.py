@@ -134,6 +134,24 @@ def test_runs_of_other_executors_go_on_while_an_engine_is_away(hive):
     assert hive.run(waiting).state is RunState.SUCCEEDED
 
 
+def test_an_engine_that_comes_back_between_two_looks_leaves_no_run_behind(hive, monkeypatch):
+    """It was away when the worker looked for a run, and there when the worker asked whether it may end."""
+    monkeypatch.setattr("slamhive.services.worker.TROUBLE_PAUSE_S", 0.0)
+    docker: Any = FakeExecutor([Running(), Exited(0)], write_trajectory(), name="docker")
+    hive._executors.update(docker=docker)
+    (waiting,) = hive.submit(Submission("tiny", "track", executor="docker", evaluate=False))
+    docker.build_error = EngineUnavailable("no Docker engine answers")
+    answers = iter(["no Docker engine answers"])
+
+    def away_once() -> str | None:
+        docker.build_error = None
+        return next(answers, None)
+
+    docker.unavailable_because = away_once
+    hive.worker().run(until_idle=True)
+    assert hive.run(waiting.id).state is RunState.SUCCEEDED
+
+
 def test_a_run_that_waits_for_an_engine_can_be_cancelled(hive):
     docker: Any = FakeExecutor(name="docker")
     hive._executors["docker"] = docker

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -60,22 +59,25 @@ def test_ci_allows_only_absent_recordings_to_be_skipped(runner, reason, code):
     assert runner.report({"unit": runner.Outcome(passed=1, skipped=[reason])}, 1.0, strict=False) == 0
 
 
-def test_slow_unit_tier_fails(runner, monkeypatch):
-    monkeypatch.setattr(runner, "run_pytest", lambda tier: runner.Outcome(passed=1))
-    assert runner.run_tier(runner.Tier("unit", marks="x", limit_s=0.0)).state == "failed"
-    assert runner.run_tier(runner.Tier("unit", marks="x", limit_s=9.0)).state == "passed"
+@pytest.mark.parametrize(
+    ("seconds", "cpu_s", "state", "note"),
+    [
+        (9.0, 17.0, "passed", ""),
+        (40.0, 17.0, "passed", "WARNING: took longer than 10 s with 17.0 s of processor time"),
+        (12.0, 21.0, "failed", "used 21.0 s of processor time, must stay under 20 s"),
+    ],
+)
+def test_a_busy_machine_fails_no_tier_but_slow_tests_do(runner, monkeypatch, seconds, cpu_s, state, note):
+    monkeypatch.setattr(runner, "run_timed", lambda tier: runner.Outcome(passed=1, seconds=seconds, cpu_s=cpu_s))
+    outcome = runner.run_tier(runner.Tier("unit", marks="x", workers=2, limit_s=10.0))
+    assert (outcome.state, outcome.note) == (state, note)
 
 
-def test_a_tier_that_was_slow_once_gets_another_chance(runner, monkeypatch):
-    waits_s = [0.2, 0.0]
-
-    def run(_tier: object) -> object:
-        time.sleep(waits_s.pop(0))
-        return runner.Outcome(passed=1)
-
-    monkeypatch.setattr(runner, "run_pytest", run)
-    outcome = runner.run_tier(runner.Tier("unit", marks="x", limit_s=0.1))
-    assert (outcome.state, waits_s) == ("passed", [])
+def test_processor_time_of_the_tests_is_measured(runner):
+    spin = "import time\nwhile time.process_time() < 0.4: pass"
+    outcome = runner.run_timed(runner.Tier("spin", ((sys.executable, "-c", spin),)))
+    assert outcome.state == "passed"
+    assert outcome.cpu_s >= 0.4
 
 
 def test_without_rights_the_engine_tier_names_the_command(runner, monkeypatch):
