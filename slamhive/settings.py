@@ -60,6 +60,29 @@ class Settings:
     stop_grace_s: float = setting(5.0, "Time between asking a run to end and killing it", unit="s", minimum=0)
     poll_interval_s: float = setting(0.2, "How often the worker looks at its runs", unit="s", minimum=0.01)
     sample_interval_s: float = setting(0.1, "Time between CPU and memory samples", unit="s", minimum=0.01)
+    disturbed_time_fraction: float = setting(
+        0.1, "A run is disturbed if a limit below is exceeded for more than this share of it", minimum=0, maximum=1
+    )
+    disturbed_others_fraction: float = setting(
+        0.25, "Limit of the share of the run's cores that other processes keep busy", minimum=0, maximum=1
+    )
+    disturbed_steal_fraction: float = setting(
+        0.05, "Limit of the share of CPU time that the hypervisor gives to other machines", minimum=0, maximum=1
+    )
+    disturbed_cpu_pressure: float = setting(
+        0.3,
+        "Limit of CPU pressure; counts only beside half of the load of others that is allowed",
+        minimum=0,
+        maximum=1,
+    )
+    disturbed_io_pressure: float = setting(0.4, "Limit of disk pressure", minimum=0, maximum=1)
+    disturbed_memory_pressure: float = setting(0.1, "Limit of memory pressure", minimum=0, maximum=1)
+    disturbed_throttle_events: int = setting(
+        0, "A run is disturbed if the processor was too hot more often than this", minimum=0
+    )
+    disturbed_player_lag_s: float = setting(
+        0.5, "A run is disturbed if the player was later than this against its schedule", unit="s", minimum=0
+    )
     lease_s: float = setting(30.0, "A worker silent for longer has lost its runs to the next", unit="s", minimum=1)
     database_retry_s: float = setting(60.0, "How long a locked or absent database is tried again", unit="s", minimum=0)
     log_max_bytes: int = setting(10_000_000, "Most bytes kept of a run's log", unit="bytes", minimum=1000)

@@ -106,7 +106,14 @@ RunStatus = Running | Exited | Gone
 
 
 class UsageSource(Protocol):
-    """Where CPU and memory figures of a started run come from."""
+    """Where CPU and memory figures of a started run come from.
+
+    ``on_this_machine``: the run is on the machine of this process, whose own counters then tell what else went on.
+    """
+
+    @property
+    def on_this_machine(self) -> bool:
+        """See above."""
 
     def read(self) -> tuple[float, int] | None:
         """CPU time used so far (s, summed over cores) and memory in use (bytes); None once the run is gone."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 CGROUP_ROOT = Path("/sys/fs/cgroup")
 _NS = 1e-9
@@ -24,6 +25,7 @@ class CgroupV1:
 
     cpuacct: Path
     memory: Path
+    on_this_machine: ClassVar[bool] = True
 
     def read(self) -> tuple[float, int] | None:
         """CPU time (s) and working set (bytes); None once the group is gone."""
@@ -48,6 +50,7 @@ class CgroupV2:
     """The files of one container under version 2, one folder for all controllers."""
 
     folder: Path
+    on_this_machine: ClassVar[bool] = True
 
     def read(self) -> tuple[float, int] | None:
         """CPU time (s) and working set (bytes); None once the group is gone."""

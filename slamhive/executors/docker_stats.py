@@ -15,6 +15,8 @@ _NS = 1e-9
 class DockerStatsSource:
     """Asks for one reading at a time; the engine's own peak counter is there under control groups version 1 only."""
 
+    on_this_machine = False
+
     def __init__(self, container: Any) -> None:
         self._container = container
         self._peak_bytes: int | None = None

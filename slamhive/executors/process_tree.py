@@ -19,6 +19,8 @@ class ProcessTreeSource:
     Listing the tree is the expensive part, so the list is refreshed once a second and when a member has ended.
     """
 
+    on_this_machine = True
+
     def __init__(self, shim: psutil.Process) -> None:
         self._shim = shim
         self._members: dict[int, psutil.Process] = {}

@@ -10,15 +10,25 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
 from slamhive.executors.base import EngineUnavailable, UsageSource
 from slamhive.executors.energy import EnergyLog
+from slamhive.executors.host_counters import HostLog
 
 logger = logging.getLogger(__name__)
 
 HEADER = "time,cpu_usage,memory_usage\n"
+
+
+@dataclass(frozen=True, slots=True)
+class MachineLogs:
+    """Where the counters of the machine go while a run is sampled."""
+
+    energy: EnergyLog
+    host: HostLog
 
 
 class Sampler:
@@ -32,7 +42,7 @@ class Sampler:
         interval_s: Time between samples.
         offset_s: How long the run has been going on already.
         clock: Monotonic seconds.
-        energy: Where the machine's energy counters go meanwhile.
+        machine: Where the counters of the machine go meanwhile.
     """
 
     def __init__(
@@ -42,13 +52,13 @@ class Sampler:
         interval_s: float = 0.1,
         offset_s: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
-        energy: EnergyLog | None = None,
+        machine: MachineLogs | None = None,
     ) -> None:
         self._source = source
         self._path = path
         self._interval_s = interval_s
         self._clock = clock
-        self._energy = energy
+        self._machine = machine
         self._origin_s = clock() - offset_s
         self._peak_bytes: int | None = None
         self.most_bytes: int | None = None
@@ -91,8 +101,8 @@ class Sampler:
         return self._path.open("a", encoding="ascii", buffering=1)
 
     def _note_energy(self, *, last: bool = False) -> None:
-        if self._energy is not None:
-            self._energy.sample(self._clock() - self._origin_s, last=last)
+        if self._machine is not None:
+            self._machine.energy.sample(self._clock() - self._origin_s, last=last)
 
     def _sample(self, stream: IO[str]) -> None:
         before: tuple[float, float] | None = None
@@ -108,6 +118,8 @@ class Sampler:
                 cores = max(0.0, cpu_s - before[1]) / (now_s - before[0])
                 stream.write(f"{now_s - self._origin_s:.4f},{cores:.4f},{memory_bytes}\n")
             before = (now_s, cpu_s)
+            if self._machine is not None:
+                self._machine.host.sample(now_s - self._origin_s, cpu_s)
             self._note_energy()
             peak_bytes = self._source.peak_memory_bytes()
             if peak_bytes is not None:

@@ -49,6 +49,11 @@ class RunFolder:
         return self.root / "energy.csv"
 
     @property
+    def host(self) -> Path:
+        """``host.csv``: what else the machine did meanwhile, see :mod:`slamhive.runs.host_load`."""
+        return self.root / "host.csv"
+
+    @property
     def profiling_cpu_plot(self) -> Path:
         """``profiling_cpu.png``."""
         return self.root / "profiling_cpu.png"

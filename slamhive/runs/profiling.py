@@ -12,6 +12,7 @@ import numpy as np
 
 from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
+from slamhive.runs.host_load import host_metrics, read_host_load
 from slamhive.runs.outcome import Evidence
 from slamhive.runs.untrusted import FloatArray, measured_number, read_numeric_columns, read_untrusted_json
 
@@ -82,6 +83,7 @@ def measure_run(
     metrics.update(_frame_metrics(folder.frames, profile))
     metrics.update(_energy_metrics(folder.energy, duration_s))
     metrics.update(_playback_metrics(folder.playback, duration_s))
+    metrics.update(host_metrics(read_host_load(folder.host)))
     return {key: value for key, value in metrics.items() if math.isfinite(value)}
 
 

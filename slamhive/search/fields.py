@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
@@ -87,6 +88,8 @@ BUILT_IN: dict[str, Field] = {
         _configuration("rate", "Playback rate", Kind.NUMBER, "1 is real time"),
         _configuration("variant", "Variant", Kind.FLAG, "whether the recording went through pre-processing"),
         _run("evaluated", "Evaluated", Kind.FLAG, "whether an evaluation succeeded"),
+        _run("disturbed", "Disturbed", Kind.FLAG, "whether the machine was disturbed meanwhile, where that is known"),
+        _run("disturbed_by", "Disturbed by", Kind.CHOICE, "what disturbed the machine", DisturbanceKind),
         _run("seed", "Seed", Kind.NUMBER),
         _run("priority", "Priority", Kind.NUMBER),
         _run("exit_code", "Exit code", Kind.NUMBER),

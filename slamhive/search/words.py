@@ -11,6 +11,7 @@ from slamhive.search.grammar import written
 from slamhive.search.syntax import Sign
 
 _DAY = timedelta(days=1)
+_SPELT_OUT = frozenset({"reason", "disturbed_by"})
 _WORDS = {
     Sign.NOT_EQUAL: "not {}",
     Sign.LESS: "below {}",
@@ -54,7 +55,7 @@ def _value(field: Field, value: Value) -> str:
         return "true" if value else "false"
     if isinstance(value, int | float):
         return _with_unit(value, field.unit)
-    return str(value).replace("_", " ") if field.kind is Kind.CHOICE and field.name == "reason" else str(value)
+    return str(value).replace("_", " ") if field.kind is Kind.CHOICE and field.name in _SPELT_OUT else str(value)
 
 
 def _with_unit(value: float, unit: str) -> str:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import logging
 from datetime import datetime
 
+from slamhive.domain.disturbance import Disturbance, disturbance_to_json
 from slamhive.domain.protocol import Protocol
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Exited
 from slamhive.runs.outcome import Evidence, Outcome, decide
 from slamhive.runs.profiling import measure_run, write_plots
+from slamhive.services.disturbing import judge_run, repeat_if_disturbed
 from slamhive.services.evidence import gather_evidence, read_about
 from slamhive.services.run_in_hand import RunInHand
 from slamhive.services.run_json import timestamp
@@ -35,7 +37,8 @@ class Collecting:
         outcome = decide(evidence)
         ended_at = (status.ended_at if isinstance(status, Exited) else None) or hand.context.now()
         metrics = measure_run(hand.folder, hand.started_at, ended_at, saved.get("peak_memory_bytes"), evidence)
-        self._seal(outcome, evidence, ended_at, metrics)
+        disturbance = judge_run(hand.folder, metrics, hand.context.settings)
+        self._seal(outcome, evidence, ended_at, metrics, disturbance)
         self._tidy_up()
 
     def _tidy_up(self) -> None:
@@ -46,7 +49,14 @@ class Collecting:
         except (SlamHiveError, OSError) as error:
             logger.warning("run %d has ended, but: %s", self._hand.run.id, str(error))
 
-    def _seal(self, outcome: Outcome, evidence: Evidence, ended_at: datetime, metrics: dict[str, float]) -> None:
+    def _seal(
+        self,
+        outcome: Outcome,
+        evidence: Evidence,
+        ended_at: datetime,
+        metrics: dict[str, float],
+        disturbance: Disturbance,
+    ) -> None:
         """The folder first, since it is the truth; then its index."""
         hand = self._hand
         poses = evidence.trajectory.poses
@@ -58,6 +68,7 @@ class Collecting:
             "exit_code": evidence.exit_code,
             "poses": poses,
             "metrics": metrics,
+            "disturbance": disturbance_to_json(disturbance),
             "about": read_about(hand.folder),
         }
         now = hand.context.now()
@@ -78,10 +89,12 @@ class Collecting:
                 ended_at=ended_at,
                 exit_code=evidence.exit_code,
                 poses=poses,
+                disturbance=disturbance,
             )
             transaction.metrics.put(hand.run.id, None, metrics)
             if protocol is not None:
                 transaction.evaluations.queue([hand.run.id], protocol, now)
+            repeat_if_disturbed(transaction, transaction.runs.get(hand.run.id), now)
 
         hand.context.store.write(work)
         hand.reload()

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
+from slamhive.domain.disturbance import disturbance_from_json
 from slamhive.domain.protocol import protocol_from_content
 from slamhive.domain.run import FailureReason, RunEvent, RunState
 from slamhive.domain.stop_when import stop_when_from_json, stop_when_to_json
@@ -38,6 +39,7 @@ def request_to_json(run: RunRecord) -> dict[str, Any]:
         "timeout_s": run.timeout_s,
         "retry_of": run.retry_of,
         "stop_when": stop_when_to_json(run.stop_when),
+        "repeat_disturbed": run.repeat_disturbed,
         "experiment": run.experiment,
         "cell": run.cell,
         "protocol": None if run.protocol_override is None else run.protocol_override.content,
@@ -140,6 +142,7 @@ def _snapshot(record: Mapping[str, Any], configuration_id: int, experiment_id: i
         exit_code=record.get("exit_code"),
         poses=record.get("poses"),
         handle=record.get("handle"),
+        disturbance=disturbance_from_json(record.get("disturbance")),
         dataset_checksum=record.get("dataset", {}).get("checksum"),
     )
     created_at = _time(record["created_at"])
@@ -159,6 +162,7 @@ def _snapshot(record: Mapping[str, Any], configuration_id: int, experiment_id: i
             timeout_s=request["timeout_s"],
             retry_of=request["retry_of"],
             stop_when=stop_when_from_json(request.get("stop_when")),
+            repeat_disturbed=int(request.get("repeat_disturbed", 0)),
             experiment_id=experiment_id,
             cell=None if experiment_id is None else request.get("cell"),
             protocol=None if protocol is None else protocol_from_content(protocol),

@@ -37,4 +37,5 @@ def retry_request(t: Transaction, old: RunRecord, uid: str) -> RunRequest:
         held=experiment is not None and experiment.state is ExperimentState.PAUSED,
         affinity=old.affinity,
         stop_when=old.stop_when,
+        repeat_disturbed=old.repeat_disturbed,
     )

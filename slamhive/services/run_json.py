@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any
 
+from slamhive.domain.disturbance import disturbance_to_json
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
 from slamhive.domain.stop_when import stop_when_to_json
@@ -39,6 +40,8 @@ def run_to_json(run: RunRecord) -> dict[str, Any]:
         "cell": run.cell,
         "held": run.held,
         "stop_when": stop_when_to_json(run.stop_when),
+        "repeat_disturbed": run.repeat_disturbed,
+        "disturbance": None if run.disturbance is None else disturbance_to_json(run.disturbance),
         "protocol": None
         if run.protocol is None
         else {"fingerprint": run.protocol.fingerprint, "label": run.protocol.label},

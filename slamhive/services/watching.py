@@ -8,9 +8,10 @@ from datetime import datetime
 from typing import Any
 
 from slamhive.domain.run import RunState
-from slamhive.executors.base import Gone, Running
+from slamhive.executors.base import Gone, Running, UsageSource
 from slamhive.executors.energy import EnergyLog
-from slamhive.executors.sampler import Sampler
+from slamhive.executors.host_counters import HostCounters, HostLog
+from slamhive.executors.sampler import MachineLogs, Sampler
 from slamhive.runs.early_end import Observation, broken_rule
 from slamhive.runs.outcome import is_finished
 from slamhive.services.evidence import ENGINE_AWAY, STOP_RULE, STOPPED_BECAUSE
@@ -49,8 +50,8 @@ class Watch:
             yield
             return
         interval_s = hand.context.settings.sample_interval_s
-        offset_s, energy = max(0.0, hand.elapsed_s()), EnergyLog(hand.folder.energy)
-        self._sampler = Sampler(source, hand.folder.profiling, interval_s, offset_s=offset_s, energy=energy)
+        offset_s, machine = max(0.0, hand.elapsed_s()), self._machine_logs(source)
+        self._sampler = Sampler(source, hand.folder.profiling, interval_s, offset_s=offset_s, machine=machine)
         self._sampler.start()
         try:
             yield
@@ -58,6 +59,12 @@ class Watch:
             peak_bytes = self._sampler.stop()
             if peak_bytes is not None:
                 hand.save({"peak_memory_bytes": peak_bytes})
+
+    def _machine_logs(self, source: UsageSource) -> MachineLogs:
+        hand = self._hand
+        cores = hand.saved()["spec"]["limits"]["cpuset"]
+        counters = HostCounters(cores) if source.on_this_machine else None
+        return MachineLogs(EnergyLog(hand.folder.energy), HostLog(hand.folder.host, counters))
 
     def _wait_for_end(self) -> str:
         """Why the run has ended: ``exited``, ``gone``, ``timeout``, ``linger``, ``stop_when`` or ``cancelled``."""

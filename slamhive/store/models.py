@@ -245,6 +245,9 @@ class Run(Base):
     held: Mapped[bool] = mapped_column(server_default=text("0"))
     affinity: Mapped[str] = mapped_column(String(32), server_default=text("''"))
     stop_when: Mapped[Any | None] = mapped_column(JsonText)
+    disturbed_by: Mapped[str | None] = mapped_column(String(120), index=True)
+    disturbance: Mapped[Any | None] = mapped_column(JsonText)
+    repeat_disturbed: Mapped[int] = mapped_column(server_default=text("0"))
 
 
 class RunEvent(Base):

@@ -10,6 +10,7 @@ from enum import StrEnum
 from typing import Any, NamedTuple, TypedDict
 
 from slamhive.domain.configuration import Playback
+from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunEvent, RunState
@@ -89,6 +90,7 @@ class RunRequest:
     goes first. ``evaluate``: evaluate as soon as it has succeeded, under ``protocol`` or the sensor's default.
     ``cell``: number of the configuration in the experiment ``experiment_id``, the same for its repeats and retries.
     ``held``: queued, but not to be claimed. ``affinity``: see :mod:`slamhive.domain.affinity`.
+    ``repeat_disturbed``: how often the run is repeated at most if it was measured on a disturbed machine.
     """
 
     uid: str
@@ -107,6 +109,7 @@ class RunRequest:
     held: bool = False
     affinity: str = ""
     stop_when: StopWhen = NEVER
+    repeat_disturbed: int = 0
 
 
 class RunFields(TypedDict, total=False):
@@ -125,6 +128,7 @@ class RunFields(TypedDict, total=False):
     cpu_cores: float | None
     memory_mb: int | None
     timeout_s: float | None
+    disturbance: Disturbance | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,8 +146,8 @@ class RunRecord:
     ``attempt`` counts the times a worker took the run. ``protocol_override`` is what the user asked for,
     ``protocol`` what the latest successful evaluation used. ``metrics`` holds the measured figures and those of
     ``protocol``, {metric key: value}; None if they were not asked for. ``host`` and ``version`` are known once the
-    run has started. ``experiment`` is the name of the one that it belongs to, ``cell`` its place there; for the rest
-    see :class:`RunRequest`.
+    run has started. ``disturbance`` is None where nothing was recorded of the machine. ``experiment`` is the name
+    of the one that it belongs to, ``cell`` its place there; for the rest see :class:`RunRequest`.
     """
 
     id: int
@@ -187,6 +191,8 @@ class RunRecord:
     held: bool
     affinity: str
     stop_when: StopWhen
+    disturbance: Disturbance | None = None
+    repeat_disturbed: int = 0
     metrics: dict[str, float] | None = None
 
 
@@ -250,7 +256,8 @@ class Spread:
 class GroupRecord:
     """A configuration, and those of its runs that a search found: how many, how many failed, and their figures.
 
-    ``figures``: {protocol, None for measured figures: {metric: spread}}.
+    ``disturbed``: how many were measured on a disturbed machine. ``figures``: {protocol, None for measured figures:
+    {metric: spread}}.
     """
 
     configuration_id: int
@@ -259,6 +266,7 @@ class GroupRecord:
     parameters: dict[str, Value]
     runs: int
     failed: int
+    disturbed: int
     figures: dict[ProtocolLabel | None, dict[str, Spread]]
 
 

@@ -142,9 +142,10 @@ class _Groups:
         runs, table = RUNS.alias(), Configuration.__table__
         matching = [runs.c.configuration_id.in_(ids), self.sql.test(self.search.tree, runs)]
         failed = func.count(case((runs.c.state == RunState.FAILED, 1)))
-        counted = select(runs.c.configuration_id, func.count(), failed).where(*matching)
+        disturbed = func.count(case((runs.c.disturbed_by > "", 1)))
+        counted = select(runs.c.configuration_id, func.count(), failed, disturbed).where(*matching)
         counted = counted.group_by(runs.c.configuration_id)
-        numbers = {row[0]: (int(row[1]), int(row[2])) for row in self.session.execute(counted)}
+        numbers = {row[0]: (int(row[1]), int(row[2]), int(row[3])) for row in self.session.execute(counted)}
         rows = self.session.execute(
             select(table.c.id, Algorithm.name, Dataset.name)
             .join(Algorithm, Algorithm.id == table.c.algorithm_id)
@@ -162,6 +163,7 @@ class _Groups:
                 parameters=parameters[place],
                 runs=numbers[place][0],
                 failed=numbers[place][1],
+                disturbed=numbers[place][2],
                 figures=spreads.get(place, {}),
             )
             for place in ids

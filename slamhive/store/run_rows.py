@@ -9,6 +9,7 @@ from sqlalchemy import Integer, Row, Select, func, literal, select
 from sqlalchemy.orm import Session
 
 from slamhive.domain.configuration import Playback
+from slamhive.domain.disturbance import disturbance_from_json
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import protocol_from_content
 from slamhive.domain.stop_when import stop_when_from_json
@@ -50,6 +51,7 @@ _PLAIN_COLUMNS = (
     "cell",
     "held",
     "affinity",
+    "repeat_disturbed",
 )
 
 
@@ -120,5 +122,6 @@ def _record(row: Row[Any], parameters: dict[str, Value], metrics: dict[str, floa
         else HostRecord(row.cpu_model, row.cpu_count, row.memory_bytes, row.kernel, row.os),
         experiment=row.experiment,
         stop_when=stop_when_from_json(row.stop_when),
+        disturbance=disturbance_from_json(row.disturbance),
         metrics=metrics,
     )

@@ -10,6 +10,7 @@ from typing import Any, Unpack
 from sqlalchemy import func, insert, select, update
 from sqlalchemy.orm import Session
 
+from slamhive.domain.disturbance import Disturbance, disturbance_to_json
 from slamhive.domain.run import RunEvent, RunState, check_move
 from slamhive.domain.stop_when import stop_when_to_json
 from slamhive.errors import Conflict, InvalidInput, NotFound
@@ -223,10 +224,15 @@ def _new_row(request: RunRequest, now: datetime) -> dict[str, Any]:
 
 
 def _checked(fields: RunFields) -> dict[str, Any]:
-    """The fields as columns; a long detail keeps its beginning."""
+    """The fields as columns; a long detail keeps its beginning, disturbance has a second column for searches."""
     values: dict[str, Any] = dict(fields)
     if "detail" in values:
         values["detail"] = cut(values["detail"], DETAIL_LENGTH)
+    if "disturbance" in values:
+        found: Disturbance | None = values["disturbance"]
+        known = found is not None and found.known
+        values["disturbance"] = None if found is None else disturbance_to_json(found)
+        values["disturbed_by"] = " ".join(reason.kind for reason in found.reasons) if found and known else None
     return values
 
 

@@ -45,10 +45,15 @@ from slamhive.store.models import (
 )
 from slamhive.store.search_names import Names
 
-_RUN_COLUMNS = {"configuration": "configuration_id", "experiment": "experiment_id", "evaluated": "current_protocol_id"}
+_RUN_COLUMNS = {
+    "configuration": "configuration_id",
+    "experiment": "experiment_id",
+    "evaluated": "current_protocol_id",
+    "disturbed": "disturbed_by",
+}
 SEARCHED = (
     *("id", "configuration_id", "experiment_id", "current_protocol_id", "executor", "state", "reason", "seed"),
-    *("priority", "exit_code", "created_at", "started_at", "ended_at"),
+    *("priority", "exit_code", "created_at", "started_at", "ended_at", "disturbed_by"),
 )
 
 
@@ -121,8 +126,14 @@ class Sql:
         """A condition on a column; never NULL if ``guarded``, which keeps an index on it from being used."""
         name = _RUN_COLUMNS.get(leaf.field.name, leaf.field.name)
         value = runs.c[name]
+        if leaf.field.name == "disturbed_by":
+            return func.coalesce(_disturbed_by(value, leaf), false())
         if leaf.sign is Sign.HAS:
             return value.is_not(None)
+        if leaf.field.name == "disturbed":
+            disturbed = leaf.values[0] is (leaf.sign is Sign.EQUAL)
+            known = value > "" if disturbed else value == ""
+            return func.coalesce(known, false()) if guarded else known
         if leaf.field.name == "evaluated":
             evaluated = leaf.values[0] is (leaf.sign is Sign.EQUAL)
             return value.is_not(None) if evaluated else value.is_(None)
@@ -261,6 +272,14 @@ class Sql:
         escaped = "".join(f"|{c}" if c in "|%_" else {"*": "%", "?": "_"}.get(c, c) for c in pattern)
         like: ColumnElement[bool] = column.like(escaped, escape="|")
         return like
+
+
+def _disturbed_by(column: ColumnElement[Any], leaf: Condition) -> ColumnElement[bool]:
+    """A comparison of the kinds that a run was disturbed by, of which there may be several; others have no value."""
+    if leaf.sign is Sign.HAS:
+        return column > ""
+    found = or_(false(), *(column.contains(str(kind), autoescape=True) for kind in leaf.values))
+    return and_(column > "", not_(found)) if leaf.sign in COMPLEMENTS else found
 
 
 def _any(query: Select[Any]) -> ColumnElement[bool]:

@@ -14,7 +14,9 @@ from slamhive.search.grammar import Junction, join, leaves
 from slamhive.search.syntax import Sign
 from slamhive.store.search_sql import COMPLEMENTS, NEVER, RUNS, Sql
 
-_INDEXED = frozenset({"id", "state", "reason", "executor", "configuration", "experiment", "created_at", "ended_at"})
+_INDEXED = frozenset(
+    {"id", "state", "reason", "executor", "configuration", "experiment", "created_at", "ended_at", "disturbed"}
+)
 _OF_CONFIGURATIONS = frozenset({Source.CONFIGURATION, Source.SETUP, Source.PARAMETER})
 _LOOK_UP = 3
 """Reading a run's own row costs about so many times what testing a figure does."""

@@ -188,6 +188,8 @@ def test_missing_library_names_the_apt_packages(tmp_path):
 class Readings:
     """A usage source of given readings."""
 
+    on_this_machine = True
+
     def __init__(self, *readings: tuple[float, int]) -> None:
         self._left = list(readings)
         self.closed = False
@@ -220,6 +222,8 @@ def test_sampler_appends_behind_a_torn_line(tmp_path):
 
 class LateReadings:
     """One busy core behind a counter with steps of 10 ms, whose second reading comes late; time is simulated."""
+
+    on_this_machine = True
 
     def __init__(self, readings: int, late_s: float) -> None:
         self.now_s = 0.0

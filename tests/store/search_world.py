@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 from fnmatch import fnmatchcase
 from typing import Any
 
+from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.search.fields import Kind, ParameterKind, Vocabulary, vocabulary_of
@@ -78,7 +79,13 @@ def _one(store: Store, samples: Samples, chance: random.Random, place: int) -> K
             _evaluate(store, run_id, protocol, error, samples.now)
             figures[protocol.fingerprint] = {"ate.rmse": error}
             current = current or protocol.fingerprint
+    known = chance.choice([None, (), (DisturbanceKind.OTHERS,), (DisturbanceKind.STEAL, DisturbanceKind.IO_PRESSURE)])
+    if known is not None:
+        reasons = tuple(DisturbanceReason(kind, "in words") for kind in known)
+        store.write(lambda tx: tx.runs.update(run_id, disturbance=Disturbance(known=True, reasons=reasons)))
     columns = {
+        "disturbed": None if known is None else bool(known),
+        "disturbed_by": frozenset(map(str, known)) if known else None,
         "id": run_id,
         "algorithm": algorithm,
         "package": "orb-slam3",
@@ -102,6 +109,16 @@ def _evaluate(store: Store, run_id: int, protocol: Any, error: float, now: datet
     store.write(lambda tx: tx.evaluations.claim(WORKER, now, 30.0))
     store.write(lambda tx: tx.evaluations.finish(evaluation_id, WORKER, result(protocol, ate_rmse=error), now))
     assert Evaluation.__tablename__ == "evaluations"
+
+
+def disturbed_by(sign: str, kind: str) -> Probe:
+    """Of several kinds that disturbed a run, one is enough for ``=`` and too many for ``!=``."""
+
+    def fits(run: Known, protocol: str | None) -> bool:
+        found = run.value("disturbed_by", protocol)
+        return found is not None and (kind in found) is (sign == "=")
+
+    return Probe(f"disturbed_by {sign} {kind}", fits)
 
 
 _SIGNS: dict[str, Callable[[Any, Any], bool]] = {

@@ -96,8 +96,9 @@ TESTS = st.one_of(
               st.sampled_from((*PATTERNS, *world.ALGORITHMS, "docker", "orb-slam3"))),
     st.builds(world.compare, st.just("state"), EXACT, st.sampled_from(["failed", "succeeded"])),
     st.builds(world.compare, st.just("reason"), EXACT, st.sampled_from(["timeout", "lost"])),
+    st.builds(world.disturbed_by, EXACT, st.sampled_from(["others", "steal", "io_pressure", "throttling"])),
     st.builds(world.compare, st.just("sensor"), EXACT, st.sampled_from(["stereo", "lidar", "mono"])),
-    st.builds(world.compare, st.sampled_from(["deskew", "evaluated"]), EXACT, st.booleans()),
+    st.builds(world.compare, st.sampled_from(["deskew", "evaluated", "disturbed"]), EXACT, st.booleans()),
     st.builds(world.compare, st.just("created_at"), st.sampled_from(["<", ">=", "="]),
               st.integers(0, 60).map(lambda place: BEGIN + timedelta(hours=7 * place))),
     st.builds(world.among, st.just("dataset"), st.lists(st.sampled_from(world.DATASETS), min_size=1, max_size=3),
@@ -105,7 +106,7 @@ TESTS = st.one_of(
     st.builds(world.among, st.just("nFeatures"), st.lists(st.sampled_from([1000, 2000]), min_size=1),
               negated=st.booleans()),
     st.builds(world.presence, st.sampled_from(["ate.rmse", "cpu.mean", "rpe.rmse", "matcher", "nFeatures", "reason",
-                                               "dataset", "sensor"]), there=st.booleans()),
+                                               "dataset", "sensor", "disturbed", "disturbed_by"]), there=st.booleans()),
 )  # fmt: skip
 FILTERS = st.recursive(
     TESTS,
@@ -178,6 +179,7 @@ def test_groups_hold_every_run_once(filled: World, plan: None, test: Probe, key:
     assert sorted(group.configuration_id for group in groups) == sorted({run.columns["configuration"] for run in found})
     assert sum(group.runs for group in groups) == len(found)
     assert sum(group.failed for group in groups) == sum(run.columns["state"] == "failed" for run in found)
+    assert sum(group.disturbed for group in groups) == sum(bool(run.columns["disturbed"]) for run in found)
     for group in groups:
         own = [run for run in found if run.columns["configuration"] == group.configuration_id]
         for label, figures in group.figures.items():

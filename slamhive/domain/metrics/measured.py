@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from slamhive.domain.metrics.model import Direction, Group, Metric, higher
+from slamhive.domain.metrics.model import Direction, Group, Metric, higher, neutral
 
 _SAMPLER = "CPU time and memory of the run's control group or process tree, sampled at 10 Hz"
 _PLAYER = "playback.json of the player"
 _FRAMES = "frames.csv of the player"
 _RAPL = "Intel RAPL through /sys/class/powercap (Linux kernel, power capping framework)"
 _CLOCK = "Clock of the machine"
+_STAT = "/proc/stat and the run's CPU time, once a second"
+_PSI = "Linux pressure stall information, /proc/pressure"
 
 
 def _measured(key: str, label: str, unit: str, definition: str, group: Group, source: str) -> Metric:
@@ -17,6 +19,7 @@ def _measured(key: str, label: str, unit: str, definition: str, group: Group, so
 
 _USAGE = Group.USAGE
 _TIMING = Group.TIMING
+_MACHINE = Group.MACHINE
 
 MEASURED_METRICS = (
     _measured(
@@ -110,5 +113,63 @@ MEASURED_METRICS = (
         "How late the player was at worst against its schedule.",
         _TIMING,
         _PLAYER,
+    ),
+    _measured(
+        "disturbance.others_cores",
+        "Load of others",
+        "cores",
+        "Mean of the cores that everything but the run kept busy, among those that the run could use.",
+        _MACHINE,
+        _STAT,
+    ),
+    _measured(
+        "disturbance.steal_fraction",
+        "Steal",
+        "",
+        "Share of the CPU time of the run's cores that the hypervisor gave to other virtual machines.",
+        _MACHINE,
+        _STAT,
+    ),
+    _measured(
+        "disturbance.cpu_pressure",
+        "CPU pressure",
+        "",
+        "Share of the run in which some process of the machine, the run's own included, waited for a core.",
+        _MACHINE,
+        _PSI,
+    ),
+    _measured(
+        "disturbance.io_pressure",
+        "Disk pressure",
+        "",
+        "Share of the run in which some process of the machine, the run's own included, waited for the disk.",
+        _MACHINE,
+        _PSI,
+    ),
+    _measured(
+        "disturbance.memory_pressure",
+        "Memory pressure",
+        "",
+        "Share of the run in which some process of the machine, the run's own included, waited for memory.",
+        _MACHINE,
+        _PSI,
+    ),
+    _measured(
+        "disturbance.throttle_events",
+        "Thermal throttling",
+        "",
+        "How many times the processor became too hot and slowed down. Unverified on real hardware.",
+        _MACHINE,
+        "/sys/devices/system/cpu/cpu*/thermal_throttle",
+    ),
+    neutral(
+        _measured(
+            "disturbance.cpu_frequency",
+            "CPU frequency",
+            "Hz",
+            "Mean frequency of the fastest core. Unverified on real hardware.",
+            _MACHINE,
+            "/sys/devices/system/cpu/cpu*/cpufreq/scaling_cur_freq",
+        )
     ),
 )

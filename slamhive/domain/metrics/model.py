@@ -27,6 +27,7 @@ class Group(StrEnum):
     MAP = "map quality"
     USAGE = "resources"
     TIMING = "timing"
+    MACHINE = "disturbance"
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from datetime import datetime
 from typing import Any
 
 from slamhive.domain.configuration import Configuration
+from slamhive.domain.disturbance import disturbance_to_json
 from slamhive.domain.names import check_name
 from slamhive.domain.parameters import Parameter, ParameterType
 from slamhive.domain.protocol import protocol_from_content
@@ -337,6 +338,7 @@ def _outcome(run: RunRecord) -> dict[str, Any]:
         "exit_code": run.exit_code,
         "poses": run.poses,
         "handle": run.handle,
+        "disturbance": None if run.disturbance is None else disturbance_to_json(run.disturbance),
     }
 
 
