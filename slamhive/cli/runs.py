@@ -21,16 +21,18 @@ from slamhive.domain.stop_when import RULES, parse_stop_when
 from slamhive.errors import InvalidInput
 from slamhive.services.hive import Hive
 from slamhive.services.request import Submission, unwatchable
+from slamhive.services.run_export import disturbed_text
 from slamhive.services.run_json import evaluation_to_json, run_to_json, timestamp
 from slamhive.store import RunRecord, RunSort
 
-SPARE = ("time s", "RAM MB", "CPU cores", "tracked", "poses", "dataset", "reason")
+SPARE = ("time s", "RAM MB", "CPU cores", "tracked", "poses", "dataset", "reason", "disturbed")
 COLUMNS = (
     "id",
     "algorithm",
     "dataset",
     "state",
     "reason",
+    "disturbed",
     "poses",
     "ATE m",
     "tracked",
@@ -207,6 +209,8 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
     click.echo(f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {entry.state}")
     if entry.detail:
         click.echo(f"{entry.reason or 'note'}: {entry.detail}")
+    if entry.disturbance is not None and entry.disturbance.disturbed:
+        click.echo(f"disturbed: {entry.disturbance.words}; {'; '.join(entry.disturbance.remedies)}")
     click.echo(f"folder {content['folder']}")
     print_table(("parameter", "value"), [(key, value) for key, value in content["parameters"].items()])
     metrics = content["metrics"]
@@ -274,6 +278,7 @@ def run_row(entry: RunRecord) -> tuple[Any, ...]:
         entry.dataset,
         entry.state.value,
         None if entry.reason is None else entry.reason.value,
+        disturbed_text(entry.disturbance),
         entry.poses,
         _number(metrics.get("ate.rmse"), "{:.4f}"),
         _number(metrics.get("tracked_fraction"), "{:.3f}"),
@@ -296,6 +301,8 @@ def print_runs(entries: list[RunRecord], as_json: bool) -> None:
         for entry in entries:
             if entry.detail and entry.state is RunState.FAILED:
                 messages.print(f"run {entry.id}: {entry.detail}", markup=False, soft_wrap=True)
+            if entry.disturbance is not None and entry.disturbance.disturbed:
+                messages.print(f"run {entry.id} was disturbed: {entry.disturbance.words}", markup=False, soft_wrap=True)
     else:
         messages.print("no runs; `slamhive run ALGORITHM DATASET` starts one")
 

@@ -30,7 +30,7 @@ Fetch: TypeAlias = Callable[[str | None, int], tuple[Sequence[Record], str | Non
 """At most so many records after a key, and the key of the next page."""
 
 PAGE = 1000
-GROUP_HEAD = ("configuration", "algorithm", "dataset", "runs", "failed", "protocol")
+GROUP_HEAD = ("configuration", "algorithm", "dataset", "runs", "failed", "disturbed", "protocol")
 GROUP_METRICS = ("ate.rmse", "rpe.rmse", "tracked_fraction", "cpu.mean", "ram.max")
 FILE_COLUMNS = ("id", "algorithm", "dataset", "configuration", "state", "reason", *GROUP_METRICS)
 WORDS = ("algorithm", "dataset", "experiment", "executor", "state", "reason")
@@ -139,7 +139,7 @@ def print_groups(listing: Listing) -> None:
     page = listing.hive.searches.groups(listing.search, listing.sort, None, listing.size, metrics)
     rows = [
         (
-            *(group.configuration_id, group.algorithm, group.dataset, group.runs, group.failed),
+            *(group.configuration_id, group.algorithm, group.dataset, group.runs, group.failed, group.disturbed),
             None if label is None else label.fingerprint,
             *(_spread_text(figures.get(key)) for key in metrics),
         )
@@ -147,7 +147,7 @@ def print_groups(listing: Listing) -> None:
         for label, figures in by_protocol(group)
     ]
     if rows:
-        print_table((*GROUP_HEAD, *metrics), rows, right=("configuration", "runs", "failed", *metrics))
+        print_table((*GROUP_HEAD, *metrics), rows, right=("configuration", "runs", "failed", "disturbed", *metrics))
     messages.print(listing.summary(len(page.records), page.runs, grouped=True), markup=False, soft_wrap=True)
 
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from slamhive.services.table_export import TableExport, Value
 from slamhive.store.records import GroupRecord, ProtocolLabel, Spread
 
-HEAD = ("configuration", "algorithm", "dataset", "parameters", "runs", "failed", "protocol")
-_NUMBERS = frozenset({"configuration", "runs", "failed"})
+HEAD = ("configuration", "algorithm", "dataset", "parameters", "runs", "failed", "protocol", "disturbed")
+_NUMBERS = frozenset({"configuration", "runs", "failed", "disturbed"})
 _PARTS = ("mean", "std", "n", "min", "max")
 
 
@@ -31,7 +31,7 @@ class GroupExport(TableExport[GroupRecord]):
         for label, figures in by_protocol(record):
             head = (record.configuration_id, record.algorithm, record.dataset, parameters, record.runs, record.failed)
             values = (value for key in self._metrics for value in _parts(figures.get(key)))
-            yield (*head, None if label is None else label.fingerprint, *values)
+            yield (*head, None if label is None else label.fingerprint, record.disturbed, *values)
 
 
 def by_protocol(group: GroupRecord) -> Iterator[tuple[ProtocolLabel | None, dict[str, Spread]]]:

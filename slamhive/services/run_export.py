@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import unknown
 from slamhive.search.fields import PARAMETER_PREFIX, Kind, Vocabulary
@@ -26,11 +27,17 @@ _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
     "seed": lambda run: run.seed,
     "state": lambda run: run.state.value,
     "reason": lambda run: None if run.reason is None else run.reason.value,
+    "disturbed": lambda run: disturbed_text(run.disturbance),
     "created_at": lambda run: timestamp(run.created_at),
     "started_at": lambda run: timestamp(run.started_at),
     "ended_at": lambda run: timestamp(run.ended_at),
     "protocol": lambda run: None if run.protocol is None else run.protocol.fingerprint,
 }
+
+
+def disturbed_text(found: Disturbance | None) -> str | None:
+    """``yes`` or ``no``, None if it is not known."""
+    return None if found is None else {True: "yes", False: "no", None: None}[found.disturbed]
 
 
 class RunExport(TableExport[RunRecord]):

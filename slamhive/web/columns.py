@@ -88,6 +88,7 @@ def all_columns() -> Mapping[str, Column]:
         Column("seed", "Seed", Kind.NUMBER, lambda run: Cell(str(run.seed)), sort="seed"),
         Column("state", "State", Kind.STATE, lambda run: Cell(run.state.value), sort="state"),
         Column("reason", "Reason", Kind.TEXT, _reason, sort="reason", help="why a run failed"),
+        Column("disturbed", "Disturbed", Kind.TEXT, _disturbed, help="whether the machine was disturbed, and by what"),
         _time_column("created_at", "Created"),
         _time_column("started_at", "Started"),
         _time_column("ended_at", "Ended"),
@@ -161,6 +162,15 @@ def _reason(run: RunRecord) -> Cell:
     if run.reason is None:
         return Cell(DASH, missing=True)
     return Cell(run.reason.value.replace("_", " "), run.detail or "")
+
+
+def _disturbed(run: RunRecord) -> Cell:
+    found = run.disturbance
+    if found is None or found.disturbed is None:
+        return Cell(DASH, "not recorded", missing=True)
+    if not found.disturbed:
+        return Cell("no")
+    return Cell(", ".join(reason.kind.replace("_", " ") for reason in found.reasons), found.words)
 
 
 def _protocol(run: RunRecord) -> Cell:

@@ -34,6 +34,7 @@ _SINGLE = {
     "from": ("created_at", Sign.AT_LEAST),
     "to": ("created_at", Sign.AT_MOST),
     "evaluated": ("evaluated", Sign.EQUAL),
+    "disturbed": ("disturbed", Sign.EQUAL),
 }
 _BOUNDS = {"min.": Sign.AT_LEAST, "max.": Sign.AT_MOST}
 

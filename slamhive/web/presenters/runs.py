@@ -8,6 +8,8 @@ from datetime import datetime
 from typing import Any
 
 from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.external import IMPORTED
 from slamhive.domain.metrics import CATALOGUE, Metric
 from slamhive.domain.parameters import Parameter, Value
 from slamhive.domain.run import RunState
@@ -94,6 +96,30 @@ def outcome(run: RunRecord) -> str:
     if run.state is RunState.QUEUED:
         return "Waiting for a worker."
     return f"In a worker's hands: {run.state.value}."
+
+
+def disturbed(run: RunRecord) -> str:
+    """Why the run counts as disturbed, what that means, and what to do; empty if it does not."""
+    if run.disturbance is None or not run.disturbance.disturbed:
+        return ""
+    affected = "CPU time, duration and latency depend on the load"
+    if run.playback.mode is PlaybackMode.SEQUENTIAL:
+        meaning = f"{affected}; the estimate does not, because playback was sequential"
+    else:
+        meaning = f"{affected}, and dropped frames and errors do too, because playback was in real time"
+    remedies = "; ".join(run.disturbance.remedies)
+    return f"Measured on a disturbed machine: {run.disturbance.words}. {meaning}. Remedy: {remedies}."
+
+
+def machine(run: RunRecord) -> str:
+    """Whether the machine was disturbed during a run that has ended, and what was not recorded; empty for others."""
+    if run.executor == IMPORTED or run.state not in (RunState.SUCCEEDED, RunState.FAILED):
+        return ""
+    if run.disturbance is None:
+        return "disturbance not recorded"
+    words = {True: "disturbed", False: "undisturbed", None: "disturbance not known"}[run.disturbance.disturbed]
+    missing = "; ".join(run.disturbance.not_measured)
+    return f"{words} (not recorded: {missing})" if missing else words
 
 
 def wall_time_s(run: RunRecord, now: datetime) -> float | None:

@@ -137,6 +137,8 @@ def show(run_id: int) -> str:
         run=run,
         algorithm=algorithm,
         outcome=presenter.outcome(run),
+        disturbed=presenter.disturbed(run),
+        machine=presenter.machine(run),
         wall_time_s=presenter.wall_time_s(run, now()),
         progress=progress_json(services.progress(run_id)) if run.state.active else None,
         parameters=presenter.parameter_rows(run, algorithm),

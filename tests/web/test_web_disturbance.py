@@ -1,0 +1,81 @@
+"""Runs that were measured on a disturbed machine: marked, explained and found on pages and in JSON."""
+
+from __future__ import annotations
+
+import pytest
+
+from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
+from tests.web.web_world import Web
+
+WORDS = "other processes used more than 0.5 of 2 cores for 80 % of the run (1.4 on average)"
+BUSY = Disturbance(known=True, reasons=(DisturbanceReason(DisturbanceKind.OTHERS, WORDS),))
+BADGE = f'<span class="state state-disturbed" title="{WORDS}">disturbed</span>'
+
+
+@pytest.fixture
+def marked(web: Web) -> Web:
+    """The first run was disturbed, the second was not, of the failed one nothing is known."""
+    put(web, "done", BUSY)
+    put(web, "bare", Disturbance(known=True, not_measured=("CPU frequency: there is no file",)))
+    return web
+
+
+def put(web: Web, name: str, found: Disturbance) -> None:
+    web.hive.store.write(lambda t: t.runs.update(web.runs[name], disturbance=found))
+
+
+def page(web: Web, address: str) -> str:
+    return " ".join(web.client.get(address).text.split())
+
+
+def test_the_page_of_a_run_says_why_and_what_to_do(marked: Web) -> None:
+    text = page(marked, f"/runs/{marked.runs['done']}")
+    assert BADGE in text
+    assert f"Measured on a disturbed machine: {WORDS}." in text
+    assert "Remedy: stop other programs and run it again." in text
+    assert "dropped frames and errors do too, because playback was in real time" in text
+
+
+def test_the_page_of_a_quiet_run_says_so_and_what_is_missing(marked: Web) -> None:
+    text = page(marked, f"/runs/{marked.runs['bare']}")
+    assert "state-disturbed" not in text
+    assert "undisturbed (not recorded: CPU frequency: there is no file)" in text
+
+
+def test_an_old_run_is_unknown_not_undisturbed(marked: Web) -> None:
+    text = page(marked, f"/runs/{marked.runs['failed']}")
+    assert "disturbance not recorded" in text
+    assert "undisturbed" not in text
+
+
+def test_lists_mark_runs_and_count_them_in_groups(marked: Web) -> None:
+    assert page(marked, "/runs").count(BADGE) == 1
+    assert BADGE in page(marked, "/")
+    rows = marked.client.get("/searches/export.json?group=configuration").get_json()
+    assert sum(row["disturbed"] for row in {row["configuration"]: row for row in rows}.values()) == 1
+    assert '<td title="measured on a disturbed machine; their figures are among the means">1</td>' in page(
+        marked, "/runs?group=configuration"
+    )
+
+
+def test_the_form_finds_them(marked: Web) -> None:
+    text = page(marked, "/runs?disturbed=yes&columns=id,disturbed")
+    assert '<code class="break">disturbed = yes</code>' in text
+    assert f'title="{WORDS}"><span class="clip">others</span>' in text
+    assert [row["id"] for row in marked.client.get("/searches/export.json?where=disturbed = no").get_json()] == [
+        marked.runs["bare"]
+    ]
+    rows = marked.client.get("/searches/export.json?columns=id,disturbed").get_json()
+    assert {row["id"]: row["disturbed"] for row in rows} == {
+        number: {"done": "yes", "bare": "no"}.get(name) for name, number in marked.runs.items()
+    }
+
+
+def test_json_has_the_reasons(marked: Web) -> None:
+    found = marked.client.get(f"/api/v1/runs/{marked.runs['done']}").get_json()["disturbance"]
+    assert found == {
+        "disturbed": True,
+        "reasons": [{"kind": "others", "words": WORDS}],
+        "not_measured": [],
+    }
+    assert marked.client.get(f"/api/v1/runs/{marked.runs['failed']}").get_json()["disturbance"] is None
