@@ -19,6 +19,7 @@ from slamhive.store.metrics import MetricRepository
 from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, Protocol, Run
 from slamhive.store.records import EvaluationRecord, EvaluationState, LeaseLost
 from slamhive.store.rows import changed, chunks, cut, get_or_insert, lease
+from slamhive.store.verdicts import VerdictRepository
 
 REASON_LENGTH = 10_000
 _TABLE = Evaluation.__table__
@@ -114,7 +115,7 @@ class EvaluationRepository:
         self._session.execute(update(_TABLE).where(*held).values(values))
 
     def finish(self, evaluation_id: int, owner: str, result: EvaluationResult, now: datetime) -> bool:
-        """File what came out; success stores the figures.
+        """File what came out; success stores the figures. The run and its repeats are judged anew.
 
         Returns whether the protocol has become the run's current one: that of its first success, until another is
         chosen with :meth:`use`. The same call again is fine. Raises LeaseLost if another worker holds the evaluation
@@ -128,7 +129,9 @@ class EvaluationRepository:
         held = [_TABLE.c.id == evaluation_id, _TABLE.c.state == EvaluationState.RUNNING, _TABLE.c.lease_owner == owner]
         if changed(self._session, update(_TABLE).where(*held).values(_ending(result, now))) != 1:
             raise LeaseLost(f"evaluation {evaluation_id} is {row.state}, held by {row.lease_owner or 'nobody'}")
-        return result.succeeded and self._store_figures(row.run_id, row.protocol_id, result)
+        became_current = result.succeeded and self._store_figures(row.run_id, row.protocol_id, result)
+        VerdictRepository(self._session).renew([row.run_id], row.protocol_id)
+        return became_current
 
     def use(self, run_ids: Iterable[int], fingerprint: str) -> None:
         """Make a protocol the current one of these runs: the one whose figures lists, searches and pages show.

@@ -22,6 +22,7 @@ from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.records import EvaluationState, RunSnapshot
 from slamhive.store.rows import cut
 from slamhive.store.runs import event_row, snapshot_row
+from slamhive.store.verdicts import VerdictRepository
 
 _RUNS = Run.__table__
 _EVENTS = EventRow.__table__
@@ -82,6 +83,7 @@ class FiledRunRepository:
         self._put_events(runs, here)
         self._add_evaluations(runs, here, numbers)
         self._put_figures(runs, here, numbers)
+        VerdictRepository(self._session).renew(run.snapshot.id for run in runs)
 
     def _rows_here(self, snapshots: Sequence[RunSnapshot]) -> set[int]:
         """The numbers of the runs that have a row."""

@@ -9,9 +9,12 @@ from sqlalchemy import case, delete, func, insert, select, update
 from sqlalchemy.orm import Session
 
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.store.models import MEASURED_PROTOCOL_ID, Metric, MetricValue, Protocol, Run
+from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, Metric, MetricValue, Protocol, Run
 from slamhive.store.records import UsageSummary
 from slamhive.store.rows import chunks, get_or_insert
+
+VERDICT = "verdict"
+"""Verdicts are filed among the metrics, see :mod:`slamhive.store.verdicts`, under a key that the catalogue lacks."""
 
 
 class MetricRepository:
@@ -35,14 +38,21 @@ class MetricRepository:
         self._write(run_id, self._protocol_id(fingerprint), values, replace_all=True)
 
     def for_runs(
-        self, run_ids: Iterable[int], keys: Sequence[str] | None = None, protocol_id: int | None = None
+        self,
+        run_ids: Iterable[int],
+        keys: Sequence[str] | None = None,
+        protocol_id: int | None = None,
+        *,
+        verdicts: bool = False,
     ) -> dict[int, dict[str, float]]:
         """{run: {metric key: value}}: measured figures, and those of each run's current protocol.
 
-        ``keys`` restricts them to these metrics; ``protocol_id`` takes the figures of this protocol instead. One query
-        for each few hundred runs.
+        ``keys`` restricts them to these metrics; ``protocol_id`` takes the figures of this protocol instead;
+        ``verdicts`` adds the stored verdicts, by :data:`VERDICT`. One query for each few hundred runs.
         """
         known = {row.id: row.key for row in self._session.execute(select(Metric.id, Metric.key))}
+        if not verdicts:
+            known = {metric_id: key for metric_id, key in known.items() if key != VERDICT}
         chosen = MetricValue.is_current == 1
         if protocol_id is not None:
             chosen = MetricValue.protocol_id.in_([MEASURED_PROTOCOL_ID, protocol_id])
@@ -60,10 +70,20 @@ class MetricRepository:
         return found
 
     def follow_protocols(self, run_ids: Iterable[int]) -> None:
-        """Mark the figures that count now; to be called whenever a run's current protocol has changed."""
-        runs, figures = Run.__table__, MetricValue.__table__
+        """Mark the figures that count now; to be called whenever a run's current protocol has changed.
+
+        A run that could never be evaluated has no current protocol: the verdict of its last evaluation counts.
+        """
+        runs, figures, ended = Run.__table__, MetricValue.__table__, Evaluation.__table__
         current = select(runs.c.current_protocol_id).where(runs.c.id == figures.c.run_id).scalar_subquery()
-        mark = case((figures.c.protocol_id == func.coalesce(current, 0), 1), else_=0)
+        last = (
+            select(ended.c.protocol_id)
+            .where(ended.c.run_id == figures.c.run_id, ended.c.open.is_(None))
+            .order_by(ended.c.id.desc())
+            .limit(1)
+            .scalar_subquery()
+        )
+        mark = case((figures.c.protocol_id == func.coalesce(current, last, 0), 1), else_=0)
         for part in chunks(sorted(set(run_ids))):
             changing = [figures.c.run_id.in_(part), figures.c.protocol_id != MEASURED_PROTOCOL_ID]
             self._session.execute(update(figures).where(*changing).values(is_current=mark))
@@ -74,7 +94,7 @@ class MetricRepository:
             select(Protocol.id, Protocol.fingerprint, Metric.key, MetricValue.value)
             .join(Protocol, Protocol.id == MetricValue.protocol_id)
             .join(Metric, Metric.id == MetricValue.metric_id)
-            .where(MetricValue.run_id == run_id)
+            .where(MetricValue.run_id == run_id, Metric.key != VERDICT)
             .order_by(Protocol.id, MetricValue.metric_id)
         )
         found: dict[str | None, dict[str, float]] = {}

@@ -16,6 +16,7 @@ from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunEvent, RunState
 from slamhive.domain.stop_when import NEVER, StopWhen
 from slamhive.domain.variant import Variant
+from slamhive.domain.verdict import Verdict, VerdictKind, ended_badly, judge, not_evaluable
 from slamhive.errors import Conflict
 from slamhive.evaluation.job import Artefacts
 
@@ -145,9 +146,10 @@ class RunRecord:
 
     ``attempt`` counts the times a worker took the run. ``protocol_override`` is what the user asked for,
     ``protocol`` what the latest successful evaluation used. ``metrics`` holds the measured figures and those of
-    ``protocol``, {metric key: value}; None if they were not asked for. ``host`` and ``version`` are known once the
-    run has started. ``disturbance`` is None where nothing was recorded of the machine. ``experiment`` is the name
-    of the one that it belongs to, ``cell`` its place there; for the rest see :class:`RunRequest`.
+    ``protocol``, {metric key: value}; None if they were not asked for. ``judged`` is the stored verdict, which comes
+    with them. ``host`` and ``version`` are known once the run has started. ``disturbance`` is None where nothing was
+    recorded of the machine. ``experiment`` is the name of the one that it belongs to, ``cell`` its place there; for the
+    rest see :class:`RunRequest`.
     """
 
     id: int
@@ -194,6 +196,16 @@ class RunRecord:
     disturbance: Disturbance | None = None
     repeat_disturbed: int = 0
     metrics: dict[str, float] | None = None
+    judged: VerdictKind | None = None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the run is good, and if not why; None if it has not ended, was cancelled or was never evaluated."""
+        if self.state is RunState.FAILED:
+            return ended_badly(self.reason or self.state)
+        if self.judged is None:
+            return None
+        return not_evaluable(None) if self.judged is VerdictKind.NOT_EVALUABLE else judge(self.metrics or {})
 
 
 @dataclass(frozen=True, slots=True)

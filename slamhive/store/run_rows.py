@@ -14,12 +14,14 @@ from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import protocol_from_content
 from slamhive.domain.stop_when import stop_when_from_json
 from slamhive.domain.variant import variant_from_json
+from slamhive.domain.verdict import VerdictKind
 from slamhive.store.configurations import ConfigurationRepository
-from slamhive.store.metrics import MetricRepository
+from slamhive.store.metrics import VERDICT, MetricRepository
 from slamhive.store.models import Algorithm, AlgorithmVersion, Configuration, Dataset, Experiment, Host, Protocol, Run
 from slamhive.store.records import AlgorithmVersion as VersionRecord
 from slamhive.store.records import Host as HostRecord
 from slamhive.store.records import ProtocolLabel, RunRecord
+from slamhive.store.verdicts import kind_of
 
 _PLAIN_COLUMNS = (
     "id",
@@ -98,13 +100,16 @@ def to_records(
     """The rows of :func:`run_query` as records, in the same order; figures are those of ``protocol_id``, as there."""
     parameters = ConfigurationRepository(session).parameters_of_all(row.configuration_id for row in rows)
     run_ids = [row.id for row in rows]
-    metrics = MetricRepository(session).for_runs(run_ids, protocol_id=protocol_id) if with_metrics else None
-    return tuple(
-        _record(row, parameters[row.configuration_id], None if metrics is None else metrics[row.id]) for row in rows
-    )
+    if not with_metrics:
+        return tuple(_record(row, parameters[row.configuration_id], None, None) for row in rows)
+    metrics = MetricRepository(session).for_runs(run_ids, protocol_id=protocol_id, verdicts=True)
+    kinds = {run_id: kind_of(values.pop(VERDICT, None)) for run_id, values in metrics.items()}
+    return tuple(_record(row, parameters[row.configuration_id], metrics[row.id], kinds[row.id]) for row in rows)
 
 
-def _record(row: Row[Any], parameters: dict[str, Value], metrics: dict[str, float] | None) -> RunRecord:
+def _record(
+    row: Row[Any], parameters: dict[str, Value], metrics: dict[str, float] | None, judged: VerdictKind | None
+) -> RunRecord:
     override, fingerprint = row.protocol_override, row.protocol_fingerprint
     return RunRecord(
         **{name: getattr(row, name) for name in _PLAIN_COLUMNS},
@@ -124,4 +129,5 @@ def _record(row: Row[Any], parameters: dict[str, Value], metrics: dict[str, floa
         stop_when=stop_when_from_json(row.stop_when),
         disturbance=disturbance_from_json(row.disturbance),
         metrics=metrics,
+        judged=judged,
     )

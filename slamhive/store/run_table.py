@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 
 from slamhive.errors import unknown
 from slamhive.store.configuration_models import ConfigurationGroup
+from slamhive.store.metrics import VERDICT
 from slamhive.store.models import (
     MEASURED_PROTOCOL_ID,
     Algorithm,
@@ -127,7 +128,7 @@ class RunTableRepository:
 
     def stored_metrics(self) -> list[str]:
         """The keys of the metrics that any run has a value of."""
-        return sorted(self._session.execute(select(Metric.key)).scalars())
+        return sorted(self._session.execute(select(Metric.key).where(Metric.key != VERDICT)).scalars())
 
     def axes(self, run_ids: Sequence[int]) -> dict[str, dict[int, Any]]:
         """{axis of an experiment: {run: its value}}: also where a value means the recording as it is."""

@@ -13,6 +13,7 @@ from slamhive.domain.run import RunState
 from slamhive.errors import unknown
 from slamhive.search.binding import Search
 from slamhive.search.fields import ParameterKind
+from slamhive.store.metrics import VERDICT
 from slamhive.store.models import Algorithm, Dataset, Evaluation, Metric, Run, SavedSearch
 from slamhive.store.records import Count, GroupPage, RunSort, SavedSearchRecord
 from slamhive.store.rows import changed
@@ -55,7 +56,8 @@ class SearchRepository:
 
     def metrics(self) -> list[str]:
         """The metrics that any run has a value of."""
-        return list(self._session.execute(select(Metric.key).order_by(Metric.id)).scalars())
+        query = select(Metric.key).where(Metric.key != VERDICT).order_by(Metric.id)
+        return list(self._session.execute(query).scalars())
 
     def exact_count(self, search: Search) -> int:
         """How many runs match, however long counting takes."""

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamhive.errors import InvalidInput
-from slamhive.trajectory.model import FloatArray
+from slamhive.trajectory.model import FloatArray, Poses
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -26,6 +26,27 @@ class Completeness:
     tracked_fraction: float
     longest_gap_s: float
     gap_count: int
+
+
+OWN_INTERVALS = 10.0
+"""So many times the median interval between its poses is a gap of an estimate."""
+LARGEST_OWN_SHARE = 0.1
+"""A longer share of the recording without a pose is a gap whatever the spacing."""
+
+
+@dataclass(frozen=True, slots=True)
+class OwnCoverage:
+    """What the estimate covers, judged by its own spacing: keyframes are further apart than frames.
+
+    Attributes:
+        path_share: Share of the true path between poses no further apart than ``gap_s``, 0..1.
+        time_share: The same of the time.
+        gap_s: A longer time without a pose is a gap.
+    """
+
+    path_share: float
+    time_share: float
+    gap_s: float
 
 
 def covers(estimate_stamps_s: FloatArray, stamps_s: FloatArray, gap_s: float) -> BoolArray:
@@ -65,3 +86,48 @@ def measure_completeness(estimate_stamps_s: FloatArray, reference_stamps_s: Floa
         longest_gap_s=float(pauses_s.max()),
         gap_count=int(np.count_nonzero(pauses_s > gap_s)),
     )
+
+
+def measure_own_coverage(estimate_stamps_s: FloatArray, reference: Poses, gap_s: float) -> OwnCoverage:
+    """Coverage of the reference's path and time by the estimate, gaps judged by the estimate's own spacing.
+
+    Args:
+        estimate_stamps_s: Strictly increasing, shape (n,), n >= 1; stamps outside the span do not count.
+        reference: At least two poses that span some time.
+        gap_s: No time shorter than this is a gap.
+    """
+    stamps_s = reference.stamps_s
+    own_gap_s = own_gap(estimate_stamps_s, reference.span_s, gap_s)
+    travelled = _travelled(reference, own_gap(stamps_s, reference.span_s, gap_s))
+    begins_s = np.clip(estimate_stamps_s[:-1], stamps_s[0], stamps_s[-1])
+    ends_s = np.clip(estimate_stamps_s[1:], stamps_s[0], stamps_s[-1])
+    tracked = np.diff(estimate_stamps_s) <= own_gap_s
+    lengths = np.interp(ends_s, stamps_s, travelled) - np.interp(begins_s, stamps_s, travelled)
+    return OwnCoverage(
+        path_share=min(1.0, float(lengths[tracked].sum() / travelled[-1])),
+        time_share=min(1.0, float((ends_s - begins_s)[tracked].sum() / reference.span_s)),
+        gap_s=own_gap_s,
+    )
+
+
+def own_gap(stamps_s: FloatArray, span_s: float, gap_s: float) -> float:
+    """What counts as a gap between stamps: by their own spacing, within reason."""
+    if len(stamps_s) < 2:
+        return gap_s
+    typical_s = float(np.median(np.diff(stamps_s)))
+    return max(gap_s, min(OWN_INTERVALS * typical_s, LARGEST_OWN_SHARE * span_s))
+
+
+def _travelled(reference: Poses, gap_s: float) -> FloatArray:
+    """The true path from the start to each pose, shape (n,).
+
+    In a gap of the ground truth nobody knows the path: the mean speed of the rest is taken. Where nothing moves at
+    all, time takes the place of path.
+    """
+    steps_s = np.diff(reference.stamps_s)
+    steps = np.linalg.norm(np.diff(reference.positions_m, axis=0), axis=1)
+    known = steps_s <= gap_s
+    if not steps[known].any():
+        return np.concatenate(([0.0], np.cumsum(steps_s)))
+    steps[~known] = steps[known].sum() / steps_s[known].sum() * steps_s[~known]
+    return np.concatenate(([0.0], np.cumsum(steps)))

@@ -10,6 +10,7 @@ from sqlalchemy import event
 
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunEvent, RunState
+from slamhive.domain.verdict import FROM_REPEATS
 from slamhive.errors import Conflict
 from slamhive.evaluation.job import Artefacts
 from slamhive.store import EvaluationState, RunFields, RunSnapshot, Store
@@ -80,8 +81,9 @@ def test_what_is_filed_again_is_made_equal_and_not_doubled(store: Store, samples
     )
     file(store, runs[0], changed)
     found = store.read(lambda tx: tx.runs.get_many([1, 2, 3], with_metrics=True))
+    filed = [{key: value for key, value in (run.metrics or {}).items() if key not in FROM_REPEATS} for run in found]
     whole = {"cpu.mean": 1.5, "ate.rmse": 0.07}
-    assert [run.metrics for run in found] == [whole, {"cpu.mean": 2.5, "ate.rmse": 0.03}, whole]
+    assert filed == [whole, {"cpu.mean": 2.5, "ate.rmse": 0.03}, whole]
     assert [run.protocol.fingerprint for run in found if run.protocol] == [
         protocol.fingerprint for protocol in (SE3, SIM3, SE3)
     ]
@@ -110,7 +112,7 @@ def test_many_runs_take_as_many_statements_as_few(store: Store, samples: Samples
     runs = [succeeded(samples, number) for number in range(1, 64)]
     event.listen(store.engine, "before_cursor_execute", note)
     try:
-        for part in (runs[:2], runs[2:4], runs[4:]):
+        for part in (runs[:4], runs[4:6], runs[6:]):
             file(store, *part)
             counts.append(len(statements))
             statements.clear()

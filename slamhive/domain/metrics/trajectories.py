@@ -42,6 +42,46 @@ def _absolute() -> list[Metric]:
     return [
         *statistics(_one("ate", "ATE", "m", Group.ABSOLUTE, where, _EVO), _ALL),
         *statistics(_one("ate_rot", "ATE rotation", "deg", Group.ABSOLUTE, turn, _EVO), _MAIN),
+        *_relative_size(),
+    ]
+
+
+def _relative_size() -> list[Metric]:
+    repeats = "the run's repeats: runs of the same configuration evaluated under the same protocol that tracked enough"
+    return [
+        _one(
+            "ate.per_path",
+            "ATE per path",
+            "%",
+            Group.ABSOLUTE,
+            "ATE RMSE over the length of the true path between the first and the last matched pose.",
+        ),
+        _one(
+            "ate.per_extent",
+            "ATE per extent",
+            "%",
+            Group.ABSOLUTE,
+            "ATE RMSE over the root mean square distance of the matched true positions from their mean, which is the "
+            "ATE RMSE of an estimate that never moves.",
+        ),
+        _one(
+            "ate.over_repeats",
+            "ATE over repeats",
+            "",
+            Group.ABSOLUTE,
+            f"ATE RMSE over the median of {repeats}; three at least. It changes when a repeat is evaluated.",
+        ),
+        neutral(
+            _one(
+                "ate.repeats_limit",
+                "Limit of ATE over repeats",
+                "",
+                Group.ABSOLUTE,
+                "ATE over repeats above which the run has diverged: exp(3 sigma) of the logarithms of the errors of "
+                f"{repeats}; sigma is 1.4826 times the median deviation of those below the median. At least 4, at most "
+                "6, and 0.1 m above the median.",
+            )
+        ),
     ]
 
 
@@ -244,6 +284,36 @@ def _completeness() -> list[Metric]:
                 "",
                 group,
                 "Share of the ground truth's time span covered by the estimate, gaps taken out, clamped to 0..1.",
+            )
+        ),
+        higher(
+            _one(
+                "tracked.path",
+                "Tracked path",
+                "",
+                group,
+                "Share of the true path covered by the estimate, gaps taken out, 0..1. A gap is longer than gap.own. "
+                "Standing still covers no path, so a late start or a keyframe system that rests then loses nothing.",
+            )
+        ),
+        higher(
+            _one(
+                "tracked.time",
+                "Tracked time",
+                "",
+                group,
+                "Share of the ground truth's time span covered by the estimate, gaps longer than gap.own taken out, "
+                "0..1.",
+            )
+        ),
+        neutral(
+            _one(
+                "gap.own",
+                "Own gap threshold",
+                "s",
+                group,
+                "What counts as a gap by the estimate's own spacing: ten times its median interval, at most a tenth of "
+                "the ground truth's time span and at least the protocol's gap threshold. Keyframes lie far apart.",
             )
         ),
         _one("gap.max", "Longest gap", "s", group, "Longest time without a pose inside the ground truth's span."),

@@ -12,6 +12,7 @@ from slamhive.evaluation.evaluators.kitti import KittiProtocol
 from slamhive.evaluation.evaluators.map_quality import MapQuality
 from slamhive.evaluation.evaluators.relations import RelationErrors
 from slamhive.evaluation.evaluators.relative import RelativeErrors
+from slamhive.evaluation.evaluators.relative_size import RelativeSize
 from slamhive.evaluation.evaluators.robustness import Robustness
 from slamhive.evaluation.evaluators.rotation import RotationError
 from slamhive.evaluation.evaluators.segments import SegmentErrors
@@ -20,6 +21,7 @@ from slamhive.registry import Registry
 EVALUATORS: Registry[Evaluator] = Registry("evaluator", "slamhive.evaluators")
 
 EVALUATORS.register("ate", AbsoluteError())
+EVALUATORS.register("ate_size", RelativeSize())
 EVALUATORS.register("ate_rot", RotationError())
 EVALUATORS.register("rpe", RelativeError())
 EVALUATORS.register("rpe_by", RelativeErrors())

@@ -1,0 +1,246 @@
+"""The one rule that tells good runs from failed ones. Lists, groups, experiments and analyses all go by it.
+
+The numbers that it looks at are metrics of the run's evaluation. Those that compare a run with its repeats are
+computed here as well (:func:`compare_repeats`) and stored like the others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from statistics import median
+
+ERROR = "ate.rmse"
+TRACKED_PATH = "tracked.path"
+TRACKED_FRACTION = "tracked_fraction"
+ERROR_PER_PATH = "ate.per_path"
+ERROR_PER_EXTENT = "ate.per_extent"
+ERROR_OVER_REPEATS = "ate.over_repeats"
+REPEATS_LIMIT = "ate.repeats_limit"
+
+EVIDENCE = (
+    *(ERROR, TRACKED_PATH, TRACKED_FRACTION, ERROR_PER_PATH, ERROR_PER_EXTENT),
+    *(ERROR_OVER_REPEATS, REPEATS_LIMIT),
+)
+"""The metrics that a verdict depends on."""
+
+FROM_REPEATS = (ERROR_OVER_REPEATS, REPEATS_LIMIT)
+"""Those that no evaluation can know: they follow from the run's repeats."""
+
+SMALLEST_DIVERGENCE_M = 0.05
+"""An error below this is never called divergence, however short the path."""
+
+FEWEST_REPEATS = 3
+"""With fewer repeats nobody can tell which of them is the outlier."""
+
+_SPREADS = 3.0
+_LEAST_FACTOR, _LARGEST_FACTOR = 4.0, 6.0
+_LEAST_EXCESS_M = 0.1
+_MAD_TO_SIGMA = 1.4826
+_SMALLEST_ERROR_M = 1e-9
+
+
+class VerdictKind(StrEnum):
+    """Whether a run is good, and if not why it failed. The first reason that applies counts, in this order."""
+
+    GOOD = "good"
+    ENDED_BADLY = "ended_badly"
+    NOT_EVALUABLE = "not_evaluable"
+    TRACKED_TOO_LITTLE = "tracked_too_little"
+    DIVERGED_FAR = "diverged_far"
+    DIVERGED_OUTLIER = "diverged_outlier"
+
+    @property
+    def failed(self) -> bool:
+        """The run counts as failed."""
+        return self is not VerdictKind.GOOD
+
+    @property
+    def label(self) -> str:
+        """The kind in words, for badges, lists and bands of figures."""
+        return _LABELS[self]
+
+
+_LABELS = {
+    VerdictKind.GOOD: "good",
+    VerdictKind.ENDED_BADLY: "did not end well",
+    VerdictKind.NOT_EVALUABLE: "could not be evaluated",
+    VerdictKind.TRACKED_TOO_LITTLE: "tracked too little",
+    VerdictKind.DIVERGED_FAR: "diverged",
+    VerdictKind.DIVERGED_OUTLIER: "diverged (outlier among its repeats)",
+}
+
+DIVERGED = (VerdictKind.DIVERGED_FAR, VerdictKind.DIVERGED_OUTLIER)
+GROUPS: dict[str, tuple[VerdictKind, ...]] = {
+    "failed": tuple(kind for kind in VerdictKind if kind.failed),
+    "diverged": DIVERGED,
+}
+"""Names that filters know for several kinds together."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """A verdict and the reason for it in words.
+
+    ``dated``: the evaluation lacks metrics that the rule asks for, because it is older than they are. The verdict then
+    rests on what it has.
+    """
+
+    kind: VerdictKind
+    words: str
+    dated: bool = False
+
+    @property
+    def failed(self) -> bool:
+        """The run counts as failed."""
+        return self.kind.failed
+
+
+@dataclass(frozen=True, slots=True)
+class FailureRule:
+    """When a run counts as failed. The defaults are what the stored verdicts go by; an analysis may set others.
+
+    Attributes:
+        tracked_path_below: Least share of the true path that has to be tracked (metric ``tracked.path``).
+        tracked_fraction_below: Least share of the time by the protocol's gap threshold. Keyframe trajectories miss it
+            although they are sound, so the default has none; an evaluation without ``tracked.path`` is judged by
+            :data:`DATED_FRACTION`.
+        ate_rmse_above_m: Largest ATE RMSE.
+        ate_path_above_percent: Largest ATE RMSE in percent of the true path.
+        ate_extent_above_percent: Largest ATE RMSE in percent of that of an estimate that never moves.
+        outliers: Whether an outlier among the repeats has diverged.
+    """
+
+    tracked_path_below: float | None = 0.7
+    tracked_fraction_below: float | None = None
+    ate_rmse_above_m: float | None = None
+    ate_path_above_percent: float | None = 5.0
+    ate_extent_above_percent: float | None = 50.0
+    outliers: bool = True
+
+    @property
+    def words(self) -> str:
+        """The rule as a sentence for captions."""
+        parts = ["did not end well", "could not be evaluated"]
+        if self.tracked_path_below is not None:
+            parts.append(f"tracked less than {100 * self.tracked_path_below:.4g} % of the path")
+        if self.tracked_fraction_below is not None:
+            parts.append(f"tracked less than {100 * self.tracked_fraction_below:.4g} % of the time")
+        if self.ate_rmse_above_m is not None:
+            parts.append(f"has an ATE RMSE above {self.ate_rmse_above_m:g} m")
+        if self.ate_path_above_percent is not None:
+            parts.append(f"diverged: ATE RMSE above {self.ate_path_above_percent:g} % of the path")
+        if self.ate_extent_above_percent is not None:
+            parts.append(f"diverged: ATE RMSE above {self.ate_extent_above_percent:g} % of that of standing still")
+        if self.outliers:
+            parts.append(
+                f"is an outlier among {FEWEST_REPEATS} or more repeats (ATE RMSE {_LEAST_FACTOR:g} to "
+                f"{_LARGEST_FACTOR:g} times their median, by their spread)"
+            )
+        return f"A run counts as failed if it {', '.join(parts[:-1])} or {parts[-1]}."
+
+
+DEFAULT_RULE = FailureRule()
+
+DATED_FRACTION = 0.75
+"""Evaluations that lack ``tracked.path`` are judged by the share of time that they tracked, as was done then."""
+
+_DATED = (
+    "The evaluation is older than this rule, so the verdict rests on the metrics that it has; "
+    "evaluate the run again to renew it."
+)
+
+
+def judge(metrics: Mapping[str, float], rule: FailureRule = DEFAULT_RULE) -> Verdict:
+    """The verdict on a run whose evaluation succeeded, from the metrics called :data:`EVIDENCE`."""
+    dated = TRACKED_PATH not in metrics and TRACKED_FRACTION in metrics
+    kind, words = _lost(metrics, rule, dated=dated) or _diverged(metrics, rule) or (VerdictKind.GOOD, "")
+    if kind is VerdictKind.GOOD:
+        words = _good_words(metrics)
+    return Verdict(kind, f"{words} {_DATED}" if dated else words, dated)
+
+
+def ended_badly(why: str) -> Verdict:
+    """The verdict on a run that did not succeed; ``why`` is its reason or state."""
+    return Verdict(VerdictKind.ENDED_BADLY, f"The run did not end well: {why.replace('_', ' ')}.")
+
+
+def not_evaluable(why: str | None) -> Verdict:
+    """The verdict on a run that succeeded and whose evaluation failed."""
+    return Verdict(VerdictKind.NOT_EVALUABLE, f"The run could not be evaluated: {why or 'see its evaluations'}")
+
+
+def compare_repeats(errors_m: Mapping[int, float], compared: Mapping[int, float]) -> dict[int, dict[str, float]]:
+    """How the errors of repeats compare: {run: the metrics :data:`FROM_REPEATS`}; empty for too few repeats.
+
+    A robust outlier in the logarithm: the limit is the median times exp(3 sigma). Divergence only makes errors larger,
+    so sigma is estimated from the better half alone, by the median deviation below the median. The limit is at least 4
+    and at most 6 times the median: a few repeats that agree by chance condemn nobody, and a wide spread excuses nobody.
+    It also lies 0.1 m above the median, so that 2 cm beside 1 mm is no divergence.
+
+    Args:
+        errors_m: {run: ATE RMSE} of the runs to be compared.
+        compared: The same of the repeats that tracked enough for their error to mean something.
+    """
+    if len(compared) < FEWEST_REPEATS:
+        return {}
+    logs = [math.log(max(error, _SMALLEST_ERROR_M)) for error in compared.values()]
+    middle = median(logs)
+    sigma = _MAD_TO_SIGMA * median(middle - value for value in logs if value <= middle)
+    typical_m = math.exp(middle)
+    factor = math.exp(min(_SPREADS * sigma, math.log(_LARGEST_FACTOR)))
+    limit = max(factor, _LEAST_FACTOR, 1 + _LEAST_EXCESS_M / typical_m)
+    return {run: {ERROR_OVER_REPEATS: error / typical_m, REPEATS_LIMIT: limit} for run, error in errors_m.items()}
+
+
+def tracked_enough(metrics: Mapping[str, float], rule: FailureRule = DEFAULT_RULE) -> bool:
+    """Whether the run's error can be compared with that of its repeats: a lost run has hardly any."""
+    return _lost(metrics, rule, dated=TRACKED_PATH not in metrics) is None
+
+
+def _lost(metrics: Mapping[str, float], rule: FailureRule, *, dated: bool) -> tuple[VerdictKind, str] | None:
+    limits = [
+        (TRACKED_PATH, rule.tracked_path_below, "path"),
+        (TRACKED_FRACTION, rule.tracked_fraction_below, "time"),
+    ]
+    if dated and rule.tracked_path_below is not None and rule.tracked_fraction_below is None:
+        limits.append((TRACKED_FRACTION, DATED_FRACTION, "time"))
+    for key, least, what in limits:
+        share = metrics.get(key)
+        if share is not None and least is not None and share < least:
+            words = f"The run tracked {100 * share:.3g} % of the {what}; {100 * least:.4g} % are needed."
+            return VerdictKind.TRACKED_TOO_LITTLE, words
+    return None
+
+
+def _diverged(metrics: Mapping[str, float], rule: FailureRule) -> tuple[VerdictKind, str] | None:
+    error_m = metrics.get(ERROR)
+    if error_m is None:
+        return None
+    found = f"The run diverged: its ATE RMSE of {error_m:.3g} m is"
+    if rule.ate_rmse_above_m is not None and error_m > rule.ate_rmse_above_m:
+        return VerdictKind.DIVERGED_FAR, f"{found} above {rule.ate_rmse_above_m:g} m."
+    for key, most, what in (
+        (ERROR_PER_PATH, rule.ate_path_above_percent, "the path"),
+        (ERROR_PER_EXTENT, rule.ate_extent_above_percent, "the error of an estimate that never moves"),
+    ):
+        percent = metrics.get(key)
+        if percent is not None and most is not None and percent > most and error_m > SMALLEST_DIVERGENCE_M:
+            return VerdictKind.DIVERGED_FAR, f"{found} {percent:.3g} % of {what}; {most:g} % are allowed."
+    ratio, limit = metrics.get(ERROR_OVER_REPEATS), metrics.get(REPEATS_LIMIT)
+    if rule.outliers and ratio is not None and limit is not None and ratio > limit:
+        words = f"{found} {ratio:.3g} times the median of its repeats; {limit:.3g} times are allowed."
+        return VerdictKind.DIVERGED_OUTLIER, words
+    return None
+
+
+def _good_words(metrics: Mapping[str, float]) -> str:
+    if ERROR not in metrics:
+        return "The run ended well and was evaluated. There is no ground-truth trajectory that could tell more."
+    share, percent = metrics.get(TRACKED_PATH), metrics.get(ERROR_PER_PATH)
+    tracked = "" if share is None else f" and tracked {100 * share:.3g} % of the path"
+    apart = "" if percent is None else f" ({percent:.3g} % of the path)"
+    repeats = "" if ERROR_OVER_REPEATS in metrics else " There are too few repeats to tell an outlier."
+    return f"The run ended well{tracked} with an ATE RMSE of {metrics[ERROR]:.3g} m{apart}.{repeats}"

@@ -1,0 +1,32 @@
+"""Verdicts on runs that were evaluated before there were any. They are derived, and derived again by reindexing."""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+from alembic import op
+from sqlalchemy.orm import Session
+
+from slamhive.store.verdicts import VerdictRepository
+
+revision = "0009"
+down_revision = "0008"
+branch_labels = None
+depends_on = None
+
+DERIVED = ("verdict", "ate.over_repeats", "ate.repeats_limit")
+
+
+def upgrade() -> None:
+    """Judge them by the metrics that they have."""
+    with Session(op.get_bind(), join_transaction_mode="create_savepoint") as session:
+        VerdictRepository(session).renew_all()
+        session.commit()
+
+
+def downgrade() -> None:
+    """Remove the verdicts and what they rest on."""
+    metrics = sa.table("metrics", sa.column("id"), sa.column("key"))
+    values = sa.table("metric_values", sa.column("metric_id"))
+    chosen = sa.select(metrics.c.id).where(metrics.c.key.in_(DERIVED))
+    op.execute(sa.delete(values).where(values.c.metric_id.in_(chosen)))
+    op.execute(sa.delete(metrics).where(metrics.c.key.in_(DERIVED)))

@@ -1,0 +1,177 @@
+"""Verdicts on evaluated runs, stored beside the metrics that they follow from.
+
+A verdict belongs to a run and a protocol, as metrics do, and is filed as they are: so whatever finds a metric (lists,
+filters, groups) finds the verdict as fast, under the protocol that counts. It is derived: reindexing, imports and the
+migration derive it again.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from sqlalchemy import bindparam, delete, insert, select
+from sqlalchemy.orm import Session
+
+from slamhive.domain.verdict import ERROR, EVIDENCE, FROM_REPEATS, VerdictKind, compare_repeats, judge, tracked_enough
+from slamhive.store.metrics import VERDICT, MetricRepository
+from slamhive.store.models import Configuration, Evaluation, Metric, MetricValue, Run
+from slamhive.store.records import EvaluationState
+from slamhive.store.rows import chunks
+
+CODES = {
+    VerdictKind.GOOD: 0,
+    VerdictKind.NOT_EVALUABLE: 1,
+    VerdictKind.TRACKED_TOO_LITTLE: 2,
+    VerdictKind.DIVERGED_FAR: 3,
+    VerdictKind.DIVERGED_OUTLIER: 4,
+}
+"""How the kinds are stored. A run that ended badly has no evaluation: its state tells."""
+
+_KINDS = {code: kind for kind, code in CODES.items()}
+_DERIVED = (VERDICT, *FROM_REPEATS)
+_CONFIGURATIONS_AT_ONCE = 100
+_EVALUATIONS = Evaluation.__table__
+_RUNS = Run.__table__
+_FIGURES = MetricValue.__table__
+
+
+@dataclass
+class _Judged:
+    """A run under one protocol, while it is judged."""
+
+    is_current: bool
+    succeeded: bool
+    stored: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """What its evaluation found."""
+        return {key: value for key, value in self.stored.items() if key not in _DERIVED}
+
+
+def kind_of(code: float | None) -> VerdictKind | None:
+    """The kind that is stored as ``code``; None where no verdict is stored."""
+    return None if code is None else _KINDS[int(code)]
+
+
+class VerdictRepository:
+    """Derives verdicts from what is stored and stores them."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def renew(self, run_ids: Iterable[int], protocol_id: int | None = None) -> None:
+        """Judge these runs and all their repeats anew, under each protocol that they were evaluated under.
+
+        ``protocol_id``: only under this one. Another process may evaluate a repeat at the same time: the rows of their
+        configurations are locked, so the later one sees both.
+        """
+        places: dict[int, set[int]] = defaultdict(set)
+        for part in chunks(sorted(set(run_ids))):
+            query = (
+                select(_EVALUATIONS.c.protocol_id, _RUNS.c.configuration_id)
+                .distinct()
+                .join(_RUNS, _RUNS.c.id == _EVALUATIONS.c.run_id)
+                .where(_EVALUATIONS.c.run_id.in_(part), _EVALUATIONS.c.open.is_(None))
+            )
+            if protocol_id is not None:
+                query = query.where(_EVALUATIONS.c.protocol_id == protocol_id)
+            for protocol, configuration in self._session.execute(query):
+                places[protocol].add(configuration)
+        for protocol, configurations in places.items():
+            for chosen in chunks(sorted(configurations), _CONFIGURATIONS_AT_ONCE):
+                self._renew(protocol, chosen)
+
+    def renew_all(self) -> None:
+        """Judge every run that was evaluated."""
+        evaluated = select(_EVALUATIONS.c.run_id).where(_EVALUATIONS.c.open.is_(None)).distinct()
+        self.renew(self._session.execute(evaluated).scalars().all())
+
+    def _renew(self, protocol_id: int, configurations: Sequence[int]) -> None:
+        table = Configuration.__table__
+        locked = select(table.c.id).where(table.c.id.in_(configurations)).order_by(table.c.id).with_for_update()
+        self._session.execute(locked).all()
+        groups = self._read(protocol_id, configurations)
+        for runs in groups.values():
+            self._write(protocol_id, runs, _derived(runs))
+        without = [run for runs in groups.values() for run, found in runs.items() if not found.succeeded]
+        MetricRepository(self._session).follow_protocols(without)
+
+    def _write(self, protocol_id: int, runs: Mapping[int, _Judged], derived: Mapping[int, Mapping[str, float]]) -> None:
+        """Store what differs from what is stored."""
+        known = [*derived.values(), *(found.stored for found in runs.values())]
+        metric_ids = MetricRepository(self._session).ids(
+            key for key in _DERIVED if any(key in entry for entry in known)
+        )
+        outdated: list[tuple[int, int]] = []
+        rows: list[dict[str, Any]] = []
+        for run_id, wanted in derived.items():
+            found = runs[run_id]
+            for key, metric_id in metric_ids.items():
+                if wanted.get(key) == found.stored.get(key):
+                    continue
+                if key in found.stored:
+                    outdated.append((metric_id, run_id))
+                if key in wanted:
+                    place = {"run_id": run_id, "metric_id": metric_id, "protocol_id": protocol_id}
+                    rows.append({**place, "value": wanted[key], "is_current": int(found.is_current)})
+        if outdated:
+            same = _FIGURES.c.metric_id == bindparam("metric"), _FIGURES.c.run_id == bindparam("run")
+            removal = delete(_FIGURES).where(*same, _FIGURES.c.protocol_id == protocol_id)
+            self._session.execute(removal, [{"metric": metric, "run": run} for metric, run in outdated])
+        if rows:
+            self._session.execute(insert(_FIGURES), rows)
+
+    def _read(self, protocol_id: int, configurations: Collection[int]) -> dict[int, dict[int, _Judged]]:
+        """{configuration: {run: what is known of it}} of the runs whose evaluation under the protocol has ended."""
+        groups: dict[int, dict[int, _Judged]] = defaultdict(dict)
+        query = (
+            select(_RUNS.c.configuration_id, _RUNS.c.id, _RUNS.c.current_protocol_id, _EVALUATIONS.c.state)
+            .join(_EVALUATIONS, _EVALUATIONS.c.run_id == _RUNS.c.id)
+            .where(
+                _RUNS.c.configuration_id.in_(configurations),
+                _EVALUATIONS.c.protocol_id == protocol_id,
+                _EVALUATIONS.c.open.is_(None),
+            )
+        )
+        for configuration, run_id, current, state in self._session.execute(query):
+            entry = groups[configuration].setdefault(run_id, _Judged(current == protocol_id, succeeded=False))
+            entry.succeeded |= state is EvaluationState.SUCCEEDED
+        for configuration, run_id, key, value in self._stored(protocol_id, configurations):
+            if run_id in groups[configuration]:
+                groups[configuration][run_id].stored[key] = value
+        return groups
+
+    def _stored(self, protocol_id: int, configurations: Collection[int]) -> Iterator[tuple[int, int, str, float]]:
+        """Configuration, run, key and value of the metrics that verdicts depend on or consist of."""
+        wanted = select(Metric.id, Metric.key).where(Metric.key.in_((*EVIDENCE, VERDICT)))
+        names = {row.id: row.key for row in self._session.execute(wanted)}
+        query = (
+            select(_RUNS.c.configuration_id, _RUNS.c.id, _FIGURES.c.metric_id, _FIGURES.c.value)
+            .join(_FIGURES, _FIGURES.c.run_id == _RUNS.c.id)
+            .where(
+                _RUNS.c.configuration_id.in_(configurations),
+                _FIGURES.c.metric_id.in_(sorted(names)),
+                _FIGURES.c.protocol_id == protocol_id,
+            )
+        )
+        for configuration, run_id, metric_id, value in self._session.execute(query):
+            yield configuration, run_id, names[metric_id], value
+
+
+def _derived(runs: Mapping[int, _Judged]) -> dict[int, dict[str, float]]:
+    """{run: verdict and comparison with its repeats} of the runs of one configuration under one protocol."""
+    judged = {run: entry.metrics for run, entry in runs.items() if entry.succeeded}
+    errors_m = {run: metrics[ERROR] for run, metrics in judged.items() if ERROR in metrics}
+    compared = {run: error for run, error in errors_m.items() if tracked_enough(judged[run])}
+    repeats = compare_repeats(errors_m, compared)
+    found: dict[int, dict[str, float]] = {}
+    for run, entry in runs.items():
+        kind = VerdictKind.NOT_EVALUABLE
+        if entry.succeeded:
+            kind = judge({**judged[run], **repeats.get(run, {})}).kind
+        found[run] = {VERDICT: float(CODES[kind]), **repeats.get(run, {})}
+    return found
