@@ -11,6 +11,7 @@ from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import messages, print_json, progress_bar
 from slamhive.domain.numbers import plural
+from slamhive.domain.protocol import Duplicates
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import InvalidInput
 from slamhive.services.imports.request import (
@@ -20,11 +21,14 @@ from slamhive.services.imports.request import (
     DEFAULT_TIMES,
     ImportReport,
     ImportRequest,
+    Reading,
     TrajectoryFormat,
 )
 from slamhive.services.imports.sources import parse_setup
+from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 
 _SHOWN_LEFT_OUT = 10
+_DUPLICATES_HELP = "Which poses count where a timestamp occurs twice; the runs are evaluated so."
 _SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Without a name: all others."
 
 
@@ -37,6 +41,11 @@ _SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Witho
 @click.option("--times", default=DEFAULT_TIMES, show_default=True, help="Where the stamps of KITTI poses lie.")
 @click.option("--format", "wanted", type=choice(TrajectoryFormat), default="auto", show_default=True)
 @click.option("--sensors", multiple=True, metavar="[NAME=]SETUP", help=_SENSORS_HELP)
+@click.option("--time-unit", type=choice(TimeUnit), help="Of the timestamps; default: found out, or asked.")
+@click.option("--quaternion-order", type=choice(QuaternionOrder), help="Default: found out, or asked.")
+@click.option("--groundtruth-time-unit", type=choice(TimeUnit), help="As --time-unit, of the ground truths.")
+@click.option("--groundtruth-quaternion-order", type=choice(QuaternionOrder), help="Of the ground truths.")
+@click.option("--duplicates", type=choice(Duplicates), default="refuse", show_default=True, help=_DUPLICATES_HELP)
 @click.option("--gravity-aligned", is_flag=True, help="The z axis of the ground truths points up.")
 @click.option("--evaluate/--no-evaluate", default=True, show_default=True, help="Evaluate what has no evaluation yet.")
 @click.option("--dry-run", is_flag=True, help="Read everything, write nothing.")
@@ -44,6 +53,9 @@ _SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Witho
 @pass_cli
 def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, **options: Any) -> None:
     """Import trajectories from SOURCE, a folder or a table.
+
+    The unit of timestamps and the order of quaternions are detected by what speaks for them, and reported. Where that
+    is in doubt the file is refused, and the message names the option that decides.
 
     Poses are those of the body, in the frame that the ground truth describes. The same command again imports what is
     new, and completes an import that was killed.
@@ -59,6 +71,9 @@ def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, 
         format=TrajectoryFormat(options["wanted"]),
         sensors=_sensors(options["sensors"]),
         gravity_aligned=options["gravity_aligned"],
+        told=_convention(options, ""),
+        truth_told=_convention(options, "groundtruth_"),
+        duplicates=Duplicates(options["duplicates"]),
     )
     with progress_bar("reading" if dry_run else "importing") as show:
         report = hive.imports.carry_out(
@@ -74,6 +89,12 @@ def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, 
         _show(report, evaluated, failures)
     if report.problems or failures:
         raise click.exceptions.Exit(1)
+
+
+def _convention(options: dict[str, Any], prefix: str) -> Convention:
+    """What the options say of trajectories, or with a prefix of ground truths."""
+    unit, order = options[f"{prefix}time_unit"], options[f"{prefix}quaternion_order"]
+    return Convention(None if unit is None else TimeUnit(unit), None if order is None else QuaternionOrder(order))
 
 
 def _sensors(texts: tuple[str, ...]) -> dict[str, SensorSetup]:
@@ -93,6 +114,8 @@ def _show(report: ImportReport, evaluated: int, failures: dict[int, str]) -> Non
         messages.print(f"{problem.name}: {problem.text}", markup=False, soft_wrap=True)
     for run_id, reason in failures.items():
         messages.print(f"run {run_id} cannot be evaluated: {reason}", markup=False, soft_wrap=True)
+    for line in _readings_in_words(report.readings):
+        messages.print(line, markup=False, soft_wrap=True)
     if report.left_out:
         shown = ", ".join(report.left_out[:_SHOWN_LEFT_OUT])
         more = f" and {len(report.left_out) - _SHOWN_LEFT_OUT} more" if len(report.left_out) > _SHOWN_LEFT_OUT else ""
@@ -106,6 +129,22 @@ def _show(report: ImportReport, evaluated: int, failures: dict[int, str]) -> Non
     click.echo(", ".join(words))
 
 
+def _readings_in_words(readings: list[Reading]) -> list[str]:
+    """A line for each way in which files were read that are not TUM files as they stand, with an example."""
+    alike: dict[str, list[Reading]] = {}
+    for reading in readings:
+        if not reading.as_it_stands:
+            alike.setdefault(reading.words, []).append(reading)
+    return [
+        f"{plural(len(members), 'file')} {words}, {members[0].name} for these reasons: "
+        + "; ".join(f"{_WHAT[key]} {because}" for key, because in members[0].because.items())
+        for words, members in alike.items()
+    ]
+
+
+_WHAT = {"time_unit": "unit", "quaternion_order": "order"}
+
+
 def _as_json(report: ImportReport, evaluated: int, failures: dict[int, str]) -> dict[str, Any]:
     return {
         "dry_run": report.dry_run,
@@ -115,6 +154,15 @@ def _as_json(report: ImportReport, evaluated: int, failures: dict[int, str]) -> 
         "datasets": report.datasets,
         "evaluated": evaluated,
         "failed_evaluations": {str(run_id): reason for run_id, reason in failures.items()},
+        "readings": [
+            {
+                "name": reading.name,
+                "time_unit": reading.time_unit,
+                "quaternion_order": reading.quaternion_order,
+                "because": dict(reading.because),
+            }
+            for reading in report.readings
+        ],
         "problems": [{"name": problem.name, "text": problem.text} for problem in report.problems],
         "left_out": report.left_out,
     }

@@ -10,6 +10,7 @@ from sqlalchemy import bindparam, or_, select, update
 from sqlalchemy.orm import Session
 
 from slamhive.domain.external import IMPORTED
+from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import RunState
 from slamhive.store.models import Run, RunEvent
 from slamhive.store.records import RunRequest
@@ -23,13 +24,17 @@ _CHUNK = 100
 
 @dataclass(frozen=True, slots=True)
 class ImportedRun:
-    """A run to file: ``uid`` identifies trial and trajectory, ``why`` says where it comes from."""
+    """A run to file: ``uid`` identifies trial and trajectory, ``why`` says where it comes from.
+
+    ``protocol``: what it is evaluated under, None for what its sensors deserve.
+    """
 
     uid: str
     configuration_id: int
     poses: int
     why: str
     dataset_checksum: str
+    protocol: Protocol | None = None
 
 
 class ImportRepository:
@@ -52,7 +57,13 @@ class ImportRepository:
     def add(self, runs: Sequence[ImportedRun], now: datetime) -> list[int]:
         """File runs as succeeded; their ids in order. One whose ``uid`` is there already is not filed again."""
         requests = [
-            RunRequest(uid=run.uid, configuration_id=run.configuration_id, executor=IMPORTED, evaluate=True)
+            RunRequest(
+                uid=run.uid,
+                configuration_id=run.configuration_id,
+                executor=IMPORTED,
+                evaluate=True,
+                protocol=run.protocol,
+            )
             for run in runs
         ]
         ids = RunRepository(self._session).add_runs(requests, now)

@@ -11,7 +11,8 @@ import numpy as np
 
 from slamhive.errors import InvalidInput
 from slamhive.files import write_aside
-from slamhive.trajectory.model import FloatArray, Trajectory, find_problem
+from slamhive.trajectory.layout import Convention, QuaternionOrder, RawPoses, TimeUnit, stated_in
+from slamhive.trajectory.model import FloatArray, Trajectory
 from slamhive.trajectory.table import parse_table, read_bounded
 from slamhive.trajectory.transforms import quats_from_rotations, rotations_from_quats
 
@@ -26,18 +27,21 @@ def read_kitti(poses_path: Path, times_path: Path) -> Trajectory:
         NotFound: One of the files does not exist.
         InvalidInput: One of them is malformed, or they differ in length; the message names file, line and value.
     """
+    return read_kitti_rows(poses_path, times_path).trajectory(TimeUnit.S, QuaternionOrder.XYZW)
+
+
+def read_kitti_rows(poses_path: Path, times_path: Path) -> RawPoses:
+    """As :func:`read_kitti`, before it is known in which unit the stamps are."""
     matrices = _read_poses(poses_path)
-    times = parse_table(read_bounded(times_path), str(times_path), 1, "timestamp")
-    count, stamps_s = len(matrices), times.values[:, 0]
-    if len(stamps_s) != count:
+    data = read_bounded(times_path)
+    times = parse_table(data, str(times_path), 1, "timestamp")
+    count, stamps = len(matrices), times.values[:, 0]
+    if len(stamps) != count:
         raise InvalidInput(
-            f"{poses_path} has {count} poses, {times_path} has {len(stamps_s)} stamps", "both need one line per frame"
+            f"{poses_path} has {count} poses, {times_path} has {len(stamps)} stamps", "both need one line per frame"
         )
-    quats_xyzw = quats_from_rotations(matrices[:, :, :3])
-    problem = find_problem(stamps_s, matrices[:, :, 3], quats_xyzw)
-    if problem is not None:
-        raise times.error(problem.index, problem.found, problem.remedy)
-    return Trajectory(stamps_s, matrices[:, :, 3], quats_xyzw)
+    stated = Convention(stated_in(data).time_unit, QuaternionOrder.XYZW)
+    return RawPoses(times, stamps, matrices[:, :, 3], quats_from_rotations(matrices[:, :, :3]), stated=stated)
 
 
 def read_kitti_matrices(path: Path) -> FloatArray:

@@ -6,7 +6,6 @@ import pytest
 from slamhive.errors import InvalidInput
 from slamhive.trajectory.alignment import align_umeyama, align_yaw_position
 from slamhive.trajectory.completeness import measure_completeness
-from slamhive.trajectory.euroc import read_euroc
 from slamhive.trajectory.kitti import read_kitti, write_kitti
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import (
@@ -109,19 +108,6 @@ def test_kitti_round_trip_and_mistakes(tmp_path: Path) -> None:
     times.write_text("0\n1\n")
     with pytest.raises(InvalidInput, match=r"line 2: the 3x3 part is not a rotation"):
         read_kitti(poses, times)
-
-
-def test_euroc(tmp_path: Path) -> None:
-    path = tmp_path / "data.csv"
-    path.write_text(
-        "#timestamp, p_RS_R_x\n1403636580838555648,1,2,3,1,0,0,0,9,9\n1403636580843555648,1,2,4,1,0,0,0,9,9\n"
-    )
-    trajectory = read_euroc(path)
-    assert trajectory.stamps_s[0] == pytest.approx(1403636580.838555648, abs=1e-6)
-    np.testing.assert_array_equal(trajectory.quats_xyzw[0], [0, 0, 0, 1])
-    path.write_text("1403636580838555648,1,2,3\n")
-    with pytest.raises(InvalidInput, match="line 1: 4 columns"):
-        read_euroc(path)
 
 
 def test_a_trajectory_is_read_only_and_checked() -> None:

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from slamhive.domain.protocol import Duplicates
 from slamhive.errors import InvalidInput
-from slamhive.services.imports.request import Candidate, TrajectoryFormat
-from slamhive.trajectory.euroc import read_euroc
-from slamhive.trajectory.kitti import read_kitti
+from slamhive.services.imports.conventions import Partner, PoseFile, Truth, settle, settle_truth
+from slamhive.services.imports.request import Candidate, Reading, TrajectoryFormat
+from slamhive.trajectory.kitti import read_kitti_rows
+from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit, parse_position_rows, parse_rows
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.table import count_columns, read_bounded
-from slamhive.trajectory.tum import format_tum, parse_positions, parse_tum
+from slamhive.trajectory.tum import format_tum
 
 _HALF = 16
 _FEWEST_POSES = 2
-_POSITION_COLUMNS, _TUM_COLUMNS, _KITTI_COLUMNS = 4, 8, 12
+_POSITION_COLUMNS, _TUM_COLUMNS, _KITTI_COLUMNS, _EUROC_COLUMNS = 4, 8, 12, 17
 _FIRST_NANOSECONDS = 1e11
-"""100 s; as seconds it would be three thousand years."""
+"""100 s; as seconds it would be three thousand years. Such rows may go on behind the pose, as those of EuRoC do."""
 
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """A candidate that was read.
+    """A candidate whose numbers are understood.
 
     Attributes:
         candidate: What it was.
@@ -32,6 +35,7 @@ class Loaded:
         poses: How many.
         format: Which it was.
         checksum: Of the file, ``sha256:<hex>``.
+        reading: How its numbers were taken.
     """
 
     candidate: Candidate
@@ -40,6 +44,7 @@ class Loaded:
     poses: int
     format: TrajectoryFormat
     checksum: str
+    reading: Reading
 
     @property
     def uid(self) -> str:
@@ -49,19 +54,19 @@ class Loaded:
 
 @dataclass(frozen=True, slots=True)
 class LoadedTruth:
-    """A ground truth that was read.
+    """A ground truth whose numbers are understood.
 
     Attributes:
         text: In TUM format, or lines of stamp and position; the bytes of the file itself if they were.
         kitti_poses: The bytes of the file itself if it was in KITTI format, else None.
-        span_s: From its first stamp to its last.
-        positions_only: It holds no orientations.
+        truth: What estimates are compared with.
+        reading: How its numbers were taken.
     """
 
     text: bytes
     kitti_poses: bytes | None
-    span_s: float
-    positions_only: bool
+    truth: Truth
+    reading: Reading
 
 
 def trial_digits(candidate: Candidate) -> str:
@@ -70,54 +75,85 @@ def trial_digits(candidate: Candidate) -> str:
     return hashlib.sha256(names.encode()).hexdigest()[:_HALF]
 
 
-def load(candidate: Candidate) -> Loaded:
-    """Read a candidate; raises NotFound or InvalidInput naming file, line and value."""
-    data = read_bounded(candidate.path)
-    found, trajectory = read_any(candidate.path, data, candidate.format, candidate.times)
-    _check_length(candidate.path, trajectory, "trajectory")
+def read_candidate(candidate: Candidate) -> PoseFile:
+    """The numbers of a candidate; raises NotFound or InvalidInput naming file, line and value."""
+    found = _read(candidate.path, candidate.format, candidate.times)
+    _check_length(found, "trajectory")
+    return found
+
+
+def load(candidate: Candidate, file: PoseFile, truth: Truth | None, duplicates: Duplicates) -> Loaded:
+    """The candidate with its numbers understood; raises InvalidInput if they are not, or are no trajectory.
+
+    ``truth`` is what the estimate is compared with, None where there is none.
+    """
+    reading = settle(file, candidate.name, candidate.told, truth)
+    trajectory = _trajectory(file, reading, duplicates)
+    kitti_poses = file.data if file.format is TrajectoryFormat.KITTI else None
     return Loaded(
         candidate=candidate,
-        text=data if found is TrajectoryFormat.TUM else _as_tum(trajectory),
-        kitti_poses=data if found is TrajectoryFormat.KITTI else None,
+        text=_text(file, reading, trajectory),
+        kitti_poses=kitti_poses,
         poses=len(trajectory),
-        format=found,
-        checksum=f"sha256:{hashlib.sha256(data).hexdigest()}",
+        format=TrajectoryFormat.TUM if reading.as_it_stands else _other_format(file),
+        checksum=f"sha256:{hashlib.sha256(file.data).hexdigest()}",
+        reading=reading,
     )
 
 
-def load_truth(path: Path, times: Path | None = None) -> LoadedTruth:
-    """A ground truth, which may hold positions alone; raises as :func:`load`."""
+def load_truth(
+    path: Path, times: Path | None, told: Convention, partners: Sequence[Partner], duplicates: Duplicates
+) -> LoadedTruth:
+    """A ground truth, which may hold positions alone; raises NotFound or InvalidInput.
+
+    ``partners`` may tell its unit and order where it does not by itself.
+    """
+    file = _read(path, TrajectoryFormat.AUTO, times, positions=True)
+    _check_length(file, "ground truth")
+    reading = settle_truth(file, path.name, told, partners)
+    trajectory = _trajectory(file, reading, duplicates)
+    kitti_poses = file.data if file.format is TrajectoryFormat.KITTI else None
+    return LoadedTruth(_text(file, reading, trajectory), kitti_poses, Truth(trajectory, file.raw.orientations), reading)
+
+
+def read_truth_here(path: Path, *, positions_only: bool) -> Truth | None:
+    """The ground truth of a dataset that is here; None if it cannot be read, which an evaluation will tell."""
+    try:
+        file = _read(path, TrajectoryFormat.TUM, None, positions=True)
+        trajectory = file.raw.trajectory(TimeUnit.S, QuaternionOrder.XYZW, Duplicates.KEEP)
+    except InvalidInput:
+        return None
+    return Truth(trajectory, file.raw.orientations and not positions_only)
+
+
+def _read(path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions: bool = False) -> PoseFile:
+    file = _rows(path, wanted, times, positions=positions)
+    # Damage is told before any doubt about units.
+    file.raw.trajectory(TimeUnit.S, QuaternionOrder.XYZW, Duplicates.KEEP)
+    return file
+
+
+def _rows(path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions: bool) -> PoseFile:
     data = read_bounded(path)
-    positions_only = count_columns(data) == _POSITION_COLUMNS
-    if positions_only:
-        found, trajectory = TrajectoryFormat.TUM, parse_positions(data, str(path))
-    else:
-        found, trajectory = read_any(path, data, TrajectoryFormat.AUTO, times)
-    _check_length(path, trajectory, "ground truth")
-    text = data if found is TrajectoryFormat.TUM else _as_tum(trajectory)
-    kitti_poses = data if found is TrajectoryFormat.KITTI else None
-    return LoadedTruth(text, kitti_poses, trajectory.span_s, positions_only)
-
-
-def read_any(
-    path: Path, data: bytes, wanted: TrajectoryFormat, times: Path | None
-) -> tuple[TrajectoryFormat, Trajectory]:
-    """The format of the file at ``path`` with the bytes ``data``, and what it holds."""
-    found = _detect(data) if wanted is TrajectoryFormat.AUTO else wanted
-    if found is TrajectoryFormat.TUM:
-        return found, parse_tum(data, str(path))
-    if found is TrajectoryFormat.EUROC:
-        return found, read_euroc(path)
-    if times is None:
-        raise InvalidInput(f"{path} holds KITTI poses, which have no stamps", "give the file of the stamps (--times)")
-    return found, read_kitti(path, times)
-
-
-def _detect(data: bytes) -> TrajectoryFormat:
     columns = count_columns(data)
+    if positions and columns == _POSITION_COLUMNS:
+        return PoseFile(data, TrajectoryFormat.TUM, parse_position_rows(data, str(path)))
+    found = wanted if wanted is not TrajectoryFormat.AUTO else _detect(data, columns)
+    if found is TrajectoryFormat.KITTI:
+        if times is None:
+            raise InvalidInput(
+                f"{path} holds KITTI poses, which have no timestamps", "give the file of the timestamps (--times)"
+            )
+        return PoseFile(data, found, read_kitti_rows(path, times))
+    raw = parse_rows(data, str(path), more_columns=found is TrajectoryFormat.EUROC)
+    return PoseFile(data, found, raw, named=wanted is found)
+
+
+def _detect(data: bytes, columns: int) -> TrajectoryFormat:
+    """The layout of the rows; what their numbers mean is another question."""
     if columns == _KITTI_COLUMNS:
         return TrajectoryFormat.KITTI
-    if columns >= _TUM_COLUMNS and _first_number(data) >= _FIRST_NANOSECONDS:
+    if columns == _EUROC_COLUMNS or (columns > _TUM_COLUMNS and _first_number(data) >= _FIRST_NANOSECONDS):
         return TrajectoryFormat.EUROC
     return TrajectoryFormat.TUM
 
@@ -130,10 +166,25 @@ def _first_number(data: bytes) -> float:
         return 0.0
 
 
-def _check_length(path: Path, trajectory: Trajectory, kind: str) -> None:
-    if len(trajectory) < _FEWEST_POSES:
-        raise InvalidInput(f"{path} holds a single pose", f"a {kind} needs two at least")
+def _other_format(file: PoseFile) -> TrajectoryFormat:
+    return TrajectoryFormat.KITTI if file.format is TrajectoryFormat.KITTI else TrajectoryFormat.EUROC
 
 
-def _as_tum(trajectory: Trajectory) -> bytes:
+def _check_length(file: PoseFile, kind: str) -> None:
+    if len(file.raw.times) < _FEWEST_POSES:
+        raise InvalidInput(f"{file.raw.table.name} holds a single pose", f"a {kind} needs two at least")
+
+
+def _trajectory(file: PoseFile, reading: Reading, duplicates: Duplicates) -> Trajectory:
+    """All poses of the file: what counts of duplicates is decided by the evaluation, not here."""
+    kept = Duplicates.REFUSE if duplicates is Duplicates.REFUSE else Duplicates.KEEP
+    return file.raw.trajectory(reading.time_unit, reading.quaternion_order or QuaternionOrder.XYZW, kept)
+
+
+def _text(file: PoseFile, reading: Reading, trajectory: Trajectory) -> bytes:
+    if reading.as_it_stands:
+        return file.data
+    if not file.raw.orientations:
+        rows = zip(trajectory.stamps_s.tolist(), trajectory.positions_m.tolist(), strict=True)
+        return "".join(f"{stamp_s:.9f} {x:.9f} {y:.9f} {z:.9f}\n" for stamp_s, (x, y, z) in rows).encode()
     return format_tum(trajectory.stamps_s, trajectory.positions_m, trajectory.quats_xyzw).encode()

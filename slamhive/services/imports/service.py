@@ -7,7 +7,7 @@ between, or anywhere else, is completed by the same command.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -16,23 +16,27 @@ from typing import Any
 from slamhive.bags.variants.locks import Busy, exclusive
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
-from slamhive.domain.dataset import Dataset
 from slamhive.domain.numbers import plural
+from slamhive.domain.protocol import Duplicates, Protocol
+from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.errors import Conflict, InvalidInput, SlamHiveError, Unavailable
 from slamhive.runs.folder import RunFolder
 from slamhive.services.catalogue import Catalogue, check_writable
 from slamhive.services.driver_context import utc_now
+from slamhive.services.imports.conventions import Partner, PoseFile
 from slamhive.services.imports.external import choose_algorithm
-from slamhive.services.imports.reading import Loaded, load, trial_digits
+from slamhive.services.imports.reading import Loaded, load, read_candidate, trial_digits
 from slamhive.services.imports.request import Candidate, Found, ImportReport, ImportRequest, Problem
 from slamhive.services.imports.sources import find
-from slamhive.services.imports.truths import TruthFiles, Truths
+from slamhive.services.imports.truths import Home, TruthFiles, Truths
 from slamhive.services.preparation import check_disk
+from slamhive.services.protocols import fitting_protocol
 from slamhive.services.record import begin_record, events_to_json
 from slamhive.settings import Settings
 from slamhive.store.imports import ImportedRun, ImportRepository
 from slamhive.store.records import RunRecord
 from slamhive.store.store import Store, Transaction
+from slamhive.trajectory.layout import UNKNOWN
 
 BATCH = 50
 _LOCK = ".import.lock"
@@ -48,7 +52,7 @@ class _Homes:
 
     truths: Truths
     algorithms: dict[str, Algorithm] = field(default_factory=dict)
-    datasets: dict[str, Dataset] = field(default_factory=dict)
+    datasets: dict[str, Home] = field(default_factory=dict)
     lost: set[str] = field(default_factory=set)
 
 
@@ -88,9 +92,10 @@ class Imports:
             ready = [entry for entry in found.candidates if entry.algorithm in homes.algorithms]
             for start in range(0, len(ready), BATCH):
                 part = [entry for entry in ready[start : start + BATCH] if entry.dataset not in homes.lost]
-                loaded = list(_loaded(part, report))
-                self._find_datasets({entry.candidate.dataset for entry in loaded}, homes, found, report)
-                self._batch([entry for entry in loaded if entry.candidate.dataset in homes.datasets], homes, report)
+                files = list(_read(part, report))
+                self._find_datasets(files, homes, found, report)
+                usable = [entry for entry in files if entry[0].dataset in homes.datasets]
+                self._batch(list(_loaded(usable, homes, request, report)), homes, request, report)
                 progress(min(start + BATCH, len(ready)), len(ready))
         report.problems.sort(key=lambda problem: problem.name)
         report.datasets.sort()
@@ -110,7 +115,12 @@ class Imports:
 
     def _homes(self, request: ImportRequest, found: Found, report: ImportReport) -> _Homes:
         """The algorithms of the candidates, those that cannot be used being problems, and no datasets yet."""
-        truths = Truths(self._catalogue, self._settings.datasets_folder, gravity_aligned=request.gravity_aligned)
+        truths = Truths(
+            self._catalogue,
+            self._settings.datasets_folder,
+            gravity_aligned=request.gravity_aligned,
+            duplicates=request.duplicates,
+        )
         homes = _Homes(truths)
         for name in sorted({entry.algorithm for entry in found.candidates}):
             setup = found.setups.get(name) or request.sensors.get(name) or request.sensors.get("")
@@ -121,23 +131,30 @@ class Imports:
         self._check_sensor_names(request, found)
         return homes
 
-    def _find_datasets(self, names: Iterable[str], homes: _Homes, found: Found, report: ImportReport) -> None:
+    def _find_datasets(
+        self, read: Sequence[tuple[Candidate, PoseFile]], homes: _Homes, found: Found, report: ImportReport
+    ) -> None:
         """Find or make the datasets that are not known yet; one that cannot be used is a problem, told once.
 
         Only for trajectories that can be read: nothing is made where every one is refused.
         """
         usable = [entry for entry in found.candidates if entry.algorithm in homes.algorithms]
-        for name in sorted(set(names) - homes.datasets.keys() - homes.lost):
+        names = {candidate.dataset for candidate, _ in read}
+        for name in sorted(names - homes.datasets.keys() - homes.lost):
             files = TruthFiles(
                 trajectory=found.truths.get(name, found.truths.get("")),
                 times=next(
                     (entry.times for entry in usable if entry.dataset == name and entry.times is not None), None
                 ),
                 relations=found.relations.get(name, found.relations.get("")),
+                told=found.truth_told.get(name, found.truth_told.get("", UNKNOWN)),
+                partners=[Partner(file, entry.told) for entry, file in read if entry.dataset == name],
             )
             try:
-                homes.datasets[name], new = homes.truths.dataset(name, files, dry_run=report.dry_run)
-                report.datasets += [name] if new else []
+                home = homes.truths.home(name, files, dry_run=report.dry_run)
+                homes.datasets[name] = home
+                report.datasets += [name] if home.new else []
+                report.readings += [] if home.reading is None else [home.reading]
             except Unavailable:
                 raise
             except SlamHiveError as error:
@@ -153,7 +170,7 @@ class Imports:
                     f"there are {', '.join(sorted(names))}",
                 )
 
-    def _batch(self, loaded: list[Loaded], homes: _Homes, report: ImportReport) -> None:
+    def _batch(self, loaded: list[Loaded], homes: _Homes, request: ImportRequest, report: ImportReport) -> None:
         """File what is new, and give every run its folder."""
         beginnings = {trial_digits(entry.candidate) for entry in loaded}
         known = self._store.read(lambda t: ImportRepository(t.session).known(beginnings))
@@ -173,7 +190,8 @@ class Imports:
         if report.dry_run:
             return
         now = utc_now()
-        ids = self._store.write(lambda t: _file(t, fresh, homes, now)) if fresh else []
+        protocols = self._protocols(fresh, homes, request)
+        ids = self._store.write(lambda t: _file(t, fresh, homes, protocols, now)) if fresh else []
         by_uid = {**known, **dict(zip((entry.uid for entry in fresh), ids, strict=True))}
         here = {by_uid[entry.uid]: entry for entry in loaded if entry.uid in by_uid}
         lacking = [run_id for run_id in here if not self._folder(run_id).record.exists()]
@@ -181,12 +199,27 @@ class Imports:
             self._make_folder(run, here[run.id], homes)
         report.run_ids += here
 
+    def _protocols(
+        self, entries: Iterable[Loaded], homes: _Homes, request: ImportRequest
+    ) -> dict[tuple[str, str], Protocol]:
+        """By algorithm and dataset the protocol of the runs, if it is not the one that their sensors deserve."""
+        if request.duplicates is Duplicates.REFUSE:
+            return {}
+        asked = ProtocolRequest({"duplicates": request.duplicates.value}, "--duplicates")
+        pairs = {(entry.candidate.algorithm, entry.candidate.dataset) for entry in entries}
+        return {
+            (name, dataset): fitting_protocol(
+                homes.algorithms[name], homes.datasets[dataset].dataset, self._settings, asked
+            )
+            for name, dataset in pairs
+        }
+
     def _make_folder(self, run: RunRecord, entry: Loaded, homes: _Homes) -> None:
         """Write the run's folder aside and rename it."""
         aside = RunFolder(self._settings.runs_folder / f"{_ASIDE}{run.uid}")
         events = self._store.read(lambda t: t.runs.events(run.id))
         algorithm = homes.algorithms[run.algorithm]
-        dataset = homes.datasets[run.dataset]
+        dataset = homes.datasets[run.dataset].dataset
         record = {
             **begin_record(run),
             "detail": run.detail,
@@ -229,18 +262,37 @@ def _nothing(request: ImportRequest, found: Found) -> InvalidInput:
     )
 
 
-def _loaded(candidates: Iterable[Candidate], report: ImportReport) -> Iterator[Loaded]:
+def _read(candidates: Iterable[Candidate], report: ImportReport) -> Iterator[tuple[Candidate, PoseFile]]:
     for candidate in candidates:
         try:
-            yield load(candidate)
+            yield candidate, read_candidate(candidate)
         except SlamHiveError as error:
             report.problems.append(Problem(candidate.name, str(error)))
 
 
-def _file(t: Transaction, entries: list[Loaded], homes: _Homes, now: datetime) -> list[int]:
+def _loaded(
+    files: Iterable[tuple[Candidate, PoseFile]], homes: _Homes, request: ImportRequest, report: ImportReport
+) -> Iterator[Loaded]:
+    for candidate, file in files:
+        try:
+            loaded = load(candidate, file, homes.datasets[candidate.dataset].truth, request.duplicates)
+        except SlamHiveError as error:
+            report.problems.append(Problem(candidate.name, str(error)))
+        else:
+            report.readings.append(loaded.reading)
+            yield loaded
+
+
+def _file(
+    t: Transaction,
+    entries: list[Loaded],
+    homes: _Homes,
+    protocols: Mapping[tuple[str, str], Protocol],
+    now: datetime,
+) -> list[int]:
     configurations: dict[tuple[str, str], int] = {}
     for name, dataset_name in sorted({(entry.candidate.algorithm, entry.candidate.dataset) for entry in entries}):
-        algorithm, dataset = homes.algorithms[name], homes.datasets[dataset_name]
+        algorithm, dataset = homes.algorithms[name], homes.datasets[dataset_name].dataset
         configurations[name, dataset_name], _ = t.configurations.get_or_create(
             Configuration(name, dataset_name, {}),
             t.catalogue.put_algorithm(algorithm),
@@ -254,7 +306,8 @@ def _file(t: Transaction, entries: list[Loaded], homes: _Homes, now: datetime) -
             configuration_id=configurations[entry.candidate.algorithm, entry.candidate.dataset],
             poses=entry.poses,
             why=f"imported from {entry.candidate.name}, trial {entry.candidate.trial}: {entry.poses} poses",
-            dataset_checksum=homes.datasets[entry.candidate.dataset].checksum,
+            dataset_checksum=homes.datasets[entry.candidate.dataset].dataset.checksum,
+            protocol=protocols.get((entry.candidate.algorithm, entry.candidate.dataset)),
         )
         for entry in entries
     ]
@@ -263,9 +316,13 @@ def _file(t: Transaction, entries: list[Loaded], homes: _Homes, now: datetime) -
 
 def _origin(entry: Loaded) -> dict[str, Any]:
     """What is known of where a run comes from: the name of the file below the source, never the way to it."""
+    reading = entry.reading
     return {
         "source": entry.candidate.name,
         "trial": entry.candidate.trial,
         "format": entry.format.value,
         "checksum": entry.checksum,
+        "time_unit": reading.time_unit.value,
+        "quaternion_order": None if reading.quaternion_order is None else reading.quaternion_order.value,
+        "because": dict(reading.because),
     }

@@ -6,17 +6,23 @@ import csv
 import io
 import os
 from collections.abc import Iterator
+from enum import StrEnum
 from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
 from slamhive.domain.names import check_name
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import InvalidInput, SlamHiveError, nearest
 from slamhive.services.imports.pattern import FIELDS, PathPattern
 from slamhive.services.imports.request import Candidate, Found, ImportRequest, Problem, TrajectoryFormat
+from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.table import read_bounded
 
 _NEEDED = ("algorithm", "dataset", "file")
-_OPTIONAL = ("trial", "sensors", "groundtruth", "relations", "times", "format")
+_OPTIONAL = (
+    *("trial", "sensors", "groundtruth", "relations", "times", "format", "time_unit", "quaternion_order"),
+    *("groundtruth_time_unit", "groundtruth_quaternion_order"),
+)
 _ONLY_TRIAL = "1"
 _LINK = "is a link, and links are not followed; put the file there"
 _UNPRINTABLE = "the name holds characters that cannot be printed; rename it"
@@ -62,6 +68,7 @@ def _in_folder(request: ImportRequest, found: Found) -> Iterator[Candidate]:
             (request.times, stamps),
         )
     ]
+    found.truth_told[""] = request.truth_told
     trajectories: list[tuple[str, Path]] = []
     for name, path in _files(root, found):
         place = next(((match, files) for kind, files in beside if (match := kind.match(name)) is not None), None)
@@ -82,6 +89,7 @@ def _in_folder(request: ImportRequest, found: Found) -> Iterator[Candidate]:
                 name=name,
                 format=request.format,
                 times=stamps.get(match["dataset"], stamps.get("")),
+                told=request.told,
             )
 
 
@@ -158,19 +166,41 @@ def _row(request: ImportRequest, found: Found, row: dict[str, str], name: str) -
             file = _inside(folder, row[column])
             if files.setdefault(dataset, file) != file:
                 raise InvalidInput(f"dataset {dataset} has the {kind} {files[dataset].name} in a row above")
-    wanted = row.get("format") or request.format.value
-    known = [entry.value for entry in TrajectoryFormat]
-    if wanted not in known:
-        raise InvalidInput(f"format {wanted[:40]!r} is not known; {nearest(wanted, known)}")
+    truth_told = _told(row, "groundtruth_", request.truth_told)
+    if found.truth_told.setdefault(dataset, truth_told) != truth_told:
+        raise InvalidInput(f"dataset {dataset} has another unit or order of its ground truth in a row above")
     return Candidate(
         algorithm=algorithm,
         dataset=dataset,
         trial=row.get("trial") or _ONLY_TRIAL,
         path=_inside(folder, row["file"]),
         name=f"{name} ({row['file']})",
-        format=TrajectoryFormat(wanted),
+        format=_member(TrajectoryFormat, "format", row) or request.format,
         times=_inside(folder, row["times"]) if row.get("times") else None,
+        told=_told(row, "", request.told),
     )
+
+
+def _told(row: dict[str, str], prefix: str, default: Convention) -> Convention:
+    """Unit and order that the row states, or else those of the whole import."""
+    return Convention(
+        _member(TimeUnit, f"{prefix}time_unit", row) or default.time_unit,
+        _member(QuaternionOrder, f"{prefix}quaternion_order", row) or default.quaternion_order,
+    )
+
+
+_Member = TypeVar("_Member", bound=StrEnum)
+
+
+def _member(kind: type[_Member], column: str, row: dict[str, str]) -> _Member | None:
+    """What the row says in ``column``, None for nothing; raises InvalidInput with the nearest."""
+    text = row.get(column)
+    if not text:
+        return None
+    known = [entry.value for entry in kind]
+    if text not in known:
+        raise InvalidInput(f"{column} {text[:40]!r} is not known; {nearest(text, known)}")
+    return kind(text)
 
 
 def _inside(folder: Path, text: str) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,10 +11,14 @@ from slamhive.bags.staging import GROUND_TRUTH_FILE, new_dataset_folder
 from slamhive.catalogue.dataset_file import DATASET_FILE, dataset_to_yaml
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.names import check_name
+from slamhive.domain.protocol import Duplicates
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.evaluators.relations import parse_relations
 from slamhive.services.catalogue import Catalogue
-from slamhive.services.imports.reading import load_truth
+from slamhive.services.imports.conventions import Partner, Truth
+from slamhive.services.imports.reading import LoadedTruth, load_truth, read_truth_here
+from slamhive.services.imports.request import Reading
+from slamhive.trajectory.layout import UNKNOWN, Convention
 from slamhive.trajectory.table import read_bounded
 
 RELATIONS_FILE = "relations.txt"
@@ -28,11 +33,32 @@ class TruthFiles:
         trajectory: The ground truth.
         times: Stamps of the ground truth, if it is in KITTI format.
         relations: Relations between poses.
+        told: What the user says of the numbers of the ground truth.
+        partners: Trajectories on the dataset.
     """
 
     trajectory: Path | None = None
     times: Path | None = None
     relations: Path | None = None
+    told: Convention = UNKNOWN
+    partners: Sequence[Partner] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """The dataset that trajectories belong to.
+
+    Attributes:
+        dataset: What it is.
+        new: It was made by this import.
+        truth: What the trajectories are compared with; None where there is no ground truth.
+        reading: How the numbers of a ground truth that came along were taken.
+    """
+
+    dataset: Dataset
+    new: bool
+    truth: Truth | None = None
+    reading: Reading | None = None
 
 
 class Truths:
@@ -42,47 +68,59 @@ class Truths:
         catalogue: Of the datasets that are here.
         folder: Where datasets lie.
         gravity_aligned: The z axis of new ground truths points up.
+        duplicates: Anything but REFUSE accepts timestamps that occur twice.
     """
 
-    def __init__(self, catalogue: Catalogue, folder: Path, *, gravity_aligned: bool) -> None:
+    def __init__(
+        self, catalogue: Catalogue, folder: Path, *, gravity_aligned: bool, duplicates: Duplicates = Duplicates.REFUSE
+    ) -> None:
         self._catalogue = catalogue
         self._folder = folder
         self._gravity_aligned = gravity_aligned
+        self._duplicates = duplicates
 
-    def dataset(self, name: str, files: TruthFiles, *, dry_run: bool) -> tuple[Dataset, bool]:
-        """The dataset called ``name``, and whether it is new; with ``dry_run`` it is described and not made.
+    def home(self, name: str, files: TruthFiles, *, dry_run: bool) -> Home:
+        """The dataset called ``name``; with ``dry_run`` a new one is described and not made.
 
         Raises InvalidInput for a file that is damaged, missing, or not that of the dataset that is here.
         """
         check_name("dataset", name)
         known = self._known(name)
         if known is not None:
-            self._check_same(known, files)
-            return known, False
+            reading = self._check_same(known, files)
+            return Home(known, False, _truth_here(known), reading)
         if files.trajectory is None and files.relations is None:
             raise InvalidInput(
                 f"dataset {name} is not here, and no ground truth was found for it",
                 "say where it lies with --groundtruth, or with --relations if it has no trajectory",
             )
-        dataset, contents = self._described(name, files)
+        loaded = None if files.trajectory is None else self._load(files.trajectory, files)
+        dataset, contents = self._described(name, files, loaded)
         if not dry_run:
             with new_dataset_folder(dataset.folder, sum(map(len, contents.values()))) as aside:
                 for file, content in contents.items():
                     (aside / file).write_bytes(content)
                 (aside / DATASET_FILE).write_text(dataset_to_yaml(dataset), encoding="utf-8")
-        return dataset, True
+        return Home(dataset, True) if loaded is None else Home(dataset, True, loaded.truth, loaded.reading)
 
-    def _described(self, name: str, files: TruthFiles) -> tuple[Dataset, dict[str, bytes]]:
+    def _load(self, path: Path, files: TruthFiles) -> LoadedTruth:
+        try:
+            return load_truth(path, files.times, files.told, files.partners, self._duplicates)
+        except InvalidInput as error:
+            raise InvalidInput(f"ground truth {path.name}: {error.message}", error.remedy) from None
+
+    def _described(self, name: str, files: TruthFiles, loaded: LoadedTruth | None) -> tuple[Dataset, dict[str, bytes]]:
         """The dataset that the files become, and its files by name."""
         contents: dict[str, bytes] = {}
         duration_s = 0.0
         truth: GroundTruth | None = None
+        description = "Made for trajectories that were imported; there is no recording to run anything on."
         if files.relations is not None:
             contents[RELATIONS_FILE], duration_s = _read_relations(files.relations)
-        if files.trajectory is not None:
-            loaded = load_truth(files.trajectory, files.times)
-            contents[GROUND_TRUTH_FILE], duration_s = loaded.text, loaded.span_s
-            truth = GroundTruth(GROUND_TRUTH_FILE, self._gravity_aligned, loaded.positions_only)
+        if loaded is not None:
+            contents[GROUND_TRUTH_FILE], duration_s = loaded.text, loaded.truth.trajectory.span_s
+            truth = GroundTruth(GROUND_TRUTH_FILE, self._gravity_aligned, not loaded.truth.rotations_known)
+            description += "" if loaded.reading.as_it_stands else f" The ground truth was {loaded.reading.words}."
             if loaded.kitti_poses is not None:
                 contents[KITTI_POSES_FILE] = loaded.kitti_poses
                 truth = replace(truth, kitti_poses=KITTI_POSES_FILE)
@@ -95,7 +133,7 @@ class Truths:
             groundtruth=truth,
             checksum=f"sha256:{hashlib.sha256(b''.join(contents.values())).hexdigest()}",
             title=f"{name}, {'relations' if truth is None else 'ground truth'} alone",
-            description="Made for trajectories that were imported; there is no recording to run anything on.",
+            description=description,
             relations=RELATIONS_FILE if RELATIONS_FILE in contents else None,
         )
         return dataset, contents
@@ -106,11 +144,14 @@ class Truths:
         except NotFound:
             return None
 
-    def _check_same(self, known: Dataset, files: TruthFiles) -> None:
+    def _check_same(self, known: Dataset, files: TruthFiles) -> Reading | None:
+        """How the ground truth that came along was read; raises InvalidInput if it is not that of the dataset."""
         if known.groundtruth is None and known.relations is None:
             raise InvalidInput(f"dataset {known.name} has no ground truth", "add one to its folder")
+        reading: Reading | None = None
         if files.trajectory is not None:
-            truth = load_truth(files.trajectory, files.times)
+            truth = self._load(files.trajectory, files)
+            reading = truth.reading
             _check_file(known, "ground truth", known.groundtruth_path, truth.text, "--groundtruth")
             if known.groundtruth is not None and self._gravity_aligned and not known.groundtruth.gravity_aligned:
                 raise InvalidInput(
@@ -121,6 +162,14 @@ class Truths:
             text, _ = _read_relations(files.relations)
             here = None if known.relations is None else known.folder / known.relations
             _check_file(known, "relations", here, text, "--relations")
+        return reading
+
+
+def _truth_here(known: Dataset) -> Truth | None:
+    path = known.groundtruth_path
+    if path is None or known.groundtruth is None:
+        return None
+    return read_truth_here(path, positions_only=known.groundtruth.positions_only)
 
 
 def _check_file(known: Dataset, kind: str, here: Path | None, text: bytes, option: str) -> None:

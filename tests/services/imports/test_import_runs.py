@@ -259,7 +259,7 @@ def test_kitti_and_euroc_files_are_read(hive, tmp_path):
     write(source / "kitti" / "seq2" / "0.txt", format_kitti(poses.positions_m, poses.quats_xyzw))
     report = carry_out(hive, source)
     assert [problem.name for problem in report.problems] == ["kitti/seq2/0.txt"]
-    assert "KITTI poses, which have no stamps" in report.problems[0].text
+    assert "KITTI poses, which have no timestamps" in report.problems[0].text
     found = {hive.record(run_id)["imported"]["format"]: run_id for run_id in report.run_ids}
     assert set(found) == {"tum", "kitti", "euroc"}
     for kind in ("kitti", "euroc"):

@@ -1,0 +1,190 @@
+"""What the numbers of an imported file mean: as told, or else as the evidence says; in doubt the import asks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from slamhive.domain.protocol import Duplicates
+from slamhive.errors import InvalidInput
+from slamhive.services.imports.request import Reading, TrajectoryFormat
+from slamhive.trajectory.agreement import orientation_spread_deg, reordered, thinned_pair
+from slamhive.trajectory.evidence import Finding, Span, find_order, find_unit, span_of
+from slamhive.trajectory.layout import Convention, QuaternionOrder, RawPoses, TimeUnit
+from slamhive.trajectory.model import Trajectory
+
+_Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
+
+_TOLD = "as told"
+_HEADER = "by its header"
+_PARTNERS = 5
+"""So many estimates at most are asked what their ground truth means."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoseFile:
+    """A file of poses, read, its numbers not yet understood.
+
+    Attributes:
+        data: Its bytes.
+        format: The layout of its rows: TUM for eight columns or four, EUROC for more, KITTI for matrices.
+        raw: Its numbers.
+        named: The user has named the format.
+    """
+
+    data: bytes
+    format: TrajectoryFormat
+    raw: RawPoses
+    named: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """A ground truth that estimates are compared with; ``rotations_known``: its orientations mean something."""
+
+    trajectory: Trajectory
+    rotations_known: bool
+
+    @property
+    def span(self) -> Span:
+        """When it begins and ends, in s."""
+        return float(self.trajectory.stamps_s[0]), float(self.trajectory.stamps_s[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class Partner:
+    """An estimate that belongs to a ground truth, and what the user says of it."""
+
+    file: PoseFile
+    told: Convention
+
+
+def settle(file: PoseFile, name: str, told: Convention, truth: Truth | None) -> Reading:
+    """How the numbers of an estimate are to be taken; raises InvalidInput, saying what was found, in doubt."""
+    unit = _unit(file, told, None if truth is None else truth.span)
+    time_unit = _decided(unit, "time unit", "--time-unit", TimeUnit)
+    if not _has_order(file):
+        return _reading(file, name, time_unit, unit.because, None)
+    order = _order(file, told, time_unit, {} if truth is None else _spreads_deg(file, time_unit, truth))
+    _decided(order, "quaternion order", "--quaternion-order", QuaternionOrder)
+    return _reading(file, name, time_unit, unit.because, order)
+
+
+def settle_truth(file: PoseFile, name: str, told: Convention, partners: Sequence[Partner]) -> Reading:
+    """How the numbers of a ground truth are to be taken, its estimates asked where it does not tell by itself.
+
+    Raises as :func:`settle`.
+    """
+    asked = partners[:_PARTNERS]
+    unit = _unit(file, told, None)
+    spans = (_own_span(partner) for partner in asked if unit.value is None)
+    found = (_unit(file, told, span) for span in spans if span is not None)
+    unit = next((entry for entry in found if entry.value is not None), unit)
+    time_unit = _decided(unit, "time unit", "--groundtruth-time-unit", TimeUnit)
+    if not _has_order(file):
+        return _reading(file, name, time_unit, unit.because, None)
+    found_deg = (_partner_spreads_deg(file, time_unit, partner) for partner in asked)
+    order = _order(file, told, time_unit, next((spreads for spreads in found_deg if spreads), {}))
+    _decided(order, "quaternion order", "--groundtruth-quaternion-order", QuaternionOrder)
+    return _reading(file, name, time_unit, unit.because, order)
+
+
+def _unit(file: PoseFile, told: Convention, truth: Span | None) -> Finding[TimeUnit]:
+    if told.time_unit is not None:
+        return Finding(told.time_unit, _TOLD)
+    stated = None
+    if file.named and file.format in _UNITS:
+        stated = Finding(_UNITS[file.format], f"by --format {file.format}")
+    elif file.raw.stated.time_unit is not None:
+        stated = Finding(file.raw.stated.time_unit, _HEADER)
+    return find_unit(file.raw.times, stated, truth)
+
+
+def _order(
+    file: PoseFile, told: Convention, unit: TimeUnit, spreads_deg: Mapping[QuaternionOrder, float]
+) -> Finding[QuaternionOrder]:
+    if told.quaternion_order is not None:
+        return Finding(told.quaternion_order, _TOLD)
+    return find_order(file.raw.quats, _stated_order(file, unit), spreads_deg)
+
+
+def _stated_order(file: PoseFile, unit: TimeUnit) -> Finding[QuaternionOrder] | None:
+    """What is said of the order: by the user, by the header, or by a format that has but one."""
+    if file.named:
+        return Finding(_ORDERS[file.format], f"by --format {file.format}")
+    if file.raw.stated.quaternion_order is not None:
+        return Finding(file.raw.stated.quaternion_order, _HEADER)
+    if file.format is TrajectoryFormat.EUROC:
+        return Finding(QuaternionOrder.WXYZ, "as in EuRoC's own files")
+    # Eight columns with seconds are what TUM files are; with another unit anybody's.
+    return Finding(QuaternionOrder.XYZW, "as in TUM files") if unit is TimeUnit.S else None
+
+
+_UNITS = {TrajectoryFormat.TUM: TimeUnit.S, TrajectoryFormat.EUROC: TimeUnit.NS}
+_ORDERS = {TrajectoryFormat.TUM: QuaternionOrder.XYZW, TrajectoryFormat.EUROC: QuaternionOrder.WXYZ}
+
+
+def _has_order(file: PoseFile) -> bool:
+    """Positions alone and matrices have none."""
+    return file.raw.orientations and file.format is not TrajectoryFormat.KITTI
+
+
+def _own_span(partner: Partner) -> Span | None:
+    """When an estimate begins and ends, if it tells by itself."""
+    unit = _unit(partner.file, partner.told, None).value
+    return None if unit is None else span_of(partner.file.raw.times, unit)
+
+
+def _spreads_deg(file: PoseFile, unit: TimeUnit, truth: Truth) -> dict[QuaternionOrder, float]:
+    """How far the orientations, read in each order, are from turning as those of the ground truth do."""
+    if not truth.rotations_known:
+        return {}
+    pair = thinned_pair(truth.trajectory, file.raw.trajectory(unit, QuaternionOrder.XYZW, Duplicates.KEEP))
+    if pair is None:
+        return {}
+    reference, estimate = pair
+    found = {order: orientation_spread_deg(reference, reordered(estimate, order)) for order in QuaternionOrder}
+    return {order: spread for order, spread in found.items() if spread is not None}
+
+
+def _partner_spreads_deg(file: PoseFile, unit: TimeUnit, partner: Partner) -> dict[QuaternionOrder, float]:
+    """As :func:`_spreads_deg`, of a ground truth: by the better of the orders that its estimate may have.
+
+    Where the ground truth states its order, it takes more to contradict it than what an estimate seems to be.
+    """
+    stated = _stated_order(file, unit) is not None
+    best: dict[QuaternionOrder, float] = {}
+    for order in QuaternionOrder:
+        truth = Truth(file.raw.trajectory(unit, order, Duplicates.KEEP), rotations_known=True)
+        own_unit = _unit(partner.file, partner.told, truth.span).value
+        if own_unit is None or not _has_order(partner.file):
+            return {}
+        spreads = _spreads_deg(partner.file, own_unit, truth)
+        told = partner.told.quaternion_order if stated else _order(partner.file, partner.told, own_unit, {}).value
+        likely = [spread for own, spread in spreads.items() if told in (None, own)]
+        if likely:
+            best[order] = min(likely)
+    return best
+
+
+def _decided(finding: Finding[_Choice], what: str, option: str, choices: type[_Choice]) -> _Choice:
+    if finding.value is None:
+        raise InvalidInput(
+            f"the {what} is in doubt: {finding.because}", f"say which it is with {option} ({', '.join(choices)})"
+        )
+    return finding.value
+
+
+def _reading(
+    file: PoseFile, name: str, unit: TimeUnit, because: str, order: Finding[QuaternionOrder] | None
+) -> Reading:
+    reasons = {"time_unit": because} | ({} if order is None else {"quaternion_order": order.because})
+    plain = unit is TimeUnit.S and (order is None or order.value is QuaternionOrder.XYZW)
+    return Reading(
+        name=name,
+        time_unit=unit,
+        quaternion_order=None if order is None else order.value,
+        because=reasons,
+        as_it_stands=plain and file.format is TrajectoryFormat.TUM,
+    )

@@ -1,0 +1,162 @@
+"""In which unit times are and in which order quaternions, told from the numbers; where they do not tell, doubt.
+
+Nothing is guessed: a finding holds a value and what speaks for it, or no value and what speaks against a choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from slamhive.trajectory.layout import QuaternionOrder, TimeUnit
+from slamhive.trajectory.model import FloatArray
+
+Span = tuple[float, float]
+"""First and last time in s."""
+
+_Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding(Generic[_Choice]):
+    """What is known of a file: a value and why, or None and what was found instead."""
+
+    value: _Choice | None
+    because: str
+
+
+SHORTEST_STEP_S, LONGEST_STEP_S = 5e-4, 10.0
+"""Poses come at 2000 Hz at most, and are rarely further apart than keyframes of a vehicle that waits."""
+FIRST_DATE_S, LAST_DATE_S = 6.3e8, 4.1e9
+"""1990 and 2100 as seconds since 1970: times beyond are none of a recording."""
+MOST_OVERLAP, LITTLE_OVERLAP = 0.3, 0.03
+"""Of what two spans of time cover together, the share that they have in common: one fits, another does not."""
+
+
+def find_unit(times: FloatArray, stated: Finding[TimeUnit] | None, truth: Span | None) -> Finding[TimeUnit]:
+    """The unit of ``times``.
+
+    Args:
+        times: As in the file, at least two.
+        stated: What the file or its format says, None if nothing.
+        truth: When the ground truth begins and ends, None where that is not known.
+    """
+    by_numbers = (None if truth is None else _unit_by_overlap(times, truth)) or _unit_by_itself(times)
+    return _with_stated(stated, by_numbers)
+
+
+def _with_stated(stated: Finding[_Choice] | None, by_numbers: Finding[_Choice]) -> Finding[_Choice]:
+    """What the file says, unless the numbers contradict it: then nothing is known."""
+    if stated is None:
+        return by_numbers
+    if by_numbers.value in (None, stated.value):
+        return stated
+    return Finding(None, f"{stated.value} {stated.because}, but {by_numbers.because}")
+
+
+def span_of(times: FloatArray, unit: TimeUnit) -> Span:
+    """When the poses begin and end, in s."""
+    return float(times.min()) / unit.per_second, float(times.max()) / unit.per_second
+
+
+def overlap(first: Span, second: Span) -> float:
+    """The share that two spans have in common of what they cover together, 0 to 1."""
+    together_s = max(first[1], second[1]) - min(first[0], second[0])
+    common_s = min(first[1], second[1]) - max(first[0], second[0])
+    return max(0.0, common_s / together_s) if together_s > 0 else 0.0
+
+
+def _unit_by_overlap(times: FloatArray, truth: Span) -> Finding[TimeUnit] | None:
+    """The one unit in which the file covers the time of the ground truth; None if there is none, or several."""
+    shares = sorted(((overlap(span_of(times, unit), truth), unit) for unit in TimeUnit), reverse=True)
+    (most, unit), (next_most, _) = shares[0], shares[1]
+    if most > 0 and next_most == 0 and unit in _likely_units(times):
+        return Finding(unit, f"only as {unit} do the timestamps fall into the time of the ground truth")
+    if most >= MOST_OVERLAP and next_most <= LITTLE_OVERLAP:
+        words = f"as {unit} the timestamps share {most:.0%} of their time with the ground truth, otherwise"
+        return Finding(unit, f"{words} {next_most:.2g} of it at most")
+    return None
+
+
+def _unit_by_itself(times: FloatArray) -> Finding[TimeUnit]:
+    """By the time from pose to pose, and by the date."""
+    step, fitting = _step(times), _likely_units(times)
+    dates = {unit: float(times[0]) / unit.per_second for unit in fitting}
+    dated = [unit for unit, first_s in dates.items() if FIRST_DATE_S <= first_s <= LAST_DATE_S]
+    if len(dated) == 1:
+        year = datetime.fromtimestamp(dates[dated[0]], UTC).year
+        apart = _duration(step / dated[0].per_second)
+        return Finding(dated[0], f"as {dated[0]} the timestamps lie in {year} and the poses {apart} apart")
+    if len(fitting) == 1:
+        apart = _duration(step / fitting[0].per_second)
+        return Finding(fitting[0], f"only as {fitting[0]} are the poses a likely time apart, {apart}")
+    shown = ", ".join(f"as {unit} {_duration(step / unit.per_second)}" for unit in fitting or TimeUnit)
+    return Finding(None, f"the poses are {step:g} of them apart: {shown}")
+
+
+def _likely_units(times: FloatArray) -> list[TimeUnit]:
+    """Those in which the poses are a likely time apart."""
+    return [unit for unit in TimeUnit if SHORTEST_STEP_S <= _step(times) / unit.per_second <= LONGEST_STEP_S]
+
+
+def _step(times: FloatArray) -> float:
+    """Median of the times from pose to pose, in the unit of the file; 0 if there is one time only."""
+    steps = np.diff(times)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+
+
+def _duration(seconds: float) -> str:
+    for unit in TimeUnit:
+        if seconds * unit.per_second >= 1:
+            return f"{seconds * unit.per_second:.3g} {unit}"
+    return f"{seconds:.2g} s"
+
+
+DECISIVE_RATIO, DECISIVE_DEG = 0.5, 2.0
+"""One order goes with the ground truth: its spread is at most half of the other's, and so much less."""
+
+
+def find_order(
+    quats: FloatArray, stated: Finding[QuaternionOrder] | None, spreads_deg: Mapping[QuaternionOrder, float]
+) -> Finding[QuaternionOrder]:
+    """The order of quaternions.
+
+    Args:
+        quats: As in the file, shape (n, 4).
+        stated: What the file or its format says, None if nothing.
+        spreads_deg: How far the orientations are from turning as those of the ground truth do, read in each order (see
+            :func:`slamhive.trajectory.agreement.orientation_spread_deg`); empty where nothing can be compared.
+    """
+    by_truth = _order_by_truth(spreads_deg)
+    if stated is None and by_truth.value is None:
+        return _order_by_start(quats) or by_truth
+    return _with_stated(stated, by_truth)
+
+
+def _order_by_truth(spreads_deg: Mapping[QuaternionOrder, float]) -> Finding[QuaternionOrder]:
+    if len(spreads_deg) < len(QuaternionOrder):
+        return Finding(None, "nothing tells the order of the quaternions")
+    (best_deg, best), (other_deg, other) = sorted((spread, order) for order, spread in spreads_deg.items())
+    words = (
+        f"the orientations of estimate and ground truth agree to {best_deg:.1f} deg as {best}, "
+        f"to {other_deg:.1f} deg as {other}"
+    )
+    if best_deg <= DECISIVE_RATIO * other_deg and other_deg - best_deg >= DECISIVE_DEG:
+        return Finding(best, words)
+    return Finding(None, words)
+
+
+_IDENTITY = 1 - 1e-6
+
+
+def _order_by_start(quats: FloatArray) -> Finding[QuaternionOrder] | None:
+    """An estimate mostly begins with no rotation at all, which tells where w stands."""
+    first = np.abs(quats[0])
+    for place, order in ((3, QuaternionOrder.XYZW), (0, QuaternionOrder.WXYZ)):
+        if first[place] >= _IDENTITY:
+            return Finding(order, f"the first pose is not rotated, read as {order}")
+    return None
