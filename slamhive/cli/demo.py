@@ -40,6 +40,7 @@ def run_demo(hive: Hive, seconds: float) -> None:
     text = (hive.catalogue.project_root / FILE).read_text(encoding="utf-8")
     asked = [str(name) for name in parse_experiment(text, FILE).algorithms.values]
     algorithms = _buildable(hive, executor, asked)
+    _prepare_evaluation(hive)
     _render_room(hive, seconds)
     source = _source(hive, strict_yaml.parse(text, FILE), algorithms, executor)
     status = hive.experiments.start(source, executor)
@@ -86,6 +87,13 @@ def _buildable(hive: Hive, executor: str, algorithms: Sequence[str]) -> list[str
     if not found:
         raise ImageMissing("none of the demo's algorithms can be run on this machine", "slamhive doctor says why")
     return found
+
+
+def _prepare_evaluation(hive: Hive) -> None:
+    """Build what evaluations need now, where it is seen, and not between the first run and its result."""
+    with progress_bar("building the evaluation") as show:
+        hive.evaluations_service.prepare(lambda line: show(0.0, line[:60]))
+        show(1.0, "ready")
 
 
 def _render_room(hive: Hive, seconds: float) -> None:

@@ -53,6 +53,12 @@ class BatchStarter(Protocol):
 
     isolated: bool
 
+    def prepare(self, progress: LineCallback) -> None:
+        """Make what every batch needs, unless it is there already; ``progress`` takes one line of what goes on.
+
+        :meth:`run_batch` does so too. Raises SlamHiveError if it cannot be made.
+        """
+
     def run_batch(self, batch: Batch, on_line: LineCallback, stopping: threading.Event) -> str | None:
         """Run the batch to its end, handing over each line of its standard output as it comes.
 

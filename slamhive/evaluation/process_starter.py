@@ -32,6 +32,9 @@ class ProcessStarter:
     def __init__(self, project_root: Path) -> None:
         self._script = project_root / "evaluation" / "evaluate.py"
 
+    def prepare(self, progress: LineCallback) -> None:
+        """Nothing: the packages of this process will do."""
+
     def run_batch(self, batch: Batch, on_line: LineCallback, stopping: threading.Event) -> str | None:
         """Run the batch to its end; see :class:`~slamhive.evaluation.batch.BatchStarter`."""
         log_path = batch.scratch / "stderr.txt"

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from slamhive.errors import InvalidInput
-from slamhive.evaluation.batch import Batch, BatchMount, BatchStarter
+from slamhive.evaluation.batch import Batch, BatchMount, BatchStarter, LineCallback
 from slamhive.evaluation.job import (
     RESULT_FILE,
     EvaluationResult,
@@ -47,6 +47,10 @@ class EvaluationRunner:
 
     def __init__(self, starter: BatchStarter) -> None:
         self._starter = starter
+
+    def prepare(self, progress: LineCallback) -> None:
+        """Make what evaluations need (in Docker: their image) unless it is there. Raises SlamHiveError."""
+        self._starter.prepare(progress)
 
     def run(
         self,

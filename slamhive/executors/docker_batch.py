@@ -56,6 +56,11 @@ class DockerStarter:
         self._context = context
         self._image = image
 
+    def prepare(self, progress: LineCallback) -> None:
+        """Build the evaluation image unless the engine has one made from just this code."""
+        with contextlib.closing(connect()) as client:
+            self._ensure_image(client, progress)
+
     def run_batch(self, batch: Batch, on_line: LineCallback, stopping: threading.Event) -> str | None:
         """Run the batch to its end, handing over its lines; how it ended if not well, in one line."""
         last: deque[str] = deque(maxlen=_KEPT_LINES)
@@ -65,7 +70,7 @@ class DockerStarter:
             on_line(line)
 
         with contextlib.closing(connect()) as client:
-            self._ensure_image(client)
+            self._ensure_image(client, logger.debug)
             container = self._create(client, batch)
             try:
                 feed = LineFeed(_lines_of(_started(container)))
@@ -74,8 +79,7 @@ class DockerStarter:
                 with engine_errors("removing the evaluation container", EngineUnavailable):
                     container.remove(force=True, v=True)
 
-    def _ensure_image(self, client: docker.DockerClient) -> None:
-        """Build the image unless the engine has one made from just this code."""
+    def _ensure_image(self, client: docker.DockerClient, progress: LineCallback) -> None:
         root = self._context.project_root
         content = evaluation_context_hash(root)
         image = get_image(client, self._image)
@@ -86,7 +90,7 @@ class DockerStarter:
             context = BuildContext(Path(folder) / "context", "Dockerfile", build_arguments())
             context.path.mkdir()
             stage_evaluation_context(root, context.path, sorted(HOST_CERTIFICATES.glob("*.crt")))
-            digest = build_image(client, self._image, context, content, root, logger.debug)
+            digest = build_image(client, self._image, context, content, root, progress)
         name_image(client, digest, self._image)
 
     def _create(self, client: docker.DockerClient, batch: Batch) -> Any:

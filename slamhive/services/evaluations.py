@@ -121,6 +121,13 @@ class Evaluations:
         """Runs that succeeded and have no evaluation yet."""
         return self._store.read(lambda t: t.evaluations.unevaluated_run_ids())
 
+    def prepare(self, progress: Callable[[str], None]) -> None:
+        """Make what evaluations need (in Docker: their image) unless it is there, instead of with the first of them.
+
+        ``progress`` takes one line of what goes on. Raises SlamHiveError if it cannot be made.
+        """
+        self._engine().prepare(progress)
+
     def work_once(
         self,
         owner: str,

@@ -44,6 +44,9 @@ class Scripted:
         self.batch: Batch | None = None
         self.tasks: tuple[EvaluationTask, ...] = ()
 
+    def prepare(self, progress: Callable[[str], None]) -> None:
+        progress("nothing to prepare")
+
     def run_batch(self, batch: Batch, on_line: Callable[[str], None], stopping: threading.Event) -> str | None:
         self.batch = batch
         self.tasks = job_from_json(batch.mounts[0].source.read_text())

@@ -22,6 +22,8 @@ from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.docker
 
+ROOT = Path(__file__).resolve().parents[2]
+
 Run = Callable[..., tuple[str | None, list[str]]]
 
 
@@ -30,7 +32,7 @@ def run(base_image, tmp_path: Path, monkeypatch) -> Run:
     """Run a script as the batch; how it ended and what it said."""
     context = ExecutorContext(tmp_path, tmp_path, f"test-{os.getpid()}-{tmp_path.name}")
     starter = DockerStarter(context, base_image)
-    monkeypatch.setattr(starter, "_ensure_image", lambda client: None)
+    monkeypatch.setattr(starter, "_ensure_image", lambda client, progress: None)
 
     def run_script(script: str, timeout_s: float = PATIENCE_S, cores: tuple[int, ...] | None = None):
         path = tmp_path / "script.py"
@@ -78,3 +80,11 @@ def test_it_keeps_to_its_cores(run: Run):
     core = max(os.sched_getaffinity(0))
     _, said = run("import os\nprint(sorted(os.sched_getaffinity(0)))\n", cores=(core,))
     assert said == [f"[{core}]"]
+
+
+def test_the_evaluation_image_is_built_once_and_says_so(tmp_path: Path):
+    starter = DockerStarter(ExecutorContext(tmp_path, ROOT, f"test-{os.getpid()}-{tmp_path.name}"))
+    starter.prepare(lambda line: None)
+    said: list[str] = []
+    starter.prepare(said.append)
+    assert said == []
