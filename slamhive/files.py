@@ -1,8 +1,7 @@
-"""Writing a file so that nobody ever sees a part of it, and telling how large files are and whether they changed."""
+"""Writing a file so that nobody ever sees a part of it, and telling whether files changed."""
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import hashlib
 import os
@@ -55,16 +54,6 @@ def remedy_of(error: OSError) -> str:
     if error.errno == errno.EROFS:
         return "the data root is read-only here; use the command line where the worker runs"
     return "check space and rights"
-
-
-def folder_bytes(folder: Path) -> int:
-    """The size of all files below ``folder``, links not followed; others may write or remove there meanwhile."""
-    total = 0
-    for parent, _, names in os.walk(folder):
-        for name in names:
-            with contextlib.suppress(OSError):
-                total += os.lstat(os.path.join(parent, name)).st_size  # noqa: PTH118 - many files, a Path takes longer
-    return total
 
 
 def hash_files(root: Path, parts: Iterable[str] = (".",)) -> str:

@@ -55,6 +55,8 @@ class Settings:
     run_cpu_cores: float = setting(0.0, "CPU limit of a run; 0 means all cores of the slot", unit="cores", minimum=0)
     run_memory_mb: int = setting(0, "Memory limit of a run; 0 means what the algorithm asks for", unit="MB", minimum=0)
     run_pids: int = setting(512, "Most processes and threads of a run", minimum=16)
+    run_disk_mb: int = setting(10_000, "Most that a run may write into its result and /tmp", unit="MB", minimum=1)
+    run_files: int = setting(100_000, "Most files and folders of a run in its result and /tmp", minimum=100)
     run_timeout_factor: float = setting(3.0, "Time limit: this times the dataset's duration, plus slack", minimum=0)
     run_timeout_slack_s: float = setting(60.0, "Time limit: added to factor times duration", unit="s", minimum=0)
     stop_grace_s: float = setting(5.0, "Time between asking a run to end and killing it", unit="s", minimum=0)

@@ -42,6 +42,7 @@ class FailureReason(StrEnum):
     NONZERO_EXIT = "nonzero_exit"
     TIMEOUT = "timeout"
     OUT_OF_MEMORY = "out_of_memory"
+    DISK_LIMIT = "disk_limit"
     NO_TRAJECTORY = "no_trajectory"
     EMPTY_TRAJECTORY = "empty_trajectory"
     MALFORMED_TRAJECTORY = "malformed_trajectory"

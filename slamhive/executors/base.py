@@ -11,6 +11,8 @@ from typing import Protocol
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import SlamHiveError, Unavailable
 
+_FILE_SLACK_BYTES = 1_000_000
+
 ProgressCallback = Callable[[str], None]
 """Called with one line of what is going on (a build step, a layer pulled)."""
 
@@ -38,12 +40,22 @@ class Mount:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a run may use. None means no limit of ours. ``cpuset`` holds core numbers."""
+    """What a run may use. None means no limit of ours. ``cpuset`` holds core numbers.
+
+    ``disk_bytes`` and ``files`` count what the run writes wherever it can, and are watched while it runs.
+    """
 
     cpu_cores: float | None = None
     memory_bytes: int | None = None
     pids: int = 512
     cpuset: tuple[int, ...] | None = None
+    disk_bytes: int | None = None
+    files: int | None = None
+
+    @property
+    def file_bytes(self) -> int | None:
+        """The size at which the kernel refuses one file: somewhat more than all may have, so that the watch sees it."""
+        return None if self.disk_bytes is None else self.disk_bytes + _FILE_SLACK_BYTES
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +171,9 @@ class Executor(Protocol):
 
     def usage_source(self, handle: RunHandle) -> UsageSource | None:
         """Where to sample the run's CPU and memory; None if it has ended."""
+
+    def hidden_bytes(self, handle: RunHandle) -> int:
+        """What the run has written where only the engine sees it; 0 if that is nowhere, or the run is gone."""
 
     def sweep(self, live_keys: Collection[str]) -> list[str]:
         """Remove what is left in the engine of runs other than ``live_keys``; names of the removed."""

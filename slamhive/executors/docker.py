@@ -16,9 +16,10 @@ from typing import Any
 
 import docker
 import docker.errors
-from docker.types import LogConfig, Mount
+from docker.types import LogConfig, Mount, Ulimit
 
 from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.errors import Unavailable
 from slamhive.executors.base import (
     EngineUnavailable,
     Exited,
@@ -46,10 +47,11 @@ from slamhive.executors.docker_engine import (
 from slamhive.executors.docker_image import find_image, make_image
 from slamhive.executors.docker_stats import DockerStatsSource
 from slamhive.executors.registry import ExecutorContext
-from slamhive.files import write_aside
+from slamhive.files import remedy_of, write_aside
+from slamhive.runs.folder import RunFolder
 
 ROS_ENVIRONMENT = {"HOME": "/tmp", "ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://localhost:11311"}  # noqa: S108
-"""HOME is the container's own /tmp: the user of the run has no other folder to write to."""
+"""HOME is /tmp: the user of the run has no other folder to write to."""
 
 _UNSET_TIME = "0001-"
 _START_PATIENCE = timedelta(minutes=5)
@@ -162,6 +164,12 @@ class DockerExecutor:
         group = cgroup_of(int(container.attrs["State"]["Pid"]), container.id)
         return group or DockerStatsSource(container)
 
+    def hidden_bytes(self, handle: RunHandle) -> int:
+        """The size of the container's own layer."""
+        with engine_errors("measuring a container", EngineUnavailable):
+            found = self._engine().api.containers(all=True, size=True, filters={"id": handle.data["container"]})
+        return sum(int(entry.get("SizeRw") or 0) for entry in found)
+
     def sweep(self, live_keys: Collection[str]) -> list[str]:
         """Remove containers of this installation whose run is over; an evaluation that still works is let be."""
         label = f"{INSTALLATION_LABEL}={self._context.installation}"
@@ -193,6 +201,10 @@ class DockerExecutor:
                 return None
 
     def _create(self, spec: RunSpec) -> Any:
+        try:
+            _scratch(spec).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise Unavailable(f"{_scratch(spec)} cannot be made: {error.strerror}", remedy_of(error)) from None
         with engine_errors(f"starting run {spec.run_id}", StartFailed):
             try:
                 return self._engine().containers.create(**container_options(spec, self._context))
@@ -241,8 +253,12 @@ def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]
         },
         "environment": {**ROS_ENVIRONMENT, **spec.environment},
         "mounts": [
-            Mount(mount.target, str(mount.source.resolve()), type="bind", read_only=mount.read_only)
-            for mount in spec.mounts
+            *(
+                Mount(mount.target, str(mount.source.resolve()), type="bind", read_only=mount.read_only)
+                for mount in spec.mounts
+            ),
+            # Counted with the result, unlike the container's own layer; and no memory is used, unlike by a tmpfs.
+            Mount("/tmp", str(_scratch(spec)), type="bind"),  # noqa: S108 - the container's
         ],
         "user": f"{os.getuid()}:{os.getgid()}",
         "pids_limit": limits.pids,
@@ -256,9 +272,15 @@ def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]
         options["memswap_limit"] = limits.memory_bytes
     if limits.cpu_cores is not None:
         options["nano_cpus"] = round(limits.cpu_cores * 1e9)
+    if limits.file_bytes is not None:
+        options["ulimits"] = [Ulimit(name="fsize", soft=limits.file_bytes, hard=limits.file_bytes)]
     if limits.cpuset is not None:
         options["cpuset_cpus"] = ",".join(map(str, limits.cpuset))
     return options
+
+
+def _scratch(spec: RunSpec) -> Path:
+    return RunFolder(spec.log_path.resolve().parent).scratch
 
 
 def _time(text: str | None) -> datetime | None:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import fcntl
 import json
+import logging
 import math
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -45,6 +45,9 @@ from slamhive.executors.registry import ExecutorContext
 from slamhive.executors.shim import IDENTITY_FILE, LOCK_FILE, OUTPUT_FOLDER, ShimSpec, process_birth
 from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
+from slamhive.tree import remove_tree
+
+logger = logging.getLogger(__name__)
 
 KEY_VARIABLE = "SLAMHIVE_RUN_KEY"
 PREPARED_VARIABLE = "SLAMHIVE_PREPARED"
@@ -124,7 +127,7 @@ class ProcessExecutor:
         if shim is not None:
             self.stop(handle, 0.0)
         _kill_leftovers(handle)
-        shutil.rmtree(handle.data["work"], ignore_errors=True)
+        _remove_work(Path(handle.data["work"]))
 
     def discard(self, spec: RunSpec) -> None:
         """As :meth:`remove`, for whoever supervises the run; one that is just starting is waited for."""
@@ -139,13 +142,17 @@ class ProcessExecutor:
             identity = _read_json(work / IDENTITY_FILE)
             if identity is not None:
                 self.remove(_handle(spec, work, identity))
-            shutil.rmtree(work, ignore_errors=True)
+            _remove_work(work)
         finally:
             os.close(descriptor)
 
     def sweep(self, live_keys: Collection[str]) -> list[str]:  # noqa: ARG002 - the seam's signature
         """Nothing: a supervised process ends with its run and leaves nothing outside the run folder."""
         return []
+
+    def hidden_bytes(self, handle: RunHandle) -> int:  # noqa: ARG002 - the seam's signature
+        """0: what is written outside of the run's folders is not known to be the run's."""
+        return 0
 
     def close(self) -> None:
         """Nothing: there is no connection."""
@@ -184,12 +191,20 @@ class ProcessExecutor:
             cores=_cores(spec),
             memory_bytes=spec.limits.memory_bytes,
             tasks=spec.limits.pids,
+            file_bytes=spec.limits.file_bytes,
             log_max_bytes=self._context.log_max_bytes,
         )
 
 
 def _work_folder(spec: RunSpec) -> Path:
     return RunFolder(spec.log_path.resolve().parent).work
+
+
+def _remove_work(work: Path) -> None:
+    try:
+        remove_tree(work)
+    except OSError as error:
+        logger.warning("%s is left: %s", work, error.strerror)
 
 
 def _handle(spec: RunSpec, work: Path, identity: dict[str, Any]) -> RunHandle:

@@ -65,6 +65,7 @@ class ShimSpec:
     memory_bytes: int | None
     tasks: int
     log_max_bytes: int
+    file_bytes: int | None = None
 
     def save(self, work: Path) -> None:
         """Write into the work folder."""
@@ -131,7 +132,7 @@ class Supervisor:
             _prctl(_PR_SET_NO_NEW_PRIVS, 1)
             for number in (signal.SIGTERM, signal.SIGUSR1, signal.SIGPIPE):
                 signal.signal(number, signal.SIG_DFL)
-            _limit_resources()
+            _limit_resources(self._spec.file_bytes or _FILE_BYTES)
             if self._spec.cores:
                 os.sched_setaffinity(0, self._spec.cores)
             os.chdir(self._spec.folder)
@@ -253,13 +254,13 @@ def _tasks(process: psutil.Process) -> int:
         return 0
 
 
-def _limit_resources() -> None:
+def _limit_resources(file_bytes: int) -> None:
     """Of the calling process and what it starts: no core dumps; files few and small enough to leave the machine usable.
 
     Not RLIMIT_NPROC: it counts all processes of the user, whose other runs are none of this one's business.
     """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    for kind, wanted in ((resource.RLIMIT_NOFILE, _OPEN_FILES), (resource.RLIMIT_FSIZE, _FILE_BYTES)):
+    for kind, wanted in ((resource.RLIMIT_NOFILE, _OPEN_FILES), (resource.RLIMIT_FSIZE, file_bytes)):
         hard = resource.getrlimit(kind)[1]
         limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
         resource.setrlimit(kind, (limit, limit))

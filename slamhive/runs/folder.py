@@ -123,6 +123,27 @@ class RunFolder:
         """``result/about.json``: what the algorithm says of itself (vocabulary used, package version)."""
         return self.result / "about.json"
 
+    @property
+    def keyframes(self) -> Path:
+        """``result/keyframe.txt``: the trajectory of keyframes, if the algorithm gives one."""
+        return self.result / "keyframe.txt"
+
+    @property
+    def grid(self) -> Path:
+        """``result/grid.png``: a picture of the map, if the algorithm gives one."""
+        return self.result / "grid.png"
+
+    @property
+    def contract_files(self) -> tuple[Path, ...]:
+        """The files in ``result/`` that the container contract names, the most wanted first."""
+        own = (self.trajectory, self.finished, self.about, self.playback, self.progress, self.frames)
+        return (*own, self.covariances, self.keyframes, self.grid, self.map)
+
+    @property
+    def scratch(self) -> Path:
+        """``work/tmp``: what a container sees as ``/tmp``."""
+        return self.work / "tmp"
+
     def evaluation(self, fingerprint: str) -> Path:
         """The folder of the evaluation under the protocol with this fingerprint."""
         return self.root / "evaluations" / fingerprint

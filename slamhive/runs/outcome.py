@@ -3,14 +3,15 @@
 Rules, first match wins:
 
 1. The kernel, or the memory limit, killed it: ``out_of_memory``.
-2. It ran into the wall-clock limit: ``timeout``.
-3. One of its stop rules was broken and the controller ended it: the reason of that rule.
-4. The handle is gone and nobody knows the exit code: ``lost``, unless the algorithm had said ``finished`` and left a
+2. It wrote more than it may, whether it was ended for that or looked at afterwards: ``disk_limit``.
+3. It ran into the wall-clock limit: ``timeout``.
+4. One of its stop rules was broken and the controller ended it: the reason of that rule.
+5. The handle is gone and nobody knows the exit code: ``lost``, unless the algorithm had said ``finished`` and left a
    valid trajectory (the result is complete, only the way it ended is unknown).
-5. It was ended by the controller after its grace because it lingered behind ``finished``: the exit code then tells of
+6. It was ended by the controller after its grace because it lingered behind ``finished``: the exit code then tells of
    our signal, not of the algorithm, and is ignored.
-6. Exit code other than 0: ``nonzero_exit``, whatever files are there.
-7. Exit code 0 (or rule 5): ``traj.txt`` decides. ``finished`` alone proves nothing: upstream images create it even when
+7. Exit code other than 0: ``nonzero_exit``, whatever files are there.
+8. Exit code 0 (or rule 6): ``traj.txt`` decides. ``finished`` alone proves nothing: upstream images create it even when
    the trajectory is missing.
 """
 
@@ -20,7 +21,7 @@ import os
 import re
 import signal
 import stat
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slamhive.domain.run import FailureReason, RunState
@@ -36,6 +37,9 @@ UNSEEN = "lost_tracking_s was not watched, since the algorithm does not say whic
 
 _A_POSE = re.compile(rb"^[ \t\v\f]*[^\s#]", re.MULTILINE)
 _SIGNAL_OFFSET = 128
+_DISK_REMEDY = (
+    "of its result only the files of the contract are kept; raise RUN_DISK_MB or RUN_FILES, or let it save less"
+)
 _LOG_TELLS = "its log says how far it came"
 
 
@@ -55,6 +59,7 @@ class Evidence:
     Attributes:
         exit_code: As the engine reports it, 128 + signal for a signal; None if unknown.
         out_of_memory: The memory limit killed the run or one of its processes.
+        disk_exceeded: In words the limit of what a run may write that it exceeded; None if it did not.
         timed_out: The controller ended it at its time limit of ``timeout_s``.
         ended_early: The stop rule for which the controller ended it.
         tracking_unseen: A stop rule asks for tracking, but the algorithm did not say which frames it tracks.
@@ -63,11 +68,13 @@ class Evidence:
         gone_because: Why nothing answers to the handle any more; None if its end was seen.
         trajectory: What ``traj.txt`` holds.
         error_line: What the algorithm's output gives as the error; None if it names none.
+        removed: In words what was removed from its result; empty if nothing was.
     """
 
     exit_code: int | None
     trajectory: TrajectoryCheck
     out_of_memory: bool = False
+    disk_exceeded: str | None = None
     timed_out: bool = False
     ended_early: EarlyEnd | None = None
     tracking_unseen: bool = False
@@ -77,6 +84,7 @@ class Evidence:
     timeout_s: float | None = None
     memory_limit_bytes: int | None = None
     error_line: str | None = None
+    removed: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +104,11 @@ class Outcome:
 
 def decide(evidence: Evidence) -> Outcome:
     """Judge ``evidence`` by the rules at the head of this module."""
+    outcome = _judge(evidence)
+    return replace(outcome, detail=f"{outcome.detail}; {evidence.removed}") if evidence.removed else outcome
+
+
+def _judge(evidence: Evidence) -> Outcome:
     trajectory = evidence.trajectory
     ended = _ended_from_outside(evidence)
     if ended is not None:
@@ -111,10 +124,13 @@ def decide(evidence: Evidence) -> Outcome:
 
 
 def _ended_from_outside(evidence: Evidence) -> Outcome | None:
-    """Rules 1 to 4: something else ended the run, so that its exit code and its files do not tell."""
+    """Rules 1 to 5: something else ended the run, so that its exit code and its files do not tell."""
     trajectory = evidence.trajectory
     if evidence.out_of_memory:
         return _failed(FailureReason.OUT_OF_MEMORY, _memory_text(evidence.memory_limit_bytes), trajectory)
+    if evidence.disk_exceeded is not None:
+        detail = f"wrote {evidence.disk_exceeded}; {_DISK_REMEDY}"
+        return _failed(FailureReason.DISK_LIMIT, detail, trajectory)
     if evidence.timed_out:
         limit = "" if evidence.timeout_s is None else f" of {evidence.timeout_s:.0f} s"
         return _failed(FailureReason.TIMEOUT, f"still running at the time limit{limit}", trajectory)
@@ -155,6 +171,9 @@ def _file_problem(path: Path, max_bytes: int) -> TrajectoryCheck | None:
     if not stat.S_ISREG(status.st_mode):
         kind = "a link" if stat.S_ISLNK(status.st_mode) else "not a regular file"
         detail = f"{path.name} is {kind}, which is not read; the algorithm has to write a plain file"
+        return TrajectoryCheck(None, FailureReason.MALFORMED_TRAJECTORY, detail)
+    if status.st_nlink > 1:
+        detail = f"{path.name} is a hard link to another file; the algorithm has to write a file of its own"
         return TrajectoryCheck(None, FailureReason.MALFORMED_TRAJECTORY, detail)
     if status.st_size > max_bytes:
         detail = f"{path.name} {_too_long(status.st_size, max_bytes)}"

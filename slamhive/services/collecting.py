@@ -13,6 +13,7 @@ from slamhive.runs.outcome import Evidence, Outcome, decide
 from slamhive.runs.profiling import measure_run, write_plots
 from slamhive.services.disturbing import judge_run, repeat_if_disturbed
 from slamhive.services.evidence import gather_evidence, read_about
+from slamhive.services.run_disk import remove_scratch, settle_result
 from slamhive.services.run_in_hand import RunInHand
 from slamhive.services.run_json import timestamp
 from slamhive.store.store import Transaction
@@ -32,6 +33,7 @@ class Collecting:
         hand.check_owner()
         status = hand.executor.poll(hand.handle)
         hand.executor.save_log(hand.handle, hand.folder.log)
+        settle_result(hand)
         saved = hand.saved()
         evidence = gather_evidence(hand.folder, status, saved, hand.run.stop_when)
         outcome = decide(evidence)
@@ -45,6 +47,7 @@ class Collecting:
         """What is left to do once the outcome is safe; none of it can change the outcome."""
         try:
             self._hand.executor.remove(self._hand.handle)
+            remove_scratch(self._hand)
             write_plots(self._hand.folder)
         except (SlamHiveError, OSError) as error:
             logger.warning("run %d has ended, but: %s", self._hand.run.id, str(error))

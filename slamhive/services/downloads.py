@@ -81,7 +81,7 @@ def _known(folder: RunFolder, fingerprints: Iterable[str]) -> list[tuple[str, Pa
             (folder.config, "application/yaml"),
             (folder.log, text),
             (folder.trajectory, text),
-            (folder.result / "keyframe.txt", text),
+            (folder.keyframes, text),
             (folder.frames, table),
             (folder.profiling, table),
             (folder.profiling_cpu_plot, "image/png"),
@@ -89,7 +89,7 @@ def _known(folder: RunFolder, fingerprints: Iterable[str]) -> list[tuple[str, Pa
             (folder.playback, "application/json"),
             (folder.about, "application/json"),
             (folder.map, "application/octet-stream"),
-            (folder.result / "grid.png", "image/png"),
+            (folder.grid, "image/png"),
         )
     ]
     for fingerprint in fingerprints:

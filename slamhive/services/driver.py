@@ -15,6 +15,7 @@ from slamhive.services.driver_context import DriverContext
 from slamhive.services.evidence import ENGINE_AWAY
 from slamhive.services.preparing import Preparing
 from slamhive.services.record import handle_to_json, spec_from_json
+from slamhive.services.run_disk import remove_scratch, settle_result
 from slamhive.services.run_in_hand import CANCELLED_BY_USER, RunInHand
 from slamhive.services.run_json import timestamp
 from slamhive.services.variants import variant_key
@@ -124,9 +125,12 @@ class RunDriver:
             hand.executor.stop(hand.handle, self._context.settings.stop_grace_s)
             hand.executor.save_log(hand.handle, hand.folder.log)
             hand.executor.remove(hand.handle)
+            settle_result(hand)
+            remove_scratch(hand)
         elif hand.keeper.readable() and "spec" in hand.saved():
             # A start whose answer was lost may have started something all the same.
             hand.executor.discard(spec_from_json(hand.saved()["spec"]))
+            remove_scratch(hand)
 
 
 def _start_time(handle: RunHandle, now: datetime) -> datetime:

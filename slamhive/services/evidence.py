@@ -9,15 +9,22 @@ from slamhive.domain.stop_when import StopWhen
 from slamhive.executors.base import Exited, Gone, RunStatus
 from slamhive.runs.early_end import EarlyEnd
 from slamhive.runs.folder import RunFolder
+from slamhive.runs.leftovers import Survey, removed_in_words
 from slamhive.runs.log_line import last_error_line, read_tail
-from slamhive.runs.outcome import Evidence, inspect_trajectory, is_finished
+from slamhive.runs.outcome import Evidence, TrajectoryCheck, inspect_trajectory, is_finished
 from slamhive.runs.untrusted import read_untrusted_json
 from slamhive.services.progress import untracked_s
 
 MAX_ABOUT_BYTES = 64_000
 
 STOPPED_BECAUSE = "stopped_because"
-"""Key of the record: why the controller ended the run (``timeout``, ``linger``, ``stop_when``)."""
+"""Key of the record: why the controller ended the run (``timeout``, ``disk_limit``, ``linger``, ``stop_when``)."""
+
+DISK_LIMIT = "disk_limit"
+"""Key of the record: in words the disk limit for which the controller ended the run."""
+
+LEFT = "left"
+"""Key of the record: what the run had left when it ended, before anything was removed of it."""
 
 STOP_RULE = "stop_rule"
 """Key of the record: reason and detail of the stop rule that was broken."""
@@ -32,7 +39,8 @@ def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any],
     Args:
         folder: The run's folder.
         status: How the engine says that the run stands.
-        saved: The record so far: limits, and why the controller ended the run, if it did.
+        saved: The record so far: limits, what the run has left (:func:`look_at`), and why the controller ended the
+            run, if it did.
         rules: The stop rules of the run.
     """
     cause = saved.get(STOPPED_BECAUSE)
@@ -41,15 +49,34 @@ def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any],
         out_of_memory=isinstance(status, Exited) and status.out_of_memory,
         timed_out=cause == "timeout",
         timeout_s=float(saved["spec"]["timeout_s"]),
+        disk_exceeded=saved.get(DISK_LIMIT) or saved[LEFT]["exceeded"],
+        removed=removed_in_words(saved[LEFT]["removed"]),
         memory_limit_bytes=saved["spec"]["limits"]["memory_bytes"],
         lingered=cause == "linger",
         ended_early=_ended_early(saved) if cause == "stop_when" else None,
         tracking_unseen=rules.lost_tracking_s is not None and untracked_s(folder) is None,
         finished=is_finished(folder.finished),
         gone_because=_gone_because(status, saved),
-        trajectory=inspect_trajectory(folder.trajectory),
+        trajectory=_trajectory(saved[LEFT]["trajectory"]),
         error_line=last_error_line(read_tail(folder.log)),
     )
+
+
+def look_at(folder: RunFolder, found: Survey) -> dict[str, Any]:
+    """What a run has left, for its record: written down before anything is removed, so that it can be done twice."""
+    trajectory = inspect_trajectory(folder.trajectory)
+    return {
+        "files": found.files,
+        "bytes": found.size_bytes,
+        "exceeded": found.exceeded,
+        "removed": {} if found.exceeded else dict(found.strange),
+        "trajectory": {"poses": trajectory.poses, "problem": trajectory.problem, "detail": trajectory.detail},
+    }
+
+
+def _trajectory(content: dict[str, Any]) -> TrajectoryCheck:
+    problem = content["problem"]
+    return TrajectoryCheck(content["poses"], None if problem is None else FailureReason(problem), content["detail"])
 
 
 def read_about(folder: RunFolder) -> dict[str, Any] | None:

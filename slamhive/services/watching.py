@@ -14,14 +14,20 @@ from slamhive.executors.host_counters import HostCounters, HostLog
 from slamhive.executors.sampler import MachineLogs, Sampler
 from slamhive.runs.early_end import Observation, broken_rule
 from slamhive.runs.outcome import is_finished
-from slamhive.services.evidence import ENGINE_AWAY, STOP_RULE, STOPPED_BECAUSE
+from slamhive.services.evidence import DISK_LIMIT, ENGINE_AWAY, STOP_RULE, STOPPED_BECAUSE
 from slamhive.services.progress import untracked_s
+from slamhive.services.run_disk import DiskWatch, disk_limits
 from slamhive.services.run_in_hand import CANCELLED_BY_USER, RunInHand
 
 LINGER_S = 10.0
 """An algorithm that has said ``finished`` may take this long to end before it is stopped; its result stands."""
 
-_ENDINGS = {"timeout": "time limit reached", "linger": "finished", "stop_when": "ended early"}
+_ENDINGS = {
+    "timeout": "time limit reached",
+    "disk_limit": "disk limit reached",
+    "linger": "finished",
+    "stop_when": "ended early",
+}
 
 
 class Watch:
@@ -67,10 +73,11 @@ class Watch:
         return MachineLogs(EnergyLog(hand.folder.energy), HostLog(hand.folder.host, counters))
 
     def _wait_for_end(self) -> str:
-        """Why the run has ended: ``exited``, ``gone``, ``timeout``, ``linger``, ``stop_when`` or ``cancelled``."""
+        """Why the run has ended: ``exited``, ``gone``, ``cancelled``, or what :data:`STOPPED_BECAUSE` says."""
         hand = self._hand
         saved = hand.saved()
         timeout_s = float(saved["spec"]["timeout_s"])
+        disk = DiskWatch(hand, disk_limits(saved))
         engine_was_away = ENGINE_AWAY in saved
         while True:
             status = hand.executor.poll(hand.handle)
@@ -85,17 +92,20 @@ class Watch:
             if STOPPED_BECAUSE in saved:
                 # A worker died between writing down why and stopping; what it had seen may have passed by now.
                 return self._stop(saved[STOPPED_BECAUSE])
-            cause = self._cause_to_stop(timeout_s)
+            cause = self._cause_to_stop(timeout_s, disk)
             if cause is not None:
                 return self._stop_because(cause)
             hand.check_still_ours()
             hand.context.stopping.wait(hand.context.settings.poll_interval_s)
 
-    def _cause_to_stop(self, timeout_s: float) -> dict[str, Any] | None:
+    def _cause_to_stop(self, timeout_s: float, disk: DiskWatch) -> dict[str, Any] | None:
         """What the record has to say of why the run is stopped now, None while it may go on."""
         hand = self._hand
         if hand.elapsed_s() > timeout_s:
             return {STOPPED_BECAUSE: "timeout"}
+        exceeded = disk.exceeded()
+        if exceeded is not None:
+            return {STOPPED_BECAUSE: "disk_limit", DISK_LIMIT: exceeded}
         if self._finished_at is None and is_finished(hand.folder.finished):
             self._finished_at = hand.context.now()
         if self._finished_at is not None:
@@ -122,5 +132,7 @@ class Watch:
         return self._stop(cause[STOPPED_BECAUSE])
 
     def _stop(self, cause: str) -> str:
-        self._hand.executor.stop(self._hand.handle, self._hand.context.settings.stop_grace_s)
+        # What fills the disk would go on filling it.
+        grace_s = 0.0 if cause == "disk_limit" else self._hand.context.settings.stop_grace_s
+        self._hand.executor.stop(self._hand.handle, grace_s)
         return cause

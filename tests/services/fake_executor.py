@@ -64,6 +64,9 @@ class FakeExecutor:
     def usage_source(self, handle: RunHandle):
         return None
 
+    def hidden_bytes(self, handle: RunHandle) -> int:
+        return 0
+
     def close(self) -> None:
         pass
 

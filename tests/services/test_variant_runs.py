@@ -17,7 +17,6 @@ from slamhive.domain.configuration import Configuration
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import VariantStep, parse_step
 from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
-from slamhive.files import folder_bytes
 from slamhive.runtime import config as run_config
 from slamhive.services import variants as variants_module
 from slamhive.services import worker as worker_module
@@ -28,6 +27,7 @@ from slamhive.services.reindex import reindex
 from slamhive.services.request import Submission
 from slamhive.services.run_json import run_to_json
 from slamhive.services.variants import IDENTITY
+from slamhive.tree import folder_bytes
 from tests.services.fake_executor import FakeExecutor, Running, write_trajectory
 from tests.services.recorded_track import SCANS, make_recorded_track
 from tests.services.tiny_project import environment, make_project

@@ -33,7 +33,7 @@ from slamhive.bags.variants.manifest import (
 from slamhive.catalogue.dataset_file import load_dataset
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import Conflict, InvalidInput, Unavailable, unknown
-from slamhive.files import folder_bytes
+from slamhive.tree import folder_bytes
 
 logger = logging.getLogger(__name__)
 

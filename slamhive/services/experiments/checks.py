@@ -11,7 +11,6 @@ from statistics import median
 from slamhive.bags.variants.cache import VariantEntry
 from slamhive.domain.protocol import Protocol
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
-from slamhive.files import folder_bytes
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.records import VariantNeed
 from slamhive.services.preparation import check_disk, check_package, check_recorded, recorded_topics
@@ -19,6 +18,7 @@ from slamhive.services.request import protocol_for
 from slamhive.sweep.binding import at
 from slamhive.sweep.expand import Expansion
 from slamhive.sweep.experiment import Experiment
+from slamhive.tree import folder_bytes
 
 UNMEASURED_RUN_BYTES = 500_000
 """Of a run folder while none has been measured: log, samples, trajectory and plots of a run of a minute."""

@@ -1,0 +1,174 @@
+"""What a run leaves in its folders: how much, and what of it is no plain file; measured, and removed."""
+
+from __future__ import annotations
+
+import math
+import os
+import stat
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from slamhive.runs.folder import RunFolder
+from slamhive.tree import DEEPEST_FOLDERS, Entry, remove_tree, walk
+
+HARD_LINKS = "hard links"
+SET_USER_ID = "files that run as their owner"
+FOREIGN = "files of another user"
+LINKS = "links"
+_KINDS = (
+    (stat.S_ISLNK, LINKS),
+    (stat.S_ISFIFO, "pipes"),
+    (stat.S_ISSOCK, "sockets"),
+    (stat.S_ISBLK, "devices"),
+    (stat.S_ISCHR, "devices"),
+)
+_BLOCK_BYTES = 512
+_RUNS_AS_OWNER = stat.S_ISUID | stat.S_ISGID
+
+
+@dataclass(frozen=True, slots=True)
+class DiskLimits:
+    """What a run may write in its folders; None means no limit of ours."""
+
+    size_bytes: int | None = None
+    files: int | None = None
+
+
+@dataclass
+class Survey:
+    """What lies in folders of a run.
+
+    Attributes:
+        files: How many files, folders and whatever else.
+        size_bytes: Their sizes; of a file with holes that of a copy without, since archives and downloads make one.
+        strange: How many of each kind must not stay, see :func:`strange_kind`.
+        exceeded: In words the limit that is exceeded, None if none is; nothing was looked at behind that.
+    """
+
+    files: int = 0
+    size_bytes: int = 0
+    strange: Counter[str] = field(default_factory=Counter)
+    exceeded: str | None = None
+
+
+def survey(folders: Iterable[Path], limits: DiskLimits) -> Survey:
+    """Look at all that lies below ``folders``, as far as ``limits`` allow. Cheap: nothing is opened but folders."""
+    found = Survey()
+    for folder in folders:
+        owner = _owner(folder)
+        for entry in walk(folder):
+            found.files += 1
+            found.size_bytes += _size_bytes(entry.status)
+            kind = strange_kind(entry.status, owner)
+            if kind is not None:
+                found.strange[kind] += 1
+            found.exceeded = _exceeded(found, entry, limits)
+            if found.exceeded is not None:
+                return found
+    return found
+
+
+def strange_kind(status: os.stat_result, owner: int | None) -> str | None:
+    """What kind of thing it is that must not stay in a result, in words; None for a plain file or folder.
+
+    Links lead elsewhere, now or when the folder is copied; whoever opens a pipe or a device may wait for ever; a hard
+    link, or a file of another user, is somebody else's file; and what runs as its owner would run as the worker.
+    """
+    kind = next((words for test, words in _KINDS if test(status.st_mode)), None)
+    if kind is not None:
+        return kind
+    if owner is not None and status.st_uid != owner:
+        return FOREIGN
+    if stat.S_ISREG(status.st_mode):
+        if status.st_nlink > 1:
+            return HARD_LINKS
+        if status.st_mode & _RUNS_AS_OWNER:
+            return SET_USER_ID
+    return None
+
+
+def settle(folder: RunFolder, found: Survey, limits: DiskLimits) -> list[str]:
+    """Remove what must not stay in the result of a run that has ended; in words what could not be removed.
+
+    Of a run that exceeded a limit stay the files that the contract names, as far as they fit.
+    """
+    problems: list[str] = []
+    if found.exceeded is not None:
+        problems += _remove_surplus(folder, limits)
+    owner = _owner(folder.result)
+    for entry in walk(folder.result):
+        if not entry.is_folder and strange_kind(entry.status, owner) is not None:
+            try:
+                os.unlink(entry.name, dir_fd=entry.folder)
+            except OSError as error:
+                problems.append(f"{entry.place!r}: {error.strerror}")
+    return problems
+
+
+def removed_in_words(removed: Mapping[str, int]) -> str:
+    """``removed from its result: 2 links``; empty if nothing was."""
+    parts = ", ".join(f"{number} {kind}" for kind, number in sorted(removed.items()))
+    return f"removed from its result: {parts}" if parts else ""
+
+
+def _remove_surplus(folder: RunFolder, limits: DiskLimits) -> list[str]:
+    """Empty the result but for what the contract names and the limit allows; what could not be removed."""
+    kept = _kept(folder, limits)
+    problems = []
+    with os.scandir(folder.result) as entries:
+        surplus = [entry for entry in entries if entry.name not in kept]
+    for entry in surplus:
+        try:
+            if entry.is_dir(follow_symlinks=False):
+                remove_tree(Path(entry.path))
+            else:
+                Path(entry.path).unlink()
+        except OSError as error:
+            problems.append(f"{entry.name!r}: {error.strerror}")
+    return problems
+
+
+def _kept(folder: RunFolder, limits: DiskLimits) -> set[str]:
+    """The names of the contract's files that fit into the limit together, the most wanted first."""
+    room_bytes = math.inf if limits.size_bytes is None else limits.size_bytes
+    kept = set()
+    for path in folder.contract_files:
+        size_bytes = _plain_size_bytes(path)
+        if size_bytes is not None and size_bytes <= room_bytes:
+            kept.add(path.name)
+            room_bytes -= size_bytes
+    return kept
+
+
+def _plain_size_bytes(path: Path) -> int | None:
+    """The room that a plain file takes; None if it is none."""
+    try:
+        status = path.lstat()
+    except OSError:
+        return None
+    return _size_bytes(status) if stat.S_ISREG(status.st_mode) else None
+
+
+def _size_bytes(status: os.stat_result) -> int:
+    """The larger of what a copy takes and what the file takes here: it may have holes, or blocks that are not used."""
+    return max(status.st_size, status.st_blocks * _BLOCK_BYTES)
+
+
+def _exceeded(found: Survey, entry: Entry, limits: DiskLimits) -> str | None:
+    if entry.is_folder and not entry.entered:
+        return f"a folder that is closed, or inside more than {DEEPEST_FOLDERS} others"
+    if limits.size_bytes is not None and found.size_bytes > limits.size_bytes:
+        return f"more than {limits.size_bytes / 1e6:.0f} MB, files with holes counted whole"
+    if limits.files is not None and found.files > limits.files:
+        return f"more than {limits.files} files and folders"
+    return None
+
+
+def _owner(folder: Path) -> int | None:
+    """Whose folder it is; None if there is none."""
+    try:
+        return folder.lstat().st_uid
+    except OSError:
+        return None
