@@ -49,11 +49,14 @@ def export(cli: CliContext, /, file: Path, as_json: bool, **options: object) -> 
         )
     if as_json:
         counts = dict(sorted(report.counts.items()))
-        print_json({"counts": counts, "left_out": dict(report.left_out), "size_bytes": report.size_bytes})
+        left_out = {"left_out": dict(report.left_out), "files_left_out": dict(report.files_left_out)}
+        print_json({"counts": counts, **left_out, "size_bytes": report.size_bytes})
         return
     click.echo(f"{report.counts['runs']} runs exported to {file}, {report.size_bytes / 1e6:.1f} MB")
     for why, number in report.left_out.items():
         messages.print(f"left out: {number} runs that {why}", markup=False)
+    for what, number in report.files_left_out.items():
+        messages.print(f"left out: {number} {what}", markup=False)
 
 
 @archive.command("verify")

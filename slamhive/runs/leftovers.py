@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import os
 import stat
+import tempfile
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from slamhive.runs.folder import RunFolder
-from slamhive.tree import DEEPEST_FOLDERS, Entry, remove_tree, walk
+from slamhive.tree import DEEPEST_FOLDERS, Entry, walk
 
 HARD_LINKS = "hard links"
 SET_USER_ID = "files that run as their owner"
@@ -25,6 +26,8 @@ _KINDS = (
     (stat.S_ISCHR, "devices"),
 )
 _BLOCK_BYTES = 512
+_KEPT = "kept"
+"""What stays of a result, while it is put together in the scratch space."""
 _RUNS_AS_OWNER = stat.S_ISUID | stat.S_ISGID
 
 
@@ -90,13 +93,16 @@ def strange_kind(status: os.stat_result, owner: int | None) -> str | None:
 
 
 def settle(folder: RunFolder, found: Survey, limits: DiskLimits) -> list[str]:
-    """Remove what must not stay in the result of a run that has ended; in words what could not be removed.
+    """Take what must not stay out of the result of a run that has ended; in words what could not be removed.
 
-    Of a run that exceeded a limit stay the files that the contract names, as far as they fit.
+    Of a run that exceeded a limit stay the files that the contract names, as far as they fit; the rest is moved into
+    its scratch space, which takes no time however much it is. Raises OSError.
     """
-    problems: list[str] = []
     if found.exceeded is not None:
-        problems += _remove_surplus(folder, limits)
+        _set_aside(folder, limits)
+    elif not folder.result.exists() and (folder.work / _KEPT).exists():
+        (folder.work / _KEPT).rename(folder.result)
+    problems: list[str] = []
     owner = _owner(folder.result)
     for entry in walk(folder.result):
         if not entry.is_folder and strange_kind(entry.status, owner) is not None:
@@ -108,26 +114,19 @@ def settle(folder: RunFolder, found: Survey, limits: DiskLimits) -> list[str]:
 
 
 def removed_in_words(removed: Mapping[str, int]) -> str:
-    """``removed from its result: 2 links``; empty if nothing was."""
-    parts = ", ".join(f"{number} {kind}" for kind, number in sorted(removed.items()))
+    """``removed from its result: links (2), pipes (1)``; empty if nothing was."""
+    parts = ", ".join(f"{kind} ({number})" for kind, number in sorted(removed.items()))
     return f"removed from its result: {parts}" if parts else ""
 
 
-def _remove_surplus(folder: RunFolder, limits: DiskLimits) -> list[str]:
-    """Empty the result but for what the contract names and the limit allows; what could not be removed."""
-    kept = _kept(folder, limits)
-    problems = []
-    with os.scandir(folder.result) as entries:
-        surplus = [entry for entry in entries if entry.name not in kept]
-    for entry in surplus:
-        try:
-            if entry.is_dir(follow_symlinks=False):
-                remove_tree(Path(entry.path))
-            else:
-                Path(entry.path).unlink()
-        except OSError as error:
-            problems.append(f"{entry.name!r}: {error.strerror}")
-    return problems
+def _set_aside(folder: RunFolder, limits: DiskLimits) -> None:
+    """Put a new result folder with what stays in the place of the old one; can be done again if it was cut off."""
+    fresh = folder.work / _KEPT
+    fresh.mkdir(parents=True, exist_ok=True)
+    for name in _kept(folder, limits):
+        (folder.result / name).rename(fresh / name)
+    folder.result.rename(Path(tempfile.mkdtemp(dir=folder.work)) / folder.result.name)
+    fresh.rename(folder.result)
 
 
 def _kept(folder: RunFolder, limits: DiskLimits) -> set[str]:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from slamhive.runs.leftovers import DiskLimits, settle, survey
 from slamhive.services.evidence import LEFT, look_at
 from slamhive.services.run_in_hand import RunInHand
+from slamhive.store.archives import ArchiveRepository
+from slamhive.store.store import Store
 from slamhive.tree import remove_tree
 
 logger = logging.getLogger(__name__)
 
-_SHARE = 20
-"""A look is followed by a pause of so many times its duration: at most a twentieth of a core goes into looking."""
+_SHARE = 10
+"""A look is followed by a pause of so many times the CPU time that it took: a tenth of a core at most."""
 _HIDDEN_INTERVAL_S = 1.0
 
 
@@ -25,35 +27,27 @@ class DiskWatch:
     Args:
         hand: The run.
         limits: What it may write.
-        clock: Monotonic seconds.
     """
 
-    def __init__(self, hand: RunInHand, limits: DiskLimits, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, hand: RunInHand, limits: DiskLimits) -> None:
         self._hand = hand
         self._limits = limits
-        self._clock = clock
-        self._folders_due_s = self._hidden_due_s = clock()
+        self._folders_due_s = self._hidden_due_s = time.monotonic()
 
     def exceeded(self) -> str | None:
         """In words the limit that is exceeded; None if none is, as far as was looked at."""
-        hand, limit_bytes = self._hand, self._limits.size_bytes
-        began_s = self._clock()
-        if limit_bytes is not None and began_s >= self._hidden_due_s:
-            hidden_bytes = hand.executor.hidden_bytes(hand.handle)
-            self._hidden_due_s = self._after(began_s, _HIDDEN_INTERVAL_S)
+        limit_bytes = self._limits.size_bytes
+        if limit_bytes is not None and time.monotonic() >= self._hidden_due_s:
+            hidden_bytes = self._hand.executor.hidden_bytes(self._hand.handle)
+            self._hidden_due_s = time.monotonic() + _HIDDEN_INTERVAL_S
             if hidden_bytes > limit_bytes:
                 return f"more than {limit_bytes / 1e6:.0f} MB into its container"
-        began_s = self._clock()
-        if self._limits == DiskLimits() or began_s < self._folders_due_s:
+        if self._limits == DiskLimits() or time.monotonic() < self._folders_due_s:
             return None
-        found = survey((hand.folder.result, hand.folder.work), self._limits)
-        self._folders_due_s = self._after(began_s, 0.0)
+        began_s = time.thread_time()
+        found = survey((self._hand.folder.result, self._hand.folder.work), self._limits)
+        self._folders_due_s = time.monotonic() + _SHARE * (time.thread_time() - began_s)
         return found.exceeded
-
-    def _after(self, began_s: float, pause_s: float) -> float:
-        """When to look again after a look that began at ``began_s``."""
-        now_s = self._clock()
-        return now_s + max(pause_s, _SHARE * (now_s - began_s))
 
 
 def disk_limits(saved: dict[str, Any]) -> DiskLimits:
@@ -76,7 +70,18 @@ def settle_result(hand: RunInHand) -> None:
 
 def remove_scratch(hand: RunInHand) -> None:
     """Remove the scratch space of a run whose executor needs it no more."""
+    _remove(hand.folder.work)
+
+
+def sweep_scratch(runs: Path, store: Store) -> None:
+    """Remove the scratch space of runs that have ended, which a worker that was killed has left."""
+    left = {int(path.parent.name): path for path in runs.glob("*/work") if path.parent.name.isdecimal()}
+    for number in store.read(lambda t: ArchiveRepository(t.session).ended_among(list(left))):
+        _remove(left[number])
+
+
+def _remove(folder: Path) -> None:
     try:
-        remove_tree(hand.folder.work)
+        remove_tree(folder)
     except OSError as error:
-        logger.warning("%s is left: %s", hand.folder.work, error.strerror)
+        logger.warning("%s is left: %s", folder, error.strerror)

@@ -25,6 +25,7 @@ from slamhive.services.evaluations import Evaluations
 from slamhive.services.held_runs import HeldRuns
 from slamhive.services.identity import owner_is_dead, worker_identity
 from slamhive.services.lock import WorkerLock
+from slamhive.services.run_disk import sweep_scratch
 from slamhive.services.slots import share_cores
 from slamhive.services.turns import AbsentExecutors, Turns
 from slamhive.services.variants import Variants
@@ -277,7 +278,7 @@ class Worker:
                 self._store.write(lambda t, owner=owner: _release(t, owner))  # type: ignore[misc]
 
     def _sweep(self) -> None:
-        """Remove containers that a killed worker left behind although their runs have ended."""
+        """Remove what a killed worker left behind of runs that have ended: containers, scratch space."""
         active = matching(states=tuple(state for state in RunState if state.active))
         records = self._store.read(lambda t: t.runs.page(active, limit=MOST_ACTIVE)).records
         names = {record.executor for record in records}
@@ -290,6 +291,7 @@ class Worker:
             else:
                 if removed:
                     logger.info("removed %s, whose runs have ended", ", ".join(removed))
+        sweep_scratch(self._settings.runs_folder, self._store)
 
     def _let_go(self) -> None:
         try:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.domain.run import FailureReason
-from tests.end_to_end.hostile.bench import DISK_MB, LOG_BYTES, Bench, open_bench, table
+from tests.end_to_end.hostile.bench import DISK_MB, FILES, LOG_BYTES, Bench, open_bench, table
 
 pytestmark = pytest.mark.integration
 
@@ -34,6 +34,7 @@ class Expected:
     Attributes:
         ending: ``succeeded`` or the reason of its failure.
         detail: What the explanation says.
+        log: What the log says.
         most_bytes: What is left at most.
         timeout_s: The time limit that it is run with.
         executors: Where it is run.
@@ -41,6 +42,7 @@ class Expected:
 
     ending: str
     detail: str = ""
+    log: str = ""
     most_bytes: int = 1_500_000
     timeout_s: float = 60.0
     executors: tuple[str, ...] = BOTH
@@ -57,13 +59,13 @@ EXPECTED = {
     "fill_tmp": Expected(_R.DISK_LIMIT, f"more than {DISK_MB} MB"),
     "fill_container": Expected(_R.DISK_LIMIT, f"more than {DISK_MB} MB", executors=("docker",)),
     "log_5_gb": Expected(GOOD, most_bytes=LOG_BYTES + 1_000_000, timeout_s=150),
-    "many_files": Expected(_R.DISK_LIMIT, "more than 20000 files"),
-    "many_files_tmp": Expected(_R.DISK_LIMIT, "more than 20000 files"),
-    "sparse_1_tb": Expected(_R.NONZERO_EXIT, "File too large"),
+    "many_files": Expected(_R.DISK_LIMIT, f"more than {FILES} files"),
+    "many_files_tmp": Expected(_R.DISK_LIMIT, f"more than {FILES} files"),
+    "sparse_1_tb": Expected(_R.NONZERO_EXIT, log="OSError: [Errno 27] File too large"),
     "sparse_many": Expected(_R.DISK_LIMIT, f"more than {DISK_MB} MB, files with holes counted whole"),
     "nested_10000": Expected(_R.DISK_LIMIT, "inside more than 64 others"),
     "odd_names": Expected(GOOD),
-    "odd_things": Expected(GOOD, "6 pipes"),
+    "odd_things": Expected(GOOD, "pipes (6)"),
     "writes_dataset": Expected(GOOD),
     "sockets": Expected(GOOD),
     "no_text": Expected(_R.NONZERO_EXIT),
@@ -101,6 +103,7 @@ def test_act(bench: Bench, request: pytest.FixtureRequest, act: str, executor: s
     row = bench.perform(act, executor, expected.timeout_s)
     assert (row.run.reason or GOOD) == expected.ending, row.run.detail
     assert expected.detail in (row.run.detail or "")
+    assert expected.log in bench.hive.log(row.run.id)
     assert row.processes_left == []
     assert row.containers_left == []
     assert row.left_bytes <= expected.most_bytes

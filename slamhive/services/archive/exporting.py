@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,10 +26,13 @@ from slamhive.store.experiment_records import ExperimentRecord
 from slamhive.store.filed_runs import EndedEvaluation
 from slamhive.store.records import RunRecord
 from slamhive.store.store import Store, Transaction
+from slamhive.tree import Entry, walk
 
 BATCH = 200
 _MOST_ANALYSES = 100_000
 NOT_ENDED = "had not ended"
+ODD_NAMES = "files with names that no archive holds"
+_SCRATCH, _RESULT = "work", "result"
 
 Progress = Callable[[int, int], None]
 """Called with how many runs are done, and how many there are."""
@@ -66,10 +68,11 @@ class ExportRequest:
 
 @dataclass
 class ExportReport:
-    """How many rows of each kind are in the archive, and which runs are not, by reason."""
+    """How many rows of each kind are in the archive, and how many runs, and files of runs, are not, by reason."""
 
     counts: Counter[str] = field(default_factory=Counter)
     left_out: Counter[str] = field(default_factory=Counter)
+    files_left_out: Counter[str] = field(default_factory=Counter)
     size_bytes: int = 0
 
 
@@ -107,6 +110,7 @@ def export_archive(settings: Settings, store: Store, request: ExportRequest, pro
                 "counts": dict(report.counts),
                 "without": tuple(part.value for part in request.without),
                 "left_out": dict(report.left_out),
+                "files_left_out": dict(report.files_left_out),
             }
         )
     report.size_bytes = request.path.stat().st_size
@@ -217,12 +221,12 @@ class _Export:
     def _folder(self, folder: RunFolder, record: dict[str, Any]) -> None:
         own = f"runs/{folder.root.name}/"
         as_it_is = record == folder.read_record()
-        for name, path in _files(folder.root):
+        for name, path in _files(folder.root, self._report.files_left_out):
             if any(_LEFT_OUT[part](name) for part in self._request.without):
                 continue
             if name == folder.record.name and not as_it_is:
                 self._archive.add_bytes(f"{own}{name}", RunFolder.record_text(record).encode(), path.stat().st_mtime)
-            elif layout.is_safe(name):
+            else:
                 self._archive.add_file(f"{own}{name}", path)
 
     # -- what runs refer to ----------------------------------------------------------------------------------------
@@ -274,14 +278,30 @@ def _batch(t: Transaction, run_ids: Sequence[int]) -> _Batch:
     return _Batch(runs, originals, rows.evaluations(run_ids), rows.events(run_ids))
 
 
-def _files(root: Path) -> Iterator[tuple[str, Path]]:
-    """The files of a run folder by name, sorted; not what is scratch, or a write that was cut off."""
-    for folder, folders, files in os.walk(root):
-        place = Path(folder).relative_to(root)
-        inside = place.parts[:1] == ("result",)
-        folders[:] = sorted(name for name in folders if inside or not name.startswith("."))
-        if not place.parts:
-            folders[:] = [name for name in folders if name != "work"]
-        for name in sorted(files):
-            if inside or not name.startswith("."):
-                yield (place / name).as_posix(), Path(folder) / name
+def _files(root: Path, left_out: Counter[str]) -> Iterator[tuple[str, Path]]:
+    """The files of a run folder by name, sorted; not what is scratch, or a write that was cut off.
+
+    What an algorithm left that no archive can hold is counted in ``left_out``.
+    """
+    for top in sorted(root.iterdir()):
+        if top.name.startswith(".") or top.name == _SCRATCH:
+            continue
+        if top.is_file() and not top.is_symlink():
+            yield top.name, top
+        entries = walk(top) if top.is_dir() and not top.is_symlink() else ()
+        hidden = top.name != _RESULT
+        found = [(f"{top.name}/{entry.place}", _unfit(entry)) for entry in entries]
+        for name, problem in sorted(found):
+            if hidden and "/." in name:
+                continue
+            if problem == "" and layout.is_safe(name):
+                yield name, root / name
+            elif problem is not None:
+                left_out[problem or ODD_NAMES] += 1
+
+
+def _unfit(entry: Entry) -> str | None:
+    """Why something below a run folder cannot be a member, empty if it can; None for a folder, which is none."""
+    if entry.is_folder:
+        return None if entry.entered else "folders too deep to be looked into"
+    return "" if entry.is_file else "links, pipes and other things that are no files"

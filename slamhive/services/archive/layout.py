@@ -44,7 +44,8 @@ _SHOWN = 80
 class Manifest:
     """What the archive says of itself.
 
-    ``counts``: rows of each kind. ``without``: kinds of files that were left out. ``left_out``: {why: number} of runs.
+    ``counts``: rows of each kind. ``without``: kinds of files that were left out. ``left_out``: {why: number} of runs;
+    ``files_left_out``: {what: number} of what runs had left.
     ``checksums``: SHA-256 (hex) of the member :data:`CHECKSUMS`, which has those of all others, as ``sha256sum``
     writes and checks them.
     """
@@ -55,6 +56,7 @@ class Manifest:
     checksums: str
     without: tuple[str, ...] = ()
     left_out: dict[str, int] = field(default_factory=dict)
+    files_left_out: dict[str, int] = field(default_factory=dict)
 
     def to_json(self) -> str:
         """The content of :data:`MANIFEST`."""
@@ -79,6 +81,7 @@ def manifest_from_json(data: bytes) -> Manifest:
             checksums=str(content["checksums"]),
             without=tuple(map(str, content["without"])),
             left_out=_numbers(content["left_out"]),
+            files_left_out=_numbers(content.get("files_left_out", {})),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InvalidInput(f"{MANIFEST} is not complete: {error!r}", "export the archive again") from None

@@ -30,7 +30,7 @@ from tests.waiting import eventually
 CHECKOUT = Path(__file__).resolve().parents[3]
 PACKAGE = "hostile"
 DISK_MB = 150
-FILES = 20_000
+FILES = 3_000
 MEMORY_MB = 300
 LOG_BYTES = 1_000_000
 GRACE_S = 1.0
