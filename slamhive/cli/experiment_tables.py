@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from slamhive.cli.output import messages, print_table
+from slamhive.domain.numbers import plural
 from slamhive.domain.parameters import Value
 from slamhive.services.experiments.records import (
     Cell,
@@ -38,6 +39,8 @@ def print_preview(found: ExperimentPreview) -> None:
     click.echo(f"varied: {varied}")
     variants = f"; {_time(found.variant_time_s)} of it to make variants" if found.variant_time_s else ""
     click.echo(f"runs: {found.runs:,}; about {_time(found.time_s)} on {found.slots} slot(s), {_basis(found)}{variants}")
+    if found.repeat_disturbed:
+        click.echo(f"disturbed runs: each is repeated up to {plural(found.repeat_disturbed, 'time')}, not counted here")
     if found.known_cells:
         click.echo(f"stored already: {found.known_cells:,} of the configurations, with {found.known_runs:,} runs")
     missing = sum(not need.made for need in found.variants)
@@ -75,7 +78,11 @@ def print_status(status: ExperimentStatus) -> None:
     if status.failures:
         click.echo("failed: " + ", ".join(f"{reason} {count:,}" for reason, count in status.failures.items()))
     if status.retried:
-        click.echo(f"{status.retried:,} failed runs were tried again")
+        click.echo(f"{status.retried:,} failed or disturbed runs have another run in their place")
+    if status.disturbed:
+        click.echo(
+            f"{plural(status.disturbed, 'run')} measured on a disturbed machine: --where disturbed=yes finds them"
+        )
     if status.standing is Standing.STORING:
         click.echo(f"{status.missing:,} runs are not stored yet; starting the same file again completes it")
     if status.left_s and status.standing is Standing.ACTIVE:
@@ -102,11 +109,13 @@ def print_statuses(found: Sequence[ExperimentStatus]) -> None:
 def print_report(status: ExperimentStatus, cells: Sequence[Cell], axes: Sequence[str]) -> None:
     """A row for each cell and protocol: counts, and mean ± standard deviation of the figures."""
     headings = tuple(heading for heading, *_ in FIGURES)
-    columns = ("cell", *axes, "runs", "good", "failed", "failures", *headings, "protocol")
+    columns = ("cell", *axes, "runs", "good", "failed", "failures", "disturbed", *headings, "protocol")
     rows = [_report_row(cell, figures, axes) for cell in cells for figures in cell.figures or (NO_FIGURES,)]
-    print_table(columns, rows, right=("cell", "runs", "good", "failed", *headings), spare=("failures", "time s"))
+    numbers = ("cell", "runs", "good", "failed", "disturbed", *headings)
+    print_table(columns, rows, right=numbers, spare=("failures", "time s", "disturbed"))
     print_status(status)
     click.echo("figures: mean ± standard deviation of the good runs; failed runs are counted, not averaged")
+    click.echo("disturbed: how many of these were measured on a disturbed machine and have no other run in their place")
 
 
 def _report_row(cell: Cell, figures: CellFigures, axes: Sequence[str]) -> tuple[Any, ...]:
@@ -117,6 +126,7 @@ def _report_row(cell: Cell, figures: CellFigures, axes: Sequence[str]) -> tuple[
         cell.counts[Phase.GOOD],
         sum(cell.failures.values()) or None,
         failures_text(cell),
+        figures.disturbed or None,
         *(_spread(figures.metrics.get(key), factor, form) for _, key, factor, form in FIGURES),
         figures.protocol[:8] if figures.protocol else None,
     )

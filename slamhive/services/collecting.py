@@ -11,8 +11,9 @@ from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Exited
 from slamhive.runs.outcome import Evidence, Outcome, decide
 from slamhive.runs.profiling import measure_run, write_plots
-from slamhive.services.disturbing import judge_run, repeat_if_disturbed
+from slamhive.services.disturbance import judge_run
 from slamhive.services.evidence import gather_evidence, read_about
+from slamhive.services.retrying import repeat_if_disturbed
 from slamhive.services.run_disk import remove_scratch, settle_result
 from slamhive.services.run_in_hand import RunInHand
 from slamhive.services.run_json import timestamp

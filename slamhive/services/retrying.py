@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from datetime import datetime
+
 from slamhive.domain.external import IMPORTED
+from slamhive.domain.run import RunState
 from slamhive.errors import Conflict
+from slamhive.services.run_uid import run_uid
 from slamhive.store.experiment_records import ExperimentState
 from slamhive.store.records import RunRecord, RunRequest
 from slamhive.store.store import Transaction
@@ -39,3 +44,18 @@ def retry_request(t: Transaction, old: RunRecord, uid: str) -> RunRequest:
         stop_when=old.stop_when,
         repeat_disturbed=old.repeat_disturbed,
     )
+
+
+def repeat_if_disturbed(t: Transaction, run: RunRecord, now: datetime) -> None:
+    """Queue a run in the place of ``run`` if it has ended disturbed and may be repeated; done again, it adds nothing.
+
+    The repetition may be repeated once less. It is stored in the transaction that ends the run: a worker that dies
+    leaves both or none.
+    """
+    wanted = run.disturbance is not None and run.disturbance.disturbed and run.repeat_disturbed > 0
+    if not wanted or run.state not in (RunState.SUCCEEDED, RunState.FAILED):
+        return
+    if run.experiment is not None and t.experiments.locked(run.experiment).state is ExperimentState.CANCELLED:
+        return
+    request = retry_request(t, run, run_uid(run.uid, "undisturbed"))
+    t.runs.add_runs([replace(request, repeat_disturbed=run.repeat_disturbed - 1)], now)

@@ -66,7 +66,10 @@ class CellRecord:
 
 @dataclass(frozen=True, slots=True)
 class CellRun:
-    """A run of a cell, as tables of cells need it. ``retried``: a later run took its place."""
+    """A run of a cell, as tables of cells need it. ``retried``: a later run took its place, that of ``retry_of``.
+
+    ``disturbed``: it was measured on a disturbed machine; None if that is not known.
+    """
 
     id: int
     cell: int
@@ -74,6 +77,8 @@ class CellRun:
     state: RunState
     reason: FailureReason | None
     retried: bool
+    retry_of: int | None = None
+    disturbed: bool | None = None
     protocol: str | None = None
     metrics: dict[str, float] = field(default_factory=dict)
 

@@ -112,7 +112,7 @@ class ExperimentRepository:
         """The runs of the cells from ``first`` to ``last``, by cell and id, with these figures of each."""
         query = (
             select(
-                *(_RUNS.c[name] for name in ("id", "cell", "seed", "state", "reason")),
+                *(_RUNS.c[name] for name in ("id", "cell", "seed", "state", "reason", "retry_of", "disturbed_by")),
                 self._retried(experiment_id).label("retried"),
                 Protocol.fingerprint,
             )
@@ -124,7 +124,10 @@ class ExperimentRepository:
         figures = MetricRepository(self._session).for_runs((row.id for row in rows), metrics)
         return [
             CellRun(
-                row.id, row.cell, row.seed, row.state, row.reason, bool(row.retried), row.fingerprint, figures[row.id]
+                *(row.id, row.cell, row.seed, row.state, row.reason, bool(row.retried), row.retry_of),
+                disturbed=None if row.disturbed_by is None else bool(row.disturbed_by),
+                protocol=row.fingerprint,
+                metrics=figures[row.id],
             )
             for row in rows
         ]
@@ -139,6 +142,24 @@ class ExperimentRepository:
         retried = Counter((row.cell, row.state, row.reason) for row in self._all_retried(experiment_id))
         found = ((tuple(row[:3]), row[3]) for row in self._session.execute(query))
         return [(*key, count - retried[key]) for key, count in found if count > retried[key]]
+
+    def disturbed_counts(self, experiment_id: int | None = None) -> dict[int, int]:
+        """How many runs of each experiment were measured on a disturbed machine and not repeated since."""
+        owner = _RUNS.c.experiment_id
+        query = (
+            select(owner, func.count())
+            .where(_RUNS.c.disturbed_by > "", owner.is_not(None) if experiment_id is None else owner == experiment_id)
+            .group_by(owner)
+        )
+        repeated = Counter(row.experiment_id for row in self._all_retried(experiment_id) if row.disturbed_by)
+        return {number: count - repeated[number] for number, count in self._session.execute(query)}
+
+    def to_repeat(self, experiment_id: int) -> list[int]:
+        """Ids of the disturbed runs that may be repeated, those that have been included."""
+        query = select(_RUNS.c.id).where(
+            _RUNS.c.experiment_id == experiment_id, _RUNS.c.disturbed_by > "", _RUNS.c.repeat_disturbed > 0
+        )
+        return list(self._session.execute(query.order_by(_RUNS.c.id)).scalars())
 
     # -- its runs as a whole ---------------------------------------------------------------------------------------
 
@@ -218,22 +239,33 @@ class ExperimentRepository:
     def _all_retried(self, experiment_id: int | None) -> Sequence[Any]:
         """The runs that another has taken the place of, looked up from the few retries: not asked of each run."""
         later = _RUNS.alias("later")
-        columns = (_RUNS.c[name] for name in ("id", "experiment_id", "cell", "state", "reason"))
+        columns = (_RUNS.c[name] for name in ("id", "experiment_id", "cell", "state", "reason", "disturbed_by"))
         owner = _RUNS.c.experiment_id
         query = (
             select(*columns)
             .distinct()
             .select_from(later.join(_RUNS, _RUNS.c.id == later.c.retry_of))
             .where(owner.is_not(None) if experiment_id is None else owner + 0 == experiment_id)
-            .where(later.c.retry_of.is_not(None), _RUNS.c.state.in_(_REPLACEABLE))
+            .where(later.c.retry_of.is_not(None), _replaced_by(later))
         )
         return self._session.execute(query).all()
 
     def _retried(self, experiment_id: int) -> ColumnElement[bool]:
-        """Whether another run of the experiment has taken the place of a failed or cancelled one."""
+        """Whether another run of the experiment has taken the place of a run."""
         later = _RUNS.alias("later")
-        replaced = select(later.c.retry_of).where(later.c.retry_of.is_not(None), later.c.experiment_id == experiment_id)
-        return and_(_RUNS.c.state.in_(_REPLACEABLE), _RUNS.c.id.in_(replaced))
+        mine = select(later.c.retry_of).where(later.c.retry_of.is_not(None), later.c.experiment_id == experiment_id)
+        going_on = mine.where(later.c.state != RunState.CANCELLED)
+        return or_(
+            and_(_RUNS.c.state.in_(_REPLACEABLE), _RUNS.c.id.in_(mine)), and_(_DISTURBED, _RUNS.c.id.in_(going_on))
+        )
+
+
+_DISTURBED = and_(_RUNS.c.state == RunState.SUCCEEDED, func.coalesce(_RUNS.c.disturbed_by, "") > "")
+
+
+def _replaced_by(later: Any) -> ColumnElement[bool]:
+    """A failed or cancelled run is replaced by any later one, a good but disturbed one unless that was cancelled."""
+    return or_(_RUNS.c.state.in_(_REPLACEABLE), and_(_DISTURBED, later.c.state != RunState.CANCELLED))
 
 
 def _between(column: ColumnElement[Any], experiment_id: int, first: int, last: int) -> list[ColumnElement[bool]]:

@@ -111,6 +111,7 @@ class PlaybackAxes:
 class Experiment:
     """Everything that an experiment file states.
 
+    ``repeat_disturbed``: how often a run is repeated at most because it was measured on a disturbed machine.
     The combinations are algorithms x datasets x steps x parameters x playback, each of them run with every seed,
     ``repeats`` times. ``algorithms`` and ``datasets`` are axes of names.
     """
@@ -132,11 +133,16 @@ class Experiment:
     evaluation: Evaluation = field(default_factory=Evaluation)
     executor: str | None = None
     priority: int = 0
+    repeat_disturbed: int = 0
 
     @property
     def content_hash(self) -> str:
         """SHA-256 over what is stated: places and comments in the file do not count, the order of axes does."""
         return hashlib.sha256(json.dumps(_content(self), allow_nan=False).encode()).hexdigest()
+
+
+_LATER = (("repeat_disturbed", 0),)
+"""Fields that came later, at their defaults: experiments that were stored before keep their hash."""
 
 
 def _content(value: object) -> object:
@@ -145,6 +151,7 @@ def _content(value: object) -> object:
         return value.text
     if is_dataclass(value):
         parts = ((entry.name, getattr(value, entry.name)) for entry in fields(value))
+        parts = ((name, part) for name, part in parts if (name, part) not in _LATER)
         return {name: _content(part) for name, part in parts if not isinstance(part, Place)}
     if isinstance(value, tuple):
         return [_content(part) for part in value]

@@ -71,6 +71,7 @@ def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experimen
         ),
         seeds=model.seeds,
         repeats=model.repeats,
+        repeat_disturbed=model.repeat_disturbed,
         playback=PlaybackAxes(model.playback.mode, model.playback.rate),
         stop_when=StopWhen(**model.stop_when.model_dump()),
         limits=Limits(**model.limits.model_dump()),

@@ -17,6 +17,7 @@ from slamhive.sweep.condition import parse_condition
 from slamhive.sweep.values import check_distinct, parse_values
 
 MAX_REPEATS = 1000
+MAX_REPEAT_DISTURBED = 10
 MAX_SEED = 2**31 - 1
 _NAME = re.compile(NAME_PATTERN)
 
@@ -201,6 +202,12 @@ class ExperimentModel(_Model):
     where: Conditions = Field(default=(), description="Conditions that every combination must meet.")
     seeds: Seeds = Field(default=(0,), description="Each configuration is run with each seed.")
     repeats: int = Field(default=1, ge=1, le=MAX_REPEATS, description="How often, with each seed.")
+    repeat_disturbed: int = Field(
+        default=0,
+        ge=0,
+        le=MAX_REPEAT_DISTURBED,
+        description="How often a run is repeated at most because it was measured on a disturbed machine.",
+    )
     playback: PlaybackModel = Field(default_factory=PlaybackModel)
     stop_when: StopWhenModel = Field(default_factory=StopWhenModel)
     limits: LimitsModel = Field(default_factory=LimitsModel)

@@ -42,6 +42,10 @@ def test_an_experiment_from_plan_to_report(file: Path, tmp_path: Path) -> None:
     assert plan.exit_code == 0, plan.output
     assert "four: 4 combinations, 4 configurations" in plan.output
     assert json.loads(call("experiment", "plan", file, "--json").stdout)["runs"] == 4
+    assert "is repeated" not in plan.output
+    file.write_text(FOUR + "repeat_disturbed: 2\n")
+    assert "disturbed runs: each is repeated up to 2 times" in call("experiment", "plan", file).output
+    file.write_text(FOUR)
     assert call("experiment", "list").stdout == ""
 
     started = call("experiment", "start", file, "--wait")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,38 +9,17 @@ import pytest
 
 from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.run import RunState
-from slamhive.executors.base import Exited, RunSpec
-from slamhive.runs.folder import RunFolder
-from slamhive.runs.host_load import COLUMNS
+from slamhive.executors.base import Exited
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.services.request import Submission
 from slamhive.services.run_json import run_to_json
 from slamhive.store.records import RunRecord
 from tests.burning import busy_machine
+from tests.services.disturbed_machine import beside
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 
 pytestmark = pytest.mark.integration
-
-
-def counters(*others_cores: float) -> str:
-    """``host.csv`` of a machine with two cores where others kept so many busy, second by second."""
-    busy_s, lines = 0.0, [",".join(COLUMNS)]
-    for second in range(len(others_cores) + 1):
-        lines.append(f"{second},2,{busy_s},0,0,0,0,0,,")
-        busy_s += others_cores[min(second, len(others_cores) - 1)]
-    return "\n".join([*lines, "# not measured: CPU frequency: there is no such file"]) + "\n"
-
-
-def beside(*others_cores: float, exit_code: int = 0) -> FakeExecutor:
-    """An executor whose runs end at once; the machine did this meanwhile."""
-    leave: Callable[[RunSpec], None] = write_trajectory(3)
-
-    def on_start(spec: RunSpec) -> None:
-        leave(spec)
-        RunFolder(spec.log_path.parent).host.write_text(counters(*others_cores))
-
-    return FakeExecutor([Exited(exit_code)], on_start)
 
 
 def finish(hive: Hive, executor: FakeExecutor, **changes: Any) -> RunRecord:

@@ -45,6 +45,7 @@ tied: [[left_fog.seed, image_rate], [a, b]]
 where: [features >= 2, 'dataset in [room, hall]']
 seeds: 1:3
 repeats: 2
+repeat_disturbed: 3
 playback: {mode: realtime | sequential, rate: 1 | .5}
 stop_when: {lost_tracking_s: 3.5, failures_of_configuration: 2}
 limits: {memory_mb: 1000, timeout_s: 60}

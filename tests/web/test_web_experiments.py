@@ -97,6 +97,16 @@ def test_the_fields_write_the_yaml_and_the_preview_counts(web: Web):
     assert names(web) == []
 
 
+def test_the_builder_asks_for_repetitions_of_disturbed_runs(web: Web):
+    fields = {"from": "fields", "do": "write", "name": "mine", "algorithms": "eye-slam-mono", "datasets": "room"}
+    state = edit(web, **fields, repeat_disturbed="2")
+    assert "repeat_disturbed: 2\n" in state["yaml"]
+    assert "each disturbed one is repeated up to 2 times, not counted here" in words(state["preview"])
+    assert 'name="repeat_disturbed"' in web.client.get("/new-experiment").text
+    wrong = edit(web, **fields, repeat_disturbed="many")
+    assert "repeat_disturbed" in wrong["error"]
+
+
 def test_the_yaml_fills_the_fields(web: Web):
     state = write(web, TRIAL)
     assert state["yaml"] == TRIAL

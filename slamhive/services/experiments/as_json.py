@@ -44,6 +44,7 @@ def preview_to_json(found: ExperimentPreview) -> dict[str, Any]:
         "free_bytes": found.free_bytes,
         "warnings": list(found.warnings),
         "refusals": list(found.refusals),
+        "repeat_disturbed": found.repeat_disturbed,
         "standing": None if found.standing is None else found.standing.value,
         "rows": [
             {
@@ -74,6 +75,7 @@ def status_to_json(status: ExperimentStatus) -> dict[str, Any]:
         "counts": _counts(status.counts),
         "retried": status.retried,
         "failures": {reason.value: count for reason, count in status.failures.items()},
+        "disturbed": status.disturbed,
         "left_s": status.left_s,
     }
 
@@ -94,6 +96,7 @@ def cell_to_json(cell: Cell) -> dict[str, Any]:
                 "state": run.state.value,
                 "reason": None if run.reason is None else run.reason.value,
                 "retried": run.retried,
+                "disturbed": run.disturbed,
             }
             for run in cell.runs
         ],
@@ -101,6 +104,7 @@ def cell_to_json(cell: Cell) -> dict[str, Any]:
             {
                 "protocol": figures.protocol,
                 "runs": figures.runs,
+                "disturbed": figures.disturbed,
                 "metrics": {
                     key: {"n": found.n, "mean": found.mean, "std": found.std, "unit": CATALOGUE[key].unit}
                     for key, found in figures.metrics.items()

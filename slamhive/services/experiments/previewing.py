@@ -90,6 +90,7 @@ def preview(
         warnings=(*_unseen(experiment, expansion), *warnings(room)),
         refusals=tuple(refusals),
         standing=standing,
+        repeat_disturbed=experiment.repeat_disturbed,
     )
 
 

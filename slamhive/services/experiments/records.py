@@ -95,7 +95,8 @@ class ExperimentPreview:
     of them it knows from earlier runs; the others are taken to last as long as their recording plays.
     ``variant_time_s`` is the part of it that making variants takes, each once. ``run_bytes`` is the room
     that run folders will take, by the size of earlier ones. ``refusals`` would keep it from being started.
-    ``standing``: of the experiment if it is stored already.
+    ``standing``: of the experiment if it is stored already. ``repeat_disturbed``: how often each run is repeated at
+    most because of a disturbed machine, which the other numbers leave out.
     """
 
     name: str
@@ -119,13 +120,15 @@ class ExperimentPreview:
     warnings: tuple[str, ...]
     refusals: tuple[str, ...]
     standing: Standing | None
+    repeat_disturbed: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class ExperimentStatus:
     """How far an experiment is.
 
-    ``counts`` of runs by phase leave out failed runs that another run has taken the place of (``retried``).
+    ``counts`` of runs by phase leave out failed and disturbed runs that another run has taken the place of
+    (``retried``). ``disturbed`` of the others were measured on a disturbed machine.
     ``failures``: {reason: runs}. ``left_s`` is the estimated time left, None if nothing has been measured. ``missing``
     runs are not stored, because the start was interrupted.
     """
@@ -144,6 +147,7 @@ class ExperimentStatus:
     counts: Mapping[Phase, int]
     retried: int
     failures: Mapping[FailureReason, int]
+    disturbed: int
     left_s: float | None
 
     @property
@@ -163,10 +167,14 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class CellFigures:
-    """Figures of the good runs of a cell under one protocol (fingerprint), None where none was evaluated."""
+    """Figures of the good runs of a cell under one protocol (fingerprint), None where none was evaluated.
+
+    ``disturbed`` of these runs were measured on a disturbed machine.
+    """
 
     protocol: str | None
     runs: int
+    disturbed: int
     metrics: Mapping[str, Spread]
 
 

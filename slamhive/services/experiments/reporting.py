@@ -11,9 +11,9 @@ from slamhive.domain.parameters import Value
 from slamhive.services.experiments.records import Cell, CellFigures, Phase
 from slamhive.services.experiments.watching import METRICS
 
-NO_FIGURES = CellFigures(None, 0, {})
+NO_FIGURES = CellFigures(None, 0, 0, {})
 _HEAD = ("cell", "name")
-_COUNTS = ("runs", "good", "failed", "failures", "protocol", "evaluated")
+_COUNTS = ("runs", "good", "failed", "failures", "protocol", "evaluated", "disturbed")
 
 
 def csv_text(cells: Iterable[Cell], axes: Sequence[str]) -> str:
@@ -33,7 +33,7 @@ def csv_rows(cell: Cell, axes: Sequence[str]) -> Iterator[list[Any]]:
     for figures in cell.figures or (NO_FIGURES,):
         row: list[Any] = [cell.number, cell.name, *(_text(cell.values.get(axis)) for axis in axes)]
         row += [len(cell.runs), cell.counts[Phase.GOOD], sum(cell.failures.values()), failures_text(cell)]
-        row += [figures.protocol, figures.runs]
+        row += [figures.protocol, figures.runs, figures.disturbed]
         for key in METRICS:
             found = figures.metrics.get(key)
             row += [None, None, 0] if found is None else [found.mean, found.std, found.n]

@@ -6,10 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from slamhive.errors import SlamHiveError
+from slamhive.services.driver_context import utc_now
 from slamhive.services.experiments.context import ExperimentContext, silent
 from slamhive.services.experiments.folder import ExperimentFolder, experiment_folders
 from slamhive.services.experiments.storing import fill, put_experiment
+from slamhive.services.retrying import repeat_if_disturbed
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
+from slamhive.store.store import Transaction
 from slamhive.sweep.experiment_file import parse_experiment
 
 
@@ -54,6 +57,7 @@ def restore_runs(context: ExperimentContext) -> Iterator[Restored]:
             experiment = replace(parse_experiment(record.source, str(folder.root)), repeats=record.repeats)
             cancelled = record.state is ExperimentState.CANCELLED
             fill(context, record, experiment, context.expand(experiment), silent, cells_only=cancelled)
+            context.store.write(lambda t, i=record.id: _repeat_disturbed(t, i))  # type: ignore[misc]
             other = context.store.read(lambda t, i=record.id: t.experiments.strangers(i))  # type: ignore[misc]
             if other:
                 problem = f"{other} runs have another configuration than their cell has now: the catalogue has changed"
@@ -61,6 +65,12 @@ def restore_runs(context: ExperimentContext) -> Iterator[Restored]:
             problem = str(error)
         context.store.write(lambda t, i=record.id, held=paused: t.experiments.hold(i, held=held))  # type: ignore[misc]
         yield Restored(folder, _run_count(context, record) - before, problem)
+
+
+def _repeat_disturbed(t: Transaction, experiment_id: int) -> None:
+    """Queue again the repetitions of disturbed runs that no worker had begun."""
+    for run in t.runs.get_many(t.experiments.to_repeat(experiment_id)):
+        repeat_if_disturbed(t, run, utc_now())
 
 
 def _run_count(context: ExperimentContext, record: ExperimentRecord) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from slamhive.services.experiments.checks import Pair, protocol_of_pair
 from slamhive.services.experiments.context import ExperimentContext, Progress
 from slamhive.services.experiments.folder import ExperimentStamp
 from slamhive.services.experiments.previewing import chunks_of
+from slamhive.services.run_uid import run_uid
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
 from slamhive.store.records import RunRequest
 from slamhive.store.store import Transaction
@@ -27,12 +27,6 @@ logger = logging.getLogger(__name__)
 
 CHUNK = 2000
 """Runs of one transaction: a second at most, in which a worker of the same SQLite file may have to wait."""
-
-
-def run_uid(experiment_uid: str, *parts: object) -> str:
-    """The uid of a run, always the same for its place in the experiment: what is stored is not stored again."""
-    text = "/".join(map(str, (experiment_uid, *parts)))
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def put_experiment(
@@ -183,4 +177,5 @@ def _requests(
             held=held,
             affinity=affinity,
             stop_when=experiment.stop_when,
+            repeat_disturbed=experiment.repeat_disturbed,
         )

@@ -32,8 +32,10 @@ _STANDINGS = {ExperimentState.PAUSED: Standing.PAUSED, ExperimentState.ACTIVE: S
 
 def all_statuses(t: Transaction) -> tuple[ExperimentStatus, ...]:
     """Every experiment, the newest first, without the time left."""
-    counts = t.experiments.all_counts()
-    return tuple(status_of(record, counts.get(record.id, [])) for record in t.experiments.all())
+    counts, disturbed = t.experiments.all_counts(), t.experiments.disturbed_counts()
+    return tuple(
+        status_of(record, counts.get(record.id, []), disturbed.get(record.id, 0)) for record in t.experiments.all()
+    )
 
 
 def status(t: Transaction, name: str, time_left: TimeLeft) -> ExperimentStatus:
@@ -41,10 +43,13 @@ def status(t: Transaction, name: str, time_left: TimeLeft) -> ExperimentStatus:
     record = t.experiments.get(name)
     counts = t.experiments.all_counts(record.id).get(record.id, [])
     waiting = sum(entry.count for entry in counts if not entry.state.ended)
-    return status_of(record, counts, time_left.of(t, record, waiting))
+    disturbed = t.experiments.disturbed_counts(record.id).get(record.id, 0)
+    return status_of(record, counts, disturbed, time_left.of(t, record, waiting))
 
 
-def status_of(record: ExperimentRecord, found: Sequence[StateCount], left_s: float | None = None) -> ExperimentStatus:
+def status_of(
+    record: ExperimentRecord, found: Sequence[StateCount], disturbed: int = 0, left_s: float | None = None
+) -> ExperimentStatus:
     """The status that these counts amount to."""
     counts: Counter[Phase] = Counter()
     failures: Counter[FailureReason] = Counter()
@@ -71,6 +76,7 @@ def status_of(record: ExperimentRecord, found: Sequence[StateCount], left_s: flo
         counts={phase: counts[phase] for phase in Phase},
         retried=retried,
         failures=dict(failures),
+        disturbed=disturbed,
         left_s=left_s,
     )
 
@@ -137,7 +143,7 @@ def _cell(cell: CellRecord, runs: Sequence[CellRun]) -> Cell:
 def _figures(runs: Sequence[CellRun]) -> Iterator[CellFigures]:
     """Figures of the good runs, those of each protocol by themselves."""
     groups: dict[str | None, list[CellRun]] = defaultdict(list)
-    for run in runs:
+    for run in counted_runs(runs):
         if run.state is RunState.SUCCEEDED:
             groups[run.protocol].append(run)
     for protocol in sorted(groups, key=str):
@@ -146,7 +152,23 @@ def _figures(runs: Sequence[CellRun]) -> Iterator[CellFigures]:
             for key, value in run.metrics.items():
                 values[key].append(value)
         spreads = {key: spread(values[key]) for key in METRICS if key in values}
-        yield CellFigures(protocol, len(groups[protocol]), spreads)
+        disturbed = sum(bool(run.disturbed) for run in groups[protocol])
+        yield CellFigures(protocol, len(groups[protocol]), disturbed, spreads)
+
+
+def counted_runs(runs: Sequence[CellRun]) -> list[CellRun]:
+    """The runs of a cell without disturbed ones in whose place another run has succeeded or failed since.
+
+    A disturbed run counts until then. The last repetition counts even if it was disturbed, too: each place counts once.
+    """
+    places: dict[int, int] = {}
+    last: dict[int, int] = {}
+    for run in runs:
+        first = run.id if run.retry_of is None else places.get(run.retry_of, run.retry_of)
+        places[run.id] = first
+        if run.state in (RunState.SUCCEEDED, RunState.FAILED):
+            last[first] = run.id
+    return [run for run in runs if not run.disturbed or last.get(places[run.id], run.id) == run.id]
 
 
 def spread(values: Sequence[float]) -> Spread:

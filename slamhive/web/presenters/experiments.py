@@ -18,6 +18,7 @@ from slamhive.services.experiments.records import (
     Phase,
     Spread,
 )
+from slamhive.services.experiments.reporting import NO_FIGURES
 from slamhive.web.formatting import DASH, Cell, display_unit, duration, plural, significant, size, thousands, value_text
 
 MOST_ROWS, MOST_COLUMNS = 50, 25
@@ -108,7 +109,9 @@ def status_in_words(status: ExperimentStatus) -> str:
     """How far the experiment is, in one sentence."""
     text = f"{thousands(status.ended)} of {plural(status.runs, 'run')} ended: {counts_in_words(status.counts)}."
     if status.retried:
-        text += f" {plural(status.retried, 'failed run')} tried again are not counted."
+        text += f" {plural(status.retried, 'failed or disturbed run')} with another run in its place not counted."
+    if status.disturbed:
+        text += f" {plural(status.disturbed, 'run')} measured on a disturbed machine."
     if status.missing:
         text += f" {plural(status.missing, 'run')} not stored yet: the start was interrupted, or is under way."
     if status.ended < status.runs and status.left_s is not None:
@@ -161,7 +164,7 @@ def cell_lines(
     lines: list[CellLine] = []
     for cell in cells:
         values = tuple(axis_text(cell.values.get(axis)) for axis in axes)
-        figures = cell.figures or (CellFigures(None, 0, {}),)
+        figures = cell.figures or (NO_FIGURES,)
         lines += [
             CellLine(
                 cell=cell,
@@ -184,7 +187,7 @@ def preview_facts(preview: ExperimentPreview) -> list[tuple[str, str]]:
     identical = f", {thousands(preview.merged)} identical to another" if preview.merged else ""
     return [
         ("Configurations", combined + identical),
-        ("Runs", thousands(preview.runs)),
+        ("Runs", thousands(preview.runs) + _repetitions(preview)),
         ("There already", _known(preview)),
         ("Time", f"about {duration(preview.time_s)} on {plural(preview.slots, 'slot')}; {_time_basis(preview)}"),
         ("Variants", _variants(preview)),
@@ -214,7 +217,14 @@ def _protocol(figures: CellFigures, labels: Mapping[str, str]) -> str:
     if not figures.runs:
         return DASH
     name = "not evaluated" if figures.protocol is None else labels.get(figures.protocol, figures.protocol)
-    return f"{name}, {plural(figures.runs, 'run')}"
+    disturbed = f", {thousands(figures.disturbed)} disturbed" if figures.disturbed else ""
+    return f"{name}, {plural(figures.runs, 'run')}{disturbed}"
+
+
+def _repetitions(preview: ExperimentPreview) -> str:
+    if not preview.repeat_disturbed:
+        return ""
+    return f"; each disturbed one is repeated up to {plural(preview.repeat_disturbed, 'time')}, not counted here"
 
 
 def _known(preview: ExperimentPreview) -> str:
