@@ -45,6 +45,7 @@ class Analysis:
     rule: FailureRule
     forms: tuple[FormRequest, ...]
     source: str
+    exclude_disturbed: bool = False
     places: Mapping[str, str] = field(default_factory=dict)
     """Where each set, by its name, and the protocol, under ``protocol:``, stand, for messages."""
 
@@ -109,6 +110,7 @@ def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames |
         rule=FailureRule(**model.failed_when.model_dump()),
         forms=forms,
         source=text,
+        exclude_disturbed=model.exclude_disturbed,
         places={name: str(places.of("select", name)) for name in model.select} | {PROTOCOL: str(places.of("protocol"))},
     )
 

@@ -94,5 +94,8 @@ class AnalysisModel(_Model):
     one: list[Literal["algorithm", "dataset"]] = Field(
         default_factory=list, description="What the selection must have one of; more is refused."
     )
+    exclude_disturbed: bool = Field(
+        default=False, description="Leave out runs that were measured on a disturbed machine, and say how many."
+    )
     failed_when: FailureModel = Field(default_factory=FailureModel)
     forms: list[dict[str, Any]] = Field(min_length=1, max_length=MAX_FORMS, description="What is shown, in order.")

@@ -64,6 +64,8 @@ class Points:
     group: str = ""
     emphasis: bool = False
     """Larger and outlined, as the points of a front."""
+    ring: bool = False
+    """Open rings around points that other marks draw; not counted as points."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,7 +43,7 @@ def rule_words(count: int, *, space: bool = False) -> str:
 
 def thinned(chart: Chart) -> Chart:
     """The chart with no more marks than can be told apart; itself if it holds few points."""
-    clouds = [mark for mark in chart.marks if isinstance(mark, Points)]
+    clouds = [mark for mark in chart.marks if isinstance(mark, Points) and not mark.ring]
     count = sum(len(mark.x) for mark in clouds)
     marks = tuple(_told_apart(mark, chart) if isinstance(mark, FailedRuns) else mark for mark in chart.marks)
     if chart.z is not None and count > SPACE_MOST:

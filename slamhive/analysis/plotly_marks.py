@@ -60,6 +60,8 @@ def _points(mark: Points, chart: Chart) -> list[Json]:
     }
     if mark.emphasis:
         marker |= {"size": 11, "line": {"width": 1.5, "color": _OUTLINE}}
+    if mark.ring:
+        marker |= {"symbol": "circle-open", "size": 12, "line": {"width": 1.5}}
     if mark.shades is not None:
         marker |= {
             "color": numbers(mark.shades),
@@ -78,7 +80,8 @@ def _points(mark: Points, chart: Chart) -> list[Json]:
     }
     if chart.z is not None:
         trace |= {"type": "scatter3d"} | ({} if mark.z is None else {"z": positions(mark.z, chart.z)})
-        marker |= {"size": 4, "symbol": _SYMBOLS_3D.get(mark.marker, "circle")}
+        symbol = "circle-open" if mark.ring else _SYMBOLS_3D.get(mark.marker, "circle")
+        marker |= {"size": 8 if mark.ring else 4, "symbol": symbol}
     if not len(mark.x):
         return [trace | {axis: [None] for axis in ("x", "y") + (("z",) if chart.z is not None else ())}]
     if mark.low is not None and mark.high is not None:

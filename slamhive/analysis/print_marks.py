@@ -75,7 +75,10 @@ def _points(axes: Any, mark: Points, chart: Chart) -> None:
     }
     if mark.emphasis:
         look |= {"s": 36, "linewidths": 0.8, "edgecolors": "black", "zorder": 3}
-    if mark.shades is None:
+    if mark.ring:
+        look |= {"s": 4 * look["s"], "linewidths": 0.8}
+        axes.scatter(*places, facecolors="none", edgecolors=_colour(mark.colour), label=plain(mark.name), **look)
+    elif mark.shades is None:
         label = plain(mark.name) if mark.in_legend else None
         axes.scatter(*places, color=_colour(mark.colour), label=label, **look)
     else:

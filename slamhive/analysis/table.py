@@ -15,6 +15,7 @@ import pandas as pd
 
 from slamhive.analysis.colours import algorithm_colours, dataset_markers
 from slamhive.domain.metrics import CATALOGUE, Direction
+from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput, unknown
 
 
@@ -55,8 +56,12 @@ FACTS = (
     Column("protocol", "Protocol", ColumnKind.FACT, numeric=False),
     Column("protocol_label", "Protocol in words", ColumnKind.FACT, numeric=False),
     Column("evaluation", "Evaluation", ColumnKind.FACT, numeric=False),
+    Column("disturbed", "Disturbed by", ColumnKind.FACT, numeric=False),
 )
 """The columns that every table has, in this order."""
+
+UNDISTURBED = "nothing"
+"""What the column ``disturbed`` says of a run on a quiet machine; None where that is not known."""
 
 FAILED = "failed"
 """The column, added by :func:`mark_failures`, that says why a run counts as failed; None if it counts as good."""
@@ -106,6 +111,8 @@ class RunTable:
         told: Parameters that say what others say already, by key.
         installed: The sensor set-up of each installed algorithm, with runs or without.
         unevaluated: How many runs are left out because nobody has evaluated them under the protocol in question.
+        without_disturbed: How many runs are left out because they were measured on a disturbed machine; None if such
+            runs are kept.
     """
 
     frame: pd.DataFrame
@@ -116,6 +123,7 @@ class RunTable:
     told: frozenset[str] = frozenset()
     installed: Mapping[str, str] = field(default_factory=dict)
     unevaluated: int = 0
+    without_disturbed: int | None = None
 
     def column(self, key: str) -> Column:
         """The column called ``key``; raises NotFound with the nearest name."""
@@ -141,6 +149,18 @@ class RunTable:
     def good(self) -> pd.DataFrame:
         """The rows that do not."""
         return self.frame[self.frame[FAILED].isna()]
+
+    def disturbed(self) -> pd.DataFrame:
+        """The rows of runs that were measured on a disturbed machine."""
+        return self.frame[is_disturbed(self.frame)]
+
+    @property
+    def disturbance_words(self) -> str:
+        """How many runs were measured on a disturbed machine, or are left out because of it; empty if none."""
+        if self.without_disturbed:
+            return f"{plural(self.without_disturbed, 'run')} measured on a disturbed machine left out."
+        count, total = len(self.disturbed()), len(self.frame)
+        return f"{count} of {plural(total, 'run')} measured on a disturbed machine." if count else ""
 
     def with_rows(self, rows: pd.DataFrame) -> RunTable:
         """The same columns over other rows."""
@@ -226,6 +246,11 @@ def make_table(
         markers=dataset_markers(map(str, frame["dataset"])),
         installed=known,
     )
+
+
+def is_disturbed(frame: pd.DataFrame) -> pd.Series:
+    """Which rows are of runs that are known to have been disturbed."""
+    return frame["disturbed"].notna() & (frame["disturbed"] != UNDISTURBED)
 
 
 def mark_failures(frame: pd.DataFrame, rule: FailureRule) -> pd.DataFrame:

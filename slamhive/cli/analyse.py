@@ -54,12 +54,20 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         messages.print(f"{report['runs']} runs, {report['failed']} failed: {report['selection']}")
         if report["unevaluated"]:
             messages.print(f"left out: {report['unevaluated']} runs that nobody has evaluated under this protocol")
+        _tell_disturbance(report["disturbance"])
         rows = [(entry["form"], entry["title"], entry["charts"], entry["error"] or "") for entry in _brief(report)]
         print_table(("form", "title", "figures", "not shown because"), rows)
         if out is not None:
             messages.print(f"written to {out}" + ("" if parquet_there() else f"; {WITHOUT_PARQUET}: {PARQUET_REMEDY}"))
     if refused:
         raise InvalidInput(f"{len(refused)} of {len(report['forms'])} forms do not fit: {refused[0]['error']}")
+
+
+def _tell_disturbance(found: dict[str, int | None]) -> None:
+    if found["left_out"]:
+        messages.print(f"left out: {found['left_out']} runs that were measured on a disturbed machine")
+    if found["disturbed"]:
+        messages.print(f"{found['disturbed']} runs were measured on a disturbed machine")
 
 
 def _brief(report: dict[str, Any]) -> list[dict[str, Any]]:

@@ -26,6 +26,21 @@ class DisturbanceKind(StrEnum):
     THROTTLING = "throttling"
     PLAYER_LAG = "player_lag"
 
+    @property
+    def label(self) -> str:
+        """In words."""
+        return _LABELS[self]
+
+
+_LABELS = {
+    DisturbanceKind.STEAL: "steal",
+    DisturbanceKind.OTHERS: "load of others",
+    DisturbanceKind.CPU_PRESSURE: "CPU pressure",
+    DisturbanceKind.IO_PRESSURE: "disk pressure",
+    DisturbanceKind.MEMORY_PRESSURE: "memory pressure",
+    DisturbanceKind.THROTTLING: "thermal throttling",
+    DisturbanceKind.PLAYER_LAG: "late player",
+}
 
 REMEDIES: Mapping[DisturbanceKind, str] = {
     DisturbanceKind.STEAL: "run it on a machine that is not shared with other virtual machines",

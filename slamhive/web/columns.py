@@ -170,7 +170,7 @@ def _disturbed(run: RunRecord) -> Cell:
         return Cell(DASH, "not recorded", missing=True)
     if not found.disturbed:
         return Cell("no")
-    return Cell(", ".join(reason.kind.replace("_", " ") for reason in found.reasons), found.words)
+    return Cell(", ".join(reason.kind.label for reason in found.reasons), found.words)
 
 
 def _protocol(run: RunRecord) -> Cell:

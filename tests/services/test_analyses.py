@@ -13,7 +13,9 @@ import pytest
 from slamhive.analysis.colours import PALETTE
 from slamhive.analysis.result import ResultTable, TableColumn
 from slamhive.analysis.table import FailureRule
+from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.errors import InvalidInput, NotFound
+from slamhive.project import project_root
 from slamhive.services.analyses.bundle import report_page, write_folder, zipped
 from slamhive.services.analyses.run import AnalysisLimits
 from slamhive.services.analyses.table import TableRequest, load_table
@@ -68,6 +70,30 @@ def test_a_report_counts_names_and_shows(world):
     assert "<b>name" not in page.split("<script")[0]
     assert 'href="javascript:' not in page
     assert "http://" not in page.split("<script")[0]
+
+
+def test_disturbed_runs_are_kept_and_told_or_left_out_on_request(world):
+    first, *_ = world.store.read(lambda t: t.searches.run_ids(world.searches.read("evaluated = yes")))
+    busy = Disturbance(known=True, reasons=(DisturbanceReason(DisturbanceKind.STEAL, "the hypervisor took it"),))
+    world.store.write(lambda t: t.runs.update(first, disturbance=busy))
+    kept = compute(world, "{all: {where: 'id > 0'}}")
+    assert kept["runs"] == 5
+    assert kept["disturbance"] == {"disturbed": 1, "unknown": 4, "left_out": None}
+    assert "1 of 5 runs measured on a disturbed machine" in " ".join(report_page(kept, project_root()).split())
+    without = compute(world, "{all: {where: 'id > 0'}}", use="exclude_disturbed: true")
+    assert without["runs"] == 4
+    assert without["disturbance"] == {"disturbed": 0, "unknown": 4, "left_out": 1}
+    page = " ".join(report_page(without, project_root()).split())
+    assert "<strong>1 run left out</strong>: measured on a disturbed machine." in page
+    assert "1 run measured on a disturbed machine left out." in page
+    with pytest.raises(InvalidInput, match="all 1 runs were measured on a disturbed machine"):
+        compute(world, f"{{one: {{runs: [{first}]}}}}", use="exclude_disturbed: true")
+
+
+def test_a_report_of_before_is_shown_without(world):
+    report = compute(world, "{all: {where: 'id > 0'}}")
+    del report["disturbance"]
+    assert "disturbed" not in report_page(report, project_root()).split("<script")[0]
 
 
 def test_sets_and_their_algebra(world):

@@ -61,7 +61,7 @@ def test_lists_mark_runs_and_count_them_in_groups(marked: Web) -> None:
 def test_the_form_finds_them(marked: Web) -> None:
     text = page(marked, "/runs?disturbed=yes&columns=id,disturbed")
     assert '<code class="break">disturbed = yes</code>' in text
-    assert f'title="{WORDS}"><span class="clip">others</span>' in text
+    assert f'title="{WORDS}"><span class="clip">load of others</span>' in text
     assert [row["id"] for row in marked.client.get("/searches/export.json?where=disturbed = no").get_json()] == [
         marked.runs["bare"]
     ]

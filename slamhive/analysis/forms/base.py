@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from slamhive.analysis.chart import Array, Axis, Chart
 from slamhive.analysis.result import Cell, Exclusion, FormResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
-from slamhive.analysis.table import FAILED, Column, RunTable
+from slamhive.analysis.table import FAILED, Column, RunTable, is_disturbed
 from slamhive.errors import InvalidInput
 from slamhive.registry import Registry
 
@@ -163,7 +163,7 @@ def caption(table: RunTable, shown: int, protocol: str | None, *more: str) -> st
     """What every figure says of itself: n, failures by the one rule, protocol."""
     failed = int(table.frame[FAILED].notna().sum())
     total = len(table.frame)
-    parts = [f"n = {shown} of {total} runs, {failed} failed.", table.rule.words]
+    parts = [f"n = {shown} of {total} runs, {failed} failed.", table.rule.words, table.disturbance_words]
     parts.append(f"Protocol: {protocol}." if protocol else "No figure here depends on an evaluation protocol.")
     return " ".join(filter(None, [*parts, *more]))
 
@@ -214,10 +214,10 @@ def raw_table(key: str, table: RunTable, keys: Sequence[str], title: str = "Raw 
     named = [key for key in dict.fromkeys(keys) if key not in _ALWAYS]
     chosen = ["run_id", "configuration_id", "algorithm", "dataset", *named]
     columns = [_table_column(table.column(name)) for name in chosen]
-    columns.append(TableColumn("failed", "Failed because"))
+    columns += [TableColumn("disturbed", "Disturbed by"), TableColumn("failed", "Failed because")]
     rows = tuple(
         tuple(plain_cell(value) for value in row)
-        for row in table.frame[[*chosen, FAILED]].itertuples(index=False, name=None)
+        for row in table.frame[[*chosen, "disturbed", FAILED]].itertuples(index=False, name=None)
     )
     return ResultTable(key, title, tuple(columns), rows, raw=True)
 
@@ -229,7 +229,7 @@ def summary_table(key: str, table: RunTable, metrics: Sequence[str], by: Sequenc
     """
     by = list(dict.fromkeys(by))
     columns = [_table_column(table.column(name)) for name in by]
-    columns += [TableColumn("runs", "Runs"), TableColumn("failed", "Failed")]
+    columns += [TableColumn("runs", "Runs"), TableColumn("failed", "Failed"), TableColumn("disturbed", "Disturbed")]
     for metric in metrics:
         column = table.column(metric)
         for part, label in _SUMMARY.items():
@@ -238,7 +238,8 @@ def summary_table(key: str, table: RunTable, metrics: Sequence[str], by: Sequenc
     for names, group in table.frame.groupby(by, sort=True, dropna=False):
         failed = int(group[FAILED].notna().sum())
         good = group[group[FAILED].isna()]
-        cells: list[Cell] = [*(plain_cell(name) for name in names), len(group), failed]
+        disturbed = int(is_disturbed(group).sum())
+        cells: list[Cell] = [*(plain_cell(name) for name in names), len(group), failed, disturbed]
         for metric in metrics:
             cells += _summary_cells(summarise(number_column(good, metric)))
         rows.append(tuple(cells))
@@ -272,7 +273,7 @@ def plain_cell(value: object) -> Cell:
     return str(value)
 
 
-_ALWAYS = {"run_id", "configuration_id", "algorithm", "dataset", FAILED}
+_ALWAYS = {"run_id", "configuration_id", "algorithm", "dataset", "disturbed", FAILED}
 
 
 def _table_column(column: Column) -> TableColumn:

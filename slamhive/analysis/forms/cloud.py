@@ -18,7 +18,7 @@ from slamhive.analysis.forms.base import (
     with_values,
 )
 from slamhive.analysis.forms.coverage_scale import CoverageScaleOptions, scaled_by_coverage
-from slamhive.analysis.forms.places import look_of, places_on
+from slamhive.analysis.forms.places import disturbed_rings, look_of, places_on
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.table import Column, RunTable
 from slamhive.errors import InvalidInput
@@ -63,6 +63,9 @@ class Cloud:
                 marker=self.table.markers[str(dataset)],
                 runs=rows["run_id"].to_numpy(dtype=int),
             )
+
+        places = [places_on(axis, self.shown[key]) for axis, key in zip(self.axes, self.keys, strict=True)]
+        yield from disturbed_rings(self.shown, *places)
 
     def result(self, chart: Chart) -> FormResult:
         """The chart with its raw data."""

@@ -10,7 +10,7 @@ import pandas as pd
 
 from slamhive.analysis.chart import REFERENCE, Array, Axis, FailedRuns, Points
 from slamhive.analysis.colours import MARKERS
-from slamhive.analysis.table import RunTable
+from slamhive.analysis.table import RunTable, is_disturbed
 
 _NOWHERE = np.zeros(0)
 
@@ -32,6 +32,27 @@ def failed_marks(table: RunTable, axis: Axis, key: str) -> Iterator[FailedRuns]:
             colour=table.colours[str(algorithm)],
             name=f"{algorithm}, failed",
             group=str(algorithm),
+        )
+
+
+def disturbed_rings(shown: pd.DataFrame, x: Array, y: Array, z: Array | None = None) -> Iterator[Points]:
+    """A ring around the point of each run that was measured on a disturbed machine, by what on hover; none without.
+
+    Args:
+        shown: The rows behind the points.
+        x, y, z: Their places.
+    """
+    chosen = is_disturbed(shown).to_numpy(dtype=bool)
+    if chosen.any():
+        yield Points(
+            "disturbed machine",
+            x[chosen],
+            y[chosen],
+            z=None if z is None else z[chosen],
+            colour=REFERENCE,
+            runs=shown["run_id"].to_numpy(dtype=int)[chosen],
+            texts=tuple(f"disturbed by {words}" for words in shown["disturbed"][chosen]),
+            ring=True,
         )
 
 

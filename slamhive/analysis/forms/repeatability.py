@@ -20,6 +20,7 @@ from slamhive.analysis.forms.base import (
     summary_table,
     with_values,
 )
+from slamhive.analysis.forms.places import disturbed_rings
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
@@ -74,7 +75,9 @@ def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -
     colour = table.colours[str(table.frame["algorithm"].iloc[0])]
     runs = shown["run_id"].to_numpy(dtype=int)
     values = number_column(shown, key)
-    marks: list[Mark] = [Points("runs", np.array([order[run] for run in runs]), values, colour=colour, runs=runs)]
+    places = np.array([order[run] for run in runs])
+    marks: list[Mark] = [Points("runs", places, values, colour=colour, runs=runs)]
+    marks += disturbed_rings(shown, places, values)
     summary = summarise(values)
     more = ""
     if summary is not None:

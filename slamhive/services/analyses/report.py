@@ -42,6 +42,11 @@ def report_json(outcome: AnalysisOutcome, now: datetime) -> dict[str, Any]:
         "failed": outcome.failed_runs,
         "failed_because": dict(sorted(reasons.items())),
         "unevaluated": table.unevaluated,
+        "disturbance": {
+            "disturbed": len(table.disturbed()),
+            "unknown": int(table.frame["disturbed"].isna().sum()),
+            "left_out": table.without_disturbed,
+        },
         "rule": table.rule.words,
         "protocols": [
             {"fingerprint": str(name), "label": str(labels.iloc[0]), "runs": len(labels)} for name, labels in protocols

@@ -87,7 +87,7 @@ def run_analysis(
     check_size(run_ids, limits.runs)
     progress(0.05, f"reading {len(run_ids)} runs")
     keys = {key for request in analysis.forms for key in request.form.needs(request.options)}
-    asked = TableRequest(run_ids, keys, analysis.protocol, analysis.rule)
+    asked = TableRequest(run_ids, keys, analysis.protocol, analysis.rule, analysis.exclude_disturbed)
     try:
         table = load_table(sources.store, asked, sources.sensors)
     except NotFound as error:

@@ -9,7 +9,8 @@ from typing import Any
 
 import pandas as pd
 
-from slamhive.analysis.table import FailureRule, RunTable, make_table
+from slamhive.analysis.table import UNDISTURBED, FailureRule, RunTable, make_table
+from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import RunState
 from slamhive.domain.variant import variant_from_json
@@ -35,6 +36,7 @@ class TableRequest:
     keys: Collection[str]
     protocol: str | None
     rule: FailureRule
+    exclude_disturbed: bool = False
 
 
 def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) -> RunTable:
@@ -61,6 +63,10 @@ def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) 
 
     facts, parameters, axes, figures, units = store.read(work)
     unevaluated = len(set(request.run_ids)) - len(facts["run_id"])
+    facts["disturbed"] = [_disturbance_words(kinds) for kinds in facts.pop("disturbed_by")]
+    selected = len(facts["run_id"])
+    if request.exclude_disturbed:
+        facts = _undisturbed(facts)
     variants = facts.pop("variant")
     facts["variant"] = [_variant_words(variant) for variant in variants]
     facts["sensors"] = [sensors.get(name) for name in facts["algorithm"]]
@@ -71,7 +77,25 @@ def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) 
     known |= {name: known.get(_source(columns[name], columns, known), "") for name in new}
     table = make_table(facts, columns, _by_id(figures, facts["run_id"]), request.rule, installed=sensors)
     told = _told_by_axes(variants, new, facts["run_id"])
-    return replace(table.described(known, told), unevaluated=unevaluated)
+    left_out = selected - len(facts["run_id"]) if request.exclude_disturbed else None
+    return replace(table.described(known, told), unevaluated=unevaluated, without_disturbed=left_out)
+
+
+def _undisturbed(facts: Columns) -> Columns:
+    """The facts of runs that are not known to have been disturbed; raises InvalidInput if there is none."""
+    kept = [words is None or words == UNDISTURBED for words in facts["disturbed"]]
+    if not any(kept) and kept:
+        raise InvalidInput(
+            f"all {len(kept)} runs were measured on a disturbed machine", "leave out exclude_disturbed, or repeat them"
+        )
+    return {name: list(compress(values, kept)) for name, values in facts.items()}
+
+
+def _disturbance_words(kinds: str | None) -> str | None:
+    """What disturbed a run, out of the column that searches go through; None if that is not known."""
+    if kinds is None:
+        return None
+    return ", ".join(DisturbanceKind(kind).label for kind in kinds.split()) or UNDISTURBED
 
 
 def _evaluated(source: Any, facts: Columns, errors_m: Mapping[int, float], protocol: str | None) -> Columns:
