@@ -10,7 +10,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from slamhive import strict_yaml
 from slamhive.catalogue.validation import first_problem_at
-from slamhive.domain.protocol import BOUNDS, MOST_SEGMENT_LENGTHS, Alignment, Association, Duplicates, RpePairs
+from slamhive.domain.protocol import (
+    BOUNDS,
+    MOST_SEGMENT_LENGTHS,
+    Alignment,
+    Association,
+    Duplicates,
+    RpePairs,
+    SegmentRule,
+)
 from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.domain.sensors import is_rigid
 from slamhive.errors import InvalidInput
@@ -84,7 +92,13 @@ class ProtocolModel(BaseModel):
     segment_tolerance_m: (
         Annotated[float, _number("segment_tolerance_m", "m", "How far a segment's length may be off")] | None
     ) = None
-
+    segment_rule: Annotated[SegmentRule, Field(strict=False)] | None = Field(
+        None, description="What path shares are of, and what the errors of a segment are divided by; default matched."
+    )
+    hold_interval_s: (
+        Annotated[float, _number("hold_interval_s", "s", "Longest step of the ground truth that counts with hold")]
+        | None
+    ) = None
     duplicates: Annotated[Duplicates, Field(strict=False)] | None = Field(
         None,
         description="What is done with poses of one file that have the same timestamp; default refuse.",

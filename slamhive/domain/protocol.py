@@ -38,24 +38,45 @@ class Association(StrEnum):
     """Which pose of the ground truth answers to which of the estimate.
 
     ``nearest``: each pose of the shorter list takes the nearest of the other, which may be taken twice (as evo does).
-    ``one_to_one``: pairs by growing gap, each pose once (as TUM does). ``interpolate``: the ground truth between its
-    two neighbours, at the estimate's stamps. ``hold``: the estimate at the ground truth's stamps, its last pose held
-    where it pauses or has ended, so that lost tracking counts (as ETH3D does). ``index``: by position in the files,
-    stamps unused (as KITTI does).
+    ``one_to_one``: pairs by growing gap, each pose once (as TUM does). ``sweep``: each pose of the estimate in turn
+    takes the nearest pose of the ground truth after the last one taken (as OpenVINS does). ``interpolate``: the ground
+    truth between its two neighbours, at the estimate's stamps. ``hold``: the estimate at the ground truth's stamps, its
+    last pose held where it pauses or has ended, so that lost tracking counts (as ETH3D does). ``index``: by position in
+    the files, stamps unused (as KITTI does).
     """
 
     NEAREST = "nearest"
     ONE_TO_ONE = "one_to_one"
+    SWEEP = "sweep"
     INTERPOLATE = "interpolate"
     HOLD = "hold"
     INDEX = "index"
 
 
 class RpePairs(StrEnum):
-    """Which pairs of poses a relative error is taken over: all that are a delta apart, or one after the other."""
+    """Which pairs of poses a relative error is taken over.
+
+    ``all``: all matched poses that are a delta apart. ``consecutive``: one pair after the other (both as evo does).
+    ``tum``: as TUM's ``evaluate_rpe.py --fixed_delta`` counts, from every pose of the estimate, matched or not, each
+    compared with the pose of the ground truth that is nearest in time.
+    """
 
     ALL = "all"
     CONSECUTIVE = "consecutive"
+    TUM = "tum"
+
+
+class SegmentRule(StrEnum):
+    """How long segments are, and what their errors are divided by.
+
+    ``matched``: shares of the path of the matched ground truth; errors over the nominal length. ``rpg``: as
+    rpg_trajectory_evaluation counts, shares of the path of the whole ground truth. ``eth3d``: as ETH3D counts, errors
+    over the length that a segment really has, seen from its last pose. What these tools do by mistake is part of it.
+    """
+
+    MATCHED = "matched"
+    RPG = "rpg"
+    ETH3D = "eth3d"
 
 
 class Duplicates(StrEnum):
@@ -89,14 +110,15 @@ class Protocol:
 
     Attributes:
         alignment: How the estimate is moved onto the ground truth.
-        association_tolerance_s: Largest gap between matched stamps (nearest, one_to_one).
+        association_tolerance_s: Largest gap between matched timestamps (nearest, one_to_one, sweep).
         gap_threshold_s: A pause of the estimate longer than this counts as tracking lost.
         rpe_delta_m: Path length between the poses of an RPE pair.
         association: Which pose answers to which.
         interpolation_interval_s: Longest interval of the ground truth that is interpolated (interpolate).
         time_offset_s: Added to the estimate's stamps, to bring them to the ground truth's clock.
         offset_search_s: The offset is searched within this of ``time_offset_s``; 0 for no search.
-        align_poses: The alignment is computed over this many first matched poses; None for all.
+        align_poses: The alignment is computed over this many first matched poses; None for all. Over one, SE(3) and
+            yaw + position take its orientation too.
         T_body_sensor: Pose of the estimate's frame in the ground truth's body frame, instead of what algorithm and
             dataset say; None for that.
         reference: File of the dataset's folder to compare with instead of its ground truth; None for that.
@@ -107,6 +129,9 @@ class Protocol:
         segment_lengths_m: Path lengths of the segments; empty for 10, 20, 30, 40 and 50 % of the ground truth's path.
         segment_tolerance_m: How far a segment's length may be off; None for a fifth of it.
         duplicates: What is done with poses of one file that have the same timestamp.
+        segment_rule: What path the shares are of, and what the errors of a segment are divided by.
+        hold_interval_s: With the association ``hold``, poses of the ground truth count only where the next one is no
+            further away than this; None for all.
 
     Raises:
         InvalidInput: Naming the field and the value that cannot be meant.
@@ -130,6 +155,8 @@ class Protocol:
     segment_lengths_m: tuple[float, ...] = ()
     segment_tolerance_m: float | None = None
     duplicates: Duplicates = Duplicates.REFUSE
+    segment_rule: SegmentRule = SegmentRule.MATCHED
+    hold_interval_s: float | None = None
 
     def __post_init__(self) -> None:
         for name, (minimum, maximum) in BOUNDS.items():
@@ -174,6 +201,12 @@ class Protocol:
         }
 
     @property
+    def aligns_one_pose(self) -> bool:
+        """Whether the alignment is that of the first matched pose, for which its orientation is needed."""
+        alone = self.align_poses == 1 and self.alignment in (Alignment.SE3, Alignment.YAW_POSITION)
+        return alone or self.alignment is Alignment.FIRST_POSE
+
+    @property
     def label(self) -> str:
         """The protocol in words, for captions: what differs from the defaults is there."""
         return ", ".join(_words(self))
@@ -199,6 +232,7 @@ BOUNDS = {
     "rpe_delta_deg": (1e-3, 180.0),
     "segment_lengths_m": (1e-6, _LARGEST_M),
     "segment_tolerance_m": (1e-9, _LARGEST_M),
+    "hold_interval_s": (1e-6, _LARGEST_S),
 }
 """What the numbers of a protocol may be, both ends included."""
 
@@ -231,6 +265,7 @@ _ENUMS: dict[str, type[StrEnum]] = {
     "association": Association,
     "rpe_pairs": RpePairs,
     "duplicates": Duplicates,
+    "segment_rule": SegmentRule,
 }
 
 
@@ -258,7 +293,9 @@ def default_alignment(setup: SensorSetup, *, gravity_aligned: bool) -> Alignment
 def _words(protocol: Protocol) -> list[str]:
     alignment = ALIGNMENT_LABELS[protocol.alignment]
     if protocol.align_poses is not None:
-        alignment += f" over the first {protocol.align_poses} poses"
+        alignment += (
+            " of the first pose" if protocol.align_poses == 1 else f" over the first {protocol.align_poses} poses"
+        )
     words = [alignment, _association_words(protocol)]
     if protocol.offset_search_s > 0:
         around = f" around {protocol.time_offset_s:+g} s" if protocol.time_offset_s else ""
@@ -270,8 +307,8 @@ def _words(protocol: Protocol) -> list[str]:
     if protocol.reference is not None:
         words.append(f"against {protocol.reference}")
     words.append(f"RPE over {protocol.rpe_delta_m:g} m")
-    if protocol.rpe_pairs is RpePairs.CONSECUTIVE:
-        words.append("consecutive pairs")
+    if protocol.rpe_pairs is not RpePairs.ALL:
+        words.append(f"{protocol.rpe_pairs} pairs")
     if protocol.duplicates is not Duplicates.REFUSE:
         words.append(f"duplicate timestamps: {DUPLICATES_LABELS[protocol.duplicates]}")
     shown = {"alignment", "association", "align_poses", "offset_search_s", "time_offset_s", "T_body_sensor"}
@@ -281,8 +318,12 @@ def _words(protocol: Protocol) -> list[str]:
         value = getattr(protocol, field.name)
         if field.name not in shown and value != field.default:
             numbers = value if isinstance(value, tuple) else (value,)
-            words.append(f"{field.name} {' '.join(f'{number:g}' for number in numbers)}")
+            words.append(f"{field.name} {' '.join(_plain(number) for number in numbers)}")
     return words
+
+
+def _plain(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
 
 
 def _association_words(protocol: Protocol) -> str:
@@ -292,5 +333,5 @@ def _association_words(protocol: Protocol) -> str:
         return "estimate held at every stamp of the ground truth"
     if protocol.association is Association.INDEX:
         return "poses by index"
-    one_to_one = " one to one" if protocol.association is Association.ONE_TO_ONE else ""
-    return f"association{one_to_one} {protocol.association_tolerance_s:g} s"
+    how = {Association.ONE_TO_ONE: " one to one", Association.SWEEP: " in one sweep"}.get(protocol.association, "")
+    return f"association{how} {protocol.association_tolerance_s:g} s"

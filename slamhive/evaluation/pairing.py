@@ -32,7 +32,7 @@ def pair(
     Raises:
         InvalidInput: Saying which of the steps is not possible, and why.
     """
-    reference.check(protocol.alignment)
+    reference.check(protocol)
     truth = reference.trajectory
     estimate = reference.placed(estimate)
     if len(truth) < 2:

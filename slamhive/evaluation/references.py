@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamhive.domain.protocol import Alignment, Duplicates
+from slamhive.domain.protocol import Alignment, Duplicates, Protocol
 from slamhive.domain.sensors import Matrix4
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.job import EvaluationTask
@@ -41,18 +41,18 @@ class Reference:
     T_sensor_body: FloatArray | None = None
     T_body_estimate: FloatArray = field(default_factory=lambda: np.eye(4))
 
-    def check(self, alignment: Alignment) -> None:
+    def check(self, protocol: Protocol) -> None:
         """Raise InvalidInput if the estimate cannot be aligned so for want of orientations."""
         if self.rotations_known:
             return
-        if alignment is Alignment.FIRST_POSE:
+        if protocol.aligns_one_pose:
             raise InvalidInput(
                 "alignment of the first pose needs orientations, and the ground truth holds positions only",
-                "use se3, sim3 or none",
+                "use se3, sim3 or none, over more poses",
             )
-        if self.T_sensor_body is not None and alignment in _SCALING:
+        if self.T_sensor_body is not None and protocol.alignment in _SCALING:
             raise InvalidInput(
-                f"the alignment {alignment} leaves the scale open, but the ground truth holds positions only, "
+                f"the alignment {protocol.alignment} leaves the scale open, but the ground truth holds positions only, "
                 "so that the lever arm has to be added to the estimate in metres",
                 "use se3, or give the protocol a T_body_sensor without translation",
             )

@@ -16,6 +16,7 @@ from slamhive.errors import InvalidInput, NotFound, unknown
 from slamhive.evaluation.presets import PRESETS, Preset
 from slamhive.settings import Settings
 from slamhive.store.store import Store
+from slamhive.trajectory.alignment import MINIMUM_POSES
 
 BY_SENSORS = "default"
 """The name of the protocol that the sensors deserve."""
@@ -51,10 +52,16 @@ def fitting_protocol(
     if protocol.alignment is Alignment.YAW_POSITION and not gravity_aligned:
         found = f"that of {dataset.name} does not" if truth is not None else f"{dataset.name} has none"
         raise InvalidInput(f"yaw + position alignment needs a ground truth whose z axis points up; {found}", "use se3")
-    if protocol.alignment is Alignment.FIRST_POSE and truth is not None and truth.positions_only:
+    if protocol.aligns_one_pose and truth is not None and truth.positions_only:
         raise InvalidInput(
             f"alignment of the first pose needs orientations; the ground truth of {dataset.name} holds positions only",
-            "use se3, sim3 or none",
+            "use se3, sim3 or none, over more poses",
+        )
+    enough = MINIMUM_POSES[protocol.alignment]
+    if protocol.align_poses is not None and protocol.align_poses < enough and not protocol.aligns_one_pose:
+        raise InvalidInput(
+            f"the alignment {protocol.alignment} needs at least {enough} poses, align_poses is {protocol.align_poses}",
+            f"use {enough} or more",
         )
     if protocol.reference is not None:
         reference_path(dataset, protocol)

@@ -73,11 +73,16 @@ def align(alignment: Alignment, estimate: Poses, reference: Poses, first: int | 
         alignment: What may be moved.
         estimate: Matched poses of the estimate.
         reference: Matched poses of the ground truth, as many.
-        first: How many of them to use, from the start; None for all.
+        first: How many of them to use, from the start; None for all. Of one, SE(3) and yaw + position take the
+            orientation too.
 
     Raises:
         InvalidInput: They do not determine the transform.
     """
+    if first == 1 and alignment is Alignment.SE3:
+        alignment = Alignment.FIRST_POSE
+    if first == 1 and alignment is Alignment.YAW_POSITION:
+        return _first_yaw_position(estimate, reference)
     count = len(estimate) if first is None else min(first, len(estimate))
     if count < MINIMUM_POSES[alignment]:
         raise InvalidInput(
@@ -136,18 +141,36 @@ def align_yaw_position(estimate_m: FloatArray, reference_m: FloatArray) -> Simil
     """
     mean_estimate, mean_reference = estimate_m.mean(axis=0), reference_m.mean(axis=0)
     p, q = estimate_m - mean_estimate, reference_m - mean_reference
-    C = p[:, :2].T @ q[:, :2]
-    sine, cosine = C[0, 1] - C[1, 0], C[0, 0] + C[1, 1]
-    extent = float(np.linalg.norm(p) * np.linalg.norm(q))
-    if math.hypot(sine, cosine) <= RANK_TOLERANCE * extent or extent == 0:
+    rotation = _best_yaw(p.T @ q)
+    if rotation is None:
         raise InvalidInput(
             "yaw cannot be determined: the matched poses do not move in the horizontal plane",
             "choose another alignment, or a run that moves",
         )
-    yaw = math.atan2(sine, cosine)
-    rotation = np.eye(3)
-    rotation[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
     return Similarity(1.0, rotation, mean_reference - rotation @ mean_estimate)
+
+
+def _best_yaw(C: FloatArray) -> FloatArray | None:
+    """The rotation Rz about z that maximises tr(Rz C), C of shape (3, 3); None if each is as good as another."""
+    sine, cosine = C[0, 1] - C[1, 0], C[0, 0] + C[1, 1]
+    length = math.hypot(sine, cosine)
+    if length <= RANK_TOLERANCE * float(np.linalg.norm(C)) or length == 0:
+        return None
+    rotation = np.eye(3)
+    rotation[:2, :2] = np.array([[cosine, -sine], [sine, cosine]]) / length
+    return rotation
+
+
+def _first_yaw_position(estimate: Poses, reference: Poses) -> Similarity:
+    """Yaw and position of the first pose: C = R_estimate R_reference^T, as OpenVINS and rpg_trajectory_evaluation."""
+    R_estimate, R_reference = (rotations_from_quats(poses.quats_xyzw[:1])[0] for poses in (estimate, reference))
+    rotation = _best_yaw(R_estimate @ R_reference.T)
+    if rotation is None:
+        raise InvalidInput(
+            "yaw cannot be determined: the first pose of the estimate is upside down against the ground truth",
+            "check that z points up in both, or align over more poses",
+        )
+    return Similarity(1.0, rotation, reference.positions_m[0] - rotation @ estimate.positions_m[0])
 
 
 def _first_pose(estimate: Poses, reference: Poses) -> Similarity:

@@ -30,10 +30,12 @@ def associate(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
     if how is Association.INTERPOLATE:
         pair = _interpolated(reference, estimate, protocol.interpolation_interval_s)
     elif how is Association.HOLD:
-        pair = _held(reference, estimate)
+        pair = _held(reference, estimate, protocol.hold_interval_s)
     else:
-        find = match_one_to_one if how is Association.ONE_TO_ONE else match_nearest
-        of_reference, of_estimate = find(reference.stamps_s, estimate.stamps_s, protocol.association_tolerance_s)
+        match = {Association.ONE_TO_ONE: match_one_to_one, Association.SWEEP: match_in_one_sweep}.get(
+            how, match_nearest
+        )
+        of_reference, of_estimate = match(reference.stamps_s, estimate.stamps_s, protocol.association_tolerance_s)
         pair = reference.take(of_reference), estimate.take(of_estimate)
     if len(pair[0]) == 0:
         raise _no_match(reference, estimate, protocol)
@@ -97,6 +99,55 @@ def match_one_to_one(reference_s: FloatArray, estimate_s: FloatArray, tolerance_
     return of_reference[chosen], of_estimate[chosen]
 
 
+def match_in_one_sweep(reference_s: FloatArray, estimate_s: FloatArray, tolerance_s: float) -> tuple[Indices, Indices]:
+    """Each stamp of the estimate in turn takes the nearest of the ground truth's that come after the last one taken.
+
+    The rule of OpenVINS (https://github.com/rpng/open_vins, ``ov_eval``): one to one and in order, but what an earlier
+    stamp has taken is lost for a later one that would be nearer. Arguments and result as those of
+    :func:`match_one_to_one`.
+    """
+    listed_s, wanted_s = reference_s.tolist(), estimate_s.tolist()
+    of_reference: list[int] = []
+    of_estimate: list[int] = []
+    free = 0
+    for own, best in enumerate(nearest_indices(reference_s, estimate_s).tolist()):
+        taken = max(best, free)
+        if taken < len(listed_s) and abs(listed_s[taken] - wanted_s[own]) < tolerance_s:
+            of_reference.append(taken)
+            of_estimate.append(own)
+            free = taken + 1
+    return np.array(of_reference, dtype=np.intp), np.array(of_estimate, dtype=np.intp)
+
+
+def nearest_indices(values: FloatArray, wanted: FloatArray) -> Indices:
+    """The index of the nearest of ``values``, never decreasing, for each of ``wanted``; of two as near, the earlier."""
+    lower, upper, nearer = _around(values, wanted)
+    return np.where(nearer > 0, upper, lower)
+
+
+def nearest_as_tum(values: FloatArray, wanted: FloatArray) -> Indices:
+    """The same as ``find_closest_index`` of TUM's ``evaluate_rpe.py`` finds it.
+
+    Of two as near, that is the one which its binary search meets first, or the first value of all.
+    """
+    lower, upper, nearer = _around(values, wanted)
+    found = np.where(nearer > 0, upper, lower)
+    for tie in np.flatnonzero((nearer == 0) & (lower > 0)).tolist():
+        begin, end = 0, len(values)
+        while (middle := (begin + end) // 2) not in (lower[tie], upper[tie]):
+            begin, end = (begin, middle) if middle > upper[tie] else (middle + 1, end)
+        found[tie] = middle
+    return found
+
+
+def _around(values: FloatArray, wanted: FloatArray) -> tuple[Indices, Indices, Indices]:
+    """The values' indices below and above each of ``wanted``, and which is nearer: 1 above, -1 below, 0 both."""
+    above = np.searchsorted(values, wanted)
+    lower, upper = np.maximum(above - 1, 0), np.minimum(above, len(values) - 1)
+    nearer = np.sign(np.abs(values[lower] - wanted) - np.abs(values[upper] - wanted)).astype(np.intp)
+    return lower, upper, nearer
+
+
 def _by_index(reference: Trajectory, estimate: Trajectory) -> tuple[Poses, Poses]:
     if len(reference) != len(estimate):
         raise InvalidInput(
@@ -120,11 +171,17 @@ def _interpolated(reference: Trajectory, estimate: Trajectory, interval_s: float
     return interpolate(reference, stamps_s[kept]), estimate.take(kept)
 
 
-def _held(reference: Trajectory, estimate: Trajectory) -> tuple[Poses, Poses]:
-    """The estimate at every stamp of the ground truth: between its poses interpolated, beyond its ends held."""
+def _held(reference: Trajectory, estimate: Trajectory, interval_s: float | None) -> tuple[Poses, Poses]:
+    """The estimate at every stamp of the ground truth: between its poses interpolated, beyond its ends held.
+
+    With an interval, at those stamps of the ground truth whose next one is no further away.
+    """
     if estimate.stamps_s[0] > reference.stamps_s[-1] or estimate.stamps_s[-1] < reference.stamps_s[0]:
         return reference.take(np.empty(0, np.intp)), estimate.take(np.empty(0, np.intp))
-    return reference, interpolate(estimate, reference.stamps_s)
+    if interval_s is None:
+        return reference, interpolate(estimate, reference.stamps_s)
+    kept = reference.take(np.flatnonzero(np.diff(reference.stamps_s) <= interval_s))
+    return kept, interpolate(estimate, kept.stamps_s)
 
 
 def _no_match(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -> InvalidInput:
@@ -137,6 +194,11 @@ def _no_match(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
         return InvalidInput(
             f"estimate and ground truth do not overlap in time: {spans}",
             "use the same clock for both, or give the protocol a time offset",
+        )
+    if protocol.association is Association.HOLD:
+        return InvalidInput(
+            f"no two poses of the ground truth are within {protocol.hold_interval_s:g} s, the hold interval",
+            "raise hold_interval_s, or use a denser ground truth",
         )
     if protocol.association is Association.INTERPOLATE:
         interval_s = protocol.interpolation_interval_s

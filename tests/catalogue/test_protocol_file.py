@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.catalogue.protocol_file import load_protocol, parse_protocol, protocol_schema
-from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol, RpePairs
+from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol, RpePairs, SegmentRule
 from slamhive.errors import InvalidInput
 
 WHOLE = """\
@@ -29,6 +29,8 @@ rpe_delta_deg: 45
 segment_lengths_m: [8, 16, 24]
 segment_tolerance_m: 0.5
 duplicates: mean
+segment_rule: rpg
+hold_interval_s: 0.1
 """
 
 
@@ -55,6 +57,8 @@ def test_every_field_is_read(tmp_path: Path) -> None:
         segment_lengths_m=(8, 16, 24),
         segment_tolerance_m=0.5,
         duplicates=Duplicates.MEAN,
+        segment_rule=SegmentRule.RPG,
+        hold_interval_s=0.1,
     )
     fields = {line.partition(":")[0] for line in WHOLE.splitlines() if not line.startswith("#")}
     assert set(json.loads(protocol_schema())["properties"]) == fields

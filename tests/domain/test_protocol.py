@@ -11,6 +11,7 @@ from slamhive.domain.protocol import (
     Duplicates,
     Protocol,
     RpePairs,
+    SegmentRule,
     protocol_from_content,
 )
 from slamhive.domain.protocol_request import ProtocolRequest, exactly
@@ -60,6 +61,21 @@ def test_a_repair_of_duplicates_has_a_fingerprint_and_a_name_of_its_own() -> Non
     assert len({entry.fingerprint for entry in repaired}) == len({entry.label for entry in repaired}) == len(Duplicates)
     assert protocol_from_content(repaired[1].content) == repaired[1]
     assert repaired[1].label.endswith("duplicate timestamps: the first counts")
+
+
+def test_a_tools_way_with_segments_and_pairs_has_a_fingerprint_and_a_name_of_its_own() -> None:
+    plain = Protocol(Alignment.SE3)
+    assert Protocol(Alignment.SE3, segment_rule=SegmentRule.MATCHED, hold_interval_s=None).content == plain.content
+    for changed, words in (
+        (Protocol(Alignment.SE3, segment_rule=SegmentRule.RPG), "segment_rule rpg"),
+        (Protocol(Alignment.SE3, hold_interval_s=0.1), "hold_interval_s 0.1"),
+        (Protocol(Alignment.SE3, rpe_pairs=RpePairs.TUM), "tum pairs"),
+        (Protocol(Alignment.SE3, association=Association.SWEEP), "association in one sweep 0.01 s"),
+        (Protocol(Alignment.YAW_POSITION, align_poses=1), "yaw + position of the first pose"),
+    ):
+        assert changed.fingerprint != plain.fingerprint
+        assert words in changed.label
+        assert protocol_from_content(changed.content) == changed
 
 
 def test_whole_numbers_are_numbers() -> None:

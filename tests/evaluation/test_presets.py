@@ -1,7 +1,5 @@
 """Presets give each tool's own figure, on the files that the tools were run on."""
 
-from pathlib import Path
-
 import pytest
 
 from slamhive.domain.metrics import CATALOGUE
@@ -11,12 +9,9 @@ from slamhive.evaluation.evaluators.base import Figures
 from slamhive.evaluation.pairing import pair
 from slamhive.evaluation.presets import PRESETS
 from slamhive.evaluation.references import Reference
-from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.tum import read_tum
-
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
-EVO, RUNS = DATA / "evo_trajectories", DATA / "euroc_vio_runs"
+from tests.evaluation.tool_inputs import EVO, RUNS, kitti
 
 pytestmark = [
     pytest.mark.shared_data,
@@ -28,10 +23,6 @@ pytestmark = [
 def evaluated(name: str, reference: Trajectory, estimate: Trajectory) -> tuple[Figures, int]:
     paired = pair(Reference(reference), estimate, PRESETS.get(name).protocol)
     return all_figures(paired), len(paired.aligned)
-
-
-def kitti(name: str) -> Trajectory:
-    return read_kitti(EVO / f"KITTI_00_{name}.txt", EVO / "KITTI_00_gt_times.txt")
 
 
 def test_presets_show_figures_of_the_catalogue_in_words() -> None:
@@ -62,6 +53,8 @@ def test_kitti_00_as_evo_and_as_the_devkit() -> None:
     # The devkit takes the files' rotations as they are, with seven digits; ours are orthonormal.
     assert values["kitti.rotation"] == pytest.approx(0.00253352, rel=5e-5)
     assert values["kitti.segments"] == 3283
+    counts = [values[f"kitti.segments.{length_m}m"] for length_m in range(100, 900, 100)]
+    assert counts == [445, 431, 424, 416, 408, 399, 385, 375]
     by_length = [values[f"kitti.translation.{length_m}m"] for length_m in range(100, 900, 100)]
     assert by_length == pytest.approx([1.0091, 0.8744, 0.7809, 0.7189, 0.6553, 0.5720, 0.4926, 0.4159], abs=5e-5)
 

@@ -121,7 +121,19 @@ def test_a_run_as_every_tool_counts(hive: Hive, run_id: int) -> None:
     assert rows["kitti"].note == "the path is 37.43 m, the shortest segment 100 m"
     assert not rows["kitti"].figures
     assert hive.run(run_id) == shown, "comparing changes nothing of what is shown"
-    assert hive.comparisons.queue(run_id) == [], "what is there is not evaluated again"
+    assert str(rows["eth3d"].note).startswith("no two poses of the ground truth are within 0.0133333 s")
+    again = hive.comparisons.queue(run_id)
+    assert len(again) == 1, "what is there is not evaluated again, only what failed"
+
+
+def test_too_few_poses_for_the_alignment_are_refused_before_anything_is_queued(hive: Hive, run_id: int) -> None:
+    asked = ProtocolRequest({"alignment": "sim3", "align_poses": 3}, "mine.yaml")
+    with pytest.raises(InvalidInput, match="sim3 needs at least 4 poses, align_poses is 3; use 4 or more"):
+        hive.evaluations_service.queue([run_id], asked)
+    for alignment in ("se3", "yaw_position"):
+        hive.evaluations_service.queue([run_id], ProtocolRequest({"alignment": alignment, "align_poses": 1}, "one"))
+    hive.worker().run(until_idle=True)
+    assert len(hive.current_protocols.figures(run_id)) == 2
 
 
 def test_a_protocol_that_does_not_fit_the_dataset_is_refused(hive: Hive, run_id: int) -> None:

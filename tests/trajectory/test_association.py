@@ -8,7 +8,7 @@ from evo.core.sync import matching_time_indices
 
 from slamhive.domain.protocol import Alignment, Association, Protocol
 from slamhive.errors import InvalidInput
-from slamhive.trajectory.association import associate, match_nearest, match_one_to_one
+from slamhive.trajectory.association import associate, match_in_one_sweep, match_nearest, match_one_to_one
 from slamhive.trajectory.interpolation import interpolate
 from slamhive.trajectory.model import Trajectory
 
@@ -41,6 +41,52 @@ def test_nearest_is_evos_rule(many: int, few: int) -> None:
         else:
             expected = matching_time_indices(estimate_s, reference_s, 0.03)
             assert (of_estimate.tolist(), of_reference.tolist()) == expected
+
+
+def sweep(reference_s: list[float], estimate_s: list[float], tolerance_s: float) -> list[tuple[int, int]]:
+    """The rule as OpenVINS steps through both lists, with one pointer that only moves on."""
+    taken: list[tuple[int, int]] = []
+    pointer = 0
+    for j, stamp_s in enumerate(estimate_s):
+        while pointer < len(reference_s) and reference_s[pointer] < stamp_s - tolerance_s:
+            pointer += 1
+        best_s, best = tolerance_s, None
+        while pointer < len(reference_s) and (gap_s := abs(reference_s[pointer] - stamp_s)) < best_s:
+            best_s, best = gap_s, pointer
+            pointer += 1
+        if best is not None:
+            taken.append((best, j))
+    return taken
+
+
+@pytest.mark.parametrize(("many", "few"), [(200, 40), (40, 200), (100, 100)])
+def test_one_sweep_is_the_rule_of_openvins(many: int, few: int) -> None:
+    random = np.random.default_rng(many)
+    for _ in range(20):
+        reference_s = np.unique(np.round(random.uniform(0, 2, many), 3))
+        estimate_s = np.unique(np.round(random.uniform(-0.5, 2.5, few), 3))
+        found = match_in_one_sweep(reference_s, estimate_s, 0.0215)
+        assert list(zip(*map(np.ndarray.tolist, found), strict=True)) == sweep(
+            reference_s.tolist(), estimate_s.tolist(), 0.0215
+        )
+
+
+def test_a_sweep_gives_what_is_taken_to_nobody_else() -> None:
+    of_reference, of_estimate = match_in_one_sweep(np.array([0.0, 1.0]), np.array([0.4, 0.9, 1.2]), 0.7)
+    assert (of_reference.tolist(), of_estimate.tolist()) == ([0, 1], [0, 1])
+    nobody, none = match_in_one_sweep(np.array([0.0]), np.array([5.0]), 0.1)
+    assert len(nobody) == len(none) == 0
+
+
+def test_an_estimate_is_held_where_the_ground_truth_is_dense() -> None:
+    truth, estimate = straight(np.array([0.0, 0.01, 0.02, 0.5, 0.51, 0.52])), straight(np.array([0.0, 1.0]))
+    every, _ = associate(truth, estimate, protocol(Association.HOLD))
+    assert len(every) == 6
+    dense, held = associate(truth, estimate, protocol(Association.HOLD, hold_interval_s=0.1))
+    assert dense.stamps_s.tolist() == [0.0, 0.01, 0.5, 0.51], "the last of each stretch has no near one after it"
+    assert held.positions_m[:, 0] == pytest.approx(dense.stamps_s)
+    with pytest.raises(InvalidInput, match=r"no two poses of the ground truth are within 0\.001 s, the hold interval"):
+        associate(truth, estimate, protocol(Association.HOLD, hold_interval_s=0.001))
 
 
 def greedy(reference_s: np.ndarray, estimate_s: np.ndarray, tolerance_s: float) -> list[tuple[int, int]]:

@@ -44,6 +44,7 @@ class Metric:
             while running.
         group: What it is about.
         source: Paper, program or measuring device it is defined by.
+        counted_by: Key of the metric that says how many pairs or segments it is taken over; empty for none.
     """
 
     key: str
@@ -54,6 +55,7 @@ class Metric:
     needs_protocol: bool
     group: Group
     source: str
+    counted_by: str = ""
 
 
 STATISTICS = {

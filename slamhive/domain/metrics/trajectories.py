@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from slamhive.domain.metrics.model import STATISTICS, Direction, Group, Metric, higher, neutral, statistics
+from dataclasses import replace
 
-KITTI_LENGTHS_M = (100, 200, 300, 400, 500, 600, 700, 800)
-"""Segment lengths of the KITTI odometry devkit."""
-KITTI_STEP = 10
-"""A segment starts at every tenth pose."""
-SEGMENT_PERCENTS = (10, 20, 30, 40, 50)
-"""Segment lengths in percent of the ground truth's path, unless the protocol gives lengths."""
+from slamhive.domain.metrics.model import STATISTICS, Direction, Group, Metric, higher, neutral, statistics
+from slamhive.domain.metrics.segments import SEGMENT_METRICS
+
 SCORE_LIMIT_M = 1.0
 """The completeness score looks at errors up to this."""
 
 _ALL = tuple(STATISTICS)
 _MAIN = ("rmse", "mean", "median", "max")
-_FEW = ("rmse", "median", "max")
 
 _EVO = "evo (https://github.com/MichaelGrupp/evo)"
 _STURM = "Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012, eq. (1) to (3)"
@@ -26,7 +22,6 @@ _PAIRS = {
     ".seconds": _TUM_SCRIPT,
     ".degrees": f"consecutive pairs as evo; all {_TUM_SCRIPT}",
 }
-_KITTI = "Geiger et al., CVPR 2012, and the KITTI odometry devkit (evaluate_odometry.cpp)"
 _ZHANG = "Zhang and Scaramuzza, A Tutorial on Quantitative Trajectory Evaluation, IROS 2018"
 _ENGEL = "Engel et al., A Photometrically Calibrated Benchmark For Monocular Visual Odometry, arXiv 1607.02555"
 _OURS = "SLAM Hive"
@@ -99,7 +94,7 @@ def _relative() -> list[Metric]:
     metres = f"pairs {pairs} in metres (1 m) of estimated path; all pairs: within a tenth of it"
     metrics = _both_parts("", "RPE", metres, (_ALL, _MAIN))
     for unit, which in chosen.items():
-        metrics += _both_parts(f".{unit}", f"RPE by {unit}", which, (_FEW, _FEW))
+        metrics += _both_parts(f".{unit}", f"RPE by {unit}", which, (_MAIN, _MAIN))
     return metrics
 
 
@@ -107,93 +102,14 @@ def _both_parts(suffix: str, label: str, pairs: str, names: tuple[tuple[str, ...
     moved = f"the relative pose error: translation part over {pairs}"
     turned = f"the relative pose error: rotation angle over {pairs}"
     source = f"{_STURM}; {_PAIRS[suffix]}"
-    return [
-        *statistics(_one(f"rpe{suffix}", label, "m", Group.RELATIVE, moved, source), names[0]),
-        *statistics(_one(f"rpe_rot{suffix}", f"{label} rotation", "deg", Group.RELATIVE, turned, source), names[1]),
+    count = f"rpe{suffix}.pairs"
+    group = Group.RELATIVE
+    errors = [
+        *statistics(_one(f"rpe{suffix}", label, "m", group, moved, source), names[0]),
+        *statistics(_one(f"rpe_rot{suffix}", f"{label} rotation", "deg", group, turned, source), names[1]),
     ]
-
-
-def _kitti() -> list[Metric]:
-    how = (
-        f"segments of {KITTI_LENGTHS_M[0]} to {KITTI_LENGTHS_M[-1]} m of ground-truth path from every {KITTI_STEP}th "
-        "frame, pooled, path lengths in single precision as in the devkit; a frame without a pose rejects the run"
-    )
-    translation = f"Mean translation error over segment length: {how}; a Sim(3) protocol scales the estimate first."
-    rotation = f"Mean rotation error over segment length: {how}."
-    group = Group.SEGMENTS
-    metrics = [
-        _one("kitti.translation", "KITTI translation", "%", group, translation, _KITTI),
-        _one("kitti.rotation", "KITTI rotation", "deg/m", group, rotation, _KITTI),
-    ]
-    for length_m in KITTI_LENGTHS_M:
-        only = f"over the segments of {length_m} m alone."
-        metrics += [
-            _one(
-                f"kitti.translation.{length_m}m",
-                f"KITTI translation {length_m} m",
-                "%",
-                group,
-                f"As KITTI translation, {only}",
-                _KITTI,
-            ),
-            _one(
-                f"kitti.rotation.{length_m}m",
-                f"KITTI rotation {length_m} m",
-                "deg/m",
-                group,
-                f"As KITTI rotation, {only}",
-                _KITTI,
-            ),
-        ]
-    count = "How many segments the KITTI figures are means of."
-    return [*metrics, neutral(_one("kitti.segments", "KITTI segments", "", group, count, _KITTI))]
-
-
-def _segments() -> list[Metric]:
-    pooled = (
-        "segments from every matched pose, as long as 10, 20, 30, 40 and 50 % of the ground truth's path (or as the "
-        "protocol says), each ending at the pose nearest to its length and within 20 % of it"
-    )
-    group = Group.SEGMENTS
-    metrics = [
-        _one(
-            "segment.translation",
-            "Segment translation",
-            "%",
-            group,
-            f"Mean translation error over segment length: {pooled}, all pooled; the estimate scaled as aligned.",
-            _ZHANG,
-        ),
-        _one(
-            "segment.rotation",
-            "Segment rotation",
-            "deg/m",
-            group,
-            f"Mean rotation error over segment length: {pooled}, all pooled.",
-            _ZHANG,
-        ),
-    ]
-    for percent in SEGMENT_PERCENTS:
-        only = f"over the segments as long as {percent} % of the path alone."
-        metrics += [
-            _one(
-                f"segment.translation.{percent}pct",
-                f"Segment translation {percent} %",
-                "%",
-                group,
-                f"As segment translation, {only}",
-                _ZHANG,
-            ),
-            _one(
-                f"segment.rotation.{percent}pct",
-                f"Segment rotation {percent} %",
-                "deg/m",
-                group,
-                f"As segment rotation, {only}",
-                _ZHANG,
-            ),
-        ]
-    return metrics
+    number = _one(count, f"{label} pairs", "", group, f"Number of {pairs}.", source)
+    return [*(replace(metric, counted_by=count) for metric in errors), neutral(number)]
 
 
 def _drift_and_scale() -> list[Metric]:
@@ -358,8 +274,7 @@ def _completeness() -> list[Metric]:
 TRAJECTORY_METRICS = (
     *_absolute(),
     *_relative(),
-    *_kitti(),
-    *_segments(),
+    *SEGMENT_METRICS,
     *_drift_and_scale(),
     *_completeness(),
 )

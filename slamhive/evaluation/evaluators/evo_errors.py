@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from functools import lru_cache
 
 import numpy as np
 from evo.core import filters
-from evo.core.metrics import PoseRelation, StatisticsType, Unit
+from evo.core.metrics import RPE, PoseRelation, StatisticsType, Unit
 from evo.core.result import Result
 from evo.core.trajectory import PoseTrajectory3D
 from evo.main_ape import ape
@@ -14,6 +15,8 @@ from evo.main_rpe import rpe
 
 from slamhive.domain.protocol import ALIGNMENT_LABELS, Alignment, Protocol, RpePairs
 from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
+from slamhive.evaluation.evaluators.pairs import relative_errors
+from slamhive.evaluation.evaluators.relative import compare
 from slamhive.trajectory.model import Poses
 from slamhive.trajectory.transforms import rotations_from_quats
 
@@ -46,27 +49,55 @@ class AbsoluteError:
 class RelativeError:
     """RPE over pairs of poses a given length of estimated path apart: the translation part."""
 
-    keys = error_keys("rpe")
+    keys = (*error_keys("rpe"), "rpe.pairs")
 
     def evaluate(self, paired: Paired) -> Figures:
         """Missing where no pair is the delta apart."""
         if not paired.rotations_known:
             return absent(self.keys, ROTATIONS_UNKNOWN)
         protocol = paired.protocol
-        reference, aligned = evo_pair(paired)
-        try:
-            # evo reduces these trajectories to the pairs' ends.
-            result = rpe(
-                reference,
-                aligned,
-                PoseRelation.translation_part,
-                delta=protocol.rpe_delta_m,
-                delta_unit=Unit.meters,
-                all_pairs=protocol.rpe_pairs is RpePairs.ALL,
-            )
-        except filters.FilterException:
+        result = _unmatched(paired) if protocol.rpe_pairs is RpePairs.TUM else _matched(paired)
+        if result is None:
             return absent(self.keys, f"no pair of poses is {protocol.rpe_delta_m:g} m of path apart")
-        return error_figures("rpe", result, protocol, archive="rpe")
+        found = error_figures("rpe", result, protocol, archive="rpe")
+        number = float(len(result.np_arrays["error_array"]))
+        return Figures({**found.values, "rpe.pairs": number}, archives=found.archives)
+
+
+def _matched(paired: Paired) -> Result | None:
+    """Evo's result over its own pairs of the matched poses; None where there is no pair."""
+    protocol = paired.protocol
+    reference, aligned = evo_pair(paired)
+    with contextlib.suppress(filters.FilterException):
+        # evo reduces these trajectories to the pairs' ends.
+        return rpe(
+            reference,
+            aligned,
+            PoseRelation.translation_part,
+            delta=protocol.rpe_delta_m,
+            delta_unit=Unit.meters,
+            all_pairs=protocol.rpe_pairs is RpePairs.ALL,
+        )
+    return None
+
+
+def _unmatched(paired: Paired) -> Result | None:
+    """The same of the pairs of TUM's script, which evo does not know; None where there is no pair."""
+    compared = compare(paired)
+    (last, first), _ = compared.pairs("")
+    if len(last) == 0:
+        return None
+    metric = RPE(PoseRelation.translation_part, paired.protocol.rpe_delta_m, Unit.meters, all_pairs=True)
+    metric.error, _ = relative_errors(compared.reference, compared.estimate, (last, first))
+    result = metric.get_result(REFERENCE_NAME, ESTIMATE_NAME)
+    ends = np.concatenate(([0], last))  # the first pose is there for drawing, as evo has it
+    for name, poses in ((REFERENCE_NAME, compared.reference), (ESTIMATE_NAME, compared.estimate)):
+        taken = poses.take(ends)
+        result.add_trajectory(name, _to_evo(taken, _pose_matrices(taken), name))
+    stamps_s = compared.estimate.stamps_s
+    result.add_np_array("seconds_from_start", stamps_s[last] - stamps_s[0])
+    result.add_np_array("timestamps", stamps_s[last])
+    return result
 
 
 def error_figures(prefix: str, result: Result, protocol: Protocol, archive: str) -> Figures:

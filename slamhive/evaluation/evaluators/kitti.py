@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamhive.domain.metrics.trajectories import KITTI_LENGTHS_M, KITTI_STEP
+from slamhive.domain.metrics.segments import KITTI_LENGTHS_M, KITTI_STEP
 from slamhive.domain.protocol import Alignment, Association
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.base import (
@@ -28,6 +28,7 @@ from slamhive.trajectory.kitti import read_kitti_matrices
 from slamhive.trajectory.model import FloatArray, Poses
 from slamhive.trajectory.transforms import rotations_from_quats
 
+_PARTS = ("translation", "rotation", "segments")
 _SAME_POSITION_M = 1e-6
 """Positions of one pose in two files, written with different digits."""
 
@@ -47,8 +48,8 @@ class KittiProtocol:
     keys = (
         "kitti.translation",
         "kitti.rotation",
-        *(f"kitti.{part}.{length_m}m" for length_m in KITTI_LENGTHS_M for part in ("translation", "rotation")),
         "kitti.segments",
+        *(f"kitti.{part}.{length_m}m" for length_m in KITTI_LENGTHS_M for part in _PARTS),
     )
 
     def evaluate(self, paired: Paired) -> Figures:
@@ -61,16 +62,15 @@ class KittiProtocol:
             path_m = paired.matched_reference.path_length_m
             shortest = f"the path is {path_m:.4g} m, the shortest segment {KITTI_LENGTHS_M[0]} m"
             return absent(self.keys, shortest)
-        values = {"kitti.segments": float(len(found.lengths_m))}
+        values = _means("", found, np.ones(len(found.lengths_m), dtype=bool))
         missing: dict[str, str] = {}
-        values |= _means("", found, np.ones(len(found.lengths_m), dtype=bool))
         for length_m in KITTI_LENGTHS_M:
             of_length = found.lengths_m == length_m
             if of_length.any():
                 values |= _means(f".{length_m}m", found, of_length)
             else:
                 reason = f"no segment is {length_m} m long"
-                missing |= {f"kitti.{part}.{length_m}m": reason for part in ("translation", "rotation")}
+                missing |= {f"kitti.{part}.{length_m}m": reason for part in _PARTS}
         return Figures(values, missing)
 
 
@@ -146,6 +146,7 @@ def _means(suffix: str, found: KittiSegments, chosen: np.ndarray[tuple[int], np.
     return {
         f"kitti.translation{suffix}": 100.0 * mean_as_devkit(found.translations[chosen]),
         f"kitti.rotation{suffix}": float(np.rad2deg(mean_as_devkit(found.rotations_radpm[chosen]))),
+        f"kitti.segments{suffix}": float(np.count_nonzero(chosen)),
     }
 
 

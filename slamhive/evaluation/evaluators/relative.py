@@ -3,12 +3,16 @@
 The definition is Sturm et al.'s, "A Benchmark for the Evaluation of RGB-D SLAM Systems", IROS 2012, equations (1) to
 (3). Pairs are those of evo, which picks them on the estimate; by seconds, which evo lacks, and all pairs by degrees,
 where evo compares every pose with every other, they are those of the TUM RGB-D benchmark's script: the pose nearest to
-the delta along the trajectory.
+the delta along the trajectory. A protocol of unmatched pairs follows that script (``evaluate_rpe.py --fixed_delta``)
+throughout.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+import numpy.typing as npt
 
 from slamhive.domain.protocol import Protocol, RpePairs
 from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
@@ -21,24 +25,28 @@ from slamhive.evaluation.evaluators.pairs import (
     statistics,
     turned_rad,
 )
+from slamhive.trajectory.association import nearest_as_tum
 from slamhive.trajectory.model import FloatArray, Poses
 
-_FEW = ("rmse", "median", "max")
-_MAIN = ("rmse", "mean", "median", "max")
+BoolArray = npt.NDArray[np.bool_]
+
+_NAMES = ("rmse", "mean", "median", "max")
 _TOLERANCE = 0.1
 """How far the distance of a pair may be off, as a share of the delta."""
+_INTERVALS = 2.0
+"""TUM's script takes the pose of the ground truth that is nearest in time, if it is within so many of its intervals."""
 
 
 class RelativeErrors:
     """RPE over pairs that are apart by so many frames, seconds or degrees, and the rotation part over metres."""
 
     keys = (
-        *(f"rpe_rot.{name}" for name in _MAIN),
+        *(f"rpe_rot.{name}" for name in _NAMES),
         *(
             f"{part}.{unit}.{name}"
             for unit in ("frames", "seconds", "degrees")
             for part in ("rpe", "rpe_rot")
-            for name in _FEW
+            for name in (*_NAMES, *(("pairs",) if part == "rpe" else ()))
         ),
     )
 
@@ -48,41 +56,81 @@ class RelativeErrors:
             return absent(self.keys, ROTATIONS_UNKNOWN)
         values: dict[str, float] = {}
         missing: dict[str, str] = {}
-        for suffix, (pairs, delta) in choose_pairs(paired.aligned, paired.protocol).items():
+        compared = compare(paired)
+        for suffix in ("", ".frames", ".seconds", ".degrees"):
+            pairs, delta = compared.pairs(suffix)
             if len(pairs[0]) == 0:
                 missing |= {key: f"no pair of poses is {delta} apart" for key in self.keys if _has(key, suffix)}
                 continue
-            errors_m, errors_rad = relative_errors(paired.matched_reference, paired.aligned, pairs)
+            errors_m, errors_rad = relative_errors(compared.reference, compared.estimate, pairs)
             if suffix:
-                values |= statistics(f"rpe{suffix}", errors_m, _FEW)
-            values |= statistics(f"rpe_rot{suffix}", np.rad2deg(errors_rad), _FEW if suffix else _MAIN)
+                values |= {**statistics(f"rpe{suffix}", errors_m, _NAMES), f"rpe{suffix}.pairs": float(len(errors_m))}
+            values |= statistics(f"rpe_rot{suffix}", np.rad2deg(errors_rad), _NAMES)
         return Figures(values, missing)
 
 
-def choose_pairs(poses: Poses, protocol: Protocol) -> dict[str, tuple[Pairs, str]]:
-    """{ending of the metric's name: the pairs, and in words how far they are apart}."""
-    every = protocol.rpe_pairs is RpePairs.ALL
-    return {
-        "": (_by_value(path_m(poses), protocol.rpe_delta_m, every=every), f"{protocol.rpe_delta_m:g} m of path"),
-        ".frames": (
-            _by_frames(len(poses), protocol.rpe_delta_frames, every=every),
-            f"{protocol.rpe_delta_frames} frames",
-        ),
-        ".seconds": (_by_value(poses.stamps_s, protocol.rpe_delta_s, every=every), f"{protocol.rpe_delta_s:g} s"),
-        ".degrees": (
-            _by_value(np.rad2deg(turned_rad(poses)), protocol.rpe_delta_deg, every=every),
-            f"{protocol.rpe_delta_deg:g} degrees",
-        ),
-    }
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """Poses that relative errors are taken of.
+
+    Attributes:
+        protocol: Says which pairs.
+        reference: The ground truth, one pose for each of ``estimate``.
+        estimate: The estimate, aligned.
+        counts: Whether each may be part of a pair; None for all.
+    """
+
+    protocol: Protocol
+    reference: Poses
+    estimate: Poses
+    counts: BoolArray | None = None
+
+    def pairs(self, suffix: str) -> tuple[Pairs, str]:
+        """The pairs of the metrics ``rpe<suffix>``, and in words how far they are apart."""
+        protocol, poses = self.protocol, self.estimate
+        if suffix == ".frames":
+            return self._by_frames(protocol.rpe_delta_frames), f"{protocol.rpe_delta_frames} frames"
+        if suffix == ".seconds":
+            return self._by_value(poses.stamps_s, protocol.rpe_delta_s), f"{protocol.rpe_delta_s:g} s"
+        if suffix == ".degrees":
+            turned_deg = np.rad2deg(turned_rad(poses))
+            return self._by_value(turned_deg, protocol.rpe_delta_deg), f"{protocol.rpe_delta_deg:g} degrees"
+        return self._by_value(path_m(poses), protocol.rpe_delta_m), f"{protocol.rpe_delta_m:g} m of path"
+
+    def _by_frames(self, delta: int) -> Pairs:
+        count = len(self.estimate)
+        if self.counts is not None:
+            return self._by_value(np.arange(count, dtype=np.float64), delta)
+        i = np.arange(0, max(count - delta, 0), 1 if self.protocol.rpe_pairs is RpePairs.ALL else delta)
+        return i, i + delta
+
+    def _by_value(self, values: FloatArray, delta: float) -> Pairs:
+        if self.counts is not None:
+            return _pairs_of_script(values, delta, self.counts)
+        if self.protocol.rpe_pairs is RpePairs.ALL:
+            return all_pairs(values, delta, _TOLERANCE * delta)
+        return consecutive_pairs(values, delta)
 
 
-def _by_value(values: FloatArray, delta: float, *, every: bool) -> Pairs:
-    return all_pairs(values, delta, _TOLERANCE * delta) if every else consecutive_pairs(values, delta)
+def compare(paired: Paired) -> Compared:
+    """The matched poses; or every pose of the estimate, each with the nearest of the ground truth, as TUM's script."""
+    if paired.protocol.rpe_pairs is not RpePairs.TUM:
+        return Compared(paired.protocol, paired.matched_reference, paired.aligned)
+    estimate, truth_s = paired.aligned_estimate, paired.reference.stamps_s
+    nearest = nearest_as_tum(truth_s, estimate.stamps_s)
+    near = np.abs(truth_s[nearest] - estimate.stamps_s) <= _INTERVALS * np.median(np.diff(truth_s))
+    return Compared(paired.protocol, paired.reference.take(nearest), estimate, near)
 
 
-def _by_frames(count: int, delta: int, *, every: bool) -> Pairs:
-    i = np.arange(0, max(count - delta, 0), 1 if every else delta)
-    return i, i + delta
+def _pairs_of_script(values: FloatArray, delta: float, counts: BoolArray) -> Pairs:
+    """Each pose with the one nearest to the delta further on, however far that is, unless it is the last.
+
+    The later one comes first: the script sees the motion from there.
+    """
+    i = np.arange(len(values))
+    j = nearest_as_tum(values, values + delta)
+    kept = (j < len(values) - 1) & counts & counts[j]
+    return j[kept], i[kept]
 
 
 def _has(key: str, suffix: str) -> bool:

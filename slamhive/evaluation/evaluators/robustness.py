@@ -52,7 +52,8 @@ def score_seconds(stamps_s: FloatArray, errors_m: FloatArray, gap_s: float, limi
     """Time integral of max(0, 1 - error / limit), which is the area under "time within x" up to the limit, over it.
 
     For one error e the share within x is a step at e, and the area under it from 0 to the limit is limit - e. Errors
-    are interpolated between matched poses no further apart than ``gap_s``; longer times are left out.
+    are interpolated between matched poses no further apart than ``gap_s``; longer times are left out. Where the error
+    crosses the limit between two poses, only the triangle on the side of the smaller error counts.
 
     Args:
         stamps_s: Of the matched poses, never decreasing, shape (n,).
@@ -60,7 +61,11 @@ def score_seconds(stamps_s: FloatArray, errors_m: FloatArray, gap_s: float, limi
         gap_s: A longer time without a pose is not tracked.
         limit_m: Larger errors are as bad as no pose.
     """
-    goodness = np.maximum(0.0, 1.0 - errors_m / limit_m)
+    goodness = 1.0 - errors_m / limit_m
     steps_s = np.diff(stamps_s)
-    steps_s[steps_s > gap_s] = 0.0
-    return float((steps_s * (goodness[:-1] + goodness[1:]) / 2.0).sum())
+    tracked = (steps_s <= gap_s) & (np.maximum(goodness[:-1], goodness[1:]) > 0)
+    better, worse = (choose(goodness[:-1], goodness[1:])[tracked] for choose in (np.maximum, np.minimum))
+    crossing = worse < 0
+    means = (better + worse) / 2.0
+    means[crossing] = better[crossing] ** 2 / (2.0 * (better[crossing] - worse[crossing]))
+    return float((steps_s[tracked] * means).sum())
