@@ -192,6 +192,7 @@ class ProcessExecutor:
             memory_bytes=spec.limits.memory_bytes,
             tasks=spec.limits.pids,
             file_bytes=spec.limits.file_bytes,
+            writable=[str(home), *(str(mount.source.resolve()) for mount in spec.mounts if not mount.read_only)],
             log_max_bytes=self._context.log_max_bytes,
         )
 

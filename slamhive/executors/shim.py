@@ -23,7 +23,7 @@ import select
 import signal
 import sys
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
@@ -33,6 +33,7 @@ import psutil
 
 from slamhive.executors.capped_log import CappedLog
 from slamhive.executors.exit_file import LostOutput, reserve, write_exit
+from slamhive.executors.landlock import confine_writes
 from slamhive.files import write_aside
 
 SPEC_FILE = "shim-spec.json"
@@ -55,7 +56,8 @@ _FILE_BYTES = 256 * 2**30
 class ShimSpec:
     """What to start: command, environment, folder to start in, and limits.
 
-    ``tasks`` counts processes and threads, as a container's limit of pids does.
+    ``tasks`` counts processes and threads, as a container's limit of pids does. ``file_bytes`` is the
+    most that one file may have, ``writable`` are the folders that may be written to.
     """
 
     command: list[str]
@@ -66,6 +68,7 @@ class ShimSpec:
     tasks: int
     log_max_bytes: int
     file_bytes: int | None = None
+    writable: list[str] = field(default_factory=list)
 
     def save(self, work: Path) -> None:
         """Write into the work folder."""
@@ -136,6 +139,7 @@ class Supervisor:
             if self._spec.cores:
                 os.sched_setaffinity(0, self._spec.cores)
             os.chdir(self._spec.folder)
+            confine_writes(self._spec.writable)
             os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
             os.dup2(writer, 1)
             os.dup2(writer, 2)

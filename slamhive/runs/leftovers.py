@@ -7,7 +7,7 @@ import os
 import stat
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,8 +26,6 @@ _KINDS = (
     (stat.S_ISCHR, "devices"),
 )
 _BLOCK_BYTES = 512
-_KEPT = "kept"
-"""What stays of a result, while it is put together in the scratch space."""
 _RUNS_AS_OWNER = stat.S_ISUID | stat.S_ISGID
 
 
@@ -41,12 +39,12 @@ class DiskLimits:
 
 @dataclass
 class Survey:
-    """What lies in folders of a run.
+    """What lies in the folders that a run writes to.
 
     Attributes:
         files: How many files, folders and whatever else.
         size_bytes: Their sizes; of a file with holes that of a copy without, since archives and downloads make one.
-        strange: How many of each kind must not stay, see :func:`strange_kind`.
+        strange: How many of each kind must not stay in the result, see :func:`strange_kind`.
         exceeded: In words the limit that is exceeded, None if none is; nothing was looked at behind that.
     """
 
@@ -56,16 +54,19 @@ class Survey:
     exceeded: str | None = None
 
 
-def survey(folders: Iterable[Path], limits: DiskLimits) -> Survey:
-    """Look at all that lies below ``folders``, as far as ``limits`` allow. Cheap: nothing is opened but folders."""
+def survey(folder: RunFolder, limits: DiskLimits) -> Survey:
+    """Look at all that a run has in its result and its scratch space, as far as ``limits`` allow.
+
+    Cheap: nothing is opened but folders.
+    """
     found = Survey()
-    for folder in folders:
-        owner = _owner(folder)
-        for entry in walk(folder):
+    owner = _owner(folder.result)
+    for part in (folder.result, folder.work):
+        for entry in walk(part):
             found.files += 1
             found.size_bytes += _size_bytes(entry.status)
             kind = strange_kind(entry.status, owner)
-            if kind is not None:
+            if kind is not None and part == folder.result:
                 found.strange[kind] += 1
             found.exceeded = _exceeded(found, entry, limits)
             if found.exceeded is not None:
@@ -100,8 +101,6 @@ def settle(folder: RunFolder, found: Survey, limits: DiskLimits) -> list[str]:
     """
     if found.exceeded is not None:
         _set_aside(folder, limits)
-    elif not folder.result.exists() and (folder.work / _KEPT).exists():
-        (folder.work / _KEPT).rename(folder.result)
     problems: list[str] = []
     owner = _owner(folder.result)
     for entry in walk(folder.result):
@@ -121,11 +120,12 @@ def removed_in_words(removed: Mapping[str, int]) -> str:
 
 def _set_aside(folder: RunFolder, limits: DiskLimits) -> None:
     """Put a new result folder with what stays in the place of the old one; can be done again if it was cut off."""
-    fresh = folder.work / _KEPT
+    fresh = folder.work / "kept"
     fresh.mkdir(parents=True, exist_ok=True)
     for name in _kept(folder, limits):
         (folder.result / name).rename(fresh / name)
-    folder.result.rename(Path(tempfile.mkdtemp(dir=folder.work)) / folder.result.name)
+    if folder.result.exists():
+        folder.result.rename(Path(tempfile.mkdtemp(dir=folder.work)) / folder.result.name)
     fresh.rename(folder.result)
 
 

@@ -45,7 +45,7 @@ class DiskWatch:
         if self._limits == DiskLimits() or time.monotonic() < self._folders_due_s:
             return None
         began_s = time.thread_time()
-        found = survey((self._hand.folder.result, self._hand.folder.work), self._limits)
+        found = survey(self._hand.folder, self._limits)
         self._folders_due_s = time.monotonic() + _SHARE * (time.thread_time() - began_s)
         return found.exceeded
 
@@ -61,7 +61,7 @@ def settle_result(hand: RunInHand) -> None:
     known = hand.keeper.readable()
     saved = hand.saved() if known else {}
     limits = disk_limits(saved)
-    found = survey((hand.folder.result,), limits)
+    found = survey(hand.folder, limits)
     if known and LEFT not in saved:
         hand.save({LEFT: look_at(hand.folder, found)})
     for problem in settle(hand.folder, found, limits):

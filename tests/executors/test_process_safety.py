@@ -9,7 +9,7 @@ import threading
 import psutil
 import pytest
 
-from slamhive.executors import process
+from slamhive.executors import landlock, process
 from slamhive.executors.base import Limits, RunHandle
 from slamhive.executors.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
 from slamhive.executors.registry import installation_id
@@ -138,3 +138,61 @@ def test_how_a_run_ended_needs_no_more_room_than_was_taken(tmp_path):
     assert written.name == EXIT_FILE
     assert (after.st_ino, after.st_size, after.st_blocks) == (before.st_ino, before.st_size, before.st_blocks)
     assert json.loads(written.read_text())["exit_code"] == 1
+
+
+@pytest.mark.integration
+@process_only
+def test_nothing_is_written_outside_of_the_folders_of_the_run(bench):
+    if landlock.version() == 0:
+        pytest.skip("this kernel has no Landlock")
+    script = (
+        "import json, os, pathlib, signal, tempfile\n"
+        "result = pathlib.Path(os.environ['SLAMHIVE_RESULT'])\n"
+        "bag = pathlib.Path(os.environ['SLAMHIVE_DATASET'], 'bag.bag')\n"
+        "attempts = {\n"
+        "    'append': lambda: bag.open('ab').write(b'harm'),\n"
+        "    'truncate': lambda: os.truncate(bag.resolve(), 0),\n"
+        "    'unlink': lambda: bag.resolve().unlink(),\n"
+        "    'replace': lambda: (result / 'mine').replace(bag.resolve()),\n"
+        "    'hard link': lambda: (result / 'link').hardlink_to(bag.resolve()),\n"
+        "    'device': lambda: os.mknod(result / 'device', 0o020666, os.makedev(1, 5)),\n"
+        "    'elsewhere': lambda: pathlib.Path('/tmp/slamhive-harm').write_bytes(b'harm'),\n"
+        "    'result': lambda: (result / 'mine').write_bytes(b'1'),\n"
+        "    'nested': lambda: (result / 'folder' / 'below').mkdir(parents=True),\n"
+        "    'moved': lambda: (result / 'mine').rename(result / 'folder' / 'mine'),\n"
+        "    'scratch': lambda: tempfile.NamedTemporaryFile().write(b'1'),\n"
+        "    'null': lambda: pathlib.Path('/dev/null').write_bytes(b'1'),\n"
+        "    'shared memory': lambda: tempfile.NamedTemporaryFile(dir='/dev/shm').write(b'1'),\n"
+        "    'read': lambda: bag.read_bytes(),\n"
+        "}\n"
+        "done = []\n"
+        "for name, attempt in attempts.items():\n"
+        "    try:\n"
+        "        attempt()\n"
+        "        done.append(name)\n"
+        "    except OSError:\n"
+        "        pass\n"
+        "(result / 'done').write_text(json.dumps(done))\n"
+    )
+    spec, handle = bench.start(script)
+    assert wait_for_end(bench.executor, handle).exit_code == 0
+    done = json.loads((bench.result(spec) / "done").read_text())
+    assert done == ["result", "nested", "moved", "scratch", "null", "shared memory", "read"]
+    bag = next(mount.source for mount in spec.mounts if mount.target.endswith("bag.bag"))
+    assert bag.read_bytes() == b"bag"
+
+
+@pytest.mark.integration
+@process_only
+def test_nobody_outside_is_signalled(bench):
+    if landlock.version() < 6:
+        pytest.skip("this kernel's Landlock does not confine signals")
+    script = (
+        "import os, signal, subprocess, sys\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(100)'])\n"
+        "child.terminate()\n"
+        "assert child.wait() == -signal.SIGTERM\n"
+        "try:\n    os.kill(os.getppid(), signal.SIGKILL)\nexcept PermissionError:\n    sys.exit(7)\n"
+    )
+    _, handle = bench.start(script)
+    assert wait_for_end(bench.executor, handle).exit_code == 7

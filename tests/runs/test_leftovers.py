@@ -31,7 +31,7 @@ def test_plain_files_and_folders_stay(folder: RunFolder):
     (folder.result / "more").mkdir()
     (folder.result / "more" / "file").write_bytes(b"1")
     folder.trajectory.write_bytes(b"12345")
-    found = survey([folder.result], NO_LIMITS)
+    found = survey(folder, NO_LIMITS)
     assert (found.files, found.exceeded, found.strange) == (3, None, {})
     assert found.size_bytes >= 6
     assert settle(folder, found, NO_LIMITS) == []
@@ -54,7 +54,7 @@ def test_what_is_no_plain_file_goes(folder: RunFolder, tmp_path: Path, monkeypat
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as there:
         there.bind("socket")
     (inside / "plain").touch()
-    found = survey([folder.result], NO_LIMITS)
+    found = survey(folder, NO_LIMITS)
     assert removed_in_words(found.strange) == (
         "removed from its result: files that run as their owner (1), hard links (1), links (2), pipes (1), sockets (1)"
     )
@@ -84,7 +84,7 @@ def test_beyond_its_limit_only_the_files_of_the_contract_stay(folder: RunFolder,
         stream.truncate(200_000)
     for number in range(5):
         (folder.result / f"more{number}").mkdir()
-    found = survey([folder.result], limits)
+    found = survey(folder, limits)
     assert found.exceeded == words
     settle(folder, found, limits)
     kept = ["finished", "traj.txt"]
@@ -112,15 +112,24 @@ def test_taking_the_surplus_away_can_be_cut_off_anywhere(folder: RunFolder, monk
         with monkeypatch.context() as patch:
             patch.setattr(Path, "rename", counted)
             with contextlib.suppress(KeyboardInterrupt):
-                settle(folder, survey([folder.result], limits), limits)
-        settle(folder, survey([folder.result], limits), limits)
+                settle(folder, survey(folder, limits), limits)
+        settle(folder, survey(folder, limits), limits)
         assert names(folder) == ["finished", "traj.txt"]
+
+
+def test_scratch_space_counts_but_may_hold_anything(folder: RunFolder):
+    folder.scratch.mkdir()
+    (folder.scratch / "link").symlink_to("nowhere")
+    (folder.scratch / "file").write_bytes(b"1")
+    found = survey(folder, NO_LIMITS)
+    assert (found.files, found.strange) == (3, {})
+    assert survey(folder, DiskLimits(files=2)).exceeded is not None
 
 
 def test_folders_too_deep_are_beyond_any_limit(folder: RunFolder):
     deep = folder.result.joinpath(*["d"] * DEEPEST_FOLDERS)
     deep.mkdir(parents=True)
-    found = survey([folder.result], NO_LIMITS)
+    found = survey(folder, NO_LIMITS)
     assert found.exceeded is not None
     assert f"more than {DEEPEST_FOLDERS} others" in found.exceeded
     settle(folder, found, NO_LIMITS)
@@ -129,5 +138,5 @@ def test_folders_too_deep_are_beyond_any_limit(folder: RunFolder):
 
 def test_a_result_that_is_gone_is_empty(folder: RunFolder):
     folder.result.rmdir()
-    assert survey([folder.result], NO_LIMITS).files == 0
-    settle(folder, survey([folder.result], NO_LIMITS), NO_LIMITS)
+    assert survey(folder, NO_LIMITS).files == 0
+    settle(folder, survey(folder, NO_LIMITS), NO_LIMITS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import os
+import re
 import shutil
 import signal
 import socket
@@ -21,7 +22,7 @@ import psutil
 
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.request import Submission
-from slamhive.store.records import RunRecord
+from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.tree import walk
 from tests.end_to_end.hostile.mapping import ACTS, TRAJECTORIES
 from tests.services.tiny_project import environment, make_dataset, make_project
@@ -33,16 +34,21 @@ DISK_MB = 150
 FILES = 3_000
 MEMORY_MB = 300
 LOG_BYTES = 1_000_000
+LOG_MB = int(os.environ.get("SLAMHIVE_HOSTILE_LOG_MB", "500"))
+TASKS = 100
 GRACE_S = 1.0
 _SETTINGS = {
     "run_disk_mb": str(DISK_MB),
     "run_files": str(FILES),
     "run_memory_mb": str(MEMORY_MB),
+    "run_pids": str(TASKS),
     "log_max_bytes": str(LOG_BYTES),
     "stop_grace_s": str(GRACE_S),
 }
 _LOOK_INTERVAL_S = 0.2
 _ANSWER_LIMIT_S = 60.0
+OK = 200
+ENDED = (EvaluationState.SUCCEEDED, EvaluationState.FAILED)
 
 _ALGORITHM = f"""
 format: 1
@@ -61,6 +67,7 @@ modes:
     trajectory_role: points
 parameters:
   act: {{type: enum, default: endless, choices: [{", ".join([*ACTS, *TRAJECTORIES])}], help: What it does.}}
+  log_mb: {{type: int, default: 1, minimum: 1, maximum: 5000, unit: MB, help: How much it prints.}}
   port: {{type: int, default: 1, minimum: 1, maximum: 65535, help: Where its host has a server.}}
 """
 _DOCKERFILE = """
@@ -119,7 +126,7 @@ class Bench:
         submission = Submission(
             PACKAGE,
             "track",
-            {"act": act, "port": self.port},
+            {"act": act, "port": self.port, "log_mb": LOG_MB},
             executor=executor,
             evaluate=evaluate,
             timeout_s=timeout_s,
@@ -154,7 +161,30 @@ class Bench:
         with closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=_ANSWER_LIMIT_S)) as connection:
             connection.request("GET", path)
             answer = connection.getresponse()
-            return answer.status, answer.read().decode("utf-8")
+            return answer.status, answer.read().decode("utf-8", errors="replace")
+
+    def look_at_pages(self, run_id: int) -> None:
+        """Open all that is shown of a run; fails unless each answers, and without its markup."""
+        address = f"/runs/{run_id}"
+        status, page = self.get(address)
+        assert status == OK, page[-2000:]
+        files = sorted(set(re.findall(rf'href="({address}/files/[^"]+)"', page)))
+        for path in (f"{address}/figures.json", f"/api/v1{address}", "/runs", *files):
+            status, text = self.get(path)
+            assert status == OK, f"{path}: {text[-2000:]}"
+        for text in (page, self.get("/runs")[1]):
+            assert "<script>alert" not in text
+            assert "<img src=x" not in text
+
+    def evaluation(self, run_id: int) -> EvaluationRecord:
+        """The evaluation of a run, once it has ended."""
+        eventually(lambda: all(e.state in ENDED for e in self.hive.evaluations(run_id)), "the evaluation")
+        (found,) = self.hive.evaluations(run_id)
+        return found
+
+    def dataset(self) -> dict[str, bytes]:
+        """The dataset's files."""
+        return {path.name: path.read_bytes() for path in (self.root / "data" / "datasets" / "track").iterdir()}
 
     @contextmanager
     def _watched(self, run_id: int, answers: Answers) -> Iterator[None]:

@@ -28,7 +28,6 @@ MOST_PROCESSES = 2_000
 FORKING_S = 8.0
 MOST_MEMORY_BYTES = 1_000_000_000
 MOST_FILE_BYTES = 6_000_000_000
-LOG_BYTES = 5_000_000_000
 LONGEST_S = 120.0
 BLOCK = b"\x5a" * 4_000_000
 BEGAN_S = time.monotonic()
@@ -138,10 +137,10 @@ def fill(folder: Path) -> None:
                 stream.write(BLOCK)
 
 
-def log_5_gb() -> None:
-    """Lines of 1000 bytes."""
+def long_log() -> None:
+    """Lines of 1000 bytes, as many MB as it is told to write."""
     lines = (b"x" * 999 + b"\n") * 1000
-    for _ in range(LOG_BYTES // len(lines)):
+    for _ in range(int(setting("log_mb"))):
         written = 0
         while written < len(lines):
             written += os.write(1, lines[written:])
@@ -296,7 +295,7 @@ def device() -> None:
     try:
         os.mknod(RESULT / "traj.txt", 0o020666, os.makedev(1, 5))
     except OSError as error:
-        if error.errno != errno.EPERM:
+        if error.errno not in {errno.EPERM, errno.EACCES}:
             raise
         (RESULT / "traj.txt").symlink_to("/dev/zero")
 
@@ -324,8 +323,8 @@ ACTS: dict[str, Callable[[], None]] = {
     "kills_its_parent": kills_its_parent,
     "fill_result": lambda: fill(RESULT),
     "fill_tmp": lambda: fill(SCRATCH),
-    "fill_container": lambda: fill(Path("/var/tmp")),
-    "log_5_gb": log_5_gb,
+    "fill_elsewhere": lambda: fill(Path("/var/tmp")),
+    "long_log": long_log,
     "many_files": many_files,
     "many_files_tmp": lambda: many_files(SCRATCH),
     "sparse_1_tb": sparse_1_tb,
