@@ -43,6 +43,7 @@ class FailureReason(StrEnum):
     TIMEOUT = "timeout"
     OUT_OF_MEMORY = "out_of_memory"
     DISK_LIMIT = "disk_limit"
+    PROCESS_LIMIT = "process_limit"
     NO_TRAJECTORY = "no_trajectory"
     EMPTY_TRAJECTORY = "empty_trajectory"
     MALFORMED_TRAJECTORY = "malformed_trajectory"

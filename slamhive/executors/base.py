@@ -81,28 +81,66 @@ class RunSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class Protections:
+    """By what a run is held within its limits, in words for the user.
+
+    Attributes:
+        held_by: What holds the run as a whole: a container, a control group, a user of its own, the supervisor.
+        processes: What happens when it starts more processes and threads than it may.
+        memory: What holds it to its memory limit.
+        cpu: What holds it to its share of the processors.
+        end: How all of its processes are ended.
+        priority: How the supervisor gets its turn beside the run.
+        does_not_hold: Stronger ways that this machine does not allow, and why: {way: reason}.
+    """
+
+    held_by: str
+    processes: str
+    memory: str
+    cpu: str
+    end: str
+    priority: str
+    does_not_hold: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """All of it in one line, except for what does not hold."""
+        parts = (f"processes {self.processes}", f"memory {self.memory}", f"CPU {self.cpu}", f"end: {self.end}")
+        return f"{self.held_by}: {'; '.join((*parts, self.priority))}"
+
+
+@dataclass(frozen=True, slots=True)
 class RunHandle:
     """What must be remembered to find a started run again after a restart: plain strings, stored with the run.
 
     ``data["started_at"]`` is when the engine started the run, ISO 8601 in UTC, the same for whoever adopts it; it is
-    not there if the engine does not say.
+    not there if the engine does not say. ``protections`` are told by who starts the run, for its record.
     """
 
     executor: str
     data: dict[str, str] = field(default_factory=dict)
+    protections: Protections | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """The run is going on."""
+    """The run is going on. ``process_limit``: it has been refused processes for so long that it is to be ended."""
+
+    process_limit: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Exited:
-    """The run has ended. ``exit_code`` is 128 + signal for a signal."""
+    """The run has ended. ``exit_code`` is 128 + signal for a signal.
+
+    ``process_limit`` says that its supervisor ended it for asking for more processes than it may have,
+    ``refused_processes`` that it was refused some, as far as anybody saw.
+    """
 
     exit_code: int
     out_of_memory: bool = False
+    process_limit: bool = False
+    refused_processes: bool = False
     started_at: datetime | None = None
     ended_at: datetime | None = None
 
@@ -144,6 +182,9 @@ class Executor(Protocol):
 
     def unavailable_because(self) -> str | None:
         """Why this executor cannot be used on this machine, with the remedy; None if it can."""
+
+    def protections(self) -> Protections:
+        """By what runs are held within their limits on this machine. Raises Unavailable, with the remedy."""
 
     def identity(self, package: AlgorithmPackage) -> str | None:
         """The image digest (or environment hash) that a start would use now; None if it has to be built."""

@@ -73,6 +73,34 @@ class CgroupV2:
 Cgroup = CgroupV1 | CgroupV2
 
 
+class TaskCounter:
+    """Whether the kernel refuses a group more processes and threads. The files are the same under both versions.
+
+    Args:
+        folder: The group under the controller ``pids``.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._refusals = 0
+
+    def refused(self) -> bool:
+        """Whether a process was refused since the last call, or the group was refused one and is still full.
+
+        Who was refused may wait for seconds before it tries again.
+        """
+        before = self._refusals
+        try:
+            self._refusals = parse_flat((self._folder / "pids.events").read_text()).get("max", 0)
+            return self._refusals > before or (self._refusals > 0 and self._is_full())
+        except (OSError, ValueError):
+            return False
+
+    def _is_full(self) -> bool:
+        limit = (self._folder / "pids.max").read_text().strip()
+        return limit != "max" and int((self._folder / "pids.current").read_text()) >= int(limit)
+
+
 def cgroup_of(pid: int, container_id: str, root: Path = CGROUP_ROOT, proc: Path = Path("/proc")) -> Cgroup | None:
     """The control group of a container's first process; None if it is not on this machine or cannot be read.
 
@@ -87,6 +115,20 @@ def cgroup_of(pid: int, container_id: str, root: Path = CGROUP_ROOT, proc: Path 
     """
     group = _group_of_process(pid, container_id, root, proc) or _group_by_name(container_id, root)
     return group if group is not None and group.read() is not None else None
+
+
+def task_counter_of(
+    pid: int, container_id: str, root: Path = CGROUP_ROOT, proc: Path = Path("/proc")
+) -> TaskCounter | None:
+    """The counter of a container's processes; None if its files are not on this machine. See :func:`cgroup_of`."""
+    try:
+        memberships = parse_memberships((proc / str(pid) / "cgroup").read_text())
+    except OSError:
+        memberships = {}
+    tree = root / "pids" if (root / "pids").is_dir() else root
+    path = memberships.get("pids", memberships.get("", ""))
+    folder = tree / path.lstrip("/") if container_id in path else _find_folder(tree, container_id)
+    return TaskCounter(folder) if folder is not None and (folder / "pids.events").exists() else None
 
 
 def _group_of_process(pid: int, container_id: str, root: Path, proc: Path) -> Cgroup | None:

@@ -26,6 +26,7 @@ from slamhive.executors.base import (
     Gone,
     ImageMissing,
     ProgressCallback,
+    Protections,
     RunHandle,
     Running,
     RunSpec,
@@ -45,6 +46,7 @@ from slamhive.executors.docker_engine import (
     engine_errors,
 )
 from slamhive.executors.docker_image import find_image, make_image
+from slamhive.executors.docker_processes import RefusedProcesses, engine_protections
 from slamhive.executors.docker_stats import DockerStatsSource
 from slamhive.executors.registry import ExecutorContext
 from slamhive.files import remedy_of, write_aside
@@ -77,6 +79,7 @@ class DockerExecutor:
         self._context = context
         self._lock = threading.Lock()
         self._client: docker.DockerClient | None = None
+        self._refused = RefusedProcesses()
 
     def unavailable_because(self) -> str | None:
         """Why Docker cannot be used now; None if an engine answers."""
@@ -86,6 +89,11 @@ class DockerExecutor:
         except EngineUnavailable as error:
             return str(error)
         return None
+
+    def protections(self) -> Protections:
+        """As far as the engine's kernel allows."""
+        with engine_errors("asking the Docker engine", EngineUnavailable):
+            return engine_protections(self._engine().info())
 
     def identity(self, package: AlgorithmPackage) -> str | None:
         """The digest of the image of this version of the package; None if it has to be built or pulled."""
@@ -107,7 +115,7 @@ class DockerExecutor:
         started_at = None if started is None else _time(started.attrs["State"].get("StartedAt"))
         if started_at is not None:
             data["started_at"] = started_at.isoformat()
-        return RunHandle(self.name, data)
+        return RunHandle(self.name, data, self.protections())
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """The state as the engine knows it."""
@@ -118,10 +126,11 @@ class DockerExecutor:
         if state["Status"] == "created":
             return Gone("the container was never started")
         if state["Status"] not in ("exited", "dead"):
-            return Running()
+            return Running(process_limit=self._refused.is_to_be_ended(container))
         return Exited(
             exit_code=int(state["ExitCode"]),
             out_of_memory=bool(state.get("OOMKilled")),
+            refused_processes=self._refused.were_refused(str(container.id)),
             started_at=_time(state.get("StartedAt")),
             ended_at=_time(state.get("FinishedAt")),
         )
@@ -149,6 +158,7 @@ class DockerExecutor:
     def remove(self, handle: RunHandle) -> None:
         """Remove the container, running or not."""
         self._remove(handle.data["container"])
+        self._refused.forget(handle.data["container"])
 
     def discard(self, spec: RunSpec) -> None:
         """Remove the container that has the name of the run's key, unless another run's has it."""

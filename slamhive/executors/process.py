@@ -9,7 +9,6 @@ from __future__ import annotations
 import fcntl
 import json
 import logging
-import math
 import os
 import signal
 import subprocess
@@ -29,6 +28,7 @@ from slamhive.executors.base import (
     Gone,
     ImageMissing,
     ProgressCallback,
+    Protections,
     RunHandle,
     Running,
     RunSpec,
@@ -37,22 +37,23 @@ from slamhive.executors.base import (
     UsageSource,
 )
 from slamhive.executors.capped_log import assemble
+from slamhive.executors.containment import found_again, survey
+from slamhive.executors.containment_base import Containment
 from slamhive.executors.environment import Environment, Environments, pip_problem
 from slamhive.executors.exit_file import EXIT_FILE
-from slamhive.executors.process_paths import CONTAINER_ROOT, link_dataset, on_host, translate
+from slamhive.executors.process_paths import INHERITED, KEY_VARIABLE, shim_spec_of
+from slamhive.executors.process_table import ProcessEntry, all_processes, end_all, living
 from slamhive.executors.process_tree import ProcessTreeSource
 from slamhive.executors.registry import ExecutorContext
-from slamhive.executors.shim import IDENTITY_FILE, LOCK_FILE, OUTPUT_FOLDER, ShimSpec, process_birth
+from slamhive.executors.run_cgroup import group_name, left_over_groups
+from slamhive.executors.shim import IDENTITY_FILE, LOCK_FILE, OUTPUT_FOLDER, process_birth
+from slamhive.executors.shim_spec import ShimSpec
 from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.tree import remove_tree
 
 logger = logging.getLogger(__name__)
 
-KEY_VARIABLE = "SLAMHIVE_RUN_KEY"
-PREPARED_VARIABLE = "SLAMHIVE_PREPARED"
-
-_INHERITED = ("PATH", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "OMP_NUM_THREADS", "TZ")
 _START_WAIT_S = 15.0
 _KILL_WAIT_S = 5.0
 _STEP_S = 0.02
@@ -72,6 +73,10 @@ class ProcessExecutor:
         if sys.platform != "linux":
             return f"the process executor needs Linux, this is {sys.platform}; use Docker"
         return pip_problem()
+
+    def protections(self) -> Protections:
+        """Tried out on this machine, as a supervisor would."""
+        return survey(self._context.installation, self._context.containment)
 
     def identity(self, package: AlgorithmPackage) -> str | None:
         """The environment's hashes if it is there, None if it has to be made. Raises ImageMissing if none can be."""
@@ -146,9 +151,16 @@ class ProcessExecutor:
         finally:
             os.close(descriptor)
 
-    def sweep(self, live_keys: Collection[str]) -> list[str]:  # noqa: ARG002 - the seam's signature
-        """Nothing: a supervised process ends with its run and leaves nothing outside the run folder."""
-        return []
+    def sweep(self, live_keys: Collection[str]) -> list[str]:
+        """End and remove the control groups of supervisors that were killed, if their run is over."""
+        live = {group_name(self._context.installation, key) for key in live_keys}
+        removed = []
+        for name, group in left_over_groups(self._context.installation):
+            if name not in live:
+                group.end(_KILL_WAIT_S)
+                group.remove()
+                removed.append(name)
+        return removed
 
     def hidden_bytes(self, handle: RunHandle) -> int:  # noqa: ARG002 - the seam's signature
         """0: what is written outside of the run's folders is not known to be the run's."""
@@ -158,43 +170,15 @@ class ProcessExecutor:
         """Nothing: there is no connection."""
 
     def usage_source(self, handle: RunHandle) -> UsageSource | None:
-        """The tree of processes below the supervisor."""
+        """The kernel's counters of the run's control group, else the tree of processes below the supervisor."""
         shim = _shim(handle)
-        return None if shim is None else ProcessTreeSource(shim)
+        if shim is None:
+            return None
+        containment = _containment(handle)
+        return (None if containment is None else containment.usage()) or ProcessTreeSource(shim)
 
     def _shim_spec(self, spec: RunSpec, environment: Environment, work: Path) -> ShimSpec:
-        """Everything that the container paths of ``spec`` mean on this machine."""
-        home, dataset = work / "home", work / "dataset"
-        for folder in (home, dataset):
-            folder.mkdir(parents=True, exist_ok=True)
-        link_dataset(spec, dataset)
-        inherited = {key: os.environ[key] for key in _INHERITED if key in os.environ}
-        variables = {
-            **inherited,
-            "HOME": str(home),
-            "TMPDIR": str(home),
-            "PYTHONPATH": str(environment.runtime),
-            "PYTHONUNBUFFERED": "1",
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "SLAMHIVE_CONFIG": str(on_host(spec, f"{CONTAINER_ROOT}/config.yaml")),
-            "SLAMHIVE_DATASET": str(dataset),
-            "SLAMHIVE_RESULT": str(on_host(spec, f"{CONTAINER_ROOT}/result")),
-            PREPARED_VARIABLE: str(environment.prepared),
-            **{key: translate(spec, value) for key, value in spec.environment.items()},
-            KEY_VARIABLE: spec.key,
-        }
-        program = str(environment.python) if spec.command[0] == "python3" else spec.command[0]
-        return ShimSpec(
-            command=[program, *(translate(spec, argument) for argument in spec.command[1:])],
-            environment=variables,
-            folder=str(home),
-            cores=_cores(spec),
-            memory_bytes=spec.limits.memory_bytes,
-            tasks=spec.limits.pids,
-            file_bytes=spec.limits.file_bytes,
-            writable=[str(home), *(str(mount.source.resolve()) for mount in spec.mounts if not mount.read_only)],
-            log_max_bytes=self._context.log_max_bytes,
-        )
+        return shim_spec_of(spec, environment, work, self._context)
 
 
 def _work_folder(spec: RunSpec) -> Path:
@@ -210,7 +194,16 @@ def _remove_work(work: Path) -> None:
 
 def _handle(spec: RunSpec, work: Path, identity: dict[str, Any]) -> RunHandle:
     data = {"work": str(work), "key": spec.key}
-    return RunHandle(ProcessExecutor.name, data | {name: str(value) for name, value in identity.items()})
+    data |= {name: str(identity[name]) for name in ("pid", "birth", "started_at")}
+    # A supervisor of an earlier version, which still lives, tells nothing of these.
+    data["containment"] = json.dumps(identity.get("containment", {}))
+    protections = identity.get("protections")
+    return RunHandle(ProcessExecutor.name, data, None if protections is None else Protections(**protections))
+
+
+def _containment(handle: RunHandle) -> Containment | None:
+    """How the run is held, as far as that helps who is not its supervisor."""
+    return found_again(json.loads(handle.data.get("containment", "{}")))
 
 
 def _try_lock(descriptor: int) -> bool:
@@ -225,7 +218,7 @@ def _launch(work: Path) -> dict[str, Any]:
     """Start a supervisor for ``work`` and wait until one (this, or an earlier one) has said who it is."""
     errors = work / "shim-errors.txt"
     package_root = str(Path(slamhive.__file__).parent.parent)
-    environment = {key: os.environ[key] for key in _INHERITED if key in os.environ}
+    environment = {key: os.environ[key] for key in INHERITED if key in os.environ}
     with errors.open("ab") as stream:
         subprocess.run(
             [sys.executable, "-m", "slamhive.executors.shim", str(work)],
@@ -244,15 +237,6 @@ def _launch(work: Path) -> dict[str, Any]:
     return identity
 
 
-def _cores(spec: RunSpec) -> list[int] | None:
-    """The cores to be bound to: the slot's, or as many of those we may use as the limit rounds up to."""
-    if spec.limits.cpuset is not None:
-        return list(spec.limits.cpuset)
-    if spec.limits.cpu_cores is not None:
-        return sorted(os.sched_getaffinity(0))[: math.ceil(spec.limits.cpu_cores)]
-    return None
-
-
 def _read_json(path: Path) -> dict[str, Any] | None:
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -268,6 +252,8 @@ def _read_exit(handle: RunHandle) -> Exited | None:
     return Exited(
         exit_code=content["exit_code"],
         out_of_memory=content["out_of_memory"],
+        process_limit=content.get("process_limit", False),
+        refused_processes=content.get("refused_processes", False),
         started_at=datetime.fromisoformat(content["started_at"]),
         ended_at=datetime.fromisoformat(content["ended_at"]),
     )
@@ -285,16 +271,28 @@ def _shim(handle: RunHandle) -> psutil.Process | None:
 
 
 def _kill_leftovers(handle: RunHandle) -> None:
-    """Kill processes that carry the run's key in their environment: what is left if the supervisor was killed."""
+    """What is left if the supervisor was killed: all that its containment held, and what carries the run's key."""
     shim = _shim(handle)
     if shim is not None:
         _send(shim, signal.SIGKILL)
-    for process in psutil.process_iter():
-        try:
-            if process.environ().get(KEY_VARIABLE) == handle.data["key"]:
-                _send(process, signal.SIGKILL)
-        except psutil.Error:
-            continue
+    containment = _containment(handle)
+    if containment is not None:
+        containment.end(_KILL_WAIT_S)
+        containment.remove()
+    end_all(lambda: _with_key(handle.data["key"]), _KILL_WAIT_S)
+
+
+def _with_key(key: str) -> list[ProcessEntry]:
+    """The living processes that carry the run's key in their environment."""
+    mark = f"{KEY_VARIABLE}={key}".encode()
+    return [entry for entry in living(all_processes()) if mark in _environment(entry.pid)]
+
+
+def _environment(pid: int) -> list[bytes]:
+    try:
+        return Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+    except OSError:
+        return []
 
 
 def _send(process: psutil.Process, number: signal.Signals) -> None:

@@ -26,6 +26,7 @@ class ProcessTreeSource:
         self._members: dict[int, psutil.Process] = {}
         self._scanned_at_s = float("-inf")
         self._cpu_s = 0.0
+        self._begun = False
 
     def read(self) -> tuple[float, int] | None:
         """CPU time (s) and resident memory (bytes); None once the shim or all below it is gone."""
@@ -38,8 +39,12 @@ class ProcessTreeSource:
                 cpu_s, memory_bytes, _ = self._sum()
         except psutil.NoSuchProcess:
             return None
-        if not self._members:
+        if not self._members and self._begun:
             return None
+        if not self._members:
+            # The supervisor says who it is before it starts anything.
+            self._scanned_at_s = float("-inf")
+        self._begun = bool(self._members)
         # A process that ends between the two reads is missing in both sums for one sample.
         self._cpu_s = max(self._cpu_s, cpu_s)
         return self._cpu_s, memory_bytes

@@ -26,12 +26,14 @@ class ExecutorContext:
         project_root: Folder with ``algorithms/`` and ``docker/``.
         installation: Tells the containers of this data root from those of another on the same engine.
         log_max_bytes: Most bytes kept of a run's output.
+        containment: The one way to hold runs without a container, see ``containment.KINDS``; None for the strongest.
     """
 
     data: Path
     project_root: Path
     installation: str
     log_max_bytes: int = 10_000_000
+    containment: str | None = None
 
 
 ExecutorFactory = Callable[[ExecutorContext], Executor]

@@ -14,70 +14,45 @@ Signals: SIGTERM is passed on to all descendants, SIGUSR1 kills them.
 
 from __future__ import annotations
 
-import ctypes
+import contextlib
 import fcntl
 import json
+import math
 import os
 import resource
 import select
 import signal
 import sys
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
-import psutil
-
+from slamhive.executors.base import Protections
 from slamhive.executors.capped_log import CappedLog
+from slamhive.executors.containment import choose_containment
+from slamhive.executors.containment_base import DoesNotHold, ProcessTree
 from slamhive.executors.exit_file import LostOutput, reserve, write_exit
 from slamhive.executors.landlock import confine_writes
+from slamhive.executors.linux import PR_SET_CHILD_SUBREAPER, PR_SET_NO_NEW_PRIVS, PR_SET_PDEATHSIG, prctl
+from slamhive.executors.priority import raise_supervisor, urgent
+from slamhive.executors.process_limit import RefusalWatch
+from slamhive.executors.process_table import end_all, send
+from slamhive.executors.shim_spec import ShimSpec
 from slamhive.files import write_aside
 
-SPEC_FILE = "shim-spec.json"
 LOCK_FILE = "shim.lock"
 IDENTITY_FILE = "shim.json"
 OUTPUT_FOLDER = "output"
 
-_PR_SET_PDEATHSIG = 1
-_PR_SET_CHILD_SUBREAPER = 36
-_PR_SET_NO_NEW_PRIVS = 38
 _TICK_S = 0.05
-_TREE_SCAN_S = 0.5
+_KILL_PATIENCE_S = 1.0
 _READ_BYTES = 1 << 16
 _EXIT_CANNOT_START = 127
 _OPEN_FILES = 65_536
 _FILE_BYTES = 256 * 2**30
-
-
-@dataclass(frozen=True, slots=True)
-class ShimSpec:
-    """What to start: command, environment, folder to start in, and limits.
-
-    ``tasks`` counts processes and threads, as a container's limit of pids does. ``file_bytes`` is the
-    most that one file may have, ``writable`` are the folders that may be written to.
-    """
-
-    command: list[str]
-    environment: dict[str, str]
-    folder: str
-    cores: list[int] | None
-    memory_bytes: int | None
-    tasks: int
-    log_max_bytes: int
-    file_bytes: int | None = None
-    writable: list[str] = field(default_factory=list)
-
-    def save(self, work: Path) -> None:
-        """Write into the work folder."""
-        write_aside(work / SPEC_FILE, json.dumps(asdict(self)))
-
-    @classmethod
-    def load(cls, work: Path) -> ShimSpec:
-        """Read from the work folder."""
-        return cls(**json.loads((work / SPEC_FILE).read_text(encoding="utf-8")))
 
 
 class Supervisor:
@@ -86,14 +61,34 @@ class Supervisor:
     def __init__(self, work: Path, spec: ShimSpec) -> None:
         self._work = work
         self._spec = spec
+        self._priority = raise_supervisor()
+        chosen = choose_containment(spec.containment_request(), spec.containment)
+        self._containment = chosen.containment
+        self._does_not_hold = chosen.does_not_hold
+        self._refusals = RefusalWatch(self._containment.patience_s)
+        self._tree = ProcessTree(os.getpid())
         self._log = CappedLog(work / OUTPUT_FOLDER, spec.log_max_bytes)
         self._lost = LostOutput()
         self._status: int | None = None
         self._out_of_memory = False
+        self._process_limit = False
         self._kill_asked = False
-        self._tree: list[psutil.Process] = []
-        self._tree_at_s = 0.0
         self._checked_at_s = 0.0
+
+    def introduction(self, started_at: datetime) -> dict[str, Any]:
+        """What ``shim.json`` says: who this is, and how the run is held."""
+        protections = Protections(
+            **self._containment.words(),
+            priority=self._priority.words(shares_processors=not self._containment.holds_cpu),
+            does_not_hold=self._does_not_hold,
+        )
+        return {
+            "pid": os.getpid(),
+            "birth": process_birth(os.getpid()),
+            "started_at": started_at.isoformat(),
+            "containment": self._containment.describe(),
+            "protections": asdict(protections),
+        }
 
     def run(self, started_at: datetime) -> None:
         """From start to ``exit.json``."""
@@ -102,7 +97,9 @@ class Supervisor:
         while self._status is None:
             self._tick(reader)
         ended_at = datetime.now(UTC)
+        self._last_look()
         self._end_descendants()
+        self._containment.remove()
         while self._copy_output(reader):
             pass
         self._log.close()
@@ -110,6 +107,8 @@ class Supervisor:
         content: dict[str, Any] = {
             "exit_code": 128 - exit_code if exit_code < 0 else exit_code,
             "out_of_memory": self._out_of_memory,
+            "process_limit": self._process_limit,
+            "refused_processes": self._refusals.refused,
             "started_at": started_at.isoformat(),
             "ended_at": ended_at.isoformat(),
             "lost_output": self._lost.text,
@@ -129,15 +128,18 @@ class Supervisor:
     def _become_algorithm(self, writer: int) -> None:
         """In the child: limits, a group of its own, then the command. Never returns."""
         try:
-            os.setpgid(0, 0)
-            _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+            os.setsid()  # where the kernel shares the processors by session, it competes with nobody in this one
+            self._priority.give_back(shares_processors=not self._containment.holds_cpu)
+            if cores := self._cores():
+                os.sched_setaffinity(0, cores)
+            self._containment.enter()
+            # After that: a change of user would undo it.
+            prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
             # As containers: what becomes another user could neither be measured nor ended by this one.
-            _prctl(_PR_SET_NO_NEW_PRIVS, 1)
+            prctl(PR_SET_NO_NEW_PRIVS, 1)
             for number in (signal.SIGTERM, signal.SIGUSR1, signal.SIGPIPE):
                 signal.signal(number, signal.SIG_DFL)
             _limit_resources(self._spec.file_bytes or _FILE_BYTES)
-            if self._spec.cores:
-                os.sched_setaffinity(0, self._spec.cores)
             os.chdir(self._spec.folder)
             confine_writes(self._spec.writable)
             os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
@@ -149,9 +151,15 @@ class Supervisor:
         finally:
             os._exit(_EXIT_CANNOT_START)
 
+    def _cores(self) -> list[int] | None:
+        """The cores to be bound to: the slot's; or as many as the limit rounds up to, unless the kernel holds it."""
+        if self._spec.cores or self._spec.cpu_cores is None or self._containment.holds_cpu:
+            return self._spec.cores
+        return sorted(os.sched_getaffinity(0))[: math.ceil(self._spec.cpu_cores)]
+
     def listen(self) -> None:
         """Take on the descendants and the signals. Before anybody is told whom to send them to."""
-        _prctl(_PR_SET_CHILD_SUBREAPER, 1)
+        prctl(PR_SET_CHILD_SUBREAPER, 1)
         signal.signal(signal.SIGTERM, self._pass_on)
         signal.signal(signal.SIGUSR1, self._kill_on_signal)
 
@@ -198,15 +206,25 @@ class Supervisor:
         if now_s - self._checked_at_s < _TICK_S:
             return
         self._checked_at_s = now_s
-        if now_s - self._tree_at_s >= _TREE_SCAN_S:
-            self._tree, self._tree_at_s = _descendants(), now_s
-            if sum(_tasks(process) for process in self._tree) > self._spec.tasks:
-                self._kill_at(f"the limit of {self._spec.tasks} processes and threads")
-                return
-        limit_bytes = self._spec.memory_bytes
-        if limit_bytes is not None and sum(_resident_bytes(process) for process in self._tree) > limit_bytes:
+        look = self._containment.look(self._tree)
+        if look.out_of_memory or self._is_over_memory():
             self._out_of_memory = True
-            self._kill_at(f"the memory limit of {limit_bytes / 1e6:.0f} MB")
+            self._kill_at(f"the memory limit{_megabytes(self._spec.memory_bytes)}")
+        elif self._refusals.see(refused=look.refused, now_s=now_s):
+            self._process_limit = True
+            self._kill_at(f"the limit of {self._spec.tasks} processes and threads")
+
+    def _is_over_memory(self) -> bool:
+        limit_bytes = self._spec.memory_bytes
+        if limit_bytes is None or self._containment.holds_memory:
+            return False
+        return self._tree.resident_bytes() > limit_bytes
+
+    def _last_look(self) -> None:
+        """What the kernel has counted up to the end, before the run's processes and counters go."""
+        look = self._containment.look(self._tree)
+        self._out_of_memory |= look.out_of_memory
+        self._refusals.see(refused=look.refused, now_s=time.monotonic())
 
     def _kill_at(self, limit: str) -> None:
         self._write_log(f"[killed at {limit}]\n".encode())
@@ -215,73 +233,38 @@ class Supervisor:
 
     def _end_descendants(self) -> None:
         """Kill and reap what the algorithm left behind."""
-        while _descendants():
+        while True:
             self._kill_all()
             self._reap()
-            time.sleep(_TICK_S / 10)
+            if not self._containment.members() and not self._tree.living():
+                return
 
     def _kill_all(self) -> None:
-        """Stopped first: what is stopped does not fork while the others are killed."""
-        _signal_all(_descendants(), signal.SIGSTOP)
-        _signal_all(_descendants(), signal.SIGKILL)
+        """By the containment, then what got out of it but not out of the tree."""
+        with urgent():
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._pid, signal.SIGSTOP)  # most of what multiplies, at once and without counting it
+            self._containment.end(_KILL_PATIENCE_S)
+            end_all(self._tree.living, _KILL_PATIENCE_S)
 
     def _pass_on(self, _number: int, _frame: FrameType | None) -> None:
-        _signal_all(_descendants(), signal.SIGTERM)
+        send((entry.pid for entry in self._tree.living()), signal.SIGTERM)
 
     def _kill_on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._kill_asked = True
 
 
-def _descendants() -> list[psutil.Process]:
-    return [process for process in psutil.Process().children(recursive=True) if _alive(process)]
-
-
-def _alive(process: psutil.Process) -> bool:
-    try:
-        return process.status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
-
-
-def _resident_bytes(process: psutil.Process) -> int:
-    try:
-        return int(process.memory_info().rss)
-    except psutil.NoSuchProcess:
-        return 0
-
-
-def _tasks(process: psutil.Process) -> int:
-    """The threads of a process, its first one included."""
-    try:
-        return process.num_threads()
-    except psutil.NoSuchProcess:
-        return 0
+def _megabytes(limit_bytes: int | None) -> str:
+    return "" if limit_bytes is None else f" of {limit_bytes / 1e6:.0f} MB"
 
 
 def _limit_resources(file_bytes: int) -> None:
-    """Of the calling process and what it starts: no core dumps; files few and small enough to leave the machine usable.
-
-    Not RLIMIT_NPROC: it counts all processes of the user, whose other runs are none of this one's business.
-    """
+    """Of the calling process and what it starts: no core dumps; few and small enough files for a usable machine."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     for kind, wanted in ((resource.RLIMIT_NOFILE, _OPEN_FILES), (resource.RLIMIT_FSIZE, file_bytes)):
         hard = resource.getrlimit(kind)[1]
         limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
         resource.setrlimit(kind, (limit, limit))
-
-
-def _signal_all(processes: list[psutil.Process], number: signal.Signals) -> None:
-    for process in processes:
-        try:
-            process.send_signal(number)
-        except psutil.NoSuchProcess:
-            continue
-
-
-def _prctl(option: int, value: int) -> None:
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.prctl(option, value, 0, 0, 0) != 0:
-        raise OSError(ctypes.get_errno(), "prctl failed")
 
 
 def process_birth(pid: int) -> str | None:
@@ -313,11 +296,13 @@ def main(work: Path) -> None:
         return
     if (work / IDENTITY_FILE).exists():
         return
-    supervisor = Supervisor(work, ShimSpec.load(work))
+    try:
+        supervisor = Supervisor(work, ShimSpec.load(work))
+    except DoesNotHold as reason:
+        sys.exit(str(reason))
     supervisor.listen()
     started_at = datetime.now(UTC)
-    identity = {"pid": os.getpid(), "birth": process_birth(os.getpid()), "started_at": started_at.isoformat()}
-    write_aside(work / IDENTITY_FILE, json.dumps(identity))
+    write_aside(work / IDENTITY_FILE, json.dumps(supervisor.introduction(started_at)))
     supervisor.run(started_at)
 
 

@@ -4,14 +4,16 @@ Rules, first match wins:
 
 1. The kernel, or the memory limit, killed it: ``out_of_memory``.
 2. It wrote more than it may, whether it was ended for that or looked at afterwards: ``disk_limit``.
-3. It ran into the wall-clock limit: ``timeout``.
-4. One of its stop rules was broken and the controller ended it: the reason of that rule.
-5. The handle is gone and nobody knows the exit code: ``lost``, unless the algorithm had said ``finished`` and left a
+3. It was ended because it kept asking for more processes than it may have: ``process_limit``.
+4. It ran into the wall-clock limit: ``timeout``.
+5. One of its stop rules was broken and the controller ended it: the reason of that rule.
+6. The handle is gone and nobody knows the exit code: ``lost``, unless the algorithm had said ``finished`` and left a
    valid trajectory (the result is complete, only the way it ended is unknown).
-6. It was ended by the controller after its grace because it lingered behind ``finished``: the exit code then tells of
+7. It was ended by the controller after its grace because it lingered behind ``finished``: the exit code then tells of
    our signal, not of the algorithm, and is ignored.
-7. Exit code other than 0: ``nonzero_exit``, whatever files are there.
-8. Exit code 0 (or rule 6): ``traj.txt`` decides. ``finished`` alone proves nothing: upstream images create it even when
+8. Exit code other than 0: ``process_limit`` if it was refused processes, ``nonzero_exit`` otherwise, whatever files are
+   there.
+9. Exit code 0 (or rule 7): ``traj.txt`` decides. ``finished`` alone proves nothing: upstream images create it even when
    the trajectory is missing.
 """
 
@@ -60,6 +62,8 @@ class Evidence:
         exit_code: As the engine reports it, 128 + signal for a signal; None if unknown.
         out_of_memory: The memory limit killed the run or one of its processes.
         disk_exceeded: In words the limit of what a run may write that it exceeded; None if it did not.
+        process_limit: It was ended because it kept asking for more than ``most_processes`` processes and threads.
+        refused_processes: It was refused processes at that limit, now and then.
         timed_out: The controller ended it at its time limit of ``timeout_s``.
         ended_early: The stop rule for which the controller ended it.
         tracking_unseen: A stop rule asks for tracking, but the algorithm did not say which frames it tracks.
@@ -75,6 +79,9 @@ class Evidence:
     trajectory: TrajectoryCheck
     out_of_memory: bool = False
     disk_exceeded: str | None = None
+    process_limit: bool = False
+    refused_processes: bool = False
+    most_processes: int | None = None
     timed_out: bool = False
     ended_early: EarlyEnd | None = None
     tracking_unseen: bool = False
@@ -115,6 +122,8 @@ def _judge(evidence: Evidence) -> Outcome:
         return ended
     exit_counts = evidence.gone_because is None and not evidence.lingered
     if exit_counts and evidence.exit_code != 0:
+        if evidence.refused_processes:
+            return _failed(FailureReason.PROCESS_LIMIT, _refused_text(evidence), trajectory)
         return _failed(FailureReason.NONZERO_EXIT, _exit_text(evidence.exit_code, evidence.error_line), trajectory)
     if trajectory.problem is not None:
         return _failed(trajectory.problem, trajectory.detail, trajectory)
@@ -124,13 +133,11 @@ def _judge(evidence: Evidence) -> Outcome:
 
 
 def _ended_from_outside(evidence: Evidence) -> Outcome | None:
-    """Rules 1 to 5: something else ended the run, so that its exit code and its files do not tell."""
+    """Rules 1 to 6: something else ended the run, so that its exit code and its files do not tell."""
     trajectory = evidence.trajectory
-    if evidence.out_of_memory:
-        return _failed(FailureReason.OUT_OF_MEMORY, _memory_text(evidence.memory_limit_bytes), trajectory)
-    if evidence.disk_exceeded is not None:
-        detail = f"wrote {evidence.disk_exceeded}; {_DISK_REMEDY}"
-        return _failed(FailureReason.DISK_LIMIT, detail, trajectory)
+    limit_exceeded = _limit_exceeded(evidence)
+    if limit_exceeded is not None:
+        return _failed(*limit_exceeded, trajectory)
     if evidence.timed_out:
         limit = "" if evidence.timeout_s is None else f" of {evidence.timeout_s:.0f} s"
         return _failed(FailureReason.TIMEOUT, f"still running at the time limit{limit}", trajectory)
@@ -138,6 +145,17 @@ def _ended_from_outside(evidence: Evidence) -> Outcome | None:
         return _failed(evidence.ended_early.reason, evidence.ended_early.detail, trajectory)
     if evidence.gone_because is not None and not (evidence.finished and trajectory.problem is None):
         return _failed(FailureReason.LOST, evidence.gone_because, trajectory)
+    return None
+
+
+def _limit_exceeded(evidence: Evidence) -> tuple[FailureReason, str] | None:
+    """Rules 1 to 3: the limit of what a run may use that ended it, in words."""
+    if evidence.out_of_memory:
+        return FailureReason.OUT_OF_MEMORY, _memory_text(evidence.memory_limit_bytes)
+    if evidence.disk_exceeded is not None:
+        return FailureReason.DISK_LIMIT, f"wrote {evidence.disk_exceeded}; {_DISK_REMEDY}"
+    if evidence.process_limit:
+        return FailureReason.PROCESS_LIMIT, _processes_text(evidence.most_processes)
     return None
 
 
@@ -200,6 +218,20 @@ def _failed(reason: FailureReason, detail: str, trajectory: TrajectoryCheck) -> 
 def _memory_text(limit_bytes: int | None) -> str:
     limit = "its memory limit" if limit_bytes is None else f"its memory limit of {limit_bytes / 1e6:.0f} MB"
     return f"killed at {limit}; raise it with --memory, or give the algorithm less to keep"
+
+
+def _processes_text(limit: int | None) -> str:
+    remedy = "if the algorithm needs more, raise RUN_PIDS, else let it start fewer threads"
+    return f"killed: it kept starting processes at its {_process_limit(limit)}; {remedy}"
+
+
+def _refused_text(evidence: Evidence) -> str:
+    ending = _exit_text(evidence.exit_code, evidence.error_line)
+    return f"{ending}; it was refused processes at its {_process_limit(evidence.most_processes)}, raise RUN_PIDS"
+
+
+def _process_limit(limit: int | None) -> str:
+    return "limit of processes and threads" if limit is None else f"limit of {limit} processes and threads"
 
 
 def _exit_text(exit_code: int | None, error_line: str | None) -> str:

@@ -13,6 +13,11 @@ from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.executors.energy import read_packages
 from slamhive.services.hive import Hive
 
+_HOLD_BETTER = (
+    "use Docker, or let control groups be written: start the worker as root, "
+    "or with systemd-run --user --scope -p Delegate=yes slamhive worker"
+)
+
 
 class Verdict(StrEnum):
     """How a check came out."""
@@ -73,6 +78,19 @@ def _executor(hive: Hive) -> list[Check]:
     return [*checks, Check("executor in force", Verdict.OK, f"{chosen} ({reason})")]
 
 
+def _protections(hive: Hive) -> list[Check]:
+    """By what runs are held within their limits, for each executor that can be used."""
+    checks = []
+    for name in ("docker", "process"):
+        executor = hive.executor(name)
+        if executor.unavailable_because() is None:
+            held = executor.protections()
+            reasons = "; ".join(f"no {way}: {reason}" for way, reason in held.does_not_hold.items())
+            verdict, remedy = (Verdict.WARNING, f"{reasons}; {_HOLD_BETTER}") if reasons else (Verdict.OK, None)
+            checks.append(Check(f"protections {name}", verdict, held.text, remedy))
+    return checks
+
+
 def _energy(_: Hive) -> list[Check]:
     try:
         found = f"measured for {len(read_packages())} processor packages"
@@ -120,6 +138,7 @@ _EXAMINATIONS: tuple[Callable[[Hive], list[Check]], ...] = (
     _data_root,
     _database,
     _executor,
+    _protections,
     _energy,
     _algorithms,
     _broken_folders,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import asdict
 from datetime import datetime
 
 from slamhive.domain.run import FailureReason, RunState
@@ -106,7 +107,8 @@ class RunDriver:
             return
         stored = handle_to_json(handle)
         started_at = _start_time(handle, self._context.now())
-        hand.save({"handle": stored, "started_at": timestamp(started_at)})
+        protections = {} if handle.protections is None else {"protections": asdict(handle.protections)}
+        hand.save({"handle": stored, "started_at": timestamp(started_at), **protections})
         hand.move(RunState.RUNNING, "started", started_at=started_at, handle=stored)
 
     def _cancel(self) -> None:

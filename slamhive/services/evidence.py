@@ -18,7 +18,7 @@ from slamhive.services.progress import untracked_s
 MAX_ABOUT_BYTES = 64_000
 
 STOPPED_BECAUSE = "stopped_because"
-"""Key of the record: why the controller ended the run (``timeout``, ``disk_limit``, ``linger``, ``stop_when``)."""
+"""Key of the record: why the controller ended the run: one of the endings of ``watching``."""
 
 DISK_LIMIT = "disk_limit"
 """Key of the record: in words the disk limit for which the controller ended the run."""
@@ -47,6 +47,9 @@ def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any],
     return Evidence(
         exit_code=status.exit_code if isinstance(status, Exited) else None,
         out_of_memory=isinstance(status, Exited) and status.out_of_memory,
+        process_limit=cause == "process_limit" or (isinstance(status, Exited) and status.process_limit),
+        refused_processes=isinstance(status, Exited) and status.refused_processes,
+        most_processes=saved["spec"]["limits"]["pids"],
         timed_out=cause == "timeout",
         timeout_s=float(saved["spec"]["timeout_s"]),
         disk_exceeded=saved.get(DISK_LIMIT) or saved[LEFT]["exceeded"],

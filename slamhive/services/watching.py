@@ -25,9 +25,13 @@ LINGER_S = 10.0
 _ENDINGS = {
     "timeout": "time limit reached",
     "disk_limit": "disk limit reached",
+    "process_limit": "limit of processes reached",
     "linger": "finished",
     "stop_when": "ended early",
 }
+
+_AT_ONCE = frozenset({"disk_limit", "process_limit"})
+"""Endings that leave no time to be asked politely."""
 
 
 class Watch:
@@ -92,7 +96,7 @@ class Watch:
             if STOPPED_BECAUSE in saved:
                 # A worker died between writing down why and stopping; what it had seen may have passed by now.
                 return self._stop(saved[STOPPED_BECAUSE])
-            cause = self._cause_to_stop(timeout_s, disk)
+            cause = {STOPPED_BECAUSE: "process_limit"} if status.process_limit else self._cause_to_stop(timeout_s, disk)
             if cause is not None:
                 return self._stop_because(cause)
             hand.check_still_ours()
@@ -132,7 +136,7 @@ class Watch:
         return self._stop(cause[STOPPED_BECAUSE])
 
     def _stop(self, cause: str) -> str:
-        # What fills the disk would go on filling it.
-        grace_s = 0.0 if cause == "disk_limit" else self._hand.context.settings.stop_grace_s
+        # What fills the disk, or multiplies, would go on for as long.
+        grace_s = 0.0 if cause in _AT_ONCE else self._hand.context.settings.stop_grace_s
         self._hand.executor.stop(self._hand.handle, grace_s)
         return cause

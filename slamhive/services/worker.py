@@ -278,11 +278,11 @@ class Worker:
                 self._store.write(lambda t, owner=owner: _release(t, owner))  # type: ignore[misc]
 
     def _sweep(self) -> None:
-        """Remove what a killed worker left behind of runs that have ended: containers, scratch space."""
+        """Remove what was left behind of runs that have ended: containers, control groups, scratch space."""
         active = matching(states=tuple(state for state in RunState if state.active))
         records = self._store.read(lambda t: t.runs.page(active, limit=MOST_ACTIVE)).records
         names = {record.executor for record in records}
-        names.add("docker" if self._settings.executor == AUTO else self._settings.executor)
+        names.update(("docker", "process") if self._settings.executor == AUTO else (self._settings.executor,))
         for name in sorted(names):
             try:
                 removed = self._context.executors(name).sweep({record.uid for record in records})

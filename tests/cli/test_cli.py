@@ -57,7 +57,9 @@ def test_lists_and_shows_speak_json(slamhive):
     assert json.loads(slamhive("dataset", "show", "track", "--json").stdout)["sensors"][0]["kind"] == "lidar"
     assert Path(json.loads(slamhive("dataset", "show", "track", "--json").stdout)["folder"]).name == "track"
     assert json.loads(slamhive("runs", "show", "1", "--json").stdout)["events"][0]["to"] == "queued"
-    assert {check["name"] for check in json.loads(slamhive("doctor", "--json").stdout)} >= {"database", "worker"}
+    checks = {check["name"]: check for check in json.loads(slamhive("doctor", "--json").stdout)}
+    assert checks.keys() >= {"database", "worker", "protections process"}
+    assert "processes" in checks["protections process"]["found"]
     assert json.loads(slamhive("settings", "--json").stdout)[0]["name"] == "MODE"
 
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import stat
 import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -9,11 +11,30 @@ import pytest
 
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import Executor, Exited, Limits, Mount, RunHandle, Running, RunSpec
+from slamhive.executors.containment import KINDS, choose_containment
+from slamhive.executors.containment_base import ContainmentRequest, DoesNotHold
 from slamhive.executors.registry import ExecutorContext, open_executor
 from slamhive.runs.folder import RunFolder
 from tests.waiting import eventually
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
+
+
+def _holds(kind: str) -> bool:
+    request = ContainmentRequest("tests", f"collection-{os.getpid()}", 16)
+    try:
+        choose_containment(request, kind).containment.remove()
+    except DoesNotHold:
+        return False
+    return True
+
+
+def open_to_other_users(*folders: Path) -> None:
+    """What pytest makes is closed to others; a user of its own could not read it."""
+    for folder in folders:
+        for parent in (folder, *folder.parents):
+            if parent.stat().st_uid == os.getuid():
+                parent.chmod(parent.stat().st_mode | stat.S_IXGRP | stat.S_IXOTH)
 
 
 def wait_for_end(executor: Executor, handle: RunHandle) -> Exited:
@@ -98,10 +119,23 @@ def environment_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("data")
 
 
-@pytest.fixture(params=["process", pytest.param("docker", marks=pytest.mark.docker)])
+HOLDING = tuple(kind for kind in KINDS if _holds(kind))
+"""The containments that can be had on this machine by who runs the tests."""
+_DOCKER = pytest.param("docker", marks=pytest.mark.docker)
+EVERYWHERE = [*(f"process-{kind}" for kind in HOLDING), _DOCKER]
+"""The parameters of ``bench`` for all of them, and for containers."""
+REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
+"""Those where the kernel refuses a process; the supervisor can only end the run."""
+
+
+@pytest.fixture(params=["process", _DOCKER])
 def bench(request, tmp_path: Path, test_package: AlgorithmPackage, environment_data: Path) -> Iterator[Bench]:
-    name = request.param
-    context = ExecutorContext(environment_data, PROJECT_ROOT, f"test-{uuid.uuid4().hex}", 100_000)
+    """An executor by its name, or the process executor with one containment (``process-tree``)."""
+    name, _, containment = request.param.partition("-")
+    if containment == "user":
+        open_to_other_users(tmp_path, environment_data)
+    installation = uuid.uuid4().hex
+    context = ExecutorContext(environment_data, PROJECT_ROOT, installation, 100_000, containment or None)
     executor = open_executor(name, context)
     image = request.getfixturevalue("base_image") if name == "docker" else test_package.image
     if name == "docker":

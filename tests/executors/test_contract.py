@@ -90,7 +90,7 @@ def test_memory_limit(bench):
 
 
 def test_limit_of_processes(bench):
-    """A container refuses the next one, a supervisor kills; either way it does not go on."""
+    """The next one is refused, or the run is ended; either way it does not go on."""
     script = RESULT + (
         "import subprocess\nfor _ in range(40):\n    subprocess.Popen(['sleep', '60'])\ntime.sleep(60)\n"
     )

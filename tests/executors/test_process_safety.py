@@ -6,11 +6,10 @@ import json
 import resource
 import threading
 
-import psutil
 import pytest
 
-from slamhive.executors import landlock, process
-from slamhive.executors.base import Limits, RunHandle
+from slamhive.executors import landlock
+from slamhive.executors.base import Limits
 from slamhive.executors.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
 from slamhive.executors.registry import installation_id
 from slamhive.executors.shim import OUTPUT_FOLDER
@@ -19,10 +18,11 @@ from slamhive.runs.log_line import last_error_line
 from tests.executors.conftest import wait_for_end
 
 process_only = pytest.mark.parametrize("bench", ["process"], indirect=True)
+counted_by_the_supervisor = pytest.mark.parametrize("bench", ["process-tree"], indirect=True)
 
 
 @pytest.mark.integration
-@process_only
+@counted_by_the_supervisor
 def test_too_many_threads_are_ended_and_the_log_says_so(bench):
     script = (
         "import threading, time\n"
@@ -30,21 +30,10 @@ def test_too_many_threads_are_ended_and_the_log_says_so(bench):
         "time.sleep(100)\n"
     )
     spec, handle = bench.start(script, Limits(pids=20))
-    assert wait_for_end(bench.executor, handle).exit_code == 137
+    status = wait_for_end(bench.executor, handle)
+    assert (status.exit_code, status.process_limit) == (137, True)
     bench.executor.save_log(handle, spec.log_path)
     assert "[killed at the limit of 20 processes and threads]" in spec.log_path.read_text()
-
-
-@pytest.mark.integration
-@process_only
-def test_processes_that_multiply_are_all_ended(bench):
-    # At most 64 of them, should nobody end them.
-    script = "import os, time\nfor _ in range(6):\n    os.fork()\n    time.sleep(0.2)\ntime.sleep(100)\n"
-    spec, handle = bench.start(script, Limits(pids=10))
-    assert wait_for_end(bench.executor, handle).exit_code == 137
-    marker = str(bench.result(spec).parent)
-    left = [p for p in psutil.process_iter(["cmdline"]) if marker in " ".join(p.info["cmdline"] or [])]
-    assert [p for p in left if "shim" not in " ".join(p.info["cmdline"])] == []
 
 
 @pytest.mark.integration
@@ -75,20 +64,6 @@ def test_resource_limits(bench):
     assert core == [0, 0]
     assert 0 < files[0] == files[1] <= 65_536
     assert 0 < size[0] == size[1] != resource.RLIM_INFINITY
-
-
-def test_a_supervisor_that_ends_just_then_is_no_error(monkeypatch):
-    class Ending:
-        def send_signal(self, number):
-            raise psutil.NoSuchProcess(1)
-
-    def gone(pid):
-        raise psutil.NoSuchProcess(pid)
-
-    monkeypatch.setattr(process, "_shim", lambda handle: Ending())
-    monkeypatch.setattr(psutil, "Process", gone)
-    monkeypatch.setattr(psutil, "process_iter", lambda: iter(()))
-    process._kill_leftovers(RunHandle("process", {"pid": "1", "key": "no such key"}))
 
 
 def test_all_who_ask_first_get_one_installation_id(tmp_path):

@@ -20,7 +20,7 @@ from slamhive.executors import docker as docker_executor
 from slamhive.executors.base import Gone, Limits, Running
 from slamhive.executors.docker import DockerExecutor
 from slamhive.executors.docker_engine import EVALUATION_KEY, INSTALLATION_LABEL, KEY_LABEL
-from slamhive.executors.process import KEY_VARIABLE
+from slamhive.executors.process_paths import KEY_VARIABLE
 from slamhive.executors.process_tree import ProcessTreeSource
 from slamhive.runs.folder import RunFolder
 from tests.executors.conftest import wait_for_end
@@ -31,6 +31,7 @@ pytestmark = pytest.mark.integration
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 SLEEP = "import time\ntime.sleep(60)\n"
 process_only = pytest.mark.parametrize("bench", ["process"], indirect=True)
+counted_by_the_supervisor = pytest.mark.parametrize("bench", ["process-tree"], indirect=True)
 docker_only = pytest.mark.parametrize("bench", [pytest.param("docker", marks=pytest.mark.docker)], indirect=True)
 
 
@@ -76,7 +77,7 @@ def test_start_that_was_killed_before_it_knew_the_supervisor(bench):
     assert starts.read_text() == "x"
 
 
-@process_only
+@counted_by_the_supervisor
 def test_cpu_of_short_lived_children_is_counted(bench):
     script = (
         "import subprocess, sys, time\n"

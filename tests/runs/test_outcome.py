@@ -24,6 +24,11 @@ LINE = "1.0 0 0 0 0 0 0 1\n"
         (Evidence(137, NONE, lingered=True, finished=True), FailureReason.NO_TRAJECTORY),
         (Evidence(137, VALID, out_of_memory=True), FailureReason.OUT_OF_MEMORY),
         (Evidence(0, VALID, out_of_memory=True), FailureReason.OUT_OF_MEMORY),
+        (Evidence(137, VALID, process_limit=True, most_processes=64), FailureReason.PROCESS_LIMIT),
+        (Evidence(1, VALID, refused_processes=True, most_processes=64), FailureReason.PROCESS_LIMIT),
+        (Evidence(0, VALID, refused_processes=True, most_processes=64), None),
+        (Evidence(0, NONE, refused_processes=True, most_processes=64), FailureReason.NO_TRAJECTORY),
+        (Evidence(137, VALID, process_limit=True, out_of_memory=True), FailureReason.OUT_OF_MEMORY),
         (Evidence(143, VALID, timed_out=True, timeout_s=5.0), FailureReason.TIMEOUT),
         (Evidence(None, VALID, gone_because="removed"), FailureReason.LOST),
         (Evidence(None, NONE, gone_because="removed", finished=True), FailureReason.LOST),
@@ -35,6 +40,15 @@ def test_decide(evidence, reason):
     assert outcome.reason is reason
     assert outcome.state is (RunState.SUCCEEDED if reason is None else RunState.FAILED)
     assert outcome.detail
+
+
+def test_a_limit_of_processes_is_told_with_the_remedy():
+    killed = decide(Evidence(137, NONE, process_limit=True, most_processes=64)).detail
+    assert "limit of 64 processes and threads" in killed
+    assert "RUN_PIDS" in killed
+    refused = decide(Evidence(1, NONE, refused_processes=True, most_processes=64, error_line="no new thread")).detail
+    assert "exit code 1: no new thread; it was refused processes at its limit of 64" in refused
+    assert "RUN_PIDS" in refused
 
 
 def test_details_name_signal_limit_and_time():

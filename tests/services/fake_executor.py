@@ -6,7 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from slamhive.executors.base import Exited, RunHandle, Running, RunSpec, RunStatus
+from slamhive.executors.base import Exited, Protections, RunHandle, Running, RunSpec, RunStatus
+
+PROTECTIONS = Protections("nothing", "none", "none", "none", "none", "none", {"cgroup": "it is a fake"})
 
 
 @dataclass
@@ -20,11 +22,15 @@ class FakeExecutor:
     name: str = "process"
     starts: list[RunSpec] = field(default_factory=list)
     stopped: int = 0
+    graces_s: list[float] = field(default_factory=list)
     removed: int = 0
     discarded: list[str] = field(default_factory=list)
 
     def unavailable_because(self) -> str | None:
         return None
+
+    def protections(self) -> Protections:
+        return PROTECTIONS
 
     def identity(self, package) -> str | None:
         return "sha256:abc"
@@ -40,7 +46,7 @@ class FakeExecutor:
             raise self.start_error
         self.starts.append(spec)
         self.on_start(spec)
-        return RunHandle("process", {"key": spec.key})
+        return RunHandle("process", {"key": spec.key}, PROTECTIONS)
 
     def poll(self, handle: RunHandle) -> RunStatus:
         status = self.statuses[0] if len(self.statuses) == 1 else self.statuses.pop(0)
@@ -50,6 +56,7 @@ class FakeExecutor:
 
     def stop(self, handle: RunHandle, grace_s: float) -> None:
         self.stopped += 1
+        self.graces_s.append(grace_s)
         self.statuses = [Exited(137)]
 
     def save_log(self, handle: RunHandle, path: Path) -> None:

@@ -67,6 +67,15 @@ def test_a_run_that_keeps_to_its_rules_goes_on(hive, said):
     assert (UNSEEN in run.detail) is (said.get("untracked_s") is None or said["untracked_s"] < 0)
 
 
+def test_a_run_that_multiplies_is_killed_without_being_asked(hive):
+    executor = FakeExecutor([Running(), Running(process_limit=True)])
+    run = finish(hive, executor)
+    assert (run.state, run.reason, executor.graces_s) == (RunState.FAILED, FailureReason.PROCESS_LIMIT, [0.0])
+    assert "limit of 512 processes and threads" in run.detail
+    assert hive.record(run.id)[STOPPED_BECAUSE] == "process_limit"
+    assert [event.why for event in hive.events(run.id)][-2:] == ["limit of processes reached", run.detail]
+
+
 def test_a_result_that_is_complete_is_not_ended_early(hive):
     def start(spec: RunSpec) -> None:
         saying(untracked_s=99.0)(spec)

@@ -56,6 +56,7 @@ def test_a_good_run_goes_through_all_states(hive):
     moves = [event.to_state for event in hive.events(run.id)]
     assert moves == ["queued", "preparing", "starting", "running", "collecting", "succeeded"]
     assert executor.removed == 1
+    assert hive.record(run.id)["protections"]["does_not_hold"] == {"cgroup": "it is a fake"}
     assert hive.log(run.id) == "hello\n"
 
 

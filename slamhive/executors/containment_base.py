@@ -1,0 +1,123 @@
+"""What holds a run without a container within its limits: the seam between the supervisor and its several ways."""
+
+from __future__ import annotations
+
+import time
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from slamhive.executors.base import UsageSource
+from slamhive.executors.priority import urgent
+from slamhive.executors.process_table import ProcessEntry, descendants, living, read_process, tasks_on_machine
+
+_RESCAN_S = 0.5
+
+
+class DoesNotHold(Exception):
+    """This way of containing a run cannot be had on this machine; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContainmentRequest:
+    """What a containment is to be made for.
+
+    Attributes:
+        installation: Tells the groups of this data root from those of another on the same machine.
+        key: The run.
+        tasks: Most processes and threads.
+        memory_bytes: Most memory, None for no limit.
+        cpu_cores: Most cores in use, None for no limit.
+        readable: What the run must be able to read, whichever user it is.
+        writable: Folders that the run writes to.
+    """
+
+    installation: str
+    key: str
+    tasks: int
+    memory_bytes: int | None = None
+    cpu_cores: float | None = None
+    readable: tuple[Path, ...] = ()
+    writable: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What one look at a run shows: is it refused processes (or has too many), has a memory limit killed any of it?"""
+
+    refused: bool = False
+    out_of_memory: bool = False
+
+
+@dataclass
+class ProcessTree:
+    """The processes below the supervisor: listed twice a second, and at once when the machine has many new ones."""
+
+    root: int
+    sudden_tasks: int = 100
+    members: list[ProcessEntry] = field(default_factory=list)
+    _listed_at_s: float = float("-inf")
+    _tasks_then: int = 0
+
+    def living(self) -> list[ProcessEntry]:
+        """The processes that live now."""
+        return living(descendants(self.root))
+
+    def refresh(self) -> None:
+        """List the processes if it is time to."""
+        now_s, tasks = time.monotonic(), tasks_on_machine()
+        sudden = tasks - self._tasks_then >= self.sudden_tasks
+        if sudden or now_s - self._listed_at_s >= _RESCAN_S:
+            with urgent() if sudden else nullcontext():
+                self.members, self._listed_at_s, self._tasks_then = descendants(self.root), now_s, tasks
+
+    def tasks(self) -> int:
+        """Processes and threads, zombies included as the kernel does, as last listed."""
+        self.refresh()
+        return sum(entry.threads for entry in self.members)
+
+    def resident_bytes(self) -> int:
+        """Memory of those that were last listed, as it is now; shared pages count for each process."""
+        self.refresh()
+        return sum(entry.resident_bytes for known in self.members if (entry := read_process(known.pid)) is not None)
+
+
+class Containment(Protocol):
+    """One way to hold a run. Made by the supervisor before the run starts; found again by who cleans up after it."""
+
+    @property
+    def patience_s(self) -> float:
+        """For how long the run may be refused processes before it is ended."""
+
+    @property
+    def holds_memory(self) -> bool:
+        """Whether the kernel holds the run to its memory limit."""
+
+    @property
+    def holds_cpu(self) -> bool:
+        """Whether the kernel holds the run to its share of the processors."""
+
+    def enter(self) -> None:
+        """In the run's first process, before it becomes the algorithm. Raises OSError."""
+
+    def look(self, tree: ProcessTree) -> Look:
+        """How the run stands to its limits; ``tree`` are the processes below the supervisor."""
+
+    def members(self) -> list[ProcessEntry]:
+        """The living processes that belong to the run as far as this containment knows them."""
+
+    def end(self, patience_s: float) -> bool:
+        """Kill all that belong to the run; whether none was left in time."""
+
+    def remove(self) -> None:
+        """Give back what was taken for the run. Nothing there is fine."""
+
+    def usage(self) -> UsageSource | None:
+        """The kernel's own counters of the run; None if there are none."""
+
+    def describe(self) -> dict[str, Any]:
+        """What :func:`~slamhive.executors.containment.found_again` needs, as JSON."""
+
+    def words(self) -> dict[str, str]:
+        """By what each limit is held, for the user: ``processes``, ``memory``, ``cpu``, ``end``."""

@@ -1,0 +1,90 @@
+"""The supervisor's place before the run it supervises: it must get its turn whatever the run does.
+
+Rather the supervisor is raised than the run lowered: a run that is measured should get what any program gets. Only
+where this is refused and the run shares its share of the processors with the supervisor, the run is one step nicer.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+_OOM_SCORE = Path("/proc/self/oom_score_adj")
+_RAISED_BY = 5
+_SPARED_BY = 500
+_LOWEST_OOM_SCORE = -1000
+
+
+@dataclass(frozen=True, slots=True)
+class Priority:
+    """What was before, for the run, and what came of raising the supervisor."""
+
+    nice_before: int
+    oom_score_before: str | None
+    raised: bool
+    spared: bool
+
+    def give_back(self, *, shares_processors: bool) -> None:
+        """In the run's first process: the values of before; one step nicer if the supervisor was not raised."""
+        if not self.raised and shares_processors:
+            os.nice(1)
+        elif self.raised:
+            os.setpriority(os.PRIO_PROCESS, 0, self.nice_before)
+        if self.oom_score_before is not None and self.spared:
+            _OOM_SCORE.write_text(self.oom_score_before, encoding="ascii")
+
+    def words(self, *, shares_processors: bool) -> str:
+        """For the record."""
+        if self.raised:
+            nice = f"supervisor raised by {_RAISED_BY}"
+        elif shares_processors:
+            nice = "supervisor cannot be raised; the run is lowered by 1"
+        else:
+            nice = "supervisor cannot be raised; the run has a share of the processors of its own"
+        return nice + ("; spared when memory runs out" if self.spared else "; not spared when memory runs out")
+
+
+def raise_supervisor() -> Priority:
+    """Raise the calling process above what it will start, as far as this is allowed."""
+    nice = os.getpriority(os.PRIO_PROCESS, 0)
+    raised = spared = False
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, nice - _RAISED_BY)
+        raised = True
+    score: str | None = None
+    with contextlib.suppress(OSError, ValueError):
+        score = _OOM_SCORE.read_text(encoding="ascii").strip()
+        _OOM_SCORE.write_text(str(max(_LOWEST_OOM_SCORE, int(score) - _SPARED_BY)), encoding="ascii")
+        spared = True
+    return Priority(nice, score, raised, spared)
+
+
+@contextlib.contextmanager
+def urgent() -> Iterator[None]:
+    """Before everybody else for a moment, as far as this is allowed: to count and end processes that are too many."""
+    before = os.sched_getscheduler(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+    except OSError:
+        yield
+        return
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, before, os.sched_param(0))
+
+
+def priority_here(*, shares_processors: bool) -> str:
+    """What :func:`raise_supervisor` would come to in a process started by this one, in words."""
+    command = [sys.executable, "-m", __name__, *(["shares"] if shares_processors else [])]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment).stdout.strip()
+
+
+if __name__ == "__main__":
+    sys.stdout.write(raise_supervisor().words(shares_processors=sys.argv[1:] == ["shares"]))

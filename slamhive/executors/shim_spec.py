@@ -1,0 +1,57 @@
+"""What a supervisor is told: a file in the work folder, from the executor to the supervisor."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from slamhive.executors.containment_base import ContainmentRequest
+from slamhive.files import write_aside
+
+SPEC_FILE = "shim-spec.json"
+
+
+@dataclass(frozen=True, slots=True)
+class ShimSpec:
+    """What to start: command, environment, folder to start in, and limits.
+
+    ``cores`` are the ones to be bound to. ``tasks`` counts processes and threads, as a container's limit of pids does.
+    What comes after ``cpu_cores`` is for the containment, see ``ContainmentRequest``.
+    """
+
+    command: list[str]
+    environment: dict[str, str]
+    folder: str
+    cores: list[int] | None
+    memory_bytes: int | None
+    tasks: int
+    log_max_bytes: int
+    file_bytes: int | None = None
+    cpu_cores: float | None = None
+    installation: str = ""
+    key: str = ""
+    readable: list[str] = field(default_factory=list)
+    writable: list[str] = field(default_factory=list)
+    containment: str | None = None
+
+    def save(self, work: Path) -> None:
+        """Write into the work folder."""
+        write_aside(work / SPEC_FILE, json.dumps(asdict(self)))
+
+    @classmethod
+    def load(cls, work: Path) -> ShimSpec:
+        """Read from the work folder."""
+        return cls(**json.loads((work / SPEC_FILE).read_text(encoding="utf-8")))
+
+    def containment_request(self) -> ContainmentRequest:
+        """What the run is to be held to."""
+        return ContainmentRequest(
+            self.installation,
+            self.key,
+            self.tasks,
+            self.memory_bytes,
+            self.cpu_cores,
+            tuple(map(Path, self.readable)),
+            tuple(map(Path, self.writable)),
+        )

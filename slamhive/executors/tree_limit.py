@@ -1,0 +1,86 @@
+"""Where neither control groups nor a user of its own can be had: the supervisor counts the processes below it itself.
+
+The kernel still sets a ceiling for whoever is not root (RLIMIT_NPROC over all processes of the user), well above the
+limit, since the user's other processes are none of this run's business.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+from typing import Any
+
+from slamhive.executors.containment_base import ContainmentRequest, Look, ProcessTree
+from slamhive.executors.process_table import ProcessEntry, descendants, end_all, living, processes_of_user
+
+_ROOM_FOR_OTHERS = 512
+
+
+class TreeLimit:
+    """The processes below one supervisor.
+
+    Args:
+        root: The supervisor.
+        tasks: Most processes and threads; a run with more is ended at once.
+        ceiling: Most processes and threads of this user, None where the kernel would not hold it.
+    """
+
+    kind = "tree"
+    patience_s = 0.0
+    holds_memory = False
+    holds_cpu = False
+
+    def __init__(self, root: int, tasks: int, ceiling: int | None) -> None:
+        self._root = root
+        self._tasks = tasks
+        self._ceiling = ceiling
+
+    @classmethod
+    def make(cls, request: ContainmentRequest) -> TreeLimit:
+        """For the calling process and what it starts."""
+        uid = os.getuid()
+        if uid == 0:
+            return cls(os.getpid(), request.tasks, None)
+        now = sum(entry.threads for entry in processes_of_user(uid))
+        return cls(os.getpid(), request.tasks, now + 2 * request.tasks + _ROOM_FOR_OTHERS)
+
+    def describe(self) -> dict[str, Any]:
+        """See :class:`Containment`: a supervisor that was killed leaves nothing to find the processes by."""
+        return {"kind": self.kind}
+
+    def words(self) -> dict[str, str]:
+        """See :class:`Containment`."""
+        ceiling = "" if self._ceiling is None else f"; the kernel refuses this user more than {self._ceiling} in all"
+        return {
+            "held_by": "the supervisor",
+            "processes": f"counted by the supervisor, which ends a run that has more{ceiling}",
+            "memory": "watched by the supervisor",
+            "cpu": "bound to as many cores",
+            "end": "all processes below the supervisor, stopped, then killed",
+        }
+
+    def enter(self) -> None:
+        """See :class:`Containment`."""
+        if self._ceiling is None:
+            return
+        hard = resource.getrlimit(resource.RLIMIT_NPROC)[1]
+        ceiling = self._ceiling if hard == resource.RLIM_INFINITY else min(self._ceiling, hard)
+        resource.setrlimit(resource.RLIMIT_NPROC, (ceiling, ceiling))
+
+    def look(self, tree: ProcessTree) -> Look:
+        """See :class:`Containment`."""
+        return Look(refused=tree.tasks() > self._tasks)
+
+    def members(self) -> list[ProcessEntry]:
+        """See :class:`Containment`."""
+        return living(descendants(self._root))
+
+    def end(self, patience_s: float) -> bool:
+        """See :class:`Containment`."""
+        return end_all(self.members, patience_s)
+
+    def remove(self) -> None:
+        """See :class:`Containment`: nothing was taken."""
+
+    def usage(self) -> None:
+        """See :class:`Containment`."""

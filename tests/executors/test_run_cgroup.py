@@ -1,0 +1,228 @@
+"""The control group of a run under version 2: on a folder that looks like a delegated slice, in part on a live kernel.
+
+The files are plain files, so they show what is asked of the kernel and not what the kernel does.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from slamhive.executors.cgroup import CgroupV2
+from slamhive.executors.containment import found_again
+from slamhive.executors.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
+from slamhive.executors.process_table import living, processes_of_user
+from slamhive.executors.run_cgroup import Parents, RunCgroup, find_parents, group_name, left_over_groups
+from slamhive.executors.tree_limit import TreeLimit
+from tests.executors.strangers import as_nobody
+
+REQUEST = ContainmentRequest("3f" * 16, "run-7", 64, 2_000_000_000, 1.5)
+NAME = "slamhive-3f3f3f3f3f3f-run-7"
+SLICE = "user.slice/user-1000.slice/user@1000.service/app.slice"
+SCOPE = f"{SLICE}/run-r12.scope"
+NO_TREE = ProcessTree(0)
+
+
+def write(folder: Path, **files: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        (folder / name.replace("__", ".")).write_text(content)
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A delegated slice, a scope in it where our processes are, and the group of the run as a kernel would make it."""
+    root = tmp_path / "cgroup"
+    write(
+        root,
+        cgroup__controllers="cpuset cpu io memory pids\n",
+        cgroup__procs="",
+        cgroup__subtree_control="cpu memory pids\n",
+    )
+    for folder in ("user.slice", "user.slice/user-1000.slice", f"{SLICE}/..", SLICE, SCOPE):
+        write(root / folder, cgroup__procs="", cgroup__subtree_control="memory pids\n")
+    (root / SCOPE / "cgroup.subtree_control").write_text("\n")
+    write(
+        root / SLICE / NAME,
+        cgroup__procs="",
+        cgroup__kill="",
+        cgroup__events="populated 1\nfrozen 0\n",
+        pids__max="",
+        pids__current="0\n",
+        pids__events="max 0\n",
+        memory__max="",
+        memory__swap__max="",
+        memory__current="52428800\n",
+        memory__stat="anon 40000000\ninactive_file 2428800\n",
+        memory__peak="60000000\n",
+        memory__events="low 0\nhigh 0\nmax 12\noom 0\noom_kill 0\noom_group_kill 0\n",
+        cpu__max="",
+        cpu__stat="usage_usec 1234567\n",
+    )
+    return root
+
+
+def own(root: Path, group: str = SCOPE) -> Path:
+    path = root.parent / "self-cgroup"
+    path.write_text(f"0::/{group}\n")
+    return path
+
+
+def made(root: Path) -> RunCgroup:
+    return RunCgroup.make(REQUEST, Parents(2, dict.fromkeys(("pids", "memory", "cpu"), root / SLICE)))
+
+
+def test_a_group_beside_ours_is_found_in_the_delegated_slice(root):
+    """Our own group may have no controllers for others in it, since it holds processes: the kernel refuses."""
+    for path in (root, *root.rglob("*")):
+        delegated = path.is_relative_to(root / SLICE) and path.name != "cgroup.subtree_control"
+        path.chmod(0o777 if delegated else 0o555)
+    membership = own(root)
+
+    def found() -> list[str]:
+        parents = find_parents(root, membership)
+        return [str(parents.version), *sorted(parents.folders), str(parents.folders["pids"].relative_to(root))]
+
+    for parent in (root, *root.parents):
+        if parent.stat().st_uid == os.getuid() and parent != Path("/"):
+            parent.chmod(parent.stat().st_mode | 0o055)
+    assert as_nobody(found) == ["2", "memory", "pids", SLICE]
+    (root / SLICE / "cgroup.procs").chmod(0o444)
+    assert "DoesNotHold" in as_nobody(found)
+    assert "delegated to this user with the controller pids" in as_nobody(found)
+
+
+def test_root_makes_groups_in_the_nearest_that_has_the_controllers(root):
+    (root / SCOPE / "cgroup.subtree_control").unlink()
+    (root / SCOPE / "cgroup.procs").unlink()
+    (root / SLICE / "cgroup.subtree_control").write_text("memory pids\n")
+    assert find_parents(root, own(root)).folders["memory"] == root / SLICE
+
+
+def test_version_1_is_where_each_controller_has_a_tree(tmp_path):
+    for controller in ("pids", "memory/own", "cpu", "cpuacct"):
+        (tmp_path / "cgroup" / controller).mkdir(parents=True)
+    path = tmp_path / "self-cgroup"
+    path.write_text("3:pids:/docker/abc\n2:memory:/own\n1:cpu,cpuacct:/\n")
+    parents = find_parents(tmp_path / "cgroup", path)
+    assert parents.version == 1
+    assert {name: str(folder.relative_to(tmp_path / "cgroup")) for name, folder in parents.folders.items()} == {
+        "pids": "pids",
+        "memory": "memory/own",
+        "cpu": "cpu",
+        "cpuacct": "cpuacct",
+    }
+    (tmp_path / "cgroup" / "pids").rmdir()
+    with pytest.raises(DoesNotHold, match="no group below"):
+        find_parents(tmp_path / "cgroup", path)
+
+
+def test_limits_are_asked_for(root):
+    group = made(root)
+    folder = root / SLICE / NAME
+    limits = {name: (folder / name).read_text() for name in ("pids.max", "memory.max", "memory.swap.max", "cpu.max")}
+    assert limits == {"pids.max": "64", "memory.max": "2000000000", "memory.swap.max": "0", "cpu.max": "150000 100000"}
+    assert (group.holds_memory, group.holds_cpu) == (True, True)
+    group.enter()
+    assert (folder / "cgroup.procs").read_text() == "0"
+
+
+def test_a_controller_that_is_missing_is_left_to_the_supervisor(root):
+    for name in ("memory.max", "cpu.max"):
+        (root / SLICE / NAME / name).unlink()
+    group = made(root)
+    assert (group.holds_memory, group.holds_cpu) == (False, False)
+    assert group.words()["memory"] == "watched by the supervisor"
+
+
+def test_without_a_limit_of_processes_it_does_not_hold(root):
+    (root / SLICE / NAME / "pids.max").unlink()
+    with pytest.raises(DoesNotHold, match=r"pids\.max"):
+        made(root)
+
+
+def test_refusals_and_kills_are_seen(root):
+    group = made(root)
+    folder = root / SLICE / NAME
+    assert group.look(NO_TREE) == Look()
+    (folder / "pids.events").write_text("max 3\n")
+    assert group.look(NO_TREE) == Look(refused=True)
+    assert group.look(NO_TREE) == Look(refused=False), "nothing new, and not full"
+    (folder / "pids.max").write_text("64\n")
+    (folder / "pids.current").write_text("64\n")
+    assert group.look(NO_TREE) == Look(refused=True), "still full"
+    (folder / "pids.current").write_text("9\n")
+    (folder / "memory.events").write_text("max 99\noom 1\noom_kill 1\n")
+    assert group.look(NO_TREE) == Look(out_of_memory=True)
+
+
+def test_it_is_killed_as_a_whole(root):
+    group = made(root)
+    folder = root / SLICE / NAME
+    (folder / "cgroup.procs").write_text("")
+    assert group.end(1.0)
+    assert ((folder / "pids.max").read_text()[0], (folder / "cgroup.kill").read_text()) == ("0", "1")
+    assert "cgroup.kill" in group.words()["end"]
+
+
+def test_usage_is_that_of_the_group(root):
+    source = made(root).usage()
+    assert isinstance(source, CgroupV2)
+    assert source.read() == (1.234567, 50_000_000)
+    assert source.peak_memory_bytes() == 60_000_000
+
+
+def test_it_is_found_again(root):
+    again = found_again(made(root).describe())
+    assert isinstance(again, RunCgroup)
+    (root / SLICE / NAME / "cgroup.procs").write_text("")
+    assert again.end(1.0)
+    assert (root / SLICE / NAME / "cgroup.kill").read_text() == "1"
+
+
+def test_groups_of_this_installation_are_found_wherever_they_are(root):
+    (root / "slamhive-ffffffffffff-run-8").mkdir()
+    ((name, group),) = left_over_groups(REQUEST.installation, root)
+    assert name == group_name(REQUEST.installation, "run-7") == NAME
+    assert group.describe()["folders"]["pids"] == str(root / SLICE / NAME)
+
+
+def test_a_live_group_of_version_2_is_killed_as_a_whole():
+    """Where the kernel has version 2 and we may write to it; the limits of processes and memory may be version 1's."""
+    root = next(folder for folder in (Path("/sys/fs/cgroup/unified"), Path("/sys/fs/cgroup")) if folder.is_dir())
+    folder = root / f"slamhive-test-{os.getpid()}"
+    try:
+        folder.mkdir()
+    except OSError:
+        with pytest.raises(DoesNotHold):
+            RunCgroup.make(ContainmentRequest("test", str(os.getpid()), 16), Parents(2, {"pids": root}))
+        return
+    group = RunCgroup(2, {"pids": folder})
+    code = "import os, time\nfor _ in range(3): os.fork()\nos.setsid()\ntime.sleep(100)"
+    with subprocess.Popen(["python3", "-c", code], preexec_fn=group.enter) as process:  # noqa: PLW1509
+        try:
+            while len(group.members()) < 8:
+                assert process.poll() is None
+            assert group.end(10.0)
+            assert process.wait(10) == -signal.SIGKILL
+        finally:
+            process.kill()
+    assert group.members() == []
+    group.remove()
+    assert not folder.exists()
+
+
+def test_whoever_is_not_root_gets_a_ceiling_of_the_kernel():
+    def ceiling() -> list[int]:
+        mine = sum(entry.threads for entry in living(processes_of_user(os.getuid())))
+        TreeLimit.make(ContainmentRequest("tests", "key", 64)).enter()
+        return [mine, *resource.getrlimit(resource.RLIMIT_NPROC)]
+
+    mine, soft, hard = as_nobody(ceiling)
+    assert soft == hard
+    assert soft <= mine + 2 * 64 + 512 + 64
