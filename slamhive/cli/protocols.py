@@ -101,7 +101,10 @@ def compare(cli: CliContext, run_id: int, as_json: bool) -> None:
 
 
 def _tool_row(row: ToolFigures) -> tuple[Any, ...]:
-    figures = [f"{key} {value:.6g} {metric(key).unit}".rstrip() for key, value in row.figures.items()]
+    figures = [
+        f"{key} {value:.6g} {metric(key).unit}".rstrip() + (f" over {row.samples[key]}" if key in row.samples else "")
+        for key, value in row.figures.items()
+    ]
     return (row.name, None if row.protocol is None else row.protocol.fingerprint, "\n".join(figures) or None, row.note)
 
 
@@ -111,7 +114,10 @@ def _tool_json(row: ToolFigures) -> dict[str, Any]:
         "title": row.preset.title,
         "protocol": None if row.protocol is None else row.protocol.content,
         "fingerprint": None if row.protocol is None else row.protocol.fingerprint,
-        "figures": {key: {"value": value, "unit": metric(key).unit} for key, value in row.figures.items()},
+        "figures": {
+            key: {"value": value, "unit": metric(key).unit, "over": row.samples.get(key)}
+            for key, value in row.figures.items()
+        },
         "note": row.note,
         "differs": row.preset.differs,
     }

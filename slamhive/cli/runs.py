@@ -14,6 +14,7 @@ from slamhive.cli.searching import Listing, print_export, print_groups, search_o
 from slamhive.cli.variants import parse_steps, step_option
 from slamhive.cli.waiting import run_to_end
 from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.metrics import metric
 from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import FailureReason, RunState
@@ -215,8 +216,11 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
     print_table(("parameter", "value"), [(key, value) for key, value in content["parameters"].items()])
     metrics = content["metrics"]
     if metrics:
-        rows = [(key, f"{part['value']:.6g}", part["unit"]) for key, part in metrics.items()]
-        print_table(("metric", "value", "unit"), rows, right=("value",))
+        values = entry.metrics or {}
+        rows = [
+            (key, f"{part['value']:.6g}", part["unit"], metric(key).sample(values)) for key, part in metrics.items()
+        ]
+        print_table(("metric", "value", "unit", "over"), rows, right=("value",))
     if entry.protocol is not None:
         click.echo(f"protocol {entry.protocol.fingerprint}: {entry.protocol.label}")
     for evaluation in content["evaluations"]:

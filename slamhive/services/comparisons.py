@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.protocol_request import exactly
 from slamhive.errors import InvalidInput
@@ -30,6 +31,7 @@ class ToolFigures:
         protocol: What that is for this run; None where it does not fit.
         figures: {metric key: value} of the figures that the tool prints; without those that are missing.
         note: Why there are no figures, or why one of them is missing; None if all are there.
+        samples: {metric key: over how many pairs or segments the figure is taken, in words}.
     """
 
     name: str
@@ -37,6 +39,7 @@ class ToolFigures:
     protocol: Protocol | None
     figures: Mapping[str, float]
     note: str | None
+    samples: Mapping[str, str] = field(default_factory=dict)
 
 
 class Comparisons:
@@ -90,7 +93,8 @@ class Comparisons:
         figures = {key: found[key] for key in preset.figures if key in found}
         absent = [key for key in preset.figures if key not in found]
         note = self._why_missing(run.id, protocol, absent) if absent else None
-        return ToolFigures(name, preset, protocol, figures, note)
+        samples = {key: words for key in figures if (words := CATALOGUE[key].sample(found))}
+        return ToolFigures(name, preset, protocol, figures, note, samples)
 
     def _protocol(self, run: RunRecord, name: str, preset: Preset) -> tuple[Protocol | None, str | None]:
         try:

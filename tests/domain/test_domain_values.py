@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
-from slamhive.domain.metrics import CATALOGUE, metric
+from slamhive.domain.metrics import CATALOGUE, Direction, Group, metric
 from slamhive.domain.names import check_name
 from slamhive.domain.protocol import Alignment, Protocol, default_alignment
 from slamhive.domain.run import LEGAL_MOVES, RunState, check_move
@@ -96,6 +96,18 @@ def test_each_metric_is_whole_and_defined_once():
         assert entry.definition.endswith(".")
     assert CATALOGUE["ate.rmse"].unit == "m"
     assert CATALOGUE["ate.sse"].unit == "m²"
+
+
+def test_every_mean_over_pairs_or_segments_names_the_metric_that_counts_them():
+    for entry in CATALOGUE.values():
+        sampled = entry.group in (Group.RELATIVE, Group.SEGMENTS) and entry.direction is Direction.LOWER
+        assert bool(entry.counted_by) is sampled, entry.key
+        if sampled:
+            number = CATALOGUE[entry.counted_by]
+            assert (number.unit, number.direction, number.group) == ("", Direction.NEUTRAL, entry.group)
+    assert CATALOGUE["rpe_rot.seconds.mean"].sample({"rpe.seconds.pairs": 3600.0}) == "3,600 pairs"
+    assert CATALOGUE["segment.metres.8m.median"].sample({"segment.count.8m": 1.0}) == "1 segment"
+    assert CATALOGUE["rpe.rmse"].sample({"rpe.frames.pairs": 5.0}) == ""
 
 
 def test_an_unknown_metric_gets_the_nearest():

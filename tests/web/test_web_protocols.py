@@ -22,7 +22,8 @@ OTHER = Protocol(Alignment.NONE, time_offset_s=0.25)
 def twice(web: Web) -> int:
     """A run with figures under two protocols, the first of them current."""
     run_id = web.runs["done"]
-    result = EvaluationResult(str(run_id), OTHER.fingerprint, None, {"ate.rmse": 7.125}, 400, 398, "evo 1.0")
+    figures = {"ate.rmse": 7.125, "segment.translation": 1.5, "segment.count": 3271.0}
+    result = EvaluationResult(str(run_id), OTHER.fingerprint, None, figures, 400, 398, "evo 1.0")
 
     def work(transaction: Transaction) -> None:
         (evaluation_id,) = transaction.evaluations.queue([run_id], OTHER, NOW)
@@ -42,6 +43,7 @@ def test_the_current_protocol_is_shown_and_another_on_request(web: Web, twice: i
     assert f"Accuracy: {OTHER.label} (protocol {OTHER.fingerprint})" in text
     assert "time offset +0.25 s" in OTHER.label
     assert "7.125" in text
+    assert "3,271 segments" in text, "a mean over segments stands beside their number"
     assert "Make this the current protocol" in text
     assert f"({PROTOCOL.fingerprint}, current)" in web.client.get(f"/runs/{twice}?protocol=%3Cscript%3E").text
 

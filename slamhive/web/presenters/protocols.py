@@ -68,7 +68,12 @@ def tool_rows(tools: Iterable[ToolFigures]) -> list[ToolRow]:
         ToolRow(
             tool,
             tuple(
-                MetricRow(CATALOGUE[key], metric_cell(CATALOGUE[key], value), display_unit(CATALOGUE[key]).unit)
+                MetricRow(
+                    CATALOGUE[key],
+                    metric_cell(CATALOGUE[key], value),
+                    display_unit(CATALOGUE[key]).unit,
+                    tool.samples.get(key, ""),
+                )
                 for key, value in tool.figures.items()
             ),
         )

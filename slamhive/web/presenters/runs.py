@@ -40,11 +40,12 @@ class ParameterRow:
 
 @dataclass(frozen=True, slots=True)
 class MetricRow:
-    """One figure of a run."""
+    """One metric of a run; ``sample`` says over how many pairs or segments, empty for a metric without."""
 
     metric: Metric
     cell: Cell
     unit: str
+    sample: str = ""
 
 
 def rows(runs: Iterable[RunRecord], columns: Iterable[Column], algorithms: Iterable[Algorithm]) -> list[Row]:
@@ -78,7 +79,7 @@ def metric_rows(run: RunRecord, *, needs_protocol: bool) -> list[MetricRow]:
     """The figures that the run has: those of its evaluation, or those measured while it ran."""
     values = run.metrics or {}
     return [
-        MetricRow(metric, metric_cell(metric, values[key]), display_unit(metric).unit)
+        MetricRow(metric, metric_cell(metric, values[key]), display_unit(metric).unit, metric.sample(values))
         for key, metric in CATALOGUE.items()
         if key in values and metric.needs_protocol is needs_protocol
     ]
