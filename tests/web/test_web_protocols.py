@@ -7,7 +7,7 @@ from datetime import timedelta
 import pytest
 
 from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.evaluation.job import EvaluationResult
+from slamhive.evaluation.job import RESULT_FILE, EvaluationResult, result_to_json
 from slamhive.evaluation.presets import PRESETS
 from slamhive.store.store import Transaction
 from tests.web.test_web_actions import send
@@ -44,8 +44,22 @@ def test_the_current_protocol_is_shown_and_another_on_request(web: Web, twice: i
     assert "time offset +0.25 s" in OTHER.label
     assert "7.125" in text
     assert "3,271 segments" in text, "a mean over segments stands beside their number"
+    assert "Segment count" not in text, "which has no row of its own"
     assert "Make this the current protocol" in text
     assert f"({PROTOCOL.fingerprint}, current)" in web.client.get(f"/runs/{twice}?protocol=%3Cscript%3E").text
+
+
+def test_what_is_missing_for_one_reason_is_told_once(web: Web, twice: int) -> None:
+    reason = "the protocol takes a pose for every one of the ground truth"
+    missing = {"kitti.translation": reason, "kitti.rotation": reason, "drift.end": "no pause"}
+    folder = web.hive.folder(twice).evaluation(OTHER.fingerprint)
+    folder.mkdir(parents=True, exist_ok=True)
+    result = EvaluationResult(str(twice), OTHER.fingerprint, None, {"ate.rmse": 7.125}, 4, 4, "evo 1.0", missing)
+    (folder / RESULT_FILE).write_text(result_to_json(result))
+    text = web.client.get(f"/runs/{twice}?protocol={OTHER.fingerprint}").text
+    assert "3 metrics missing, and why" in text
+    assert text.count(reason) == 1
+    assert "kitti.translation, kitti.rotation" in text
 
 
 def test_the_current_protocol_is_changed_by_post(web: Web, twice: int) -> None:

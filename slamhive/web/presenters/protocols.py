@@ -62,6 +62,14 @@ def accuracy_rows(
     return {name: members for name, members in groups if members}
 
 
+def missing_by_reason(missing: Mapping[str, str]) -> dict[str, list[str]]:
+    """{why metrics are missing: their keys}."""
+    keys: dict[str, list[str]] = {}
+    for key, reason in missing.items():
+        keys.setdefault(reason, []).append(key)
+    return keys
+
+
 def tool_rows(tools: Iterable[ToolFigures]) -> list[ToolRow]:
     """The figures of each tool, in the units of the pages."""
     return [

@@ -76,12 +76,17 @@ def parameter_rows(run: RunRecord, algorithm: Algorithm | None) -> list[Paramete
 
 
 def metric_rows(run: RunRecord, *, needs_protocol: bool) -> list[MetricRow]:
-    """The figures that the run has: those of its evaluation, or those measured while it ran."""
+    """The metrics that the run has: those of its evaluation, or those measured while it ran.
+
+    Numbers of pairs and segments stand beside the metrics that are taken over them, and have no row of their own.
+    """
     values = run.metrics or {}
+    shown = [metric for key, metric in CATALOGUE.items() if key in values and metric.needs_protocol is needs_protocol]
+    numbers = {metric.counted_by for metric in shown}
     return [
-        MetricRow(metric, metric_cell(metric, values[key]), display_unit(metric).unit, metric.sample(values))
-        for key, metric in CATALOGUE.items()
-        if key in values and metric.needs_protocol is needs_protocol
+        MetricRow(metric, metric_cell(metric, values[metric.key]), display_unit(metric).unit, metric.sample(values))
+        for metric in shown
+        if metric.key not in numbers
     ]
 
 

@@ -145,7 +145,9 @@ def show(run_id: int) -> str:
         protocols=choices,
         chosen=chosen,
         accuracy=protocols.accuracy_rows(run, choices, services.current_protocols.figures(run_id)),
-        missing={} if chosen is None else missing_figures(services.folder(run_id), chosen.fingerprint),
+        missing=protocols.missing_by_reason(
+            {} if chosen is None else missing_figures(services.folder(run_id), chosen.fingerprint)
+        ),
         tools=protocols.tool_rows(tools),
         tools_waiting=protocols.waiting(tools),
         measured=presenter.metric_rows(run, needs_protocol=False),
