@@ -7,7 +7,15 @@ bug and keeps its traceback.
 
 from __future__ import annotations
 
+import re
 from difflib import get_close_matches
+
+CONTROL_CHARACTERS = r"\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x84\x86-\x9f\ufffe\uffff"
+"""What YAML calls not printable (section 5.1), as a part of a regular expression: tab and line ends are fine."""
+SURROGATES = r"\ud800-\udfff"
+"""Halves of pairs, as a part of a regular expression: text that holds one cannot be encoded."""
+LONGEST_MESSAGE = 2000
+_NOT_SHOWN = re.compile(f"[{CONTROL_CHARACTERS}{SURROGATES}]")
 
 
 class SlamHiveError(Exception):
@@ -19,8 +27,8 @@ class SlamHiveError(Exception):
     """
 
     def __init__(self, message: str, remedy: str | None = None) -> None:
-        self.message = " ".join(message.split())
-        self.remedy = " ".join(remedy.split()) if remedy else None
+        self.message = one_line(message)
+        self.remedy = one_line(remedy) if remedy else None
         super().__init__(self.message if self.remedy is None else f"{self.message}; {self.remedy}")
 
 
@@ -42,6 +50,16 @@ class Forbidden(SlamHiveError):
 
 class Unavailable(SlamHiveError):
     """Something outside this process does not answer (Docker engine, database, disk space, a library)."""
+
+
+def one_line(text: str) -> str:
+    """``text`` on one line that every terminal, log and page can show: what is not text is written as an escape."""
+    escaped = _NOT_SHOWN.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+    line = " ".join(escaped.split())
+    if len(line) <= LONGEST_MESSAGE:
+        return line
+    half = LONGEST_MESSAGE // 2  # the value that is too long stands in the middle, what is wrong with it at the end
+    return f"{line[:half]} … {line[-half:]}"
 
 
 def unknown(kind: str, name: str, known: list[str], remedy: str | None = None) -> NotFound:

@@ -1,6 +1,7 @@
 """YAML from outside, without its traps: no tags, no anchors, no duplicate keys, nothing deep or huge.
 
-Used by the controller and, inside the algorithm images, by the runtime; depends on PyYAML alone.
+Text and numbers follow the rule of :mod:`slamhive.input_bounds`. Used by the controller and, inside the algorithm
+images, by the runtime; depends on PyYAML alone.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 
 import yaml
 
+from slamhive import input_bounds
 from slamhive.errors import InvalidInput
 
 MAX_BYTES = 2_000_000
@@ -74,6 +76,14 @@ class _StrictLoader(yaml.SafeLoader):
         self.depth -= 1
         return node
 
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        if not isinstance(node, yaml.ScalarNode):
+            return super().construct_object(node, deep=deep)
+        try:
+            return super().construct_object(node, deep=deep)
+        except ValueError:  # Python reads no whole number of more than 4,300 digits
+            raise _refusal("a value is not a number that can be used", node.start_mark) from None
+
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
         for key_node, _ in node.value:
@@ -85,18 +95,19 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
-def _without_base_60(resolvers: dict[str, list[tuple[str, re.Pattern[str]]]]) -> dict[str, list[Any]]:
-    """YAML 1.1 reads 1:30:20 as a number to base 60; here it is text (a range of values, a time of day)."""
+def _without_surprises(resolvers: dict[str, list[tuple[str, re.Pattern[str]]]]) -> dict[str, list[Any]]:
+    """YAML 1.1 reads 1:30:20 as a number to base 60, and 2026-01-31 as a date; here both are text."""
     plain: dict[str, list[Any]] = {}
     for first, entries in resolvers.items():
         plain[first] = [
             (tag, re.compile(rf"(?![^:]*:\d)(?:{pattern.pattern})", pattern.flags) if tag in _NUMBER_TAGS else pattern)
             for tag, pattern in entries
+            if tag != "tag:yaml.org,2002:timestamp"
         ]
     return plain
 
 
-_StrictLoader.yaml_implicit_resolvers = _without_base_60(yaml.SafeLoader.yaml_implicit_resolvers)
+_StrictLoader.yaml_implicit_resolvers = _without_surprises(yaml.SafeLoader.yaml_implicit_resolvers)
 
 _SCIENTIFIC = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$")
 """1e-9: text in YAML 1.1, as it lacks a point; a number in YAML 1.2 (section 10.3.2)."""
@@ -149,7 +160,7 @@ def parse_with_lines(text: str, source: str) -> tuple[dict[str, Any], Lines]:
 
 def _parse_node(text: str, source: str) -> tuple[dict[str, Any], yaml.Node]:
     if len(text) > MAX_BYTES:
-        raise _too_large(source)
+        raise input_bounds.too_large(source, MAX_BYTES)
     try:
         loader = _StrictLoader(text)
         node = loader.get_single_node()
@@ -162,11 +173,17 @@ def _parse_node(text: str, source: str) -> tuple[dict[str, Any], yaml.Node]:
     if node is None or not isinstance(content, dict):
         found = "nothing" if content is None else type(content).__name__
         raise InvalidInput(f"{source}: expected keys with values at the top level, found {found}")
+    _check_bounds(content, node, source)
     return content, node
 
 
-def _too_large(source: str) -> InvalidInput:
-    return InvalidInput(f"{source} is larger than {MAX_BYTES} bytes", "is it the right file?")
+def _check_bounds(content: dict[str, Any], node: yaml.Node, source: str) -> None:
+    found = input_bounds.find_problem(content, deepest=MAX_DEPTH)
+    if found is not None:
+        lines: Lines = {}
+        _collect_lines(node, (), lines)
+        path, problem = found
+        raise InvalidInput(f"{Places(source, lines).of(*path)}: {'.'.join(path)}: {problem}")
 
 
 def _collect_lines(node: yaml.Node, path: tuple[str | int, ...], lines: Lines) -> None:
@@ -182,16 +199,7 @@ def _collect_lines(node: yaml.Node, path: tuple[str | int, ...], lines: Lines) -
 
 def read_text(path: Path) -> str:
     """The text of the file at ``path``, of which no more is read than may be YAML; raises InvalidInput."""
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
-        if len(data) > MAX_BYTES:
-            raise _too_large(str(path))
-        return data.decode()
-    except FileNotFoundError:
-        raise InvalidInput(f"{path} does not exist") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"{path} cannot be read as text: {error}") from None
+    return input_bounds.read_text(path, MAX_BYTES)
 
 
 def load(path: Path) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from slamhive import strict_yaml
-from slamhive.catalogue.validation import check_name_in, first_problem, refuse_non_finite
+from slamhive.catalogue.validation import check_name_in, first_problem
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input
 from slamhive.domain.numbers import plain
 from slamhive.domain.parameters import Parameter, ParameterType
@@ -90,7 +90,6 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
     """
     path = folder / ALGORITHM_FILE
     content = strict_yaml.load(path)
-    refuse_non_finite(content, path)
     try:
         model = _PackageModel.model_validate(content)
     except ValidationError as error:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from slamhive import strict_yaml
-from slamhive.catalogue.validation import check_name_in, first_problem, refuse_non_finite
+from slamhive.catalogue.validation import check_name_in, first_problem
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.sensors import IDENTITY4, Sensor, SensorKind, is_rigid
 from slamhive.errors import InvalidInput
@@ -98,7 +98,6 @@ def load_dataset(folder: Path) -> Dataset:
     """Read ``folder/dataset.yaml``; raises InvalidInput naming the file and the place."""
     path = folder / DATASET_FILE
     content = strict_yaml.load(path)
-    refuse_non_finite(content, path)
     try:
         model = _DatasetModel.model_validate(content)
     except ValidationError as error:

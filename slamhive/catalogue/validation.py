@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from types import UnionType
@@ -82,18 +81,6 @@ def _sentence(first: Mapping[str, Any], path: tuple[int | str, ...], model: type
         return f"unknown key {place!r}{hint}"
     wanted = "has a type that is not allowed here" if path != _shown(first["loc"]) else _saying(first)
     return f"{place}: {wanted} (found {repr(first['input'])[:_SHOWN]})"
-
-
-def refuse_non_finite(content: object, source: Path | str, place: tuple[str, ...] = ()) -> None:
-    """Raise InvalidInput, naming the place, if there is an infinite number or a NaN anywhere in ``content``."""
-    if isinstance(content, dict):
-        for key, value in content.items():
-            refuse_non_finite(value, source, (*place, str(key)))
-    elif isinstance(content, list):
-        for index, value in enumerate(content):
-            refuse_non_finite(value, source, (*place, str(index)))
-    elif isinstance(content, float) and not math.isfinite(content):
-        raise InvalidInput(f"{source}: {'.'.join(place)}: {content} is not a finite number", "write the number itself")
 
 
 def check_name_in(source: Path, kind: str, name: str) -> str:

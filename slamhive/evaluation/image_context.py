@@ -10,7 +10,7 @@ from pathlib import Path
 from slamhive.errors import Unavailable
 from slamhive.files import hash_files
 
-_MODULES = ("__init__.py", "py.typed", "errors.py", "files.py", "registry.py")
+_MODULES = ("__init__.py", "py.typed", "errors.py", "files.py", "input_bounds.py", "registry.py")
 _PACKAGES = ("domain", "trajectory", "evaluation")
 _SCRIPTS = ("Dockerfile", "requirements.txt", "evaluate.py")
 

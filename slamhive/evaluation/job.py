@@ -11,11 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from types import UnionType
 from typing import Any
 
 from slamhive.domain.protocol import Protocol, protocol_from_content
 from slamhive.domain.sensors import IDENTITY4, Matrix4
 from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.input_bounds import parse_json_object
 
 RESULT_FILE = "result.json"
 
@@ -97,7 +99,7 @@ def job_to_json(tasks: Sequence[EvaluationTask]) -> str:
 def job_from_json(text: str) -> tuple[EvaluationTask, ...]:
     """Read ``job.json``; raises InvalidInput if it is not one."""
     try:
-        content = json.loads(text)
+        content = parse_json_object(text, "job.json")
         return tuple(_task_from_json(entry) for entry in content["tasks"])
     except SlamHiveError:
         raise
@@ -112,10 +114,33 @@ def result_to_json(result: EvaluationResult) -> str:
 
 def result_from_json(text: str) -> EvaluationResult:
     """Read ``result.json``; raises InvalidInput if it is not one."""
+    content = parse_json_object(text, RESULT_FILE, recorded=True)
     try:
-        return EvaluationResult(**json.loads(text))
-    except (ValueError, TypeError) as error:
+        result = EvaluationResult(**content)
+    except TypeError as error:
         raise InvalidInput(f"{RESULT_FILE} is not an evaluation result: {error!r}") from None
+    for name, kinds in _RESULT_TYPES.items():
+        if not isinstance(getattr(result, name), kinds):
+            raise InvalidInput(f"{RESULT_FILE} is not an evaluation result: {name} is {getattr(result, name)!r}")
+    if not all(_is_number(value) for value in result.metrics.values()):
+        raise InvalidInput(f"{RESULT_FILE} is not an evaluation result: a metric is no number")
+    return result
+
+
+_RESULT_TYPES: dict[str, type | UnionType] = {
+    "id": str,
+    "fingerprint": str,
+    "reason": str | None,
+    "metrics": dict,
+    "poses": int,
+    "matched_poses": int,
+    "engine": str,
+    "missing": dict,
+}
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _task_to_json(task: EvaluationTask) -> dict[str, Any]:

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from slamhive.errors import InvalidInput, NotFound, Unavailable
+from slamhive.errors import NotFound, Unavailable
 from slamhive.files import write_aside
+from slamhive.input_bounds import read_record
 
 _FINGERPRINT_CHARACTERS = 32
 
@@ -183,12 +184,6 @@ class RunFolder:
 
     def read_record(self) -> dict[str, Any]:
         """The content of ``run.json``; raises NotFound or InvalidInput."""
-        try:
-            content = json.loads(self.record.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise NotFound(f"{self.record} does not exist") from None
-        except (OSError, ValueError) as error:
-            raise InvalidInput(f"{self.record} cannot be read: {error}") from None
-        if not isinstance(content, dict):
-            raise InvalidInput(f"{self.record} is not a run record")
-        return content
+        if not self.record.exists():
+            raise NotFound(f"{self.record} does not exist")
+        return read_record(self.record)

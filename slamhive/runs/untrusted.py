@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import logging
 import math
 import os
@@ -11,17 +10,18 @@ import stat
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
+
+from slamhive.errors import InvalidInput
+from slamhive.input_bounds import parse_json_object
 
 FloatArray = npt.NDArray[np.float64]
 
 logger = logging.getLogger(__name__)
 
-DEEPEST_JSON = 32
-LARGEST_INTEGER = 2**64
 LARGEST_NUMBER = 1e100
 """Nothing that is measured is larger; differences and squares of what is smaller are still finite."""
 MOST_LINES = 2_500_000
@@ -80,8 +80,7 @@ def read_untrusted_lines(path: Path, limit_bytes: int) -> bytes | None:
 def read_untrusted_json(path: Path, limit_bytes: int) -> dict[str, Any] | None:
     """The JSON object in the file at ``path``, None if there is no usable one.
 
-    What is returned can be written again as strict JSON: all numbers are finite, integers fit 64 bits, text is valid
-    Unicode, and nothing is nested deeper than :data:`DEEPEST_JSON`.
+    What is returned follows the rule of :mod:`slamhive.input_bounds`, and so can be written again as strict JSON.
     """
     data = read_regular_file(path, limit_bytes + 1)
     return None if data is None or len(data) > limit_bytes else parse_untrusted_json(data)
@@ -90,11 +89,9 @@ def read_untrusted_json(path: Path, limit_bytes: int) -> dict[str, Any] | None:
 def parse_untrusted_json(data: bytes) -> dict[str, Any] | None:
     """The JSON object that ``data`` is, under the same conditions as :func:`read_untrusted_json`."""
     try:
-        content = json.loads(data, parse_constant=_refuse, parse_float=_finite, parse_int=_integer)
-        _check_values(content)
-    except (ValueError, RecursionError):
+        return parse_json_object(data, "the file", recorded=True)
+    except InvalidInput:
         return None
-    return content if isinstance(content, dict) else None
 
 
 def measured_number(value: object) -> float | None:
@@ -134,40 +131,3 @@ def _rows(lines: Iterable[str], places: list[int]) -> Iterator[list[float]]:
 def _field(text: str) -> float:
     value = float(text) if text.strip() else math.nan
     return value if abs(value) <= LARGEST_NUMBER else math.nan
-
-
-def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant} is not JSON")
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"{text} is too large")
-    return value
-
-
-def _integer(text: str) -> int:
-    value = int(text)
-    if abs(value) > LARGEST_INTEGER:
-        raise ValueError(f"{text} is too large")
-    return value
-
-
-def _check_values(content: object) -> None:
-    """Raise ValueError for text that is not valid Unicode (half a surrogate pair) and for nesting too deep."""
-    level: list[object] = [content]
-    for _ in range(DEEPEST_JSON):
-        below: list[object] = []
-        for value in level:
-            if isinstance(value, str):
-                value.encode()
-            elif isinstance(value, list):
-                below.extend(value)
-            elif isinstance(value, dict):
-                below.extend(value)
-                below.extend(value.values())
-        if not below:
-            return
-        level = below
-    raise ValueError("nested too deep")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 from collections.abc import Iterable, Sequence
@@ -17,6 +16,7 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.protocol import Protocol, protocol_from_content
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.job import RESULT_FILE, Artefacts, EvaluationResult, result_from_json
+from slamhive.input_bounds import MOST_RECORD_BYTES, read_record, read_text
 from slamhive.runs.folder import RunFolder
 from slamhive.services.catalogue import Catalogue
 from slamhive.services.driver_context import utc_now
@@ -129,9 +129,9 @@ def found_evaluations(folder: RunFolder) -> list[FoundEvaluation]:
     found = []
     for path in sorted(folder.root.glob(f"evaluations/*/{RESULT_FILE}"), key=lambda entry: entry.stat().st_mtime):
         try:
-            protocol = protocol_from_content(json.loads((path.parent / PROTOCOL_FILE).read_text(encoding="utf-8")))
-            result = _checked(result_from_json(path.read_text(encoding="utf-8")), protocol)
-        except (OSError, InvalidInput, *_NOT_A_RECORD) as error:
+            protocol = protocol_from_content(read_record(path.parent / PROTOCOL_FILE))
+            result = _checked(result_from_json(read_text(path, MOST_RECORD_BYTES)), protocol)
+        except (InvalidInput, *_NOT_A_RECORD) as error:
             logger.warning("%s is left out: %s", path.parent, error)
             continue
         found.append((protocol, result, _modified(path)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from itertools import pairwise
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.protocol import protocol_from_content
 from slamhive.errors import SlamHiveError
+from slamhive.input_bounds import read_record
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.untrusted import read_numeric_columns, read_untrusted_lines
 from slamhive.services.evaluations import PROTOCOL_FILE
@@ -112,9 +112,8 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
 def gap_of(evaluation: Path) -> float:
     """How long a pause of the estimate is a gap under the protocol of an evaluation, in s; infinite if unknown."""
     try:
-        content = json.loads((evaluation / PROTOCOL_FILE).read_text(encoding="utf-8"))
-        return protocol_from_content(content).gap_threshold_s
-    except (OSError, ValueError, SlamHiveError):
+        return protocol_from_content(read_record(evaluation / PROTOCOL_FILE)).gap_threshold_s
+    except SlamHiveError:
         return math.inf
 
 

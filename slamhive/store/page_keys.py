@@ -13,6 +13,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, and_, or_
 
 from slamhive.errors import InvalidInput
+from slamhive.input_bounds import parse_json
 
 _LARGEST: dict[type, float] = {int: 2.0**63, float: math.inf}
 
@@ -26,8 +27,8 @@ def encode(values: Sequence[Any]) -> str:
 def decode(key: str, kinds: Sequence[type]) -> list[Any]:
     """The values again; the first may be None. Raises InvalidInput for a key that is not of this kind of list."""
     try:
-        values = json.loads(base64.urlsafe_b64decode(key + "=" * (-len(key) % 4)))
-    except (ValueError, TypeError, RecursionError):
+        values = parse_json(base64.urlsafe_b64decode(key + "=" * (-len(key) % 4)), "the page key")
+    except (ValueError, InvalidInput):
         raise not_ours(key) from None
     if not isinstance(values, list) or len(values) != len(kinds):
         raise not_ours(key)

@@ -20,11 +20,14 @@ MAX_VALUES = 100_000
 _DIGITS = 12
 """Significant digits of computed floats, so that steps of 0.1 read 0.3 and not 0.30000000000000004."""
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_INTEGER = re.compile(r"[-+]?\d+")
-_FLOAT = re.compile(_NUMBER)
-_RANGE = re.compile(rf"\s*({_NUMBER})\s*:\s*({_NUMBER})\s*(?::\s*({_NUMBER})\s*)?")
+_NUMBER = r"[-+]?(?:\d{1,40}\.?\d{0,40}|\.\d{1,40})(?:[eE][-+]?\d{1,3})?"
+"""Longer ones are text: as exact fractions they would take gigabytes, and no parameter means them."""
+_INTEGER = re.compile(r"[-+]?\d{1,40}", re.ASCII)
+_FLOAT = re.compile(_NUMBER, re.ASCII)
+_RANGE = re.compile(rf"\s*({_NUMBER})\s*:\s*({_NUMBER})\s*(?::\s*({_NUMBER})\s*)?", re.ASCII)
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\((.*)\)\s*")
+_LARGEST_END, _SMALLEST_END = 1e100, 1e-100
+"""Of a range: what is computed between such ends can neither overflow nor vanish."""
 _WORDS: dict[str, Scalar] = {"true": True, "false": False}
 
 
@@ -60,7 +63,7 @@ def as_scalar(text: str) -> Scalar:
     text = text.strip()
     if _INTEGER.fullmatch(text):
         return int(text)
-    if _FLOAT.fullmatch(text):
+    if _FLOAT.fullmatch(text) and math.isfinite(float(text)):
         return float(text)
     return _WORDS.get(text.lower(), text)
 
@@ -116,7 +119,7 @@ def _part(part: str, whole: str) -> list[Scalar]:
 
 
 def _range(text: str, first: str, last: str, step: str) -> list[Scalar]:
-    start, stop, stride = Fraction(first), Fraction(last), Fraction(step)
+    start, stop, stride = _end(text, first), _end(text, last), Fraction(step)
     if stride == 0 or (stop - start) / stride < 0:
         raise InvalidInput(f"the range {text} never ends", "write first:last:step with a step that leads to the last")
     count = (stop - start) // stride + 1
@@ -136,7 +139,15 @@ def _call(text: str, name: str, arguments: str) -> list[Scalar]:
     if count < 2:
         raise InvalidInput(f"{text} gives {count} values", "n is 2 or more")
     _check_count(text, count)
-    return makers[name](text, [Fraction(parts[0]), Fraction(parts[1])], count)
+    return makers[name](text, [_end(text, parts[0]), _end(text, parts[1])], count)
+
+
+def _end(text: str, number: str) -> Fraction:
+    """The exact value of an end of the range ``text``."""
+    end = Fraction(number)
+    if end and not _SMALLEST_END <= abs(end) <= _LARGEST_END:
+        raise InvalidInput(f"{text}: {number} is beyond what a range can reach", "use numbers between 1e-100 and 1e100")
+    return end
 
 
 def _linear(_text: str, ends: list[Fraction], count: int) -> list[Scalar]:

@@ -8,6 +8,7 @@ from typing import Any
 from werkzeug.datastructures import MultiDict
 
 from slamhive.errors import InvalidInput
+from slamhive.input_bounds import whole_number
 from slamhive.services.configuration_words import parse_conditions
 from slamhive.store import ConfigurationFilter
 from slamhive.web.formatting import plural, thousands
@@ -30,11 +31,9 @@ class ConfigurationQuery:
     @classmethod
     def from_args(cls, args: MultiDict[str, str]) -> ConfigurationQuery:
         """Read an address; raises InvalidInput naming the value that cannot be used."""
-        used, limit = args.get("used", ""), args.get("limit", "") or str(PAGE_LENGTH)
+        used = args.get("used", "")
         if used not in _USED:
             raise InvalidInput(f"used {used[:40]!r} is not known", "use yes or no")
-        if not limit.isascii() or not limit.isdigit() or not 1 <= int(limit[:9]) <= LARGEST_PAGE:
-            raise InvalidInput(f"limit {limit[:40]!r} is not allowed", f"use 1 to {LARGEST_PAGE}")
         conditions = [part for text in args.getlist("where") for part in text.replace(";", "\n").splitlines()]
         return cls(
             filter=ConfigurationFilter(
@@ -46,7 +45,7 @@ class ConfigurationQuery:
                 conditions=parse_conditions(part for part in conditions if part.strip()),
             ),
             after=args.get("after") or None,
-            limit=int(limit[:9]),
+            limit=whole_number(args.get("limit") or str(PAGE_LENGTH), "limit", 1, LARGEST_PAGE),
         )
 
     def args(self) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 
 from flask import Flask, Response, jsonify, make_response, render_template, request
-from werkzeug.exceptions import HTTPException
+from werkzeug.exceptions import BadRequest, HTTPException
 
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
 
@@ -72,6 +72,8 @@ def _answer(status: int, message: str, remedy: str | None) -> Response:
         body = jsonify(error={"status": status, "message": message, "remedy": remedy})
         return make_response(body, status)
     title = TITLES.get(status, "That did not work")
+    if isinstance(request.routing_exception, BadRequest):  # no page can be made for a Host that is none
+        return make_response(f"{title}: {message}", status, {"Content-Type": "text/plain; charset=utf-8"})
     return make_response(
         render_template("errors/error.html", status=status, title=title, message=message, remedy=remedy), status
     )

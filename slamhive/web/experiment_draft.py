@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
-from werkzeug.datastructures import FileStorage, MultiDict
+from werkzeug.datastructures import MultiDict
 
 from slamhive.bags.variants.steps import STEPS
 from slamhive.errors import InvalidInput, SlamHiveError
@@ -22,6 +22,7 @@ from slamhive.web.experiment_fields import (
     yaml_from_fields,
 )
 from slamhive.web.presenters.experiment_builder import new_step
+from slamhive.web.request_input import form_text, uploaded_text
 
 MOST_TEXT = 200_000
 """Characters of an experiment's YAML."""
@@ -58,17 +59,14 @@ def copied(hive: Hive, name: str) -> Draft:
     return draft_from_text(hive, renamed(text, free))
 
 
-def draft_from_form(hive: Hive, form: MultiDict[str, str], file: FileStorage | None) -> Draft:
+def draft_from_form(hive: Hive, form: MultiDict[str, str]) -> Draft:
     """What the form asks for: ``from`` says whether the fields or the text were edited, ``do`` what is to be done."""
     action = form.get("do", "")
     if form.get("from") == "fields":
         fields = _changed(fields_from_form(form), action, form.get("kind", ""))
         text = yaml_from_fields(fields)
         return _checked(hive, text, fields)
-    text = form.get("yaml", "").replace("\r\n", "\n")
-    if action == "open":
-        text = _read(file)
-    return draft_from_text(hive, text)
+    return draft_from_text(hive, _opened() if action == "open" else form_text("yaml"))
 
 
 def draft_from_text(hive: Hive, text: str) -> Draft:
@@ -121,11 +119,8 @@ def _changed(fields: ExperimentFields, action: str, kind: str) -> ExperimentFiel
     return fields
 
 
-def _read(file: FileStorage | None) -> str:
-    if file is None or not file.filename:
+def _opened() -> str:
+    uploaded = uploaded_text("file", 4 * MOST_TEXT)
+    if uploaded is None:
         raise InvalidInput("no file was chosen", "choose one, then press the button again")
-    content = file.stream.read(4 * MOST_TEXT + 1)
-    try:
-        return content.decode("utf-8").replace("\r\n", "\n")
-    except UnicodeDecodeError:
-        raise InvalidInput(f"{file.filename[:80]!r} is not text", "choose a YAML file") from None
+    return uploaded[1]

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from werkzeug.datastructures import MultiDict
 
 from slamhive.domain.parameters import Value
-from slamhive.errors import InvalidInput, unknown
+from slamhive.errors import unknown
+from slamhive.input_bounds import whole_number
 from slamhive.search.grammar import Tree, join
 from slamhive.search.syntax import Comparison, Sign, Word, filter_text
 from slamhive.sweep.experiment import Experiment
@@ -54,8 +55,8 @@ class CellsQuery:
     @classmethod
     def from_args(cls, args: MultiDict[str, str]) -> CellsQuery:
         """Raises InvalidInput naming the argument."""
-        after = whole(args.get("after", "0"), "after", 0, MOST_NUMBER)
-        return cls(after, whole(args.get("limit", str(CELLS_LENGTH)), "limit", 1, MOST_CELLS))
+        after = whole_number(args.get("after", "0"), "after", 0, MOST_NUMBER)
+        return cls(after, whole_number(args.get("limit", str(CELLS_LENGTH)), "limit", 1, MOST_CELLS))
 
     def args(self) -> dict[str, str]:
         """As arguments of an address, without the place in the table."""
@@ -64,20 +65,12 @@ class CellsQuery:
 
 def page_number(args: MultiDict[str, str], pages: int) -> int:
     """The page asked for; raises InvalidInput for one that does not exist."""
-    return whole(args.get("page", "1"), "page", 1, pages)
+    return whole_number(args.get("page", "1"), "page", 1, pages)
 
 
 def repeats_count(form: MultiDict[str, str]) -> int:
     """How many repeats to add; raises InvalidInput."""
-    return whole(form.get("count", ""), "repeats", 1, MAX_REPEATS)
-
-
-def whole(text: str, name: str, minimum: int, maximum: int) -> int:
-    """The whole number that ``text`` stands for; raises InvalidInput that names it."""
-    text = text.strip()
-    if not (text.isascii() and text.isdigit() and len(text) <= 18 and minimum <= int(text) <= maximum):
-        raise InvalidInput(f"{name} {text[:40]!r} is not allowed", f"use {minimum} to {maximum}")
-    return int(text)
+    return whole_number(form.get("count", ""), "repeats", 1, MAX_REPEATS)
 
 
 def stated_axes(experiment: Experiment) -> dict[str, int]:

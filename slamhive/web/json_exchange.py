@@ -4,25 +4,20 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
-from flask import Response, jsonify, make_response, request
+from flask import Response, jsonify, make_response
 from pydantic import BaseModel, ValidationError
 
-from slamhive.catalogue.validation import first_problem, refuse_non_finite
+from slamhive.catalogue.validation import first_problem
 from slamhive.errors import InvalidInput
+from slamhive.web.request_input import body_object
 
 Body = TypeVar("Body", bound=BaseModel)
 
 
 def read_body(kind: type[Body]) -> Body:
     """The body of this request as ``kind``; raises InvalidInput that names what does not fit."""
-    if not request.is_json:
-        raise InvalidInput("the body is not JSON", "send it with Content-Type: application/json")
-    content = request.get_json(silent=True)
-    if not isinstance(content, dict):
-        raise InvalidInput("the body is not a JSON object", 'send one, for example {"algorithm": ..., "dataset": ...}')
-    refuse_non_finite(content, "the body")
     try:
-        return kind.model_validate(content)
+        return kind.model_validate(body_object())
     except ValidationError as error:
         raise InvalidInput(first_problem(error, kind)) from None
 

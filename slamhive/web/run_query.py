@@ -10,6 +10,7 @@ from werkzeug.datastructures import MultiDict
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput
+from slamhive.input_bounds import whole_number
 from slamhive.search.binding import Search, bind, read_search
 from slamhive.search.fields import Vocabulary
 from slamhive.search.grammar import join
@@ -188,12 +189,8 @@ def _many(args: MultiDict[str, str], name: str) -> tuple[str, ...]:
 
 
 def _integer(args: MultiDict[str, str], name: str, minimum: int, maximum: int) -> int | None:
-    text = args.get(name, "").strip()
-    if not text:
-        return None
-    if not text.isascii() or not text.isdigit() or not minimum <= int(text[:20]) <= maximum:
-        raise InvalidInput(f"{name} {text[:40]!r} is not allowed", f"use {minimum} to {maximum}")
-    return int(text)
+    text = args.get(name, "")
+    return whole_number(text, name, minimum, maximum) if text.strip() else None
 
 
 def _grouped(args: MultiDict[str, str]) -> bool:

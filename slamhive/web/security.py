@@ -6,13 +6,13 @@ import os
 import secrets
 from contextlib import suppress
 from pathlib import Path
-from urllib.parse import urlsplit
 
 from flask import Flask, Response, request
 
 from slamhive.errors import Forbidden, InvalidInput, Unavailable
 from slamhive.services.analyses.stored import may_analyse
 from slamhive.settings import Mode, Settings
+from slamhive.web.request_input import bound_requests, host_name, origin_host
 
 VISITOR_ENDPOINTS = frozenset({"analyses.create", "analyses.check"})
 """What view-only mode lets visitors do, unless NO_NEW_ANALYSIS is set: an analysis of their own, not listed."""
@@ -55,27 +55,13 @@ def protect(app: Flask, settings: Settings, host: str) -> None:
     """
 
     @app.before_request
-    def refuse_foreign_hosts() -> None:
-        """A page that rebinds its own name to 127.0.0.1 is turned away; bound to the network, any name may be ours."""
-        if host in LOOPBACK_HOSTS and urlsplit(f"//{request.host}").hostname not in LOOPBACK_HOSTS:
-            raise InvalidInput(
-                f"this server does not answer to {request.headers.get('Host', '')!r}",
-                "open it as http://127.0.0.1, or bind it to an address of the network with --host",
-            )
+    def refuse() -> None:
+        _refuse_foreign_host(host)
+        if request.method not in SAFE_METHODS:
+            _refuse_change_where_only_viewing(settings)
+            _refuse_foreign_origin()
 
-    @app.before_request
-    def refuse_changes_where_only_viewing() -> None:
-        if request.method not in SAFE_METHODS and not _may_change(settings, request.endpoint):
-            raise Forbidden(
-                "this installation only shows results: nothing can be started, cancelled or evaluated here",
-                "MODE = view-only is set; use an installation in workstation mode",
-            )
-
-    @app.before_request
-    def refuse_foreign_origins() -> None:
-        origin = request.headers.get("Origin")
-        if request.method not in SAFE_METHODS and origin and urlsplit(origin).netloc != request.host:
-            raise Forbidden(f"a page of {origin} may not change anything here", "use the pages of this server")
+    bound_requests(app)
 
     @app.after_request
     def add_headers(response: Response) -> Response:
@@ -84,6 +70,32 @@ def protect(app: Flask, settings: Settings, host: str) -> None:
         if request.endpoint and not response.cache_control.max_age:
             response.headers.setdefault("Cache-Control", "no-cache")
         return response
+
+
+def _refuse_foreign_host(host: str) -> None:
+    """A page that rebinds its own name to 127.0.0.1 is turned away; bound to the network, any name may be ours."""
+    name = host_name(request.host)
+    if name is None or (host in LOOPBACK_HOSTS and name not in LOOPBACK_HOSTS):
+        raise InvalidInput(
+            f"this server does not answer to {request.headers.get('Host', '')[:80]!r}",
+            "open it as http://127.0.0.1, or bind it to an address of the network with --host",
+        )
+
+
+def _refuse_change_where_only_viewing(settings: Settings) -> None:
+    if not _may_change(settings, request.endpoint):
+        raise Forbidden(
+            "this installation only shows results: nothing can be started, cancelled or evaluated here",
+            "MODE = view-only is set; use an installation in workstation mode",
+        )
+
+
+def _refuse_foreign_origin() -> None:
+    origin, referrer = request.headers.get("Origin"), request.headers.get("Referer")
+    if origin and origin_host(origin) != request.host:
+        raise Forbidden(f"a page of {origin[:80]!r} may not change anything here", "use the pages of this server")
+    if referrer and origin_host(referrer) is None:
+        raise Forbidden(f"the Referer {referrer[:80]!r} is no address of a page", "use the pages of this server")
 
 
 def _may_change(settings: Settings, endpoint: str | None) -> bool:

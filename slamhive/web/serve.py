@@ -14,6 +14,8 @@ from typing import Any, cast
 
 import waitress
 from waitress import wasyncore
+from waitress.channel import HTTPChannel
+from waitress.parser import HTTPRequestParser, ParsingError
 
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.services.hive import Hive
@@ -28,6 +30,21 @@ MOST_CONNECTIONS = 200
 WAKE_S = 1.0
 
 logger = logging.getLogger(__name__)
+
+
+class _Parser(HTTPRequestParser):  # type: ignore[misc]
+    """Waitress's parser, which answers what Python's parsers refuse instead of hanging up with a traceback."""
+
+    def parse_header(self, header_plus: bytes) -> None:
+        """Read the head of a request: its address may be no URL, its length a number that Python does not read."""
+        try:
+            super().parse_header(header_plus)
+        except ValueError:
+            raise ParsingError("the head of the request cannot be read") from None
+
+
+class _Channel(HTTPChannel):  # type: ignore[misc]
+    parser_class = _Parser
 
 
 class WebServer:
@@ -56,6 +73,7 @@ class WebServer:
             max_request_body_size=2 * MOST_UPLOAD_BYTES,
             ident="slamhive",
         )
+        self._server.channel_class = _Channel
         self._ended = threading.Event()
         self.url = f"http://{f'[{host}]' if ':' in host else host}:{listener.getsockname()[1]}"
 

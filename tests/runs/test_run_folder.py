@@ -52,7 +52,7 @@ def test_a_missing_and_a_broken_record_are_told_apart(tmp_path):
     with pytest.raises(NotFound):
         folder.read_record()
     folder.record.write_text("{")
-    with pytest.raises(InvalidInput, match="cannot be read"):
+    with pytest.raises(InvalidInput, match="is not JSON that can be used"):
         folder.read_record()
 
 

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from slamhive.domain.run import FailureReason
+from slamhive.input_bounds import DEEPEST_JSON
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.outcome import inspect_trajectory
-from slamhive.runs.untrusted import DEEPEST_JSON, measured_number, read_numeric_columns, read_untrusted_json
+from slamhive.runs.untrusted import measured_number, read_numeric_columns, read_untrusted_json
 from slamhive.services.evidence import read_about
 from slamhive.services.series import read_track
 

@@ -118,7 +118,7 @@ FORGED: dict[str, tuple[Callable[[Members], Members], str]] = {
     "not ended": (lambda m: with_record(m, state="queued"), "has not ended"),
     "another run": (lambda m: with_record(m, uid="0" * 32), "that of another run"),
     "no request": (lambda m: with_record(m, request={}), "is not complete"),
-    "no JSON": (lambda m: {**m, RECORD: b"[" * 5000}, "not a JSON object"),
+    "no JSON": (lambda m: {**m, RECORD: b"[" * 5000}, "nested deeper than 32 levels"),
     "twice": (lambda m: {**m, RUNS: m[RUNS] + m[RUNS].splitlines()[0] + b"\n"}, "has run 1 twice"),
     "uid": (lambda m: with_line(m, uid="../../x"), "is not complete"),
     "evaluation": (lambda m: with_line(m, evaluations=[{"state": "queued"}]), "is not complete"),
@@ -127,8 +127,11 @@ FORGED: dict[str, tuple[Callable[[Members], Members], str]] = {
     "a name too long": (renamed(f"runs/1/{'x' * 300}"), "which none of ours has"),
     "too deep": (renamed(f"runs/1/{'x/' * 20}x"), "which none of ours has"),
     "number too large": (lambda m: with_line(m, attempt=2**40), "is not complete"),
-    "not a number": (lambda m: {**m, RUNS: m[RUNS].replace(b'"attempt":1', b'"attempt":NaN', 1)}, "not a JSON object"),
-    "half a character": (lambda m: with_record(m, detail="\ud800"), "not a JSON object"),
+    "not a number": (
+        lambda m: {**m, RUNS: m[RUNS].replace(b'"attempt":1', b'"attempt":NaN', 1)},
+        "NaN is not a finite number",
+    ),
+    "half a character": (lambda m: with_record(m, detail="\ud800"), "detail: holds the character U+D800"),
     "YAML of an experiment": (lambda m: {**m, EXPERIMENTS: bomb_of_yaml()}, "experiment x of the archive"),
     "YAML": (lambda m: {**m, "datasets/track/dataset.yaml": b"a: &a [*a, *a]"}, "dataset.yaml"),
 }

@@ -66,6 +66,8 @@ def test_steps_of_a_tenth_read_as_one_writes_them():
         ("lin(0, 1, 1)", "n is 2 or more"),
         ("log(0, 1, 3)", "ends above 0"),
         (["x"] * 100_001, "100,001 values"),
+        ("1e308:1e309:1e307", "1e308 is beyond what a range can reach"),
+        ("log(1e100, 1e-101, 5)", "1e-101 is beyond what a range can reach"),
     ],
 )
 def test_nonsense_is_refused_at_once_in_one_line(raw, message):
@@ -107,3 +109,9 @@ def test_any_text_gives_values_or_is_refused(text):
 @given(st.integers(-1000, 1000), st.integers(1, 50), st.integers(0, 100))
 def test_ranges_are_like_arithmetic_says(first, step, count):
     assert parse_values(f"{first}:{first + step * count}:{step}") == tuple(first + step * k for k in range(count + 1))
+
+
+@pytest.mark.parametrize("text", ["1e400", "9" * 4420, "1e999999999:2:1", "0:1:1e-999999999"])
+def test_numbers_beyond_all_use_are_text_at_once(text):
+    """As exact fractions they would take gigabytes; the parameter that takes the value refuses the text."""
+    assert parse_values(text) == (text,)

@@ -6,12 +6,14 @@ import contextlib
 import gzip
 import json
 import shutil
+import zlib
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from slamhive.errors import InvalidInput, NotFound, Unavailable
 from slamhive.files import remedy_of, write_aside
+from slamhive.input_bounds import read_record
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 
 FORMAT = 1
@@ -73,8 +75,8 @@ class AnalysisFolder:
     def read_state(self) -> AnalysisRecord:
         """What :meth:`write_state` wrote; waiting again if the report is not whole. Raises InvalidInput."""
         path = self.root / STATE
+        content = read_record(path)
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
             ended_at = content["ended_at"]
             state = AnalysisState(content["state"])
             if state is AnalysisState.DONE and not self.whole:
@@ -91,7 +93,7 @@ class AnalysisFolder:
                 size_bytes=self.size_bytes,
                 ended_at=None if ended_at is None else _aware(ended_at),
             )
-        except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InvalidInput(f"{path} cannot be used: {error!r}", "restore it, or remove the folder") from None
 
     @property
@@ -124,7 +126,7 @@ class AnalysisFolder:
         """What :meth:`write_result` wrote; raises NotFound if it is not there, Unavailable if it is damaged."""
         try:
             return json.loads(gzip.decompress(self.result_bytes(name)))
-        except (OSError, EOFError, ValueError) as error:
+        except (OSError, EOFError, ValueError, zlib.error) as error:
             remedy = "compute the analysis anew"
             raise Unavailable(f"{self.root / name} is damaged: {error}", remedy) from None
 
@@ -145,8 +147,8 @@ class AnalysisFolder:
 
     def read_progress(self) -> tuple[float, str]:
         """The share done, and what is being done; nothing yet if that is not known."""
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            content = json.loads((self.root / PROGRESS).read_text(encoding="utf-8"))
+        with contextlib.suppress(InvalidInput, ValueError, KeyError, TypeError):
+            content = read_record(self.root / PROGRESS)
             return float(content["share"]), str(content["doing"])
         return 0.0, ""
 

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from slamhive.errors import InvalidInput
-from slamhive.runs.untrusted import parse_untrusted_json
+from slamhive.input_bounds import parse_json_object
 
 FORMAT = 1
 KIND = "slamhive-archive"
@@ -65,7 +65,7 @@ class Manifest:
 
 def manifest_from_json(data: bytes) -> Manifest:
     """The manifest that :meth:`Manifest.to_json` wrote; raises InvalidInput for any other."""
-    content = parse_untrusted_json(data) or {}
+    content = parse_json_object(data, MANIFEST, recorded=True)
     if content.get("kind") != KIND:
         raise InvalidInput(f"{MANIFEST} is not that of an archive of SLAM Hive", "slamhive archive export makes one")
     if content.get("format") != FORMAT:

@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from slamhive.errors import InvalidInput, NotFound, Unavailable
-from slamhive.runs.untrusted import parse_untrusted_json
+from slamhive.input_bounds import parse_json_object
 from slamhive.services.archive.layout import (
     CHECKSUMS,
     LARGEST_DIRECTORY_BYTES,
@@ -95,10 +95,7 @@ class ArchiveReader:
 
     def json(self, name: str) -> dict[str, Any]:
         """A member that holds a JSON object."""
-        content = parse_untrusted_json(self.read(name))
-        if content is None:
-            raise InvalidInput(f"{self._path}: {shown(name)} is not a JSON object that can be used", _DAMAGED)
-        return content
+        return parse_json_object(self.read(name), f"{self._path}: {shown(name)}", recorded=True)
 
     def lines(self, name: str) -> Iterator[dict[str, Any]]:
         """The lines of a member of :data:`slamhive.services.archive.layout.ROWS`, each a JSON object."""
@@ -106,10 +103,7 @@ class ArchiveReader:
         with self._opened(name) as stream:
             while line := stream.readline(LARGEST_TEXT_BYTES):
                 number += 1
-                content = parse_untrusted_json(line)
-                if content is None:
-                    raise InvalidInput(f"{self._path}: line {number} of {name} is not a JSON object that can be used")
-                yield content
+                yield parse_json_object(line, f"{self._path}: line {number} of {name}", recorded=True)
 
     def unpack(self, name: str, target: Path) -> None:
         """Write a member to the new file ``target``, with the time that it was changed."""

@@ -11,8 +11,10 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 
+from slamhive import strict_yaml
 from slamhive.errors import Conflict, InvalidInput, Unavailable
 from slamhive.files import make_shared_folder, remedy_of, write_aside
+from slamhive.input_bounds import read_record
 from slamhive.store.experiment_records import ExperimentState
 
 SOURCE = "experiment.yaml"
@@ -78,8 +80,10 @@ class ExperimentFolder:
     def read(self) -> ExperimentStamp | None:
         """The stamp, None if nothing was ever stored here; raises InvalidInput if it cannot be read."""
         path = self.root / RECORD
+        if not path.exists():
+            return None
+        content = read_record(path)
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
             return ExperimentStamp(
                 uid=str(content["uid"]),
                 name=str(content["name"]),
@@ -89,18 +93,12 @@ class ExperimentFolder:
                 repeats=int(content["repeats"]),
                 created_at=datetime.fromisoformat(content["created_at"]),
             )
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InvalidInput(f"{path} cannot be read: {error}", "restore it, or remove the folder") from None
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
+            raise InvalidInput(f"{path} is not complete: {error!r}", "restore it, or remove the folder") from None
 
     def source(self) -> str:
         """The experiment file as it was given; raises InvalidInput."""
-        path = self.root / SOURCE
-        try:
-            return path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InvalidInput(f"{path} cannot be read: {error}", "restore it, or remove the folder") from None
+        return strict_yaml.read_text(self.root / SOURCE)
 
 
 def experiment_folders(root: Path) -> list[ExperimentFolder]:

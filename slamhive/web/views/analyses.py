@@ -20,6 +20,7 @@ from slamhive.web.analysis_text import BOUNDS, first_text, form_helps, selector_
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of
 from slamhive.web.rates import CHECKS, CREATIONS
+from slamhive.web.request_input import form_text, uploaded_text
 from slamhive.web.security import FIGURES_POLICY
 
 blueprint = Blueprint("analyses", __name__, url_prefix="/analyses")
@@ -185,13 +186,8 @@ def _checked(text: str) -> Response:
 
 
 def _text() -> str:
-    upload = request.files.get("file")
-    if upload is not None and upload.filename:
-        try:
-            return upload.stream.read(MAX_TEXT_BYTES + 1).decode()
-        except UnicodeDecodeError:
-            raise InvalidInput("the file is not text in UTF-8", "open an analysis file") from None
-    return request.form.get("yaml", "").replace("\r\n", "\n")
+    uploaded = uploaded_text("file", MAX_TEXT_BYTES)
+    return form_text("yaml") if uploaded is None else uploaded[1]
 
 
 def _count(limit: str, what: str) -> None:

@@ -19,7 +19,7 @@ from slamhive.web.json_exchange import answer, read_body
 from slamhive.web.run_form import checked_alignment
 from slamhive.web.run_query import EXPORT_LIMIT, RunQuery
 from slamhive.web.security import require_api_header
-from slamhive.web.views.runs import RUN_ID
+from slamhive.web.views.runs import LARGEST_RUN_ID, RUN_ID
 
 blueprint = Blueprint("api", __name__, url_prefix="/api/v1")
 blueprint.before_request(require_api_header)
@@ -59,7 +59,7 @@ class _EvaluateBody(BaseModel):
     """Which runs to evaluate: ``runs``, or all that have not been if it is null."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
-    runs: list[Annotated[int, Field(ge=1, le=2**53 - 1)]] | None = None
+    runs: list[Annotated[int, Field(ge=1, le=LARGEST_RUN_ID)]] | None = None
     alignment: str | None = None
     protocol: str | None = None
 

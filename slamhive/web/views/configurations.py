@@ -18,10 +18,13 @@ from slamhive.web.context import hive
 from slamhive.web.errors import status_of
 from slamhive.web.presenters import configurations as presenter
 from slamhive.web.presenters.catalogue import dataset_choices, step_kinds
+from slamhive.web.request_input import form_text, uploaded_text
 from slamhive.web.run_form import RunForm, form_values, read_form
 
 blueprint = Blueprint("configurations", __name__, url_prefix="/configurations")
 RUNS_SHOWN = 20
+MOST_TEXT_BYTES = 200_000
+"""Of the YAML of a configuration: more of it would take longer to read than a request may."""
 LABELS = ("name", "note", "group")
 
 
@@ -160,13 +163,9 @@ def import_form() -> str:
 @blueprint.post("/import")
 def import_() -> Response | tuple[str, int]:
     """Store what the YAML states, or show it again with what is wrong."""
-    uploaded = request.files.get("file")
-    text, source = request.form.get("text", "").replace("\r\n", "\n"), "the text"
+    text = form_text("text")
     try:
-        if uploaded is not None and uploaded.filename:
-            source = uploaded.filename[-80:]
-            with uploaded.stream:
-                text = _decoded(uploaded.read(), source)
+        source, text = uploaded_text("file", MOST_TEXT_BYTES) or ("the text", text)
         if not text.strip():
             raise InvalidInput("nothing was pasted and no file was chosen")
         stored = hive().configurations.import_yaml(text, source)
@@ -251,13 +250,6 @@ def _changed(name: str, before: str) -> str | None:
     """What the form says about the configuration, None if that was said before."""
     text = request.form.get(name, before)
     return None if text.replace("\r\n", "\n").strip() == before else text
-
-
-def _decoded(data: bytes, source: str) -> str:
-    try:
-        return data.decode("utf-8")
-    except UnicodeDecodeError:
-        raise InvalidInput(f"{source} is not UTF-8 text") from None
 
 
 def _to(configuration_id: int) -> Response:

@@ -34,7 +34,7 @@ def new() -> str:
 @blueprint.post("")
 def draft() -> Response | tuple[str, int]:
     """The builder after an edit, as a page or in parts for the open one; nothing is stored but by ``do=start``."""
-    edited = draft_from_form(hive(), request.form, request.files.get("file"))
+    edited = draft_from_form(hive(), request.form)
     if request.form.get("do") == "start" and request.form.get("from") == "text":
         return _start(edited)
     if wants_json():

@@ -24,6 +24,7 @@ from flask import url_for as address
 from slamhive.analysis.colours import colour_of
 from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput, NotFound
+from slamhive.input_bounds import whole_number
 from slamhive.search.reader import FilterError
 from slamhive.services.comparisons import ToolFigures
 from slamhive.services.current_protocols import missing_figures
@@ -43,7 +44,8 @@ from slamhive.web.run_query import RunQuery, summary
 blueprint = Blueprint("runs", __name__, url_prefix="/runs")
 
 LOG_TAIL_BYTES = 32_000
-RUN_ID = "<int(max=9007199254740991):run_id>"
+LARGEST_RUN_ID = 2**53 - 1
+RUN_ID = f"<int(max={LARGEST_RUN_ID}):run_id>"
 """Run numbers that JSON and every database can hold."""
 
 
@@ -274,10 +276,7 @@ def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:
 def _ticked(texts: list[str]) -> list[int]:
     if not texts:
         raise InvalidInput("no run is ticked", "tick the runs to evaluate, then press the button again")
-    for text in texts:
-        if not text.isascii() or not text.isdigit() or len(text) > 18:
-            raise InvalidInput(f"run {text[:40]!r} is not a run number")
-    return [int(text) for text in texts]
+    return [whole_number(text, "run", 1, LARGEST_RUN_ID) for text in texts]
 
 
 def _to_run(run_id: int) -> Response:
