@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from slamhive.errors import InvalidInput, unknown
+from slamhive.input_bounds import check_value
 
 ENVIRONMENT_PREFIX = "SLAMHIVE_"
 CONFIGURATION_FILE = "configuration.py"
@@ -244,7 +245,7 @@ def _configuration_values(path: Path, known: list[str]) -> dict[str, Any]:
         return {}
     try:
         content = runpy.run_path(str(path))
-    except Exception as error:  # noqa: BLE001 - the file is the user's; whatever it raises is explained
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - the file is the user's; whatever it raises is explained
         raise InvalidInput(f"{path} cannot be run: {type(error).__name__}: {error}") from None
     values = {key.lower(): value for key, value in content.items() if key.isupper()}
     for name in values:
@@ -255,6 +256,7 @@ def _configuration_values(path: Path, known: list[str]) -> dict[str, Any]:
 
 def _typed(entry: Field[Any], raw: Any, source: str) -> Any:
     target = get_type_hints(Settings)[entry.name]
+    check_value(raw, f"{entry.name.upper()} from {source}")
     what = f"{entry.name.upper()}={raw!r} from {source}"
     try:
         value = _converted(target, raw)

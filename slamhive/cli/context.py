@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from slamhive.cli.data_root import expected_of
 from slamhive.errors import NotFound
 from slamhive.services.hive import Hive, check_indexed, open_hive
 
@@ -27,7 +28,7 @@ class CliContext:
     def hive(self, *, indexed: bool = True) -> Hive:
         """The installation. ``indexed`` refuses one whose database has lost its runs."""
         if self._hive is None:
-            self._hive = open_hive(self._options)
+            self._hive = open_hive(self._options, expected_of(click.get_current_context()))
         if indexed:
             check_indexed(self._hive)
         return self._hive

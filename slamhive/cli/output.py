@@ -15,7 +15,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from slamhive.errors import SlamHiveError
+from slamhive.errors import InvalidInput, SlamHiveError, one_line
+from slamhive.input_bounds import check_text
 from slamhive.search.reader import FilterError
 
 STATE_STYLES = {"succeeded": "green", "failed": "red", "cancelled": "yellow", "running": "cyan", "queued": "dim"}
@@ -34,7 +35,12 @@ class OneLineErrors(click.Group):
     ) -> click.Context:
         """Parse the options of the root command; a mistake in them ends as one in a subcommand does."""
         try:
+            for number, text in enumerate(args, start=1):
+                check_text(text, f"argument {number}")
             return super().make_context(info_name, args, parent, **extra)
+        except InvalidInput as error:  # bytes that are not UTF-8 arrive as halves of surrogate pairs
+            _print_error(str(error))
+            raise click.exceptions.Exit(1) from None
         except click.UsageError as error:
             _print_usage_error(error)
             raise click.exceptions.Exit(1) from None
@@ -62,7 +68,7 @@ def _print_error(text: str) -> None:
 
 def _print_usage_error(error: click.UsageError) -> None:
     """One line: what is wrong with the arguments, and where the right ones are listed."""
-    text = " ".join(error.format_message().split()).rstrip(".")
+    text = one_line(error.format_message()).rstrip(".")
     path = "slamhive" if error.ctx is None else error.ctx.command_path
     _print_error(f"{text}; see {path} --help")
 

@@ -9,8 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from slamhive.errors import SlamHiveError, Unavailable
+from slamhive.errors import NotFound, SlamHiveError, Unavailable
 from slamhive.executors.energy import read_packages
+from slamhive.services.data_root import REMEDY
 from slamhive.services.hive import Hive
 
 _HOLD_BETTER = (
@@ -55,6 +56,8 @@ def _python(_: Hive) -> list[Check]:
 
 def _data_root(hive: Hive) -> list[Check]:
     data = hive.settings.data
+    if not data.is_dir():
+        return [Check("data root", Verdict.WARNING, f"{data} does not exist", REMEDY)]
     free_mb = shutil.disk_usage(data).free // 1_000_000
     enough = free_mb >= hive.settings.min_free_disk_mb
     found = f"{data}, {free_mb / 1000:.1f} GB free"
@@ -63,7 +66,10 @@ def _data_root(hive: Hive) -> list[Check]:
 
 
 def _database(hive: Hive) -> list[Check]:
-    counts = hive.counts()
+    try:
+        counts = hive.counts()
+    except NotFound as error:
+        return [Check("database", Verdict.WARNING, error.message, error.remedy)]
     text = ", ".join(f"{count} {state}" for state, count in counts.items() if count) or "no runs yet"
     return [Check("database", Verdict.OK, f"{hive.store.label}: {text}")]
 

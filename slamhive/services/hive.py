@@ -28,6 +28,7 @@ from slamhive.services.catalogue import Catalogue, check_writable
 from slamhive.services.comparisons import Comparisons
 from slamhive.services.configurations import Configurations
 from slamhive.services.current_protocols import CurrentProtocols
+from slamhive.services.data_root import DataRoot, open_data_root
 from slamhive.services.driver_context import utc_now
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.experiments.context import ExperimentContext
@@ -53,7 +54,6 @@ from slamhive.store import (
     RunSort,
     Store,
     Transaction,
-    open_store,
 )
 
 if TYPE_CHECKING:
@@ -62,6 +62,8 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 LOG_TAIL_BYTES = 200_000
+NO_INSTALLATION = "none"
+"""Stands for the identifier of a data root that is not there: nothing was ever started for it."""
 
 
 class Hive:
@@ -316,7 +318,7 @@ class Hive:
         return ExecutorContext(
             data=settings.data,
             project_root=self.catalogue.project_root,
-            installation=installation_id(settings.data),
+            installation=installation_id(settings.data) if settings.data.is_dir() else NO_INSTALLATION,
             log_max_bytes=settings.log_max_bytes,
         )
 
@@ -340,23 +342,17 @@ class Hive:
         check_writable(self.settings)
 
 
-def open_hive(options: Mapping[str, Any] | None = None) -> Hive:
+def open_hive(options: Mapping[str, Any] | None = None, data_root: DataRoot = DataRoot.MADE) -> Hive:
     """Read the settings, open the database, and check that mode and data root can be used.
 
-    Raises InvalidInput for a mode that does not exist yet, Unavailable if the data root cannot be written or the
-    database does not answer, Conflict if run folders exist that an empty database knows nothing of.
+    Raises InvalidInput for a mode that does not exist yet, NotFound if something is missing that ``data_root`` expects,
+    Unavailable if the data root cannot be written or the database does not answer.
     """
     root = project_root()
     settings = load_settings(root, options=options)
     if settings.mode in (Mode.CLUSTER, Mode.CLOUD):
         raise Unavailable(f"MODE={settings.mode} is not available yet", "use workstation or view-only")
-    try:
-        settings.runs_folder.mkdir(parents=True, exist_ok=True)
-        settings.datasets_folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise Unavailable(f"data root {settings.data} cannot be used: {error.strerror}", "set SLAMHIVE_DATA") from None
-    store = open_store(settings.effective_database_url, settings.database_retry_s)
-    return Hive(settings, store, Catalogue(settings, root))
+    return Hive(settings, open_data_root(settings, data_root), Catalogue(settings, root))
 
 
 def check_indexed(hive: Hive) -> None:

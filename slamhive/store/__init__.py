@@ -28,9 +28,10 @@ from slamhive.store.records import (
     RunSort,
     UsageSummary,
 )
-from slamhive.store.store import Store, Transaction, open_store
+from slamhive.store.store import AbsentStore, Store, Transaction, open_store
 
 __all__ = [
+    "AbsentStore",
     "AlgorithmRecord",
     "AlgorithmVersion",
     "AnalysisRecord",

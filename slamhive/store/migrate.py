@@ -14,7 +14,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, text
 
 from slamhive.errors import Unavailable
-from slamhive.store.engine import WRITES, database_label
+from slamhive.store.engine import WRITES, database_label, sqlite_file
 
 LOCK_WAIT_S = 30
 
@@ -48,6 +48,13 @@ def current(engine: Engine) -> str | None:
     """The revision that the tables are at, None if there are none."""
     with engine.connect() as connection:
         return MigrationContext.configure(connection).get_current_revision()
+
+
+def has_tables(engine: Engine) -> bool:
+    """Whether there are tables of ours, of whatever version; asking makes no file."""
+    if engine.dialect.name == "sqlite" and not sqlite_file(engine.url).is_file():
+        return False
+    return current(engine) is not None
 
 
 def head() -> str:

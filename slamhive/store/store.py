@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
 
-from sqlalchemy import Engine
+from sqlalchemy import Engine, create_engine
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
+from slamhive.errors import NotFound, SlamHiveError
 from slamhive.store import migrate, statistics
 from slamhive.store.analyses import AnalysisRepository
 from slamhive.store.catalogue import CatalogueRepository
@@ -200,15 +201,36 @@ class Store:
             raise gave_up(self.engine, error, waited_s) from None
 
 
-def open_store(database_url: str, retry_s: float = 60.0, *, upgrade: bool = True) -> Store:
+class AbsentStore(Store):
+    """Stands for a database that is not there: whoever wants something of it is told why.
+
+    Args:
+        reason: What every access raises.
+    """
+
+    def __init__(self, reason: SlamHiveError) -> None:
+        super().__init__(create_engine("sqlite://"))
+        self._reason = reason
+
+    def retried(self, attempt: Callable[[], T]) -> T:  # noqa: ARG002 - the signature of every access
+        """Raise the reason."""
+        raise self._reason
+
+
+def open_store(database_url: str, retry_s: float = 60.0, *, upgrade: bool = True, create: bool = True) -> Store:
     """A store on ``database_url`` whose tables are of this software's version.
 
     Args:
         database_url: ``sqlite:///file`` or ``mysql+pymysql://user:password@host/database``.
         retry_s: How long a locked or absent database is tried again (``DATABASE_RETRY_S``).
         upgrade: Create or upgrade the tables; otherwise raise Unavailable if that is needed.
+        create: Where there are no tables at all, make them; otherwise raise NotFound, with nothing made.
     """
     store = Store(make_engine(database_url), retry_s)
+    if not create and not store.retried(lambda: migrate.has_tables(store.engine)):
+        store.close()
+        remedy = "slamhive reindex makes one out of the run folders, slamhive serve or worker an empty one"
+        raise NotFound(f"there is no database {store.label} yet", remedy)
     if upgrade:
         store.retried(lambda: migrate.upgrade(store.engine))
     else:

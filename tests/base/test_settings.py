@@ -32,9 +32,9 @@ def test_later_sources_win(tmp_path):
         ("WORKER_SLOTS = None", "WORKER_SLOTS=None from configuration.py: expected int"),
         ("WORKER_SLOTS = 1.5", "WORKER_SLOTS=1.5 from configuration.py: expected int"),
         ("WORKER_SLOTS = True", "WORKER_SLOTS=True from configuration.py: expected int"),
-        ("WORKER_SLOTS = 10**30", "must be at most 1e+09"),
-        ("WORKER_SLOTS = float('inf')", "WORKER_SLOTS=inf from configuration.py: expected int"),
-        ("LEASE_S = 10**400", "expected float"),
+        ("WORKER_SLOTS = 10**30", "WORKER_SLOTS from configuration.py: is a whole number of more than 64 bits"),
+        ("WORKER_SLOTS = float('inf')", "WORKER_SLOTS from configuration.py: inf is not a finite number"),
+        ("LEASE_S = 10**400", "LEASE_S from configuration.py: is a whole number of more than 64 bits"),
         ("PORT = 70000", "must be at most 65535"),
         ("DATA = 5", "DATA=5 from configuration.py: expected Path"),
         ("HOST = None", "HOST=None from configuration.py: expected str"),
@@ -96,3 +96,32 @@ def test_each_value_in_force_tells_where_it_comes_from_and_no_secret(tmp_path):
     assert found["HOST"] == ("127.0.0.1", "default")
     assert found["DATABASE_URL"][0] == "mysql://***@lab/x"
     assert "hunter2" not in str(found)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("PORT = 16**4000", "PORT from configuration.py: is a whole number of more than 64 bits"),
+        ("LEASE_S = float('inf')", "LEASE_S from configuration.py: inf is not a finite number"),
+        ("HOST = 'a\\x00b'", "HOST from configuration.py: holds the character U+0000"),
+        ("HOST = '\\ud800'", "HOST from configuration.py: holds the character U+D800"),
+        ("raise SystemExit", "cannot be run: SystemExit"),
+        ("def f(): f()\nf()", "cannot be run: RecursionError"),
+        ("\x00", "cannot be run"),
+        ("PORT = [[[", "cannot be run: SyntaxError"),
+        ("PORT = {}", "expected int"),
+    ],
+)
+def test_odd_values_of_a_configuration_file_are_explained_in_one_line(tmp_path, text, message):
+    (tmp_path / "configuration.py").write_text(text)
+    with pytest.raises(InvalidInput) as caught:
+        load_settings(tmp_path, {})
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_bytes_of_the_environment_that_are_no_text_are_named(tmp_path):
+    with pytest.raises(
+        InvalidInput, match="DATA from environment variable SLAMHIVE_DATA: holds the character U\\+DCFF"
+    ):
+        load_settings(tmp_path, {"SLAMHIVE_DATA": "/tmp/\udcff"})

@@ -118,7 +118,15 @@ def test_tables_are_for_people(slamhive):
         (("dataset", "import", "kitti-odometry", ".", "--name", "track"), "dataset 'track' exists already"),
         (("dataset", "room", "--seconds", "-1"), "-1"),
         (("--database-url", "oracle://x", "runs"), "oracle"),
-        (("--data", "/proc/nowhere", "runs"), "cannot be used"),
+        (("runs", "show", "\udcff"), "argument 3 holds the character U+DCFF, half of a surrogate pair"),
+        (("--data", "/tmp/\udcff", "runs"), "argument 2 holds the character U+DCFF"),
+        (("run", "tiny", "a\x00b"), "argument 3 holds the character U+0000, a control character"),
+        (("run", "tiny", "track", "--set", "seconds=\x1b[31m"), "argument 5 holds the character U+001B"),
+        (("runs", "show", "9" * 4420), "is not a valid integer"),
+        (("runs", "--limit", "9" * 4420), "is not a valid integer"),
+        (("run", "tiny", "track", "--set", f"seconds={'9' * 4420}"), "expected float, 0 to 60 s"),
+        (("--data", "/proc/nowhere", "runs"), "data root /proc/nowhere does not exist"),
+        (("--data", "/proc/nowhere", "dataset", "room"), "cannot be used"),
     ],
 )
 def test_each_mistake_gets_one_line_and_exit_code_1(slamhive, arguments, message):

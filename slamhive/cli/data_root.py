@@ -1,0 +1,41 @@
+"""Which commands make a data root, which need one, and which do without: decided here for all of them."""
+
+from __future__ import annotations
+
+import click
+
+from slamhive.services.data_root import DataRoot
+
+EXPECTED: dict[str, DataRoot] = {
+    "algorithm build": DataRoot.MADE,
+    "archive import": DataRoot.MADE,
+    "dataset import": DataRoot.MADE,
+    "dataset room": DataRoot.MADE,
+    "demo": DataRoot.MADE,
+    "runs import": DataRoot.MADE,
+    "serve": DataRoot.MADE,
+    "worker": DataRoot.MADE,
+    "configuration create": DataRoot.FOUND,
+    "configuration import": DataRoot.FOUND,
+    "experiment start": DataRoot.FOUND,
+    "reindex": DataRoot.FOUND,
+    "run": DataRoot.FOUND,
+    "algorithm list": DataRoot.OPTIONAL,
+    "algorithm show": DataRoot.OPTIONAL,
+    "doctor": DataRoot.OPTIONAL,
+}
+"""By the name of a command; all others read what is there, and refuse a data root that is not."""
+
+
+def expected_of(context: click.Context) -> DataRoot:
+    """What the command that runs in ``context`` expects of the data root."""
+    return EXPECTED.get(command_name(context), DataRoot.READ)
+
+
+def command_name(context: click.Context) -> str:
+    """The name of the command with those of its groups, without the program's: ``dataset room``."""
+    names: list[str] = []
+    while context.parent is not None:
+        names.insert(0, context.command.name or "")
+        context = context.parent
+    return " ".join(names)

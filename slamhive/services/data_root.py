@@ -1,0 +1,70 @@
+"""The data root: who may make one, and what is said where there is none."""
+
+from __future__ import annotations
+
+import stat
+from enum import StrEnum
+
+from slamhive.errors import InvalidInput, NotFound, Unavailable
+from slamhive.settings import Mode, Settings
+from slamhive.store import AbsentStore, Store, open_store
+
+REMEDY = "name another with --data or SLAMHIVE_DATA; slamhive demo, dataset room and dataset import make a new one"
+
+
+class DataRoot(StrEnum):
+    """What a command expects of the data root and of its database."""
+
+    MADE = "made"
+    """Both are made if they are not there."""
+    FOUND = "found"
+    """The data root has to be there; the database is made if it is not."""
+    READ = "read"
+    """Both have to be there."""
+    OPTIONAL = "optional"
+    """The command works without either, and makes neither."""
+
+
+def open_data_root(settings: Settings, expected: DataRoot) -> Store:
+    """The database of the data root, whose folders are there then; where only results are shown nothing is made.
+
+    Raises NotFound or InvalidInput if something is missing that ``expected`` does not make; nothing has been made then.
+    """
+    if expected is DataRoot.OPTIONAL:
+        try:
+            return open_data_root(settings, DataRoot.READ)
+        except NotFound as error:
+            return AbsentStore(error)
+    if settings.mode is Mode.VIEW_ONLY:
+        expected = DataRoot.READ
+    if expected is not DataRoot.MADE:
+        _check_there(settings)
+    if expected is DataRoot.READ:
+        store = open_store(settings.effective_database_url, settings.database_retry_s, create=False)
+        _make_folders(settings)
+        return store
+    _make_folders(settings)
+    return open_store(settings.effective_database_url, settings.database_retry_s)
+
+
+def _check_there(settings: Settings) -> None:
+    try:
+        found = settings.data.stat()
+    except FileNotFoundError:
+        raise NotFound(f"data root {settings.data} does not exist", REMEDY) from None
+    except OSError as error:
+        raise _unusable(settings, error) from None
+    if not stat.S_ISDIR(found.st_mode):
+        raise InvalidInput(f"data root {settings.data} is not a folder", REMEDY)
+
+
+def _make_folders(settings: Settings) -> None:
+    try:
+        settings.runs_folder.mkdir(parents=True, exist_ok=True)
+        settings.datasets_folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unusable(settings, error) from None
+
+
+def _unusable(settings: Settings, error: OSError) -> Unavailable:
+    return Unavailable(f"data root {settings.data} cannot be used: {error.strerror}", "set SLAMHIVE_DATA")
