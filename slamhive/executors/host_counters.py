@@ -104,6 +104,29 @@ class HostCounters:
         return chosen
 
 
+def read_or_why(source: Callable[[], T]) -> tuple[T | None, str]:
+    """What ``source`` reads, or None and why there is nothing."""
+    try:
+        return source(), ""
+    except FileNotFoundError as error:
+        return None, f"there is no {error.filename}"
+    except OSError as error:
+        return None, f"{error.filename or 'its file'} cannot be read: {error.strerror}"
+    except ValueError as error:
+        return None, str(error)
+
+
+def sources(counters: HostCounters) -> dict[str, Callable[[], object]]:
+    """What can be recorded of a machine, by its name in messages, in the order of the columns behind the CPU times."""
+    return {
+        "CPU pressure": lambda: counters.stalled_s("cpu"),
+        "disk pressure": lambda: counters.stalled_s("io"),
+        "memory pressure": lambda: counters.stalled_s("memory"),
+        "throttling": counters.throttle_events,
+        "CPU frequency": counters.frequency_hz,
+    }
+
+
 class HostLog:
     """Appends the counters to ``host.csv``.
 
@@ -140,11 +163,7 @@ class HostLog:
         values = [
             *((None, None, None) if cpu is None else (cpu.cores, f"{cpu.busy_s:.3f}", f"{cpu.steal_s:.3f}")),
             f"{run_cpu_s:.4f}",
-            self._read("CPU pressure", lambda: counters.stalled_s("cpu")),
-            self._read("disk pressure", lambda: counters.stalled_s("io")),
-            self._read("memory pressure", lambda: counters.stalled_s("memory")),
-            self._read("throttling", counters.throttle_events),
-            self._read("CPU frequency", counters.frequency_hz),
+            *(self._read(what, source) for what, source in sources(counters).items()),
         ]
         return ",".join([f"{time_s:.4f}", *("" if value is None else str(value) for value in values)]) + "\n"
 
@@ -152,15 +171,10 @@ class HostLog:
         """A value, None where there is none; what failed once is not tried again."""
         if what in self._missing:
             return None
-        try:
-            return source()
-        except FileNotFoundError as error:
-            self._missing[what] = f"there is no {error.filename}"
-        except OSError as error:
-            self._missing[what] = f"{error.filename or 'its file'} cannot be read: {error.strerror}"
-        except ValueError as error:
-            self._missing[what] = str(error)
-        return None
+        value, why = read_or_why(source)
+        if why:
+            self._missing[what] = why
+        return value
 
     def _append(self, text: str) -> None:
         try:

@@ -11,6 +11,7 @@ from enum import StrEnum
 
 from slamhive.errors import NotFound, SlamHiveError, Unavailable
 from slamhive.executors.energy import read_packages
+from slamhive.executors.host_counters import HostCounters, read_or_why, sources
 from slamhive.services.data_root import REMEDY
 from slamhive.services.hive import Hive
 
@@ -18,6 +19,7 @@ _HOLD_BETTER = (
     "use Docker, or let control groups be written: start the worker as root, "
     "or with systemd-run --user --scope -p Delegate=yes slamhive worker"
 )
+_CPU = "load of others and steal"
 
 
 class Verdict(StrEnum):
@@ -105,6 +107,21 @@ def _energy(_: Hive) -> list[Check]:
     return [Check("energy", Verdict.OK, found)]
 
 
+def _disturbance(_: Hive) -> list[Check]:
+    """What of a disturbed machine can be seen here."""
+    counters = HostCounters()
+    found = {what: read_or_why(source)[1] for what, source in {_CPU: counters.cpu, **sources(counters)}.items()}
+    missing = {what: why for what, why in found.items() if why}
+    text = f"recorded beside each run: {', '.join(what for what in found if what not in missing) or 'nothing'}"
+    if missing:
+        text += f"; not here: {', '.join(f'{what} ({why})' for what, why in missing.items())}"
+    if _CPU in missing:
+        return [Check("disturbance", Verdict.WARNING, text, "mount /proc where the worker runs")]
+    if "CPU pressure" in missing:
+        return [Check("disturbance", Verdict.OK, text, "pressure takes a kernel that is started with psi=1")]
+    return [Check("disturbance", Verdict.OK, text)]
+
+
 def _algorithms(hive: Hive) -> list[Check]:
     executor = hive.executor(hive.executor_name())
     checks = []
@@ -146,6 +163,7 @@ _EXAMINATIONS: tuple[Callable[[Hive], list[Check]], ...] = (
     _executor,
     _protections,
     _energy,
+    _disturbance,
     _algorithms,
     _broken_folders,
     _datasets,

@@ -56,6 +56,7 @@ def write_run(hive: Hive, number: int, *, salt: int, poses: int) -> None:
             "algorithm": ALGORITHM,
             "dataset": {"checksum": "sha256:" + "0" * 64, "duration_s": 10.0},
             "host": HOST,
+            **_disturbance(number),
             "metrics": {"duration": 20.0, "cpu.mean": 1.0 + number / 1000},
             "events": [{"at": created.isoformat(), "from": None, "to": "queued", "why": "submitted"}],
         }
@@ -69,6 +70,13 @@ def write_run(hive: Hive, number: int, *, salt: int, poses: int) -> None:
         folder.trajectory.write_text(track)
         _write_evaluation(folder.evaluation(PROTOCOL.fingerprint), number, track, poses)
         folder.write_current_protocol(PROTOCOL.fingerprint)
+
+
+def _disturbance(number: int) -> dict[str, Any]:
+    """Every third run was disturbed, every third was not, and the others are older than that is recorded."""
+    reason = {"kind": "others", "words": "other processes used 1.4 of 2 cores"}
+    known: dict[str, Any] = {"disturbed": number % 3 == 0, "reasons": [reason] if number % 3 == 0 else []}
+    return {} if number % 3 == 2 else {"disturbance": {**known, "not_measured": ["CPU frequency: no file"]}}
 
 
 def _request(number: int) -> dict[str, Any]:
@@ -115,7 +123,8 @@ def _write_evaluation(folder: Path, number: int, track: str, poses: int) -> None
 ROWS = {
     "runs": "SELECT r.uid, c.content_hash, v.identity, h.fingerprint, r.dataset_checksum, r.executor, r.state,"
     " r.reason, r.detail, r.seed, r.priority, r.evaluate, r.created_at, r.started_at, r.ended_at, r.exit_code, r.poses,"
-    " r.attempt, r.held, r.affinity, r.stop_when, r.cell, e.uid, o.uid, p.fingerprint FROM runs r"
+    " r.attempt, r.held, r.affinity, r.stop_when, r.disturbed_by, r.disturbance,"
+    " r.repeat_disturbed, r.cell, e.uid, o.uid, p.fingerprint FROM runs r"
     " JOIN configurations c ON c.id = r.configuration_id"
     " LEFT JOIN algorithm_versions v ON v.id = r.algorithm_version_id"
     " LEFT JOIN hosts h ON h.id = r.host_id LEFT JOIN experiments e ON e.id = r.experiment_id"

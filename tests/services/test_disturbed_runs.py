@@ -9,7 +9,7 @@ import pytest
 
 from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.run import RunState
-from slamhive.executors.base import Exited
+from slamhive.executors.base import Exited, RunHandle, Running
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.services.request import Submission
@@ -63,6 +63,37 @@ def test_filters_find_disturbed_quiet_and_unknown_runs(hive: Hive) -> None:
     assert found(hive, "missing disturbed") == [unknown.id]
     assert found(hive, "disturbed_by = others") == [disturbed.id]
     assert found(hive, "disturbance.others_cores > 1") == [disturbed.id]
+
+
+def test_a_run_on_another_machine_is_unknown_with_the_reason(hive: Hive) -> None:
+    class Elsewhere(FakeExecutor):
+        """As an engine on another machine: its runs use CPU time that this one does not see."""
+
+        def usage_source(self, handle: RunHandle) -> Any:
+            return OneReading()
+
+    run = finish(hive, Elsewhere([Running(), Exited(0)], write_trajectory(3)))
+    assert run.disturbance is not None
+    assert run.disturbance.disturbed is None
+    assert run.disturbance.not_measured == ("the machine: it is not the worker's own",)
+
+
+class OneReading:
+    """Usage of a run, read once."""
+
+    on_this_machine = False
+
+    def __init__(self) -> None:
+        self._left = [(1.0, 1000)]
+
+    def read(self) -> tuple[float, int] | None:
+        return self._left.pop() if self._left else None
+
+    def peak_memory_bytes(self) -> None:
+        return None
+
+    def close(self) -> None:
+        pass
 
 
 def test_a_failed_run_may_be_disturbed_too(hive: Hive) -> None:
