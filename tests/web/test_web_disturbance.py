@@ -39,7 +39,7 @@ def test_the_page_of_a_run_says_why_and_what_to_do(marked: Web) -> None:
 def test_the_page_of_a_quiet_run_says_so_and_what_is_missing(marked: Web) -> None:
     text = page(marked, f"/runs/{marked.runs['bare']}")
     assert "state-disturbed" not in text
-    assert "undisturbed (not recorded: CPU frequency: there is no file)" in text
+    assert '<dd title="CPU frequency: there is no file">undisturbed (not recorded: CPU frequency)</dd>' in text
 
 
 def test_an_old_run_is_unknown_not_undisturbed(marked: Web) -> None:

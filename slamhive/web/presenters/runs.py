@@ -117,15 +117,17 @@ def disturbed(run: RunRecord) -> str:
     return f"Measured on a disturbed machine: {run.disturbance.words}. {meaning}. Remedy: {remedies}."
 
 
-def machine(run: RunRecord) -> str:
-    """Whether the machine was disturbed during a run that has ended, and what was not recorded; empty for others."""
+def machine(run: RunRecord) -> Cell | None:
+    """Whether the machine was disturbed during a run that has ended, and what was not recorded, on hover why."""
     if run.executor == IMPORTED or run.state not in (RunState.SUCCEEDED, RunState.FAILED):
-        return ""
+        return None
     if run.disturbance is None:
-        return "disturbance not recorded"
+        return Cell("disturbance not recorded")
     words = {True: "disturbed", False: "undisturbed", None: "disturbance not known"}[run.disturbance.disturbed]
-    missing = "; ".join(run.disturbance.not_measured)
-    return f"{words} (not recorded: {missing})" if missing else words
+    if not run.disturbance.not_measured:
+        return Cell(words)
+    missing = ", ".join(text.partition(":")[0] for text in run.disturbance.not_measured)
+    return Cell(f"{words} (not recorded: {missing})", "; ".join(run.disturbance.not_measured))
 
 
 def wall_time_s(run: RunRecord, now: datetime) -> float | None:
