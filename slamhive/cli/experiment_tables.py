@@ -78,11 +78,9 @@ def print_status(status: ExperimentStatus) -> None:
     if status.failures:
         click.echo("failed: " + ", ".join(f"{reason} {count:,}" for reason, count in status.failures.items()))
     if status.retried:
-        click.echo(f"{status.retried:,} failed or disturbed runs have another run in their place")
+        click.echo(f"not counted: {plural(status.retried, 'failed or disturbed run')} that another run replaces")
     if status.disturbed:
-        click.echo(
-            f"{plural(status.disturbed, 'run')} measured on a disturbed machine: --where disturbed=yes finds them"
-        )
+        click.echo(f"measured on a disturbed machine: {plural(status.disturbed, 'run')} (filter: disturbed = yes)")
     if status.standing is Standing.STORING:
         click.echo(f"{status.missing:,} runs are not stored yet; starting the same file again completes it")
     if status.left_s and status.standing is Standing.ACTIVE:
@@ -115,7 +113,7 @@ def print_report(status: ExperimentStatus, cells: Sequence[Cell], axes: Sequence
     print_table(columns, rows, right=numbers, spare=("failures", "time s", "disturbed"))
     print_status(status)
     click.echo("figures: mean ± standard deviation of the good runs; failed runs are counted, not averaged")
-    click.echo("disturbed: how many of these were measured on a disturbed machine and have no other run in their place")
+    click.echo("disturbed: how many of these were measured on a disturbed machine and are not replaced")
 
 
 def _report_row(cell: Cell, figures: CellFigures, axes: Sequence[str]) -> tuple[Any, ...]:

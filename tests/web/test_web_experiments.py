@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.services.experiments.records import ExperimentSource, Standing
 from slamhive.services.hive import Hive
@@ -435,6 +436,21 @@ def test_cancelling_asks_first(trial: Web):
     assert trial.hive.experiments.status("trial").standing is Standing.CANCELLED
     assert trial.hive.run(runs_of(trial, 1)[0]).state is RunState.CANCELLED
     assert 'class="confirm"' not in trial.client.get("/experiments/trial").text
+
+
+def test_disturbed_runs_are_counted_until_another_replaces_them(trial: Web):
+    first = runs_of(trial, 1)[0]
+    world.finish_run(trial.hive, first)
+    busy = Disturbance(known=True, reasons=(DisturbanceReason(DisturbanceKind.OTHERS, "others were busy"),))
+    trial.hive.store.write(lambda t: t.runs.update(first, disturbance=busy))
+    text = trial.client.get("/experiments/trial").text
+    assert "Measured on a disturbed machine: 1 run." in text
+    assert "<td>1 good, 1 queued; 1 disturbed</td>" in text
+    trial.hive.retry(first)
+    text = trial.client.get("/experiments/trial").text
+    assert "Not counted: 1 failed or disturbed run that another run replaces." in text
+    assert "; 1 disturbed" not in text
+    assert "<td>2 queued</td>" in text
 
 
 def test_failed_runs_are_tried_again(trial: Web):

@@ -109,9 +109,9 @@ def status_in_words(status: ExperimentStatus) -> str:
     """How far the experiment is, in one sentence."""
     text = f"{thousands(status.ended)} of {plural(status.runs, 'run')} ended: {counts_in_words(status.counts)}."
     if status.retried:
-        text += f" {plural(status.retried, 'failed or disturbed run')} with another run in its place not counted."
+        text += f" Not counted: {plural(status.retried, 'failed or disturbed run')} that another run replaces."
     if status.disturbed:
-        text += f" {plural(status.disturbed, 'run')} measured on a disturbed machine."
+        text += f" Measured on a disturbed machine: {plural(status.disturbed, 'run')}."
     if status.missing:
         text += f" {plural(status.missing, 'run')} not stored yet: the start was interrupted, or is under way."
     if status.ended < status.runs and status.left_s is not None:
@@ -170,7 +170,7 @@ def cell_lines(
                 cell=cell,
                 first=place == 0,
                 values=values,
-                progress=counts_in_words(cell.counts),
+                progress=counts_in_words(cell.counts) + _disturbed(cell),
                 failures=failures_in_words(cell.failures),
                 protocol=_protocol(entry, labels),
                 evaluated=entry.protocol is not None,
@@ -213,12 +213,16 @@ def phase_count(status: ExperimentStatus, phase: str) -> int:
     return status.counts.get(Phase(phase), 0)
 
 
+def _disturbed(cell: records.Cell) -> str:
+    count = sum(bool(run.disturbed) and not run.retried for run in cell.runs)
+    return f"; {thousands(count)} disturbed" if count else ""
+
+
 def _protocol(figures: CellFigures, labels: Mapping[str, str]) -> str:
     if not figures.runs:
         return DASH
     name = "not evaluated" if figures.protocol is None else labels.get(figures.protocol, figures.protocol)
-    disturbed = f", {thousands(figures.disturbed)} disturbed" if figures.disturbed else ""
-    return f"{name}, {plural(figures.runs, 'run')}{disturbed}"
+    return f"{name}, {plural(figures.runs, 'run')}"
 
 
 def _repetitions(preview: ExperimentPreview) -> str:
