@@ -194,12 +194,12 @@ def _limits(job: Job, settings: Settings, cores: tuple[int, ...] | None) -> Limi
         memory_bytes=memory_mb * 1_000_000,
         pids=settings.run_pids,
         cpuset=cores,
-        disk_bytes=_disk_bytes(settings),
+        disk_bytes=disk_limit_bytes(settings),
         files=settings.run_files,
     )
 
 
-def _disk_bytes(settings: Settings) -> int:
+def disk_limit_bytes(settings: Settings) -> int:
     """What the run may write: as set, but never so much that other runs and the database are left without room."""
     spared_bytes = settings.min_free_disk_mb * 500_000
     return max(0, min(settings.run_disk_mb * 1_000_000, shutil.disk_usage(settings.data).free - spared_bytes))

@@ -63,6 +63,7 @@ TOO_LONG = Expected(_R.TIMEOUT, "time limit of 3 s", timeout_s=3)
 MALFORMED = Expected(_R.MALFORMED_TRAJECTORY)
 
 EXPECTED = {
+    "fork_bomb": Expected(_R.NONZERO_EXIT, log="the forks are over"),
     "memory_hog": Expected(_R.OUT_OF_MEMORY, "memory limit of 300 MB"),
     "endless": TOO_LONG,
     "ignores_sigterm": TOO_LONG,
