@@ -25,7 +25,7 @@ from slamhive.services.archive.reading import open_archive
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.store.records import EvaluationState
-from tests.end_to_end.hostile.bench import DISK_MB, FILES, LOG_BYTES, Bench, open_bench, table
+from tests.end_to_end.hostile.bench import DISK_MB, FILES, LOG_BYTES, TASKS, Bench, open_bench, table
 
 pytestmark = pytest.mark.integration
 
@@ -63,7 +63,7 @@ TOO_LONG = Expected(_R.TIMEOUT, "time limit of 3 s", timeout_s=3)
 MALFORMED = Expected(_R.MALFORMED_TRAJECTORY)
 
 EXPECTED = {
-    "fork_bomb": Expected(_R.NONZERO_EXIT, log="the forks are over"),
+    "fork_bomb": Expected(_R.PROCESS_LIMIT, f"{TASKS} processes"),
     "memory_hog": Expected(_R.OUT_OF_MEMORY, "memory limit of 300 MB"),
     "endless": TOO_LONG,
     "ignores_sigterm": TOO_LONG,

@@ -263,6 +263,8 @@ def open_bench(root: Path, database: Path) -> Iterator[Bench]:
         hive.close()
         os.environ.clear()
         os.environ.update(before)
+        if shutil.which("docker") is not None:
+            subprocess.run(["docker", "rmi", f"slam-hive-algorithm:{PACKAGE}"], capture_output=True, check=False)
 
 
 def _answers(port: int) -> bool:
