@@ -14,12 +14,8 @@ from pathlib import Path
 from slamhive.runs.folder import RunFolder
 from slamhive.tree import DEEPEST_FOLDERS, Entry, walk
 
-HARD_LINKS = "hard links"
-SET_USER_ID = "files that run as their owner"
-FOREIGN = "files of another user"
-LINKS = "links"
 _KINDS = (
-    (stat.S_ISLNK, LINKS),
+    (stat.S_ISLNK, "links"),
     (stat.S_ISFIFO, "pipes"),
     (stat.S_ISSOCK, "sockets"),
     (stat.S_ISBLK, "devices"),
@@ -84,12 +80,12 @@ def strange_kind(status: os.stat_result, owner: int | None) -> str | None:
     if kind is not None:
         return kind
     if owner is not None and status.st_uid != owner:
-        return FOREIGN
+        return "files of another user"
     if stat.S_ISREG(status.st_mode):
         if status.st_nlink > 1:
-            return HARD_LINKS
+            return "hard links"
         if status.st_mode & _RUNS_AS_OWNER:
-            return SET_USER_ID
+            return "files that run as their owner"
     return None
 
 
