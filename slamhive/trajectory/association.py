@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from slamhive.domain.protocol import Association, Protocol
 from slamhive.errors import InvalidInput
+from slamhive.trajectory.evidence import misread_unit
 from slamhive.trajectory.interpolation import interpolate
 from slamhive.trajectory.model import FloatArray, Poses, Trajectory
 
@@ -189,6 +190,9 @@ def _no_match(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
         f"estimate {estimate.stamps_s[0]:.3f} to {estimate.stamps_s[-1]:.3f} s, "
         f"ground truth {reference.stamps_s[0]:.3f} to {reference.stamps_s[-1]:.3f} s"
     )
+    misread = misread_unit(estimate.stamps_s, reference.stamps_s)
+    if misread is not None:
+        return InvalidInput(f"estimate and ground truth do not match in time: {misread.sentence}", misread.remedy)
     apart = estimate.stamps_s[0] > reference.stamps_s[-1] or estimate.stamps_s[-1] < reference.stamps_s[0]
     if apart:
         return InvalidInput(

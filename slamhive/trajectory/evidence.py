@@ -116,6 +116,34 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.2g} s"
 
 
+@dataclass(frozen=True, slots=True)
+class MisreadUnit:
+    """A unit in which two files would share their time, in words."""
+
+    sentence: str
+    remedy: str
+
+
+def misread_unit(estimate_s: FloatArray, truth_s: FloatArray) -> MisreadUnit | None:
+    """Whether timestamps that were read as seconds are none: then they hardly overlap, and would in their own unit."""
+    spans = [span_of(stamps_s, TimeUnit.S) for stamps_s in (estimate_s, truth_s)]
+    if overlap(spans[0], spans[1]) > LITTLE_OVERLAP:
+        return None
+    for name, option, stamps_s, other in (
+        ("estimate", "--time-unit", estimate_s, spans[1]),
+        ("ground truth", "--groundtruth-time-unit", truth_s, spans[0]),
+    ):
+        for unit in _likely_units(stamps_s):
+            share = overlap(span_of(stamps_s, unit), other)
+            if unit is not TimeUnit.S and share >= MOST_OVERLAP:
+                return MisreadUnit(
+                    f"The timestamps of the {name} look like {unit}, not seconds: as {unit} estimate and ground truth "
+                    f"share {share:.0%} of their time",
+                    f"write seconds, or import the file again with {option} {unit}",
+                )
+    return None
+
+
 DECISIVE_RATIO, DECISIVE_DEG = 0.5, 2.0
 """One order goes with the ground truth: its spread is at most half of the other's, and so much less."""
 

@@ -140,3 +140,53 @@ def _golden_section(error: Callable[[float], float], low_s: float, high_s: float
             inner = [inner[1], low_s + _GOLDEN * (high_s - low_s)]
             errors = [errors[1], error(inner[1])]
     return (low_s + high_s) / 2
+
+
+COARSE_STEP_S = 0.05
+"""Between the samples whose correlation is taken: a peak of turning is wider."""
+_LEAST_CORRELATION = 0.5
+
+
+def coarse_offset(reference: Trajectory, estimate: Trajectory, within_s: float, *, by_turning: bool) -> float | None:
+    """The offset in s at which the rates of motion of both correlate best, to :data:`COARSE_STEP_S`.
+
+    Fast (one Fourier transform for all offsets), and a start for :func:`search_offset`.
+
+    Args:
+        reference: The ground truth.
+        estimate: The estimate.
+        within_s: Largest offset.
+        by_turning: Compare rates of turning, else speeds, which scale and alignment do not change in shape.
+
+    Returns:
+        The offset to add to the estimate's stamps; None where nothing correlates.
+    """
+    begin_s = max(reference.stamps_s[0], estimate.stamps_s[0] - within_s)
+    end_s = min(reference.stamps_s[-1], estimate.stamps_s[-1] + within_s)
+    count = int((end_s - begin_s) / COARSE_STEP_S)
+    if count < 2 * MINIMUM_COMPARED:
+        return None
+    stamps_s = begin_s + COARSE_STEP_S * np.arange(count)
+    rates = [_rates(trajectory, stamps_s, by_turning=by_turning) for trajectory in (reference, estimate)]
+    norms = [float(np.linalg.norm(entry)) for entry in rates]
+    if min(norms) == 0:
+        return None
+    spectra = [np.fft.rfft(entry, 2 * count) for entry in rates]
+    correlation = np.fft.irfft(spectra[0] * np.conj(spectra[1]), 2 * count) / (norms[0] * norms[1])
+    most = min(count - 1, round(within_s / COARSE_STEP_S))
+    shifts = np.arange(-most, most + 1)
+    best = int(correlation[shifts].argmax())
+    return float(shifts[best] * COARSE_STEP_S) if correlation[shifts[best]] >= _LEAST_CORRELATION else None
+
+
+def _rates(trajectory: Trajectory, stamps_s: FloatArray, *, by_turning: bool) -> FloatArray:
+    """Rates of turning or speeds between the stamps, less their mean; 0 beyond the trajectory. Shape (n - 1,)."""
+    poses = interpolate(trajectory, stamps_s)
+    if by_turning:
+        steps = rotation_angles_rad(poses.quats_xyzw[:-1], poses.quats_xyzw[1:])
+    else:
+        steps = np.linalg.norm(np.diff(poses.positions_m, axis=0), axis=1)
+    inside = _inside(trajectory, stamps_s[:-1]) & _inside(trajectory, stamps_s[1:])
+    if not inside.any():
+        return np.zeros(len(steps))
+    return np.where(inside, steps - steps[inside].mean(), 0.0)

@@ -1,0 +1,263 @@
+"""Common mistakes, made on purpose in real trajectories, are told with their remedy; clean runs are told nothing."""
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slamhive.domain.hint import Hint
+from slamhive.domain.protocol import Alignment, Association, Protocol
+from slamhive.errors import InvalidInput
+from slamhive.evaluation.evaluators.evo_errors import AbsoluteError
+from slamhive.evaluation.hints import find_hints
+from slamhive.evaluation.pairing import pair
+from slamhive.evaluation.references import Reference
+from slamhive.project import project_root
+from slamhive.trajectory.kitti import read_kitti
+from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.transforms import inverse_quats, multiply_quats, rotations_from_quats
+from slamhive.trajectory.tum import read_tum
+
+DATA = project_root().parent / "shared" / "data"
+RUNS, EVO, ROAD = DATA / "euroc_vio_runs", DATA / "evo_trajectories", DATA / "kitti06_stereo_51"
+SE3, SIM3, YAW = (Protocol(entry) for entry in (Alignment.SE3, Alignment.SIM3, Alignment.YAW_POSITION))
+
+pytestmark = [
+    pytest.mark.integration,
+    pytest.mark.shared_data,
+    pytest.mark.skipif(not RUNS.is_dir(), reason="the recorded data is not in ../shared/data"),
+]
+
+Change = Callable[[Trajectory], Trajectory]
+
+
+def hints(truth: Trajectory, estimate: Trajectory, protocol: Protocol, *, rotations: bool = True) -> dict[str, Hint]:
+    paired = pair(Reference(truth, rotations), estimate, protocol)
+    found = find_hints(paired, AbsoluteError().evaluate(paired).values)
+    assert len({hint.key for hint in found}) == len(found)
+    return {hint.key: hint for hint in found}
+
+
+def kitti(name: str) -> Trajectory:
+    return read_kitti(EVO / f"KITTI_00_{name}.txt", EVO / "KITTI_00_gt_times.txt")
+
+
+def flights(trial: str) -> Iterator[tuple[str, Trajectory, Trajectory]]:
+    for path in sorted(RUNS.glob(f"v*/*/{trial}.txt")):
+        yield "/".join(path.parts[-3:]), read_tum(RUNS / path.parts[-2] / "groundtruth.txt"), read_tum(path)
+
+
+@pytest.mark.parametrize("trial", range(5))
+def test_clean_flights_are_told_nothing(trial: int) -> None:
+    """All 122 runs of four systems, the diverging ones too."""
+    for name, truth, estimate in flights(str(trial)):
+        for protocol in (YAW, SE3, SIM3):
+            assert hints(truth, estimate, protocol) == {}, (name, protocol.label)
+        assert hints(truth, estimate, SE3, rotations=False) == {}, name
+
+
+def test_other_clean_runs_are_told_nothing() -> None:
+    for protocol in (SE3, SIM3, replace(SE3, association=Association.INDEX)):
+        assert hints(kitti("gt"), kitti("ORB"), protocol) == {}
+    truth = read_tum(EVO / "freiburg1_xyz-groundtruth.txt")
+    for protocol in (SE3, SIM3, replace(SE3, association=Association.HOLD)):
+        assert hints(truth, read_tum(EVO / "freiburg1_xyz-rgbdslam.txt"), protocol) == {}
+    assert hints(truth, read_tum(EVO / "freiburg1_xyz-ORB_kf_mono.txt"), SIM3) == {}
+
+
+# -- mistakes ----------------------------------------------------------------------------------------------------------
+
+
+def rolled(places: int) -> Change:
+    return lambda t: Trajectory(t.stamps_s, t.positions_m, np.roll(t.quats_xyzw, places, axis=1))
+
+
+def inverted(t: Trajectory) -> Trajectory:
+    positions_m = -np.einsum("nji,nj->ni", rotations_from_quats(t.quats_xyzw), t.positions_m)
+    return Trajectory(t.stamps_s, positions_m, inverse_quats(t.quats_xyzw))
+
+
+def turned_back(t: Trajectory) -> Trajectory:
+    return Trajectory(t.stamps_s, t.positions_m, inverse_quats(t.quats_xyzw))
+
+
+def left_handed(axis: int, *, turning: bool) -> Change:
+    signs = np.where(np.arange(3) == axis, -1.0, 1.0)
+    turns = np.append(-signs, 1.0) if turning else np.ones(4)
+    return lambda t: Trajectory(t.stamps_s, t.positions_m * signs, t.quats_xyzw * turns)
+
+
+def world_turned(*quat_xyzw: float) -> Change:
+    quat = np.array([quat_xyzw]) / np.linalg.norm(quat_xyzw)
+    rotation = rotations_from_quats(quat)[0]
+    return lambda t: Trajectory(t.stamps_s, t.positions_m @ rotation.T, multiply_quats(quat, t.quats_xyzw))
+
+
+def scaled(factor: float) -> Change:
+    return lambda t: Trajectory(t.stamps_s, t.positions_m * factor, t.quats_xyzw)
+
+
+def later(delay_s: float) -> Change:
+    return lambda t: Trajectory(t.stamps_s + delay_s, t.positions_m, t.quats_xyzw)
+
+
+DIVERGED = ("vio_mono/V2_03", "vio_stereo/V2_03")
+"""Errors of 12 and 30 % of the path's size, from which no mistake could be told."""
+MISTAKES: dict[str, tuple[str, Change]] = {
+    "w first, read as x": ("quaternion_order", rolled(1)),
+    "x first, read as w": ("quaternion_order", rolled(-1)),
+    "inverse poses": ("inverse_poses", inverted),
+    "inverse rotations": ("inverse_rotations", turned_back),
+    "y mirrored": ("mirrored_axes", left_handed(1, turning=False)),
+    "z mirrored": ("mirrored_axes", left_handed(2, turning=False)),
+    "a left-handed world": ("mirrored_axes", left_handed(0, turning=True)),
+    "millimetres": ("scale", scaled(1000.0)),
+    "kilometres": ("scale", scaled(0.001)),
+    "centimetres": ("scale", scaled(100.0)),
+    "late": ("time_offset", later(0.5)),
+    "early": ("time_offset", later(-1.5)),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.parametrize("protocol", [YAW, SE3, SIM3], ids=lambda protocol: protocol.alignment.value)
+def test_each_mistake_is_told_of_every_system_and_sequence(mistake: str, protocol: Protocol) -> None:
+    key, change = MISTAKES[mistake]
+    if mistake == "centimetres" and protocol is SIM3:
+        return  # the scale of one camera may be anything
+    for name, truth, estimate in flights("0"):
+        if name.startswith(DIVERGED) or (protocol is not YAW and "/V2_" not in name):
+            continue
+        found = hints(truth, change(estimate), protocol)
+        if key == "time_offset" and name.startswith("vislam_ba"):
+            assert set(found) <= {key}, "some of its keyframes are too far apart to tell a clock"
+        else:
+            assert set(found) == {key}, (name, found)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "remedy"),
+    [("w first, read as x", "--groundtruth-quaternion-order wxyz"), ("inverse poses", "import the dataset again")],
+)
+def test_a_mistake_of_the_ground_truth_is_told_as_one(mistake: str, remedy: str) -> None:
+    key, change = MISTAKES[mistake]
+    for name, truth, estimate in flights("1"):
+        found = hints(change(truth), estimate, SE3)
+        assert set(found) == {key}, name
+        assert "the ground truth seem to" in found[key].sentence
+        assert remedy in found[key].remedy
+
+
+def test_a_mistake_of_the_estimate_is_told_with_its_numbers() -> None:
+    truth, estimate = read_tum(RUNS / "V2_01/groundtruth.txt"), read_tum(RUNS / "vio_stereo/V2_01/0.txt")
+    found = hints(truth, rolled(1)(estimate), SE3)["quaternion_order"]
+    assert found.sentence.startswith("The quaternions of the estimate")
+    assert "the orientations follow the ground truth to 0." in found.sentence
+    assert "--quaternion-order wxyz" in found.remedy
+
+
+@pytest.mark.parametrize(("quat", "tilt_deg"), [((1, 0, 0, 0), 180), ((1, 0, 0, 1), 90), ((0.2, -0.3, 0, 1), 40)])
+def test_a_z_axis_that_does_not_point_up_is_told_where_gravity_counts(quat: tuple[float, ...], tilt_deg: int) -> None:
+    for name, truth, estimate in flights("0"):
+        if name.startswith(DIVERGED):
+            continue
+        turned = world_turned(*quat)(estimate)
+        found = hints(truth, turned, YAW)
+        assert set(found) == {"gravity"}, (name, found)
+        shown_deg = re.search(r"tilted by (\d+) deg", found["gravity"].sentence)
+        assert shown_deg is not None
+        assert int(shown_deg[1]) == pytest.approx(tilt_deg, abs=8), name
+        assert hints(truth, turned, SE3) == {}, name
+
+
+def test_planar_runs_tell_by_their_orientations() -> None:
+    """A car turns about one axis only: positions alone could be mirrored or turned over."""
+    truth, estimate = kitti("gt"), kitti("ORB")
+    for protocol in (SE3, replace(SE3, association=Association.INDEX)):
+        assert set(hints(truth, rolled(1)(estimate), protocol)) == {"quaternion_order"}
+        assert set(hints(truth, inverted(estimate), protocol)) == {"inverse_poses"}
+        assert set(hints(truth, scaled(1000.0)(estimate), protocol)) == {"scale"}
+    tolerant = replace(SE3, association_tolerance_s=0.06)
+    assert set(hints(truth, later(2.0)(estimate), tolerant)) == {"time_offset"}
+
+
+def test_a_slow_hand_held_run_tells_too() -> None:
+    truth, estimate = (read_tum(EVO / f"freiburg1_xyz-{name}.txt") for name in ("groundtruth", "rgbdslam"))
+    assert set(hints(truth, rolled(1)(estimate), SE3)) == {"quaternion_order"}
+    assert set(hints(truth, inverted(estimate), SE3)) == {"inverse_poses"}
+    assert set(hints(truth, later(0.3)(estimate), SE3)) == {"time_offset"}
+    assert set(hints(truth, scaled(1000.0)(estimate), SE3)) == {"scale"}
+
+
+def test_without_orientations_positions_tell() -> None:
+    _, truth, estimate = next(iter(flights("0")))
+    for key, change in (("mirrored_axes", left_handed(1, turning=False)), ("scale", scaled(1000.0))):
+        assert set(hints(truth, change(estimate), SE3, rotations=False)) == {key}
+    assert set(hints(truth, later(0.5)(estimate), SE3, rotations=False)) == {"time_offset"}
+
+
+def test_two_mistakes_are_both_told() -> None:
+    _, truth, estimate = next(iter(flights("0")))
+    assert set(hints(truth, scaled(1000.0)(rolled(1)(estimate)), SE3)) == {"quaternion_order", "scale"}
+
+
+def test_an_offset_is_not_told_where_it_is_searched() -> None:
+    _, truth, estimate = next(iter(flights("0")))
+    late = later(0.5)(estimate)
+    found = hints(truth, late, SE3)["time_offset"]
+    assert found.sentence.startswith("The clock of the estimate is 0.500 s late: with -0.500 s added")
+    assert found.remedy == "evaluate under a protocol with offset_search_s: 1, or with time_offset_s: -0.500"
+    assert hints(truth, late, replace(SE3, offset_search_s=1.0)) == {}
+    assert hints(truth, late, replace(SE3, time_offset_s=-0.5)) == {}
+
+
+# -- straight paths ----------------------------------------------------------------------------------------------------
+
+
+def test_a_nearly_straight_road_is_told_with_how_much_it_leaves_open() -> None:
+    """Noise of centimetres on a road that strays by as little: alignment rolls it by tens of degrees."""
+    t = np.arange(0.0, 60.0, 0.1)
+    rng = np.random.default_rng(4)
+    truth = Trajectory(
+        t, np.column_stack([t, 0.03 * np.sin(t / 7), 0.02 * np.sin(t / 11)]), np.tile([0, 0, 0, 1.0], (600, 1))
+    )
+    estimate = Trajectory(t, truth.positions_m + np.cumsum(rng.normal(0, 0.006, (600, 3)), axis=0), truth.quats_xyzw)
+    found = hints(truth, estimate, SE3)
+    assert set(found) == {"straight_path"}
+    assert "leaves the rotation about that line open by about" in found["straight_path"].sentence
+    assert hints(truth, estimate, YAW) == {}
+
+
+def test_the_first_seconds_of_a_kitti_road_are_measured_not_guessed() -> None:
+    truth = read_tum(ROAD / "groundtruth_tum.txt")
+    noise_m = np.random.default_rng(1).normal(0, 0.03, (len(truth), 3))
+    estimate = Trajectory(truth.stamps_s, truth.positions_m + noise_m, truth.quats_xyzw)
+    found = hints(truth, estimate, SE3)
+    assert set(found) <= {"straight_path"}
+
+
+# -- time units --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_no_overlap_suggests_the_unit_that_would_fit(unit: str, factor: float) -> None:
+    _, truth, estimate = next(iter(flights("0")))
+    wrong = Trajectory(estimate.stamps_s * factor, estimate.positions_m, estimate.quats_xyzw)
+    with pytest.raises(InvalidInput, match=f"of the estimate look like {unit}, not seconds.*--time-unit {unit}"):
+        pair(Reference(truth), wrong, SE3)
+    other = Trajectory(truth.stamps_s * factor, truth.positions_m, truth.quats_xyzw)
+    with pytest.raises(InvalidInput, match=f"of the ground truth look like {unit}.*--groundtruth-time-unit {unit}"):
+        pair(Reference(other), estimate, SE3)
+
+
+def test_a_unit_that_makes_times_overlap_a_little_is_told() -> None:
+    """Milliseconds from zero, taken for seconds, last a thousand times as long: few poses match, and wrongly."""
+    t = np.arange(0.0, 100.0, 0.05)
+    positions_m = np.column_stack([3 * np.cos(t), 2 * np.sin(2 * t), np.sin(t / 3)])
+    quats = np.tile([0, 0, 0, 1.0], (len(t), 1))
+    truth = Trajectory(t, positions_m, quats)
+    found = hints(truth, Trajectory(t * 1e3, positions_m, quats), replace(SE3, association_tolerance_s=0.1))
+    assert set(found) == {"time_unit"}
+    assert "look like ms, not seconds" in found["time_unit"].sentence
