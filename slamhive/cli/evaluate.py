@@ -9,8 +9,10 @@ import click
 
 from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
+from slamhive.cli.hints import hints_of, print_hints
 from slamhive.cli.output import messages, print_json
 from slamhive.cli.runs import print_runs
+from slamhive.domain.hint import hints_to_json
 from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Alignment, Duplicates
 from slamhive.domain.protocol_request import ProtocolRequest
@@ -19,7 +21,6 @@ from slamhive.errors import InvalidInput
 from slamhive.evaluation.job import Artefacts
 from slamhive.search.build import matching
 from slamhive.search.grammar import join
-from slamhive.services.current_protocols import CurrentProtocols
 from slamhive.services.hive import Hive
 from slamhive.services.run_json import run_to_json
 from slamhive.store import EvaluationRecord
@@ -69,7 +70,7 @@ def evaluate(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **opti
     ended.sort(key=lambda record: (place.get(record.run_id, -1), record.id))
     if options["current"]:
         hive.current_protocols.make_current(ended)
-    _report(hive.current_protocols, ended, as_json=as_json)
+    _report(hive, ended, as_json=as_json)
     if any(record.reason is not None for record in ended):
         raise click.exceptions.Exit(1)
 
@@ -92,14 +93,26 @@ def _asked(hive: Hive, protocol: str | None, align: str | None, duplicates: str 
     return ProtocolRequest({**asked.values, "duplicates": duplicates}, asked.name)
 
 
-def _report(service: CurrentProtocols, ended: list[EvaluationRecord], *, as_json: bool) -> None:
-    """The runs with the figures of the protocol they were evaluated under; failures on stderr."""
+def _report(hive: Hive, ended: list[EvaluationRecord], *, as_json: bool) -> None:
+    """The runs with the figures of the protocol they were evaluated under; hints and failures on stderr."""
+    service = hive.current_protocols
+    hints = hints_of(hive, ended)
     reasons = {record.run_id: record.reason for record in ended if record.reason is not None}
     entries = service.as_evaluated(ended)
     if as_json:
-        print_json([{**run_to_json(entry), "evaluation_reason": reasons.get(entry.id)} for entry in entries])
+        print_json(
+            [
+                {
+                    **run_to_json(entry),
+                    "evaluation_reason": reasons.get(entry.id),
+                    "hints": hints_to_json(hints.get(entry.id, ())),
+                }
+                for entry in entries
+            ]
+        )
     else:
         print_runs(entries, as_json=False)
+    print_hints(hints)
     for run_id, reason in reasons.items():
         messages.print(f"run {run_id} cannot be evaluated: {reason}", markup=False, soft_wrap=True)
     others = service.shown_otherwise(ended)

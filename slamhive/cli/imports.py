@@ -9,7 +9,9 @@ import click
 
 from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
+from slamhive.cli.hints import hints_of, print_hints
 from slamhive.cli.output import messages, print_json, progress_bar
+from slamhive.domain.hint import Hint, hints_to_json
 from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Duplicates
 from slamhive.domain.sensors import SensorSetup
@@ -83,10 +85,12 @@ def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, 
     ended = evaluate_to_end(hive.evaluations_service, hive.evaluations_service.queue(wanted))
     failures = {record.run_id: record.reason for record in ended if record.reason is not None}
     evaluated = len(ended) - len(failures)
+    hints = hints_of(hive, ended)
     if as_json:
-        print_json(_as_json(report, evaluated, failures))
+        print_json({**_as_json(report, evaluated, failures), "hints": _hints_as_json(hints)})
     else:
         _show(report, evaluated, failures)
+        print_hints(hints)
     if report.problems or failures:
         raise click.exceptions.Exit(1)
 
@@ -130,19 +134,25 @@ def _show(report: ImportReport, evaluated: int, failures: dict[int, str]) -> Non
 
 
 def _readings_in_words(readings: list[Reading]) -> list[str]:
-    """A line for each way in which files were read that are not TUM files as they stand, with an example."""
+    """A line for each way in which files were read that are not TUM files as they stand, with the reasons of one."""
     alike: dict[str, list[Reading]] = {}
     for reading in readings:
         if not reading.as_it_stands:
             alike.setdefault(reading.words, []).append(reading)
-    return [
-        f"{plural(len(members), 'file')} {words}, {members[0].name} for these reasons: "
-        + "; ".join(f"{_WHAT[key]} {because}" for key, because in members[0].because.items())
-        for words, members in alike.items()
-    ]
+    return [_reading_in_words(words, members) for words, members in alike.items()]
 
 
-_WHAT = {"time_unit": "unit", "quaternion_order": "order"}
+def _reading_in_words(words: str, members: list[Reading]) -> str:
+    first = members[0]
+    files = f"{first.name} was" if len(members) == 1 else f"{len(members):,} files, the first {first.name}, were"
+    return f"{files} {words}. " + " ".join(f"{_WHAT[key]}: {because}." for key, because in first.because.items())
+
+
+_WHAT = {"time_unit": "Unit", "quaternion_order": "Order"}
+
+
+def _hints_as_json(found: dict[int, tuple[Hint, ...]]) -> dict[str, list[dict[str, str]]]:
+    return {str(run_id): hints_to_json(hints) for run_id, hints in found.items()}
 
 
 def _as_json(report: ImportReport, evaluated: int, failures: dict[int, str]) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
+from slamhive.cli.hints import hint_in_words
 from slamhive.cli.imports import import_runs
 from slamhive.cli.output import messages, print_json, print_table
 from slamhive.cli.searching import Listing, print_export, print_groups, search_of, split_columns, write_parquet
@@ -20,6 +21,7 @@ from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.stop_when import RULES, parse_stop_when
 from slamhive.errors import InvalidInput
+from slamhive.services.evaluation_notes import evaluation_notes
 from slamhive.services.hive import Hive
 from slamhive.services.request import Submission, unwatchable
 from slamhive.services.run_export import disturbed_text
@@ -201,7 +203,7 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
         "events": [
             {"at": timestamp(e.at), "from": e.from_state, "to": e.to_state, "why": e.why} for e in hive.events(run_id)
         ],
-        "evaluations": [evaluation_to_json(evaluation) for evaluation in hive.evaluations(run_id)],
+        "evaluations": [evaluation_to_json(e, hive.folder(run_id)) for e in hive.evaluations(run_id)],
         "provenance": {key: hive.record(run_id).get(key) for key in ("software", "algorithm", "dataset", "host")},
     }
     if as_json:
@@ -223,6 +225,9 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
         print_table(("metric", "value", "unit", "over"), rows, right=("value",))
     if entry.protocol is not None:
         click.echo(f"protocol {entry.protocol.fingerprint}: {entry.protocol.label}")
+    if entry.protocol is not None:
+        for hint in evaluation_notes(hive.folder(run_id), entry.protocol.fingerprint).hints:
+            click.echo(f"likely mistake: {hint_in_words(hint)}")
     for evaluation in content["evaluations"]:
         if evaluation["reason"]:
             click.echo(f"evaluation {evaluation['id']} {evaluation['state']}: {evaluation['reason']}")

@@ -5,6 +5,7 @@ Runs in the evaluation process or container only, which is where evo is.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,16 +14,20 @@ import evo
 import numpy as np
 from evo.core.result import Result
 
+from slamhive.domain.hint import Hint
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation import without_truth
 from slamhive.evaluation.evaluators.base import Evaluator, Figures, Paired, absent
 from slamhive.evaluation.evaluators.builtin import EVALUATORS
+from slamhive.evaluation.hints import find_hints
 from slamhive.evaluation.job import EvaluationResult, EvaluationTask, failed_result
 from slamhive.evaluation.pairing import pair
 from slamhive.evaluation.references import References
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.table import read_bounded
 from slamhive.trajectory.tum import parse_tum
+
+logger = logging.getLogger(__name__)
 
 ENGINE = f"evo {evo.__version__.removeprefix('v')}"
 
@@ -76,6 +81,7 @@ def evaluate(task: EvaluationTask, references: References) -> Evaluated | Evalua
         matched_poses=matched_poses,
         engine=ENGINE,
         missing=dict(found.missing),
+        hints=() if paired is None else _hints(paired, found.values),
     )
     return Evaluated(result, paired, found.archives)
 
@@ -113,6 +119,15 @@ def _figures(evaluator: Evaluator, paired: Paired) -> Figures:
         return absent(evaluator.keys, str(error))
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         return absent(evaluator.keys, f"it cannot be computed: {error}")
+
+
+def _hints(paired: Paired, figures: Mapping[str, float]) -> tuple[Hint, ...]:
+    """The mistakes that the errors betray; numbers that break the search for them take no evaluation down."""
+    try:
+        return find_hints(paired, figures)
+    except (InvalidInput, ArithmeticError, np.linalg.LinAlgError) as error:
+        logger.warning("no hints can be found: %s", error)
+        return ()
 
 
 def _read_estimate(task: EvaluationTask) -> Trajectory:

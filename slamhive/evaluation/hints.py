@@ -97,7 +97,7 @@ LEAST_OFFSET_S = 0.01
 OFFSET_COLLAPSE, LARGE_OFFSET_COLLAPSE = 0.4, 0.8
 """An offset is told where without it so much of the position error is left at most, and a large one so much."""
 LARGE_OFFSET_S = 0.1
-"""More than the delay of a frame: clocks differ. Turning tells that for sure; drift moves the place where positions fit."""
+"""More than a frame is delayed by: clocks differ. Told by turning alone: drift moves the place where positions fit."""
 ALONG_MOTION = 0.5
 """An offset moves poses along their path, the faster the further: the share of the squared error that does so."""
 

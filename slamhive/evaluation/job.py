@@ -14,6 +14,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any
 
+from slamhive.domain.hint import Hint, hints_from_json
 from slamhive.domain.protocol import Protocol, protocol_from_content
 from slamhive.domain.sensors import IDENTITY4, Matrix4
 from slamhive.errors import InvalidInput, SlamHiveError
@@ -58,7 +59,8 @@ class EvaluationTask:
 class EvaluationResult:
     """What came out of one task. ``reason`` says in one line why it failed; ``metrics`` is then empty.
 
-    ``missing`` says of each figure that could not be computed why not, {metric key: one line}.
+    ``missing`` says of each figure that could not be computed why not, {metric key: one line}. ``hints`` are the common
+    mistakes that the errors betray.
     """
 
     id: str
@@ -69,6 +71,7 @@ class EvaluationResult:
     matched_poses: int
     engine: str
     missing: dict[str, str] = field(default_factory=dict)
+    hints: tuple[Hint, ...] = ()
 
     @property
     def succeeded(self) -> bool:
@@ -116,8 +119,8 @@ def result_from_json(text: str) -> EvaluationResult:
     """Read ``result.json``; raises InvalidInput if it is not one."""
     content = parse_json_object(text, RESULT_FILE, recorded=True)
     try:
-        result = EvaluationResult(**content)
-    except TypeError as error:
+        result = EvaluationResult(**{**content, "hints": hints_from_json(content.get("hints", ()))})
+    except (TypeError, KeyError) as error:
         raise InvalidInput(f"{RESULT_FILE} is not an evaluation result: {error!r}") from None
     for name, kinds in _RESULT_TYPES.items():
         if not isinstance(getattr(result, name), kinds):

@@ -20,7 +20,7 @@ SUSPICIOUS_SHARE = 0.1
 """A position error of this share of the path's size is looked into."""
 SUSPICIOUS_DEG = 5.0
 """Orientations that stray so far from the ground truth's are looked into: those of real systems stay below."""
-COLLAPSE, GOOD_SHARE = 0.25, 0.2
+COLLAPSE, GOOD_SHARE = 0.3, 0.2
 """A mistake is told where undoing it leaves so much of the position error, and of the path's size, at most, ..."""
 ROTATION_COLLAPSE, ROTATION_GAIN_DEG = 0.5, 2.0
 """... or so much of the stray of the orientations, and at least so many degrees less."""

@@ -13,7 +13,7 @@ from slamhive.errors import InvalidInput
 from slamhive.evaluation.job import Artefacts
 from slamhive.evaluation.presets import PRESETS, Preset
 from slamhive.runs.folder import RunFolder
-from slamhive.services.current_protocols import missing_figures
+from slamhive.services.evaluation_notes import evaluation_notes
 from slamhive.services.evaluations import Evaluations
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.store.store import Store
@@ -104,7 +104,7 @@ class Comparisons:
 
     def _why_missing(self, run_id: int, protocol: Protocol, keys: list[str]) -> str:
         """The reason that the evaluation left in the run folder; several are joined."""
-        missing = missing_figures(RunFolder(self._runs_folder / str(run_id)), protocol.fingerprint)
+        missing = evaluation_notes(RunFolder(self._runs_folder / str(run_id)), protocol.fingerprint).missing
         reasons = dict.fromkeys(missing.get(key, f"{key} is missing") for key in keys)
         return "; ".join(reasons)
 

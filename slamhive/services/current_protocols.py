@@ -9,23 +9,11 @@ from pathlib import Path
 
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
-from slamhive.errors import Conflict, InvalidInput
-from slamhive.evaluation.job import RESULT_FILE, result_from_json
+from slamhive.errors import Conflict
 from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluations import Evaluations
 from slamhive.store.records import EvaluationRecord, ProtocolLabel, RunRecord
 from slamhive.store.store import Store
-
-_MAX_RESULT_BYTES = 1_000_000
-
-
-def missing_figures(folder: RunFolder, fingerprint: str) -> dict[str, str]:
-    """Why figures are missing, {metric key: reason}, as the evaluation left it in the run folder; else empty."""
-    try:
-        with (folder.evaluation(fingerprint) / RESULT_FILE).open(encoding="utf-8") as stream:
-            return result_from_json(stream.read(_MAX_RESULT_BYTES)).missing
-    except (OSError, ValueError, InvalidInput):
-        return {}
 
 
 class CurrentProtocols:

@@ -6,11 +6,14 @@ from datetime import datetime
 from typing import Any
 
 from slamhive.domain.disturbance import disturbance_to_json
+from slamhive.domain.hint import hints_to_json
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
 from slamhive.domain.stop_when import stop_when_to_json
 from slamhive.domain.variant import variant_to_json
-from slamhive.store.records import EvaluationRecord, RunRecord
+from slamhive.runs.folder import RunFolder
+from slamhive.services.evaluation_notes import evaluation_notes
+from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 
 
 def run_to_json(run: RunRecord) -> dict[str, Any]:
@@ -54,14 +57,20 @@ def metrics_to_json(values: dict[str, float]) -> dict[str, dict[str, Any]]:
     return {key: {"value": values[key], "unit": metric.unit} for key, metric in CATALOGUE.items() if key in values}
 
 
-def evaluation_to_json(evaluation: EvaluationRecord) -> dict[str, Any]:
-    """One evaluation: under which protocol, how it went, and why it failed."""
+def evaluation_to_json(evaluation: EvaluationRecord, folder: RunFolder) -> dict[str, Any]:
+    """One evaluation: under which protocol, how it went, why it failed, and hints at mistakes.
+
+    ``folder`` is that of its run, which holds the hints of the last evaluation under the protocol.
+    """
+    succeeded = evaluation.state is EvaluationState.SUCCEEDED
+    notes = evaluation_notes(folder, evaluation.protocol.fingerprint if succeeded else None)
     return {
         "id": evaluation.id,
         "run": evaluation.run_id,
         "protocol": {"fingerprint": evaluation.protocol.fingerprint, "label": evaluation.protocol.label},
         "state": evaluation.state.value,
         "reason": evaluation.reason,
+        "hints": hints_to_json(notes.hints),
         "engine": evaluation.engine,
         "created_at": timestamp(evaluation.created_at),
         "ended_at": timestamp(evaluation.ended_at),

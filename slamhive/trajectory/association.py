@@ -197,7 +197,8 @@ def _no_match(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
     if apart:
         return InvalidInput(
             f"estimate and ground truth do not overlap in time: {spans}",
-            "use the same clock for both, or give the protocol a time offset",
+            "use the same clock for both; if they begin at the same moment, evaluate under a protocol with "
+            f"time_offset_s: {reference.stamps_s[0] - estimate.stamps_s[0]:.3f} and offset_search_s: 5",
         )
     if protocol.association is Association.HOLD:
         return InvalidInput(

@@ -144,8 +144,8 @@ def misread_unit(estimate_s: FloatArray, truth_s: FloatArray) -> MisreadUnit | N
     return None
 
 
-DECISIVE_RATIO, DECISIVE_DEG = 0.5, 2.0
-"""One order goes with the ground truth: its spread is at most half of the other's, and so much less."""
+DECISIVE_RATIO, DECISIVE_DEG, AGREEING_DEG = 0.5, 2.0, 15.0
+"""The spread of the right order: half that of the other at most, so much less at least, and no more than that."""
 
 
 def find_order(
@@ -170,10 +170,11 @@ def _order_by_truth(spreads_deg: Mapping[QuaternionOrder, float]) -> Finding[Qua
         return Finding(None, "nothing tells the order of the quaternions")
     (best_deg, best), (other_deg, other) = sorted((spread, order) for order, spread in spreads_deg.items())
     words = (
-        f"the orientations of estimate and ground truth agree to {best_deg:.1f} deg as {best}, "
-        f"to {other_deg:.1f} deg as {other}"
+        f"the orientations agree with the ground truth to {best_deg:.1f} deg read as {best}, "
+        f"and to {other_deg:.1f} deg read as {other}"
     )
-    if best_deg <= DECISIVE_RATIO * other_deg and other_deg - best_deg >= DECISIVE_DEG:
+    clearly_better = best_deg <= DECISIVE_RATIO * other_deg and other_deg - best_deg >= DECISIVE_DEG
+    if clearly_better and best_deg <= AGREEING_DEG:
         return Finding(best, words)
     return Finding(None, words)
 

@@ -133,7 +133,7 @@ def _out_of_order(stamps_s: FloatArray, *, duplicates: bool) -> PoseProblem | No
         return PoseProblem(
             before + 1,
             f"timestamp {later:.9f} occurs twice",
-            "write one pose for each timestamp; of recorded files --duplicates first, mean or keep says what counts",
+            "write one pose for each timestamp, or say with --duplicates first, mean or keep which one counts",
         )
     return PoseProblem(
         before + 1,

@@ -144,7 +144,8 @@ def _golden_section(error: Callable[[float], float], low_s: float, high_s: float
 
 COARSE_STEP_S = 0.05
 """Between the samples whose correlation is taken: a peak of turning is wider."""
-_LEAST_CORRELATION = 0.5
+_LEAST_CORRELATION = 0.25
+"""Less is chance; what is found is a start, to be checked."""
 
 
 def coarse_offset(reference: Trajectory, estimate: Trajectory, within_s: float, *, by_turning: bool) -> float | None:

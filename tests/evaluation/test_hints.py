@@ -103,8 +103,15 @@ def later(delay_s: float) -> Change:
     return lambda t: Trajectory(t.stamps_s + delay_s, t.positions_m, t.quats_xyzw)
 
 
-DIVERGED = ("vio_mono/V2_03", "vio_stereo/V2_03")
-"""Errors of 12 and 30 % of the path's size, from which no mistake could be told."""
+def is_poor(truth: Trajectory, estimate: Trajectory) -> bool:
+    """Its error is a tenth of the path's size: a mistake makes it worse, but not by much."""
+    paired = pair(Reference(truth), estimate, SIM3)
+    size_m = np.sqrt(
+        np.mean(np.sum((paired.matched_reference.positions_m - truth.positions_m.mean(axis=0)) ** 2, axis=1))
+    )
+    return bool(AbsoluteError().evaluate(paired).values["ate.rmse"] > 0.1 * size_m)
+
+
 MISTAKES: dict[str, tuple[str, Change]] = {
     "w first, read as x": ("quaternion_order", rolled(1)),
     "x first, read as w": ("quaternion_order", rolled(-1)),
@@ -128,7 +135,7 @@ def test_each_mistake_is_told_of_every_system_and_sequence(mistake: str, protoco
     if mistake == "centimetres" and protocol is SIM3:
         return  # the scale of one camera may be anything
     for name, truth, estimate in flights("0"):
-        if name.startswith(DIVERGED) or (protocol is not YAW and "/V2_" not in name):
+        if is_poor(truth, estimate) or (protocol is not YAW and "/V2_" not in name):
             continue
         found = hints(truth, change(estimate), protocol)
         if key == "time_offset" and name.startswith("vislam_ba"):
@@ -161,7 +168,7 @@ def test_a_mistake_of_the_estimate_is_told_with_its_numbers() -> None:
 @pytest.mark.parametrize(("quat", "tilt_deg"), [((1, 0, 0, 0), 180), ((1, 0, 0, 1), 90), ((0.2, -0.3, 0, 1), 40)])
 def test_a_z_axis_that_does_not_point_up_is_told_where_gravity_counts(quat: tuple[float, ...], tilt_deg: int) -> None:
     for name, truth, estimate in flights("0"):
-        if name.startswith(DIVERGED):
+        if is_poor(truth, estimate):
             continue
         turned = world_turned(*quat)(estimate)
         found = hints(truth, turned, YAW)
@@ -192,7 +199,7 @@ def test_a_slow_hand_held_run_tells_too() -> None:
 
 
 def test_without_orientations_positions_tell() -> None:
-    _, truth, estimate = next(iter(flights("0")))
+    truth, estimate = read_tum(RUNS / "V2_01/groundtruth.txt"), read_tum(RUNS / "vio_stereo/V2_01/0.txt")
     for key, change in (("mirrored_axes", left_handed(1, turning=False)), ("scale", scaled(1000.0))):
         assert set(hints(truth, change(estimate), SE3, rotations=False)) == {key}
     assert set(hints(truth, later(0.5)(estimate), SE3, rotations=False)) == {"time_offset"}

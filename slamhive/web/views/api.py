@@ -79,7 +79,9 @@ def run(run_id: int) -> Response:
     """One run with its figures, evaluations and events."""
     services = hive()
     content = run_to_json(services.run(run_id))
-    content["evaluations"] = [evaluation_to_json(entry) for entry in services.evaluations(run_id)]
+    content["evaluations"] = [
+        evaluation_to_json(entry, services.folder(run_id)) for entry in services.evaluations(run_id)
+    ]
     content["events"] = [
         {
             "at": event.at.isoformat(timespec="milliseconds"),

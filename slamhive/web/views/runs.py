@@ -27,8 +27,8 @@ from slamhive.errors import InvalidInput, NotFound
 from slamhive.input_bounds import whole_number
 from slamhive.search.reader import FilterError
 from slamhive.services.comparisons import ToolFigures
-from slamhive.services.current_protocols import missing_figures
 from slamhive.services.downloads import list_downloads, open_download
+from slamhive.services.evaluation_notes import evaluation_notes
 from slamhive.services.hive import Hive
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.web.columns import Column, all_columns, column
@@ -134,6 +134,7 @@ def show(run_id: int) -> str:
     choices = protocols.protocol_choices(run, evaluations, request.args.get("protocol"))
     chosen = next((entry for entry in choices if entry.chosen), None)
     tools = _tools(services, run)
+    notes = evaluation_notes(services.folder(run_id), None if chosen is None else chosen.fingerprint)
     return render_template(
         "runs/show.html",
         run=run,
@@ -147,9 +148,8 @@ def show(run_id: int) -> str:
         protocols=choices,
         chosen=chosen,
         accuracy=protocols.accuracy_rows(run, choices, services.current_protocols.figures(run_id)),
-        missing=protocols.missing_by_reason(
-            {} if chosen is None else missing_figures(services.folder(run_id), chosen.fingerprint)
-        ),
+        hints=notes.hints,
+        missing=protocols.missing_by_reason(notes.missing),
         tools=protocols.tool_rows(tools),
         tools_waiting=protocols.waiting(tools),
         measured=presenter.metric_rows(run, needs_protocol=False),

@@ -71,7 +71,7 @@ def test_every_unit_and_order_is_understood(hive, tmp_path, plain_truth, expecte
     origin = hive.record(report.run_ids[0])["imported"]
     assert (origin["time_unit"], origin["quaternion_order"], origin["format"]) == (unit, order, "euroc")
     assert f"as {unit} do the timestamps fall into the time of the ground truth" in origin["because"]["time_unit"]
-    assert f"deg as {order}, to " in origin["because"]["quaternion_order"]
+    assert f"deg read as {order}, and to " in origin["because"]["quaternion_order"]
 
 
 def test_a_tum_file_is_taken_byte_for_byte_and_said_to_be_one(hive, tmp_path, plain_truth):
@@ -88,7 +88,7 @@ def test_an_order_that_contradicts_the_ground_truth_is_asked_for(hive, tmp_path,
     source = source_of(tmp_path, rewritten(ESTIMATE, "s", "wxyz"), plain_truth)
     (problem,) = carry_out(hive, source).problems
     assert problem.name == f"orb/{SEQUENCE}/0.txt"
-    assert problem.text.startswith("the quaternion order is in doubt: xyzw as in TUM files, but the orientations of")
+    assert problem.text.startswith("the quaternion order is in doubt: xyzw as in TUM files, but the orientations")
     assert problem.text.endswith("say which it is with --quaternion-order (xyzw, wxyz)")
     told = carry_out(hive, source, told=Convention(quaternion_order=QuaternionOrder.WXYZ))
     assert told.imported == 1
@@ -172,9 +172,10 @@ def test_the_command_says_how_files_were_read_and_why(hive, tmp_path, plain_trut
     called = CliRunner().invoke(main, ["runs", "import", str(source), "--sensors", "stereo"])
     assert called.exit_code == 0
     line = next(line for line in called.stderr.splitlines() if "read with timestamps" in line)
-    assert line.startswith("1 file read with timestamps in ns, quaternions xyzw, ")
-    assert f"orb/{SEQUENCE}/0.txt for these reasons: " in line
-    assert "unit only as ns do the timestamps fall into the time of the ground truth; order the orientations" in line
+    assert line.startswith(
+        f"orb/{SEQUENCE}/0.txt was read with timestamps in ns, quaternions xyzw. Unit: only as ns do the timestamps "
+        "fall into the time of the ground truth. Order: the orientations agree with the ground truth to"
+    )
     again = CliRunner().invoke(main, ["runs", "import", str(source), "--sensors", "stereo", "--json"])
     readings = {entry["name"]: entry for entry in json.loads(again.stdout)["readings"]}
     assert readings[f"orb/{SEQUENCE}/0.txt"]["time_unit"] == "ns"

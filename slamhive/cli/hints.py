@@ -1,0 +1,42 @@
+"""Hints at common mistakes, as commands print them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from slamhive.cli.output import messages
+from slamhive.domain.hint import Hint
+from slamhive.services.evaluation_notes import evaluation_notes
+from slamhive.services.hive import Hive
+from slamhive.store import EvaluationRecord
+
+_NAMED_RUNS = 5
+
+
+def hint_in_words(hint: Hint) -> str:
+    """What was found, and what to do."""
+    return f"{hint.sentence} Remedy: {hint.remedy}."
+
+
+def hints_of(hive: Hive, ended: Iterable[EvaluationRecord]) -> dict[int, tuple[Hint, ...]]:
+    """{run: hints} of evaluations that succeeded, those without left out."""
+    found = {
+        entry.run_id: evaluation_notes(hive.folder(entry.run_id), entry.protocol.fingerprint).hints
+        for entry in ended
+        if entry.reason is None
+    }
+    return {run_id: hints for run_id, hints in found.items() if hints}
+
+
+def print_hints(found: dict[int, tuple[Hint, ...]]) -> None:
+    """A line on stderr for each mistake, with the numbers of the first run that has it."""
+    alike: dict[tuple[str, str], list[tuple[int, Hint]]] = {}
+    for run_id, hints in found.items():
+        for hint in hints:
+            alike.setdefault((hint.key, hint.remedy.partition(":")[0]), []).append((run_id, hint))
+    for members in alike.values():
+        first, hint = members[0]
+        numbers = ", ".join(str(run_id) for run_id, _ in members[:_NAMED_RUNS])
+        more = f" and {len(members) - _NAMED_RUNS} more" if len(members) > _NAMED_RUNS else ""
+        where = f"run {first}" if len(members) == 1 else f"runs {numbers}{more} (the numbers are those of run {first})"
+        messages.print(f"likely mistake in {where}: {hint_in_words(hint)}", markup=False, soft_wrap=True)
