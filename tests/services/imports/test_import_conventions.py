@@ -196,8 +196,8 @@ def test_duplicate_timestamps_are_refused_or_repaired_as_told(hive, tmp_path, pl
     assert run.protocol.label.endswith("duplicate timestamps: their mean counts")
     assert run.metrics["ate.rmse"] < 0.5
     assert (hive.catalogue.dataset(SEQUENCE).groundtruth_path).read_text() == "".join(lines), "the file stays as it is"
-    other = CliRunner().invoke(main, ["evaluate", "1", "--protocol", "evo"])
+    other = CliRunner().invoke(main, ["evaluate", "1", "--align", "sim3"])
     assert other.exit_code == 1
     assert "--duplicates first, mean or keep" in other.stderr
-    kept = CliRunner().invoke(main, ["evaluate", "1", "--protocol", "evo", "--duplicates", "keep"])
+    kept = CliRunner().invoke(main, ["evaluate", "1", "--align", "sim3", "--duplicates", "keep"])
     assert kept.exit_code == 0
