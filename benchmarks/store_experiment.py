@@ -28,6 +28,7 @@ from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.folder import ExperimentStamp
 from slamhive.services.experiments.service import Experiments
 from slamhive.services.experiments.storing import fill, put_experiment
+from slamhive.services.ledger.keeping import Ledger
 from slamhive.services.variants import Variants
 from slamhive.settings import Settings
 from slamhive.store import Store, open_store
@@ -73,6 +74,7 @@ def measure(store: Store, text: str, folder: Path) -> dict[str, float]:
         _no_executor,
         lambda name: name or "docker",
     )
+    store.listener = Ledger(settings, store).note
     experiment = parse_experiment(text)
     expanding = _timed(lambda: sum(1 for _ in expand(experiment, catalogue())))
     expansion = expand(experiment, catalogue())

@@ -1,19 +1,33 @@
-"""Writing a file so that nobody ever sees a part of it, and telling whether files changed."""
+"""Writing a file so that nobody ever sees a part of it, and telling whether files changed.
+
+What is being written has a name of its own and is locked by its writer. The kernel lets go of the lock when its process
+dies, however it dies, so that whoever sweeps can tell what a killed process has left from what is still being written.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import fcntl
 import hashlib
 import os
+import re
+import shutil
 import stat
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from slamhive.errors import Unavailable
 
+_ASIDE = re.compile(r"\.(.+)\.[a-z0-9_]{8}")
 
-def write_aside(path: Path, content: str | bytes) -> None:
+TEMPORARY = ".slamhive-"
+"""How the names of temporary folders begin."""
+
+
+def write_aside(path: Path, content: str | bytes, mode: int = 0o644) -> None:
     """Write next to ``path``, flush to disk, rename onto it: a reader sees the old or the new, never a part.
 
     Raises Unavailable, with nothing left behind, if the disk is full or read-only.
@@ -23,15 +37,93 @@ def write_aside(path: Path, content: str | bytes) -> None:
     try:
         descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         with os.fdopen(descriptor, "wb") as stream:
+            fcntl.flock(stream, fcntl.LOCK_EX)
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
+            os.fchmod(stream.fileno(), mode)
+            Path(temporary).replace(path)
     except OSError as error:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
         raise Unavailable(f"{path} cannot be written: {error.strerror}", remedy_of(error)) from None
+
+
+def sweep_asides(folder: Path) -> None:
+    """Remove what killed writers of files in ``folder`` have left."""
+    try:
+        left = [entry.path for entry in os.scandir(folder) if _ASIDE.fullmatch(entry.name) and entry.is_file()]
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    for path in map(Path, left):
+        with _unheld(path) as free:
+            if free:
+                path.unlink(missing_ok=True)
+
+
+@contextmanager
+def held_folder(path: Path) -> Iterator[Path]:
+    """An empty folder at ``path``, held by this process during the block; it stays after. Raises OSError."""
+    while True:
+        shutil.rmtree(path, ignore_errors=True)
+        path.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            if path.is_dir() and os.path.samestat(os.fstat(descriptor), path.stat()):
+                yield path
+                return
+        finally:
+            os.close(descriptor)
+
+
+def sweep_folder(path: Path) -> None:
+    """Remove a folder unless a process holds it."""
+    with _unheld(path) as free:
+        if free:
+            shutil.rmtree(path, ignore_errors=True)
+
+
+@contextmanager
+def temporary_folder(prefix: str = TEMPORARY, root: Path | None = None) -> Iterator[Path]:
+    """A folder of this process, gone after the block; a killed process leaves it to whoever sweeps.
+
+    It lies below ``root``, or, with None, where the system keeps temporary files.
+    """
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=root, ignore_cleanup_errors=True) as name:
+        descriptor = os.open(name, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            yield Path(name)
+        finally:
+            os.close(descriptor)
+
+
+def sweep_temporary() -> None:
+    """Remove temporary folders that killed processes of this user have left."""
+    for path in Path(tempfile.gettempdir()).glob(f"{TEMPORARY}*"):
+        with contextlib.suppress(OSError):
+            found = path.lstat()
+            if stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid():
+                sweep_folder(path)
+
+
+@contextmanager
+def _unheld(path: Path) -> Iterator[bool]:
+    """Whether no process holds the file or folder; nobody can take it during the block."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except OSError:
+        yield False
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        yield False
+    else:
+        yield True
+    finally:
+        os.close(descriptor)
 
 
 def make_shared_folder(path: Path) -> None:

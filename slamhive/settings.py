@@ -128,6 +128,11 @@ class Settings:
         return self.data / "experiments"
 
     @property
+    def ledger_folder(self) -> Path:
+        """Where it is written down what the database knows and no other folder tells."""
+        return self.data / "ledger"
+
+    @property
     def analyses_folder(self) -> Path:
         """Where stored analyses lie."""
         return self.data / "analyses"

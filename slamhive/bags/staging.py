@@ -13,6 +13,7 @@ from pathlib import Path
 from slamhive.catalogue.dataset_file import DATASET_FILE, dataset_to_yaml
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import Conflict, Unavailable
+from slamhive.files import sweep_folder
 
 Progress = Callable[[float, str], None]
 """Called with the fraction done (0..1) and what is being done."""
@@ -50,6 +51,12 @@ def new_dataset_folder(folder: Path, needed_bytes: int) -> Iterator[Path]:
             os.close(descriptor)
     except OSError as error:
         raise Unavailable(f"{folder} cannot be written: {error.strerror}", "check space and rights") from error
+
+
+def sweep_partial_folders(root: Path) -> None:
+    """Remove the datasets below ``root`` whose making was killed."""
+    for aside in root.glob(".*.partial"):
+        sweep_folder(aside)
 
 
 def seal(aside: Path, dataset: Dataset) -> None:

@@ -18,19 +18,24 @@ from slamhive.settings import settings_in_force
 @json_option
 @pass_cli
 def reindex_command(cli: CliContext, as_json: bool) -> None:
-    """Rebuild the database rows of all runs, experiments and analyses from their folders."""
+    """Rebuild all rows of the database from the folders of runs, experiments, analyses and the ledger."""
     hive = cli.hive(indexed=False)
     hive.check_writable()
     with counting_bar("reading run folders", len(run_folders(hive.settings.runs_folder))) as show:
         report = reindex(hive, lambda done, _total: show(done, ""))
     if as_json:
         skipped = [{"folder": str(folder), "reason": reason} for folder, reason in report.skipped]
-        counts = {name: getattr(report, name) for name in ("runs", "evaluations", "experiments", "analyses", "queued")}
+        counts = {
+            name: getattr(report, name)
+            for name in ("runs", "evaluations", "experiments", "analyses", "waiting", "queued")
+        }
         print_json({**counts, "skipped": skipped})
     else:
         click.echo(f"{report.runs} runs and {report.evaluations} evaluations filed, {len(report.skipped)} left out")
         if report.experiments:
             click.echo(f"{report.experiments} experiments filed, {report.queued} runs of theirs queued again")
+        if report.waiting:
+            click.echo(f"{report.waiting} runs without a folder restored from the ledger")
         if report.analyses:
             click.echo(f"{report.analyses} analyses filed")
         for folder, reason in report.skipped:

@@ -5,12 +5,10 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import tempfile
 import threading
 import uuid
 from collections import deque
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import docker
@@ -34,6 +32,7 @@ from slamhive.executors.docker_engine import (
     engine_errors,
 )
 from slamhive.executors.registry import ExecutorContext
+from slamhive.files import temporary_folder
 
 logger = logging.getLogger(__name__)
 
@@ -86,8 +85,8 @@ class DockerStarter:
         if image is not None and content_of(image) == content:
             return
         logger.info("building %s", self._image)
-        with tempfile.TemporaryDirectory(prefix="slamhive-build-") as folder:
-            context = BuildContext(Path(folder) / "context", "Dockerfile", build_arguments())
+        with temporary_folder() as folder:
+            context = BuildContext(folder / "context", "Dockerfile", build_arguments())
             context.path.mkdir()
             stage_evaluation_context(root, context.path, sorted(HOST_CERTIFICATES.glob("*.crt")))
             digest = build_image(client, self._image, context, content, root, progress)

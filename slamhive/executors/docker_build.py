@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import tempfile
 from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,6 +14,7 @@ import docker.errors
 from slamhive.catalogue.image_context import BuildContext
 from slamhive.executors.base import ImageMissing, ProgressCallback
 from slamhive.executors.docker_engine import engine_errors
+from slamhive.files import temporary_folder
 
 CONTENT_LABEL = "slamhive.content"
 PUBLIC_BASE = "debian:bookworm-slim"
@@ -112,8 +112,8 @@ def choose_base(client: docker.DockerClient, project_root: Path, progress: Progr
 def _make_base(client: docker.DockerClient, script: Path) -> None:
     """Make the base image's files with debootstrap and hand them to the engine."""
     repository, _, tag = OWN_BASE.rpartition(":")
-    with tempfile.TemporaryDirectory(prefix="slamhive-base-") as folder:
-        archive = Path(folder) / "base.tar"
+    with temporary_folder() as folder:
+        archive = folder / "base.tar"
         made = subprocess.run(["/bin/sh", str(script), str(archive)], capture_output=True, text=True, check=False)
         if made.returncode != 0:
             words = (made.stderr or made.stdout).strip().splitlines() or ["it says nothing"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import ImageMissing, ProgressCallback
 from slamhive.executors.docker_build import build_image, content_of, get_image, name_image
 from slamhive.executors.docker_engine import engine_errors
+from slamhive.files import temporary_folder
 
 MAPPING_SCRIPT = "/slamhive/mapping.py"
 
@@ -41,8 +41,8 @@ def make_image(
     if not _has_dockerfile(package):
         return _pull(client, package, progress)
     content = context_hash(package.folder, project_root)
-    with tempfile.TemporaryDirectory(prefix="slamhive-build-") as folder:
-        context = stage_context(package.folder, project_root, Path(folder) / "context")
+    with temporary_folder() as folder:
+        context = stage_context(package.folder, project_root, folder / "context")
         digest = build_image(client, package.image, context, content, project_root, progress)
     check_mapping_script(client, digest, package.image)
     name_image(client, digest, package.image)

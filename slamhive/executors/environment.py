@@ -15,7 +15,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 import venv
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -28,7 +27,7 @@ from slamhive.catalogue.image_context import RUNTIME_PARTS, copy_parts
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import Unavailable
 from slamhive.executors.base import ImageMissing, ProgressCallback
-from slamhive.files import hash_files
+from slamhive.files import hash_files, sweep_folder, temporary_folder
 
 REQUIREMENTS_FILE = "requirements.txt"
 PREPARE_SCRIPT = "prepare.py"
@@ -36,6 +35,7 @@ PREPARE_VARIABLE = "SLAMHIVE_PREPARE_DIR"
 RUNTIME_REQUIREMENTS = Path("runtime") / REQUIREMENTS_FILE
 
 _READY = "ready"
+_STAGED = ".runtime-"
 _HASH_DIGITS = 12
 _NOT_PREPARED_FROM = frozenset({"slamhive", "algorithm.yaml", "Dockerfile", "README.md", "__pycache__"})
 _FIND_LIBRARIES = """
@@ -100,6 +100,20 @@ class Environments:
                 _stage_runtime(environment.runtime)
         return identity
 
+    def sweep(self) -> None:
+        """Remove what killed builds have left behind."""
+        for staged in self._root.glob(f"{_STAGED}*"):
+            sweep_folder(staged)
+        for folder in self._root.glob("[!.]*"):
+            if folder.name.startswith("runtime-") or (folder / _READY).is_file():
+                continue
+            try:
+                with self._locked(folder.name, wait=False):
+                    if not (folder / _READY).is_file():
+                        shutil.rmtree(folder, ignore_errors=True)
+            except BlockingIOError:
+                continue  # it is being built
+
     def _make(self, package: AlgorithmPackage, environment: Environment, progress: ProgressCallback) -> None:
         shutil.rmtree(environment.folder, ignore_errors=True)
         environment.prepared.mkdir(parents=True)
@@ -116,15 +130,15 @@ class Environments:
         (environment.folder / _READY).touch()
 
     @contextmanager
-    def _locked(self, name: str) -> Iterator[None]:
-        """One builder at a time; the kernel frees the lock of a killed one."""
+    def _locked(self, name: str, *, wait: bool = True) -> Iterator[None]:
+        """One builder at a time; the kernel frees the lock of a killed one. Without ``wait`` raises BlockingIOError."""
         try:
             self._root.mkdir(parents=True, exist_ok=True)
             descriptor = os.open(self._root / f".{name}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
             raise Unavailable(f"{self._root} cannot be used: {error.strerror}", "check space and rights") from None
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield
         finally:
             os.close(descriptor)
@@ -165,13 +179,12 @@ def _short_hash(root: Path, parts: Iterable[str]) -> str:
 def _stage_runtime(target: Path) -> None:
     """Copy the modules that algorithms may import, aside, then rename."""
     source = _package_folder()
-    temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=".runtime-"))
     try:
-        copy_parts(source, RUNTIME_PARTS, temporary / "slamhive")
-        temporary.chmod(0o755)
-        temporary.rename(target)
+        with temporary_folder(_STAGED, target.parent) as staged:
+            copy_parts(source, RUNTIME_PARTS, staged / "slamhive")
+            staged.chmod(0o755)
+            staged.rename(target)
     except OSError as error:
-        shutil.rmtree(temporary, ignore_errors=True)
         if not target.is_dir():
             raise Unavailable(f"{target} cannot be written: {error.strerror}", "check space and rights") from None
 

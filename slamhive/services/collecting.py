@@ -16,7 +16,7 @@ from slamhive.services.evidence import gather_evidence, read_about
 from slamhive.services.retrying import repeat_if_disturbed
 from slamhive.services.run_disk import remove_scratch, settle_result
 from slamhive.services.run_in_hand import RunInHand
-from slamhive.services.run_json import timestamp
+from slamhive.services.run_json import exact
 from slamhive.store.store import Transaction
 
 logger = logging.getLogger(__name__)
@@ -68,7 +68,7 @@ class Collecting:
             "state": outcome.state.value,
             "reason": None if outcome.reason is None else outcome.reason.value,
             "detail": outcome.detail or None,
-            "ended_at": timestamp(ended_at),
+            "ended_at": exact(ended_at),
             "exit_code": evidence.exit_code,
             "poses": poses,
             "metrics": metrics,

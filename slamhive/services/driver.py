@@ -13,12 +13,12 @@ from slamhive.errors import SlamHiveError
 from slamhive.executors.base import EngineUnavailable, ImageMissing, RunHandle, StartFailed
 from slamhive.services.collecting import Collecting
 from slamhive.services.driver_context import DriverContext
-from slamhive.services.evidence import ENGINE_AWAY
+from slamhive.services.evidence import ENGINE_AWAY, STARTED_BY
 from slamhive.services.preparing import Preparing
 from slamhive.services.record import handle_to_json, spec_from_json
 from slamhive.services.run_disk import remove_scratch, settle_result
 from slamhive.services.run_in_hand import CANCELLED_BY_USER, RunInHand
-from slamhive.services.run_json import timestamp
+from slamhive.services.run_json import exact, timestamp
 from slamhive.services.variants import variant_key
 from slamhive.services.watching import Watch
 from slamhive.store.records import RunRecord
@@ -108,7 +108,8 @@ class RunDriver:
         stored = handle_to_json(handle)
         started_at = _start_time(handle, self._context.now())
         protections = {} if handle.protections is None else {"protections": asdict(handle.protections)}
-        hand.save({"handle": stored, "started_at": timestamp(started_at), **protections})
+        started = {"handle": stored, "started_at": exact(started_at), STARTED_BY: hand.run.attempt}
+        hand.save({**started, **protections})
         hand.move(RunState.RUNNING, "started", started_at=started_at, handle=stored)
 
     def _cancel(self) -> None:
@@ -116,7 +117,7 @@ class RunDriver:
         self._end_what_runs()
         now = self._context.now()
         if hand.folder.record.exists():
-            ending = {"state": RunState.CANCELLED.value, "ended_at": timestamp(now)}
+            ending = {"state": RunState.CANCELLED.value, "ended_at": exact(now)}
             hand.save(ending, hand.moving(now, RunState.CANCELLED, CANCELLED_BY_USER))
         hand.move(RunState.CANCELLED, CANCELLED_BY_USER, now=now)
 

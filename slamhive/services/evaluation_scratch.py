@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from slamhive.services.identity import owner_is_dead
+from slamhive.files import sweep_folder, temporary_folder
 
 _PREFIX = ".evaluation-"
-_OWNER = "owner"
 
 
 @contextmanager
-def scratch_folder(data: Path, owner: str) -> Iterator[Path]:
-    """A folder of ``owner`` below ``data``, removed at the end. Those that dead owners have left go first."""
-    for left in data.glob(f"{_PREFIX}*"):
-        if _is_left_over(left):
-            shutil.rmtree(left, ignore_errors=True)
-    with tempfile.TemporaryDirectory(prefix=_PREFIX, dir=data) as name:
-        folder = Path(name)
-        (folder / _OWNER).write_text(owner, encoding="utf-8")
+def scratch_folder(data: Path) -> Iterator[Path]:
+    """A folder below ``data``, removed at the end. Those that killed processes have left go first."""
+    sweep_scratch(data)
+    with temporary_folder(_PREFIX, data) as folder:
         yield folder
 
 
-def _is_left_over(folder: Path) -> bool:
-    try:
-        return owner_is_dead((folder / _OWNER).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError):
-        return False
+def sweep_scratch(data: Path) -> None:
+    """Remove what killed batches have left."""
+    for left in data.glob(f"{_PREFIX}*"):
+        sweep_folder(left)

@@ -185,7 +185,7 @@ class Evaluations:
 
         tasks = self._tasks(claimed, store)
         if tasks:
-            with scratch_folder(self._settings.data, owner) as scratch:
+            with scratch_folder(self._settings.data) as scratch:
                 self._run(tasks, scratch, store, stopping, cores)
 
     def _tasks(self, claimed: Sequence[EvaluationRecord], refuse: ResultStore) -> list[EvaluationTask]:

@@ -29,6 +29,12 @@ LEFT = "left"
 STOP_RULE = "stop_rule"
 """Key of the record: reason and detail of the stop rule that was broken."""
 
+STARTED_BY = "started_by_attempt"
+"""Key of the record: which attempt of a worker started the run."""
+
+_KILLED = 137
+"""The exit code of what got SIGKILL."""
+
 ENGINE_AWAY = "engine_away_at"
 """Key of the record: since when the engine has not answered, while it does not."""
 
@@ -99,4 +105,11 @@ def _gone_because(status: RunStatus, saved: dict[str, Any]) -> str | None:
     engine_away_at = saved.get(ENGINE_AWAY)
     if isinstance(status, Exited) and status.exit_code != 0 and engine_away_at is not None:
         return f"the engine went away at {engine_away_at} and took the run with it (exit code {status.exit_code})"
+    if isinstance(status, Exited) and status.exit_code == _KILLED and _unwatched(saved):
+        return f"it was killed while no worker watched, as when a machine goes down (exit code {_KILLED})"
     return None
+
+
+def _unwatched(saved: dict[str, Any]) -> bool:
+    """Whether the worker that started the run is not the one that finds it ended, and neither has stopped it."""
+    return STOPPED_BECAUSE not in saved and saved.get(STARTED_BY, saved.get("attempt")) != saved.get("attempt")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any
 from slamhive.domain.affinity import run_affinity
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.external import IMPORTED
 from slamhive.domain.protocol import Protocol, protocol_from_content
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.job import RESULT_FILE, Artefacts, EvaluationResult, result_from_json
@@ -73,8 +74,11 @@ def read_filed(catalogue: Catalogue, record: dict[str, Any], source: str) -> Fil
         raise InvalidInput(f"{source} is not complete: {error!r}", "restore it, or remove the folder") from None
 
 
-def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -> None:
-    """Make the rows of some hundreds of runs, their events, evaluations and figures what their folders say."""
+def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -> dict[int, int]:
+    """Make the rows of some hundreds of runs, their events, evaluations and figures what their folders say.
+
+    Returns those that repeat a run which is not here, see :meth:`FiledRunRepository.file`.
+    """
     now = utc_now()
     places = put_configurations(t, catalogue, [run.filed for run in runs])
     named = {run.record["request"].get("experiment") for run in runs} - {None}
@@ -96,10 +100,12 @@ def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -
         if run.filed.host is not None:
             fields["host_id"] = hosts[run.filed.host]
         configuration = run.filed.configuration
-        affinity = run_affinity(configuration.dataset, configuration.variant, run.filed.package)
-        request = replace(snapshot.request, affinity=affinity)
+        request = snapshot.request
+        if request.executor != IMPORTED:
+            affinity = run_affinity(configuration.dataset, configuration.variant, run.filed.package)
+            request = replace(request, affinity=affinity)
         rows.append(_filed_run(run, replace(snapshot, request=request, fields=fields, attempt=run.attempt)))
-    t.filed_runs.file(rows)
+    return t.filed_runs.file(rows)
 
 
 def put_configurations(t: Transaction, catalogue: Catalogue, entries: Sequence[Filed]) -> list[tuple[int, int]]:
@@ -108,7 +114,8 @@ def put_configurations(t: Transaction, catalogue: Catalogue, entries: Sequence[F
     modes = {entry.configuration.algorithm: (entry.package, entry.mode) for entry in entries}
     algorithms = {name: t.catalogue.put_algorithm_named(name, *mode) for name, mode in modes.items()}
     known = {entry.dataset.name: entry.dataset for entry in entries}
-    datasets = {name: t.catalogue.put_dataset(dataset, now) for name, dataset in known.items()}
+    gone = {name: not dataset.folder.is_dir() for name, dataset in known.items()}
+    datasets = {name: t.catalogue.put_dataset(known[name], now, gone=gone[name]) for name in known}
     definitions = {algorithm.name: algorithm.parameters for algorithm in catalogue.algorithms()}
     wanted = [
         NewConfiguration(
@@ -181,7 +188,7 @@ def _read(catalogue: Catalogue, record: dict[str, Any]) -> Filed:
         raise ValueError("a metric is not finite")
     return Filed(
         configuration=configuration,
-        dataset=_dataset(catalogue, configuration.dataset, record),
+        dataset=dataset_of(catalogue, configuration.dataset, record),
         package=part.get("package", configuration.algorithm),
         mode=part.get("mode", ""),
         version=AlgorithmVersion(part["identity"], part["package_hash"], part["version"])
@@ -192,8 +199,8 @@ def _read(catalogue: Catalogue, record: dict[str, Any]) -> Filed:
     )
 
 
-def _dataset(catalogue: Catalogue, name: str, record: dict[str, Any]) -> Dataset:
-    """The dataset as its folder says, or what the record knows of one that is gone."""
+def dataset_of(catalogue: Catalogue, name: str, record: Mapping[str, Any]) -> Dataset:
+    """The dataset as its folder says, or what the record knows of one that is gone, which has no recording."""
     try:
         return catalogue.dataset_in_folder(name)
     except SlamHiveError:

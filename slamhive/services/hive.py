@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -18,6 +17,7 @@ from slamhive.evaluation.job import Artefacts
 from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
 from slamhive.executors.base import Executor
 from slamhive.executors.registry import AUTO, ExecutorContext, choose_executor, installation_id, open_executor
+from slamhive.files import temporary_folder
 from slamhive.project import project_root
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.log_line import read_tail
@@ -34,6 +34,7 @@ from slamhive.services.evaluations import Evaluations
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.service import Experiments
 from slamhive.services.imports.service import Imports
+from slamhive.services.ledger.keeping import Ledger
 from slamhive.services.lock import WorkerLock
 from slamhive.services.preparation import check_disk, check_package, check_recorded, recorded_topics
 from slamhive.services.progress import RunProgress, run_progress
@@ -80,6 +81,9 @@ class Hive:
         self.store = store
         self.catalogue = catalogue
         self._executors: dict[str, Executor] = {}
+        self.ledger = Ledger(settings, store)
+        if settings.mode is not Mode.VIEW_ONLY:
+            store.listener = self.ledger.note
         self.variants = Variants(settings, store)
         self.searches = Searches(settings, store, catalogue)
         self.configurations = Configurations(settings, store, catalogue, self.variants)
@@ -207,8 +211,8 @@ class Hive:
         if run.state is not RunState.RUNNING or run.handle is None:
             return read_tail(folder.log, max_bytes)
         # Not into the run's folder: the worker may have the whole log there by the time that ours is written.
-        with tempfile.TemporaryDirectory(prefix="slamhive-log-") as aside:
-            path = Path(aside) / folder.log.name
+        with temporary_folder() as aside:
+            path = aside / folder.log.name
             self._fetch_log(run, path)
             return read_tail(path, max_bytes) or read_tail(folder.log, max_bytes)
 
@@ -356,10 +360,15 @@ def open_hive(options: Mapping[str, Any] | None = None, data_root: DataRoot = Da
 
 
 def check_indexed(hive: Hive) -> None:
-    """Raise Conflict if there are run folders but no rows: the database was lost, ids would be used twice."""
+    """Raise Conflict if there are folders but no rows: the database was lost, numbers would be used twice."""
     if sum(hive.counts().values()) == 0 and any(_run_folders(hive.settings.runs_folder)):
         raise Conflict(
             f"{hive.settings.runs_folder} holds runs that the database does not know", "slamhive reindex files them"
+        )
+    if hive.ledger.knows_more():
+        raise Conflict(
+            f"{hive.settings.ledger_folder} tells of configurations and searches, but the database is empty",
+            "slamhive reindex restores them",
         )
 
 

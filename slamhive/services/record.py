@@ -16,7 +16,7 @@ from slamhive.domain.stop_when import stop_when_from_json, stop_when_to_json
 from slamhive.domain.variant import variant_from_json, variant_to_json
 from slamhive.errors import InvalidInput
 from slamhive.executors.base import Limits, Mount, RunHandle, RunSpec
-from slamhive.services.run_json import plain, timestamp
+from slamhive.services.run_json import exact, plain
 from slamhive.store.records import RunFields, RunRecord, RunRequest, RunSnapshot
 
 FORMAT = 1
@@ -53,7 +53,8 @@ def begin_record(run: RunRecord) -> dict[str, Any]:
         "id": run.id,
         "uid": run.uid,
         "request": request_to_json(run),
-        "created_at": timestamp(run.created_at),
+        "created_at": exact(run.created_at),
+        "attempt": run.attempt,
         "state": run.state.value,
     }
 
@@ -62,7 +63,7 @@ def events_to_json(events: Sequence[RunEvent]) -> list[dict[str, Any]]:
     """The moves of a run, oldest first."""
     return [
         {
-            "at": timestamp(event.at),
+            "at": exact(event.at),
             "from": None if event.from_state is None else event.from_state.value,
             "to": event.to_state.value,
             "why": event.why,
@@ -159,7 +160,7 @@ def _snapshot(record: Mapping[str, Any], configuration_id: int, experiment_id: i
             evaluate=request["evaluate"],
             cpu_cores=request["cpu_cores"],
             memory_mb=request["memory_mb"],
-            timeout_s=request["timeout_s"],
+            timeout_s=record.get("spec", {}).get("timeout_s", request["timeout_s"]),
             retry_of=request["retry_of"],
             stop_when=stop_when_from_json(request.get("stop_when")),
             repeat_disturbed=int(request.get("repeat_disturbed", 0)),

@@ -14,7 +14,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.driver_context import DriverContext, WorkerStopping
 from slamhive.services.record import handle_from_json
 from slamhive.services.record_keeper import RecordKeeper
-from slamhive.services.run_json import timestamp
+from slamhive.services.run_json import exact
 from slamhive.store.records import LeaseLost, RunRecord
 
 logger = logging.getLogger(__name__)
@@ -65,7 +65,7 @@ class RunInHand:
 
     def save(self, changes: dict[str, Any], final: RunEvent | None = None, *, without: str | None = None) -> None:
         """Add to the record; see :meth:`RecordKeeper.save`."""
-        self.keeper.save(changes, final, without=without)
+        self.keeper.save({"attempt": self.run.attempt, **changes}, final, without=without)
 
     def move(self, target: RunState, why: str, *, now: datetime | None = None, **fields: Any) -> None:
         """Move the row, then note the state in the record."""
@@ -74,7 +74,8 @@ class RunInHand:
         self.context.store.write(lambda t: t.runs.move(self.run.id, target, why=why, now=moment, owner=owner, **fields))
         self.reload()
         if self.folder.record.exists():
-            self.save({"state": target.value})
+            ending = {"ended_at": exact(self.run.ended_at)} if target.ended else {}
+            self.save({"state": target.value, **ending})
 
     def moving(self, now: datetime, target: RunState, why: str) -> RunEvent:
         """The move that is about to be made, for the record that is written before it."""
@@ -91,7 +92,7 @@ class RunInHand:
             "state": RunState.FAILED.value,
             "reason": reason.value,
             "detail": detail,
-            "ended_at": timestamp(now),
+            "ended_at": exact(now),
         }
         self.save(ending, self.moving(now, RunState.FAILED, detail))
         self.move(RunState.FAILED, detail, now=now, reason=reason, detail=detail)

@@ -82,6 +82,11 @@ def timestamp(at: datetime | None) -> str | None:
     return None if at is None else at.isoformat(timespec="milliseconds")
 
 
+def exact(at: datetime | None) -> str | None:
+    """The same to the microsecond, for what a row is rebuilt from."""
+    return None if at is None else at.isoformat()
+
+
 def plain(value: Value) -> Any:
     """A parameter value as JSON has it."""
     return list(value) if isinstance(value, tuple) else value

@@ -101,6 +101,10 @@ class Variants:
         with self._cache.hold_made(key):
             yield
 
+    def sweep(self) -> None:
+        """Remove what killed builds have left behind."""
+        self._cache.sweep()
+
     def entries(self, dataset: str | None = None) -> tuple[VariantEntry, ...]:
         """What lies in the cache, of one dataset or of all, the most recently used first."""
         return tuple(entry for entry in self._cache.entries() if dataset is None or entry.dataset == dataset)

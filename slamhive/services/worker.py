@@ -12,10 +12,11 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterable
 
-from slamhive.domain.run import RunState
+from slamhive.domain.run import RunEvent, RunState
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.executors.base import EngineUnavailable, Executor
 from slamhive.executors.registry import AUTO
+from slamhive.runs.folder import RunFolder
 from slamhive.search.build import matching
 from slamhive.services.analyses.jobs import AnalysisJobs
 from slamhive.services.catalogue import Catalogue
@@ -24,8 +25,9 @@ from slamhive.services.driver_context import DriverContext, WorkerStopping, utc_
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.held_runs import HeldRuns
 from slamhive.services.identity import owner_is_dead, worker_identity
+from slamhive.services.leftovers import sweep_leftovers
 from slamhive.services.lock import WorkerLock
-from slamhive.services.run_disk import sweep_scratch
+from slamhive.services.record_keeper import RecordKeeper
 from slamhive.services.slots import share_cores
 from slamhive.services.turns import AbsentExecutors, Turns
 from slamhive.services.variants import Variants
@@ -100,6 +102,7 @@ class Worker:
         cores = share_cores(slots)
         with WorkerLock(self._settings.data):
             self._take_over_from_the_dead()
+            self._store.recheck()
             self._sweep()
             threads = [
                 threading.Thread(target=self._slot, args=(cores[slot], until_idle), name=f"slot-{slot}")
@@ -207,15 +210,20 @@ class Worker:
 
     def _put_back(self, run: RunRecord, why: str) -> bool:
         """Let a run of which nothing has been started wait in the queue for its engine, not in the slot."""
-        now = self._context.now()
+        now, waits = self._context.now(), f"waits: {why}"
 
         def work(transaction: Transaction) -> bool:
             current = transaction.runs.get(run.id)
             if current.state is not RunState.PREPARING or current.cancel_requested:
                 return False
-            transaction.runs.move(run.id, RunState.QUEUED, why=f"waits: {why}", now=now, owner=self.owner)
+            transaction.runs.move(run.id, RunState.QUEUED, why=waits, now=now, owner=self.owner)
             return True
 
+        keeper = RecordKeeper(RunFolder(self._settings.runs_folder / str(run.id)), self._store, run.id)
+        if keeper.readable():
+            # Before the move: after it another slot may have the run, and its record.
+            moving = RunEvent(now, RunState.PREPARING, RunState.QUEUED, waits)
+            keeper.save({"state": RunState.QUEUED.value}, moving)
         if not self._store.write(work):
             return False
         self._absent.note(run.executor)
@@ -278,7 +286,15 @@ class Worker:
                 self._store.write(lambda t, owner=owner: _release(t, owner))  # type: ignore[misc]
 
     def _sweep(self) -> None:
-        """Remove what was left behind of runs that have ended: containers, control groups, scratch space."""
+        """Remove what killed workers have left behind."""
+        self._sweep_containers()
+        try:
+            sweep_leftovers(self._settings, self._store, self._context.variants, self._context.executors)
+        except (SlamHiveError, OSError) as error:
+            logger.warning("what killed workers have left may still be there: %s", error)
+
+    def _sweep_containers(self) -> None:
+        """Remove containers and control groups whose runs have ended."""
         active = matching(states=tuple(state for state in RunState if state.active))
         records = self._store.read(lambda t: t.runs.page(active, limit=MOST_ACTIVE)).records
         names = {record.executor for record in records}
@@ -291,7 +307,6 @@ class Worker:
             else:
                 if removed:
                     logger.info("removed %s, whose runs have ended", ", ".join(removed))
-        sweep_scratch(self._settings.runs_folder, self._store)
 
     def _let_go(self) -> None:
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
@@ -12,6 +13,7 @@ from sqlalchemy.orm import Session
 
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunEvent, RunState
+from slamhive.store.changes import changes_of
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.experiment_records import NewCell, NewConfiguration
 from slamhive.store.experiments import ExperimentRepository
@@ -141,10 +143,12 @@ class ArchiveRepository:
     ) -> list[tuple[int, bool]]:
         """The number of each configuration, and whether it is new; a new one has the time it was first created at."""
         found = ConfigurationRepository(self._session).get_or_create_many(entries, max(created_at))
-        for (number, new), at in zip(found, created_at, strict=True):
-            if new:
-                table = Configuration.__table__
-                self._session.execute(update(table).where(table.c.id == number).values(created_at=at))
+        times = {number: at for (number, new), at in zip(found, created_at, strict=True) if new}
+        table = Configuration.__table__
+        for number, at in times.items():
+            self._session.execute(update(table).where(table.c.id == number).values(created_at=at))
+        changes = changes_of(self._session)
+        changes.configurations = [replace(row, at=times.get(row.id, row.at)) for row in changes.configurations]
         return found
 
     def experiment(self, uid: str) -> str | None:
@@ -167,6 +171,7 @@ class ArchiveRepository:
         """Save a search unless its name is taken."""
         values = saved_columns(record) | {"created_at": created_at}
         get_or_insert(self._session, SavedSearch, {"name": record.name}, values)
+        changes_of(self._session).searches = True
 
     def _numbers(self, column: ColumnElement[int], *conditions: ColumnElement[bool]) -> set[int]:
         return set(self._session.execute(select(column).where(*conditions)).scalars())

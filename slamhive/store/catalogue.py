@@ -13,6 +13,7 @@ from slamhive.domain import protocol as domain
 from slamhive.domain.algorithm import Algorithm as AlgorithmDefinition
 from slamhive.domain.dataset import Dataset as DatasetDefinition
 from slamhive.errors import unknown
+from slamhive.store.changes import changes_of
 from slamhive.store.models import Algorithm, AlgorithmVersion, Dataset, Host, Protocol
 from slamhive.store.records import AlgorithmRecord, DatasetRecord
 from slamhive.store.records import AlgorithmVersion as VersionRecord
@@ -34,6 +35,7 @@ class CatalogueRepository:
         """The same for an algorithm whose folder may be gone (reindex)."""
         values = {"package": package, "mode": mode}
         algorithm_id, created = get_or_insert(self._session, Algorithm, {"name": name}, values)
+        changes_of(self._session).catalogue |= created
         if not created:
             self._session.execute(
                 update(Algorithm.__table__).where(Algorithm.__table__.c.id == algorithm_id).values(values)
@@ -44,10 +46,15 @@ class CatalogueRepository:
         """The id of this version of the algorithm, stored if it is new."""
         keys = {"algorithm_id": algorithm_id, "identity": version.identity, "package_hash": version.package_hash}
         values = {"version": version.version, "created_at": now}
-        return get_or_insert(self._session, AlgorithmVersion, keys, values)[0]
+        version_id, created = get_or_insert(self._session, AlgorithmVersion, keys, values)
+        changes_of(self._session).catalogue |= created
+        return version_id
 
-    def put_dataset(self, dataset: DatasetDefinition, now: datetime) -> int:
-        """The id of ``dataset``; a dataset that was made anew under its name replaces what was known of it."""
+    def put_dataset(self, dataset: DatasetDefinition, now: datetime, *, gone: bool = False) -> int:
+        """The id of ``dataset``; a dataset that was made anew under its name replaces what was known of it.
+
+        ``gone``: its folder is gone, so what is known of it stays.
+        """
         values = {
             "checksum": dataset.checksum,
             "duration_s": dataset.duration_s,
@@ -60,7 +67,8 @@ class CatalogueRepository:
         }
         keys = {"name": dataset.name}
         dataset_id, created = get_or_insert(self._session, Dataset, keys, {**values, "registered_at": now})
-        if not created:
+        changes_of(self._session).catalogue |= created
+        if not created and not gone:
             self._session.execute(update(Dataset.__table__).where(Dataset.__table__.c.id == dataset_id).values(values))
         return dataset_id
 

@@ -9,6 +9,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from slamhive.errors import Conflict, NotFound
+from slamhive.store.changes import changes_of
 from slamhive.store.configuration_listing import configuration_records, list_configurations
 from slamhive.store.configuration_models import ConfigurationGroup, ConfigurationLabel
 from slamhive.store.configuration_records import ConfigurationFilter, ConfigurationPage, ConfigurationRecord
@@ -59,14 +60,18 @@ class ConfigurationBook:
         owner = None if name is None else self.named(name)
         if owner not in (None, configuration_id):
             raise _name_taken(name, owner)
+        if name is None and not note:
+            self._session.execute(delete(_LABELS).where(_LABELS.c.configuration_id == configuration_id))
+            changes_of(self._session).described.add(configuration_id)
+            return
         values = {"name": name, "note": note}
+        changes_of(self._session).described.add(configuration_id)
         try:
             if changed(
                 self._session, update(_LABELS).where(_LABELS.c.configuration_id == configuration_id).values(values)
             ):
                 return
-            if name is not None or note:
-                self._session.execute(insert(_LABELS).values(configuration_id=configuration_id, **values))
+            self._session.execute(insert(_LABELS).values(configuration_id=configuration_id, **values))
         except IntegrityError:  # another transaction was faster
             raise _name_taken(name, None) from None
 
@@ -75,6 +80,7 @@ class ConfigurationBook:
         for configuration_id in dict.fromkeys(configuration_ids):
             if group not in self.get(configuration_id).groups:
                 self._session.execute(insert(_GROUPS).values(name=group, configuration_id=configuration_id))
+        changes_of(self._session).described.update(configuration_ids)
 
     def remove_from_group(self, group: str, configuration_ids: Sequence[int]) -> None:
         """Take configurations out of a group; the group is gone with its last. Raises NotFound for one not in it."""
@@ -82,6 +88,7 @@ class ConfigurationBook:
             place = (_GROUPS.c.name == group, _GROUPS.c.configuration_id == configuration_id)
             if not changed(self._session, delete(_GROUPS).where(*place)):
                 raise NotFound(f"configuration {configuration_id} is not in the group {group!r}")
+        changes_of(self._session).described.update(configuration_ids)
 
     def groups(self) -> dict[str, int]:
         """All groups by name, and how many configurations each has."""
@@ -102,6 +109,7 @@ class ConfigurationBook:
             self._session.execute(delete(table).where(table.c.id == configuration_id))
         except IntegrityError:  # a run was queued meanwhile
             raise _has_runs(record.label, "a new run") from None
+        changes_of(self._session).deleted.add(configuration_id)
 
 
 def _has_runs(label: str, runs: str) -> Conflict:

@@ -15,6 +15,7 @@ from slamhive.domain.parameters import Parameter as Definition
 from slamhive.domain.parameters import ParameterType, Value
 from slamhive.domain.variant import variant_from_json, variant_to_json
 from slamhive.errors import NotFound
+from slamhive.store.changes import NewRow, changes_of
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.models import (
     TEXT_VALUE_LENGTH,
@@ -67,8 +68,20 @@ class ConfigurationRepository:
         if missing:
             ours = self._insert(missing, now)
             known.update(self._ids_by_hash(list(missing)))
-            self._insert_values({known[content_hash]: missing[content_hash] for content_hash in ours})
+            new = {known[content_hash]: missing[content_hash] for content_hash in ours}
+            self._insert_values(new)
+            changes_of(self._session).configurations += [NewRow(number, entry, now) for number, entry in new.items()]
         return [(known[entry.content_hash], entry.content_hash in ours) for entry in entries]
+
+    def restore(self, entries: Mapping[int, NewConfiguration], created_at: Mapping[int, datetime]) -> dict[int, int]:
+        """Store configurations under numbers that are free; {number asked for: number}."""
+        known = self._ids_by_hash([entry.content_hash for entry in entries.values()])
+        new = {n: entry for n, entry in entries.items() if known.setdefault(entry.content_hash, n) == n}
+        if new:
+            rows = [{**_row(entry), "id": number, "created_at": created_at[number]} for number, entry in new.items()]
+            self._session.execute(insert(Configuration.__table__), rows)
+            self._insert_values(new)
+        return {number: known[entry.content_hash] for number, entry in entries.items()}
 
     def get(self, configuration_id: int) -> domain.Configuration:
         """The configuration with this id; raises NotFound."""
@@ -136,12 +149,14 @@ class ConfigurationRepository:
     def _insert_values(self, entries: Mapping[int, NewConfiguration]) -> None:
         """The parameters, and the options of the variants, of configurations that are new, by id."""
         ids: dict[tuple[object, ...], dict[str, int]] = {}
+        meanings = _Meanings()
         rows: list[dict[str, Any]] = []
         options: list[dict[str, Any]] = []
         for configuration_id, entry in entries.items():
             options += option_rows(configuration_id, entry.configuration.variant)
             values = entry.configuration.parameters
-            signature = (entry.algorithm_id, *((key, type(value)) for key, value in values.items()))
+            kinds = ((key, type(value)) for key, value in values.items())
+            signature = (entry.algorithm_id, meanings.of(entry.definitions), *kinds)
             if signature not in ids:
                 ids[signature] = self._parameter_ids(entry.algorithm_id, values, entry.definitions)
             for key, value in values.items():
@@ -182,6 +197,19 @@ class ConfigurationRepository:
             same = (table.c.scope == scope, table.c.key == key)
             self._session.execute(update(table).where(*same).values(general=general))
         return ids
+
+
+class _Meanings:
+    """What tells definitions apart: type and unit say what a value means. Told once for each list of definitions."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, tuple[object, ...]] = {}
+
+    def of(self, definitions: Sequence[Definition]) -> tuple[object, ...]:
+        """The same for definitions that mean the same; the caller keeps ``definitions``."""
+        if id(definitions) not in self._known:
+            self._known[id(definitions)] = tuple((d.key, d.type, d.unit, d.general) for d in definitions)
+        return self._known[id(definitions)]
 
 
 def _row(entry: NewConfiguration) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, NotFound
 from slamhive.evaluation.job import Artefacts, EvaluationResult
 from slamhive.store.catalogue import CatalogueRepository
+from slamhive.store.changes import AskedEvaluations, changes_of
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, Protocol, Run
 from slamhive.store.records import EvaluationRecord, EvaluationState, LeaseLost
@@ -55,6 +56,7 @@ class EvaluationRepository:
             except IntegrityError:  # another process queues the same at the same time
                 for run_id in part:
                     ids[run_id] = get_or_insert(self._session, Evaluation, {"run_id": run_id, **keys}, values)[0]
+        changes_of(self._session).asked_evaluations.append(AskedEvaluations(protocol, artefacts, now, list(ids)))
         return [ids[run_id] for run_id in wanted]
 
     def _open_ids(self, run_ids: Sequence[int], protocol_id: int) -> dict[int, int]:
@@ -131,6 +133,7 @@ class EvaluationRepository:
             raise LeaseLost(f"evaluation {evaluation_id} is {row.state}, held by {row.lease_owner or 'nobody'}")
         became_current = result.succeeded and self._store_figures(row.run_id, row.protocol_id, result)
         VerdictRepository(self._session).renew([row.run_id], row.protocol_id)
+        changes_of(self._session).evaluated.add(evaluation_id)
         return became_current
 
     def use(self, run_ids: Iterable[int], fingerprint: str) -> None:

@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import unknown
+from slamhive.store.changes import changes_of
 from slamhive.store.experiment_records import (
     CellRecord,
     CellRun,
@@ -22,7 +23,7 @@ from slamhive.store.experiment_records import (
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.models import Configuration, Evaluation, Experiment, ExperimentCell, Protocol, Run
 from slamhive.store.models import RunEvent as EventRow
-from slamhive.store.rows import changed, chunks, get_or_insert
+from slamhive.store.rows import chunks, get_or_insert
 
 _EXPERIMENTS = Experiment.__table__
 _CELLS = ExperimentCell.__table__
@@ -68,6 +69,7 @@ class ExperimentRepository:
     def change(self, experiment_id: int, **values: Any) -> None:
         """Write these fields."""
         self._session.execute(update(_EXPERIMENTS).where(_EXPERIMENTS.c.id == experiment_id).values(values))
+        changes_of(self._session).experiments.add(experiment_id)
 
     # -- cells -----------------------------------------------------------------------------------------------------
 
@@ -85,6 +87,7 @@ class ExperimentRepository:
         ]
         if rows:
             self._session.execute(insert(_CELLS), rows)
+            changes_of(self._session).cells.append((experiment_id, cells))
 
     def cell_hashes(self, experiment_id: int, first: int, last: int) -> dict[int, str]:
         """{number: content hash of the configuration} of the stored cells from ``first`` to ``last``."""
@@ -224,8 +227,13 @@ class ExperimentRepository:
             event = {"at": now, "from_state": RunState.QUEUED, "to_state": RunState.CANCELLED, "why": why}
             self._session.execute(insert(EventRow.__table__), [{"run_id": run_id, **event} for run_id in part])
         active = [mine, _RUNS.c.state.not_in((*_ENDED, RunState.QUEUED, RunState.CANCELLING))]
-        asked = changed(self._session, update(_RUNS).where(*active).values(cancel_requested=True, held=False))
-        return len(queued), asked
+        asked = list(self._session.execute(select(_RUNS.c.id).where(*active).with_for_update()).scalars())
+        for part in chunks(asked):
+            self._session.execute(update(_RUNS).where(_RUNS.c.id.in_(part)).values(cancel_requested=True, held=False))
+        changes = changes_of(self._session)
+        changes.cancelled.append((queued, now, why))
+        changes.asked_to_end.update(asked)
+        return len(queued), len(asked)
 
     def failed(self, experiment_id: int) -> list[int]:
         """Ids of the failed runs that no other run has taken the place of."""

@@ -15,6 +15,7 @@ from slamhive.domain import protocol as domain
 from slamhive.errors import Conflict
 from slamhive.evaluation.job import Artefacts
 from slamhive.store.catalogue import CatalogueRepository
+from slamhive.store.changes import changes_of
 from slamhive.store.evaluations import REASON_LENGTH
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, MetricValue, Run
@@ -70,20 +71,25 @@ class FiledRunRepository:
     def __init__(self, session: Session) -> None:
         self._session = session
 
-    def file(self, runs: Sequence[FiledRun]) -> None:
+    def file(self, runs: Sequence[FiledRun]) -> dict[int, int]:
         """File some hundreds of runs at most, whose figures are finite.
 
+        Returns those that repeat a run which is not here, {number: number of that run}: they repeat none, as filed.
         Raises Conflict, having written nothing, if a number or uid belongs to another run.
         """
         here = self._rows_here([run.snapshot for run in runs])
         catalogue = CatalogueRepository(self._session)
         protocols = {entry.protocol.fingerprint: entry.protocol for run in runs for entry in run.evaluations}
         numbers = {fingerprint: catalogue.put_protocol(protocol) for fingerprint, protocol in protocols.items()}
-        self._put_rows(runs, here, numbers)
+        left = self._put_rows(runs, here, numbers)
         self._put_events(runs, here)
         self._add_evaluations(runs, here, numbers)
         self._put_figures(runs, here, numbers)
         VerdictRepository(self._session).renew(run.snapshot.id for run in runs)
+        # What was added under these numbers is no run of the queue.
+        changes, filed = changes_of(self._session), {run.snapshot.id for run in runs}
+        changes.runs = [row for row in changes.runs if row.id not in filed]
+        return left
 
     def _rows_here(self, snapshots: Sequence[RunSnapshot]) -> set[int]:
         """The numbers of the runs that have a row."""
@@ -102,11 +108,12 @@ class FiledRunRepository:
             claimed.add(uid)
         return set(found.values())
 
-    def _put_rows(self, runs: Sequence[FiledRun], here: set[int], protocols: Mapping[str, int]) -> None:
-        rows = []
+    def _put_rows(self, runs: Sequence[FiledRun], here: set[int], protocols: Mapping[str, int]) -> dict[int, int]:
+        rows, left = [], self._repeating_others(runs)
         for run in runs:
             current = {} if run.current is None else {"current_protocol_id": protocols[run.current]}
-            rows.append({"id": run.snapshot.id, **snapshot_row(run.snapshot), **current})
+            row = {"id": run.snapshot.id, **snapshot_row(run.snapshot), **current}
+            rows.append({**row, "retry_of": None} if run.snapshot.id in left else row)
         new = [row for row in rows if row["id"] not in here]
         if new:
             columns = sorted({name for row in new for name in row})
@@ -115,6 +122,20 @@ class FiledRunRepository:
         for _, alike in groupby(known, key=sorted):
             same = update(_RUNS).where(_RUNS.c.id == bindparam("number"))
             self._session.execute(same, [{"number": row.pop("id"), **row} for row in alike])
+        return left
+
+    def _repeating_others(self, runs: Sequence[FiledRun]) -> dict[int, int]:
+        """{number: number of the run that it repeats} where that is neither here nor filed before it."""
+        repeats = {run.snapshot.id: run.snapshot.request.retry_of for run in runs}
+        wanted = {original for original in repeats.values() if original is not None}
+        if not wanted:
+            return {}
+        here = set(self._session.execute(select(_RUNS.c.id).where(_RUNS.c.id.in_(wanted))).scalars())
+        return {
+            number: original
+            for number, original in repeats.items()
+            if original is not None and original not in here and not (original in repeats and original < number)
+        }
 
     def _put_events(self, runs: Sequence[FiledRun], here: Collection[int]) -> None:
         if here:

@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 
 from slamhive.domain.affinity import same_data
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.store.models import Run
+from slamhive.store.models import Evaluation, Run
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.records import RunRecord
 from slamhive.store.rows import changed, lease
@@ -82,6 +82,16 @@ class QueueRepository:
         """Whether a run is queued that may be claimed."""
         queued = select(_RUNS.c.id).where(_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), *_among(only))
         return self._session.execute(queued.limit(1)).scalar_one_or_none() is not None
+
+    def lately(self, limit: int) -> list[int]:
+        """Runs that somebody works on, or worked on until lately: so many each that ended or were evaluated last."""
+        each = [select(_RUNS.c.id).where(_RUNS.c.state == state) for state in ACTIVE]
+        ended = select(_RUNS.c.id).where(_RUNS.c.ended_at.is_not(None)).order_by(_RUNS.c.ended_at.desc()).limit(limit)
+        evaluated = select(Evaluation.run_id).order_by(Evaluation.id.desc()).limit(limit)
+        found: set[int] = set()
+        for query in (*each, ended, evaluated):
+            found.update(self._session.execute(query).scalars())
+        return sorted(found)
 
     def failures_since_asked(self, run: RunRecord) -> int:
         """How often the configuration of ``run`` has failed, on its own account, since ``run`` was asked for.

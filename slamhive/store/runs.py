@@ -15,6 +15,7 @@ from slamhive.domain.run import RunEvent, RunState, check_move
 from slamhive.domain.stop_when import stop_when_to_json
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.search.binding import EVERYTHING, Search
+from slamhive.store.changes import NewRow, changes_of
 from slamhive.store.models import WHY_LENGTH, Run
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.records import (
@@ -50,12 +51,9 @@ class RunRepository:
         if new:
             self._session.execute(insert(_RUNS), [_new_row(request, now) for request in new])
             known.update(self._ids_by_uid([request.uid for request in new]))
-            events = [
-                {"run_id": known[request.uid], "at": now, "from_state": None, "to_state": RunState.QUEUED, "why": why}
-                for request in new
-                for why in [f"retry of run {request.retry_of}" if request.retry_of else "submitted"]
-            ]
+            events = [event_row(known[request.uid], queued_event(request, now)) for request in new]
             self._session.execute(insert(_EVENTS), events)
+            changes_of(self._session).runs += [NewRow(known[request.uid], request, now) for request in new]
         return [known[request.uid] for request in requests]
 
     def get(self, run_id: int, *, with_metrics: bool = False) -> RunRecord:
@@ -145,6 +143,8 @@ class RunRepository:
         if changed(self._session, update(_RUNS).where(*condition).values(values)) != 1:
             raise LeaseLost(f"run {run_id} was changed by another process while it moved to {target}")
         self._write_event(run_id, RunEvent(now, row.state, target, why))
+        if row.state is RunState.QUEUED and target is RunState.CANCELLED:
+            changes_of(self._session).cancelled.append(([run_id], now, why))
         return RunState(row.state)
 
     def update(self, run_id: int, owner: str | None = None, **fields: Unpack[RunFields]) -> None:
@@ -170,6 +170,7 @@ class RunRepository:
             if state.active:
                 flag = update(_RUNS).where(_RUNS.c.id == run_id, _RUNS.c.state == state).values(cancel_requested=True)
                 if changed(self._session, flag) == 1:
+                    changes_of(self._session).asked_to_end.add(run_id)
                     return state
                 continue
             try:
@@ -199,6 +200,12 @@ class RunRepository:
 
     def _write_event(self, run_id: int, event: RunEvent) -> None:
         self._session.execute(insert(_EVENTS).values(event_row(run_id, event)))
+
+
+def queued_event(request: RunRequest, at: datetime) -> RunEvent:
+    """The first move of a run."""
+    why = f"retry of run {request.retry_of}" if request.retry_of else "submitted"
+    return RunEvent(at, None, RunState.QUEUED, why)
 
 
 def event_row(run_id: int, event: RunEvent) -> dict[str, Any]:

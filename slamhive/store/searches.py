@@ -13,6 +13,7 @@ from slamhive.domain.run import RunState
 from slamhive.errors import unknown
 from slamhive.search.binding import Search
 from slamhive.search.fields import ParameterKind
+from slamhive.store.changes import changes_of
 from slamhive.store.metrics import VERDICT
 from slamhive.store.models import Algorithm, Dataset, Evaluation, Metric, Run, SavedSearch
 from slamhive.store.records import Count, GroupPage, RunSort, SavedSearchRecord
@@ -97,6 +98,7 @@ class SearchRepository:
     def save(self, record: SavedSearchRecord, now: datetime) -> bool:
         """Save under its name, over what has it; whether it is new."""
         values = saved_columns(record)
+        changes_of(self._session).searches = True
         if changed(self._session, update(_SAVED).where(_SAVED.c.name == record.name).values(values)):
             return False
         self._session.execute(insert(_SAVED).values(name=record.name, created_at=now, **values))
@@ -117,6 +119,7 @@ class SearchRepository:
         """Delete it; raises NotFound."""
         self.saved_named(name)
         self._session.execute(delete(_SAVED).where(_SAVED.c.name == name))
+        changes_of(self._session).searches = True
 
     def _matches(self, search: Search) -> Matches:
         return Matches(self._session, search, Sql(look_up(self._session, search)))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
@@ -17,6 +18,7 @@ from slamhive.errors import NotFound, SlamHiveError
 from slamhive.store import migrate, statistics
 from slamhive.store.analyses import AnalysisRepository
 from slamhive.store.catalogue import CatalogueRepository
+from slamhive.store.changes import CHANGES_KEY, Changes, Listener
 from slamhive.store.configuration_book import ConfigurationBook
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.durations import DurationRepository
@@ -138,6 +140,8 @@ class Store:
         self._clock = clock
         self._sleep = sleep
         self._written = 0
+        self.listener: Listener | None = None
+        """Called after each transaction that stored what no folder tells, with what that was."""
 
     @property
     def label(self) -> str:
@@ -150,11 +154,33 @@ class Store:
 
     def write(self, work: Callable[[Transaction], T]) -> T:
         """What ``work`` returns, once all it wrote is on disk; nothing of it is if it raises."""
-        result = self.retried(lambda: self._attempt(self._writing, work))
+        attempts: list[Changes] = []
+
+        def attempt() -> T:
+            changes = Changes()
+            attempts.append(changes)
+            return self._attempt(self._writing, work, changes)
+
+        result = self.retried(attempt)
+        self._tell(attempts)
         self._written += 1
         if self._written % WRITES_BETWEEN_LOOKS == 0:
             self._refresh_if_grown()
         return result
+
+    @contextmanager
+    def unheard(self) -> Iterator[None]:
+        """The listener is told nothing during the block: what is stored comes from where it would write."""
+        listener, self.listener = self.listener, None
+        try:
+            yield
+        finally:
+            self.listener = listener
+
+    def recheck(self) -> None:
+        """Tell the listener that more may have been stored than it was told of, after a bulk of rows was filed."""
+        if self.listener is not None:
+            self.listener(Changes(uncertain=True))
 
     def refresh_statistics(self) -> None:
         """Let the database look at its tables, after a bulk of rows was written."""
@@ -174,8 +200,16 @@ class Store:
         except DBAPIError as error:
             logger.info("database %s: statistics stay as they are: %s", self.label, short(error))
 
-    def _attempt(self, engine: Engine, work: Callable[[Transaction], T]) -> T:
-        with Session(engine, expire_on_commit=False) as session, session.begin():
+    def _tell(self, attempts: Sequence[Changes]) -> None:
+        """Tell the listener what the last attempt has stored."""
+        changes = attempts[-1]
+        changes.uncertain = len(attempts) > 1 and any(attempts)
+        if self.listener is not None and changes:
+            self.listener(changes)
+
+    def _attempt(self, engine: Engine, work: Callable[[Transaction], T], changes: Changes | None = None) -> T:
+        noted = {CHANGES_KEY: Changes() if changes is None else changes}
+        with Session(engine, expire_on_commit=False, info=noted) as session, session.begin():
             return work(Transaction(session))
 
     def retried(self, attempt: Callable[[], T]) -> T:

@@ -143,7 +143,7 @@ def web(engine, images, environment, data, worker):
         tmpfs=dict.fromkeys(service["tmpfs"], ""),
         volumes={
             str(data): {"bind": str(data), "mode": "ro"},
-            str(data / "experiments"): {"bind": str(data / "experiments"), "mode": "rw"},
+            **{str(data / name): {"bind": str(data / name), "mode": "rw"} for name in ("experiments", "ledger")},
             **ALGORITHMS,
         },
     )

@@ -122,6 +122,11 @@ class DatabaseServer:
             self._process.wait(STOP_TIMEOUT_S)
             self._process = None
 
+    @property
+    def pid(self) -> int | None:
+        """The server's process, None while there is none."""
+        return None if self._process is None else self._process.pid
+
     def freeze(self, *, frozen: bool) -> None:
         """Let the server hang, or go on."""
         assert self._process is not None

@@ -182,7 +182,7 @@ class VariantCache:
         """Make the folder aside, once there is room for what will be in it; others count it from then on."""
         self._check_limit(plan)
         with exclusive(self._root / _ROOM_LOCK, _silent):
-            self._sweep()
+            self.sweep()
             self._evict(plan.needed_bytes)
             self._check_disk(plan, self._free_bytes())
             self._lock(plan.key).write_text(str(plan.needed_bytes), encoding="ascii")
@@ -235,7 +235,7 @@ class VariantCache:
                 found[key] = 0
         return found
 
-    def _sweep(self) -> None:
+    def sweep(self) -> None:
         """Remove what killed builds have left behind."""
         for key in self._reserved():
             try:

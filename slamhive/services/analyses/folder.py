@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.errors import InvalidInput, NotFound, Unavailable
-from slamhive.files import remedy_of, write_aside
+from slamhive.files import held_folder, remedy_of, write_aside
 from slamhive.input_bounds import read_record
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 
@@ -46,10 +46,10 @@ class AnalysisFolder:
         """Make the folder; it is there with all that belongs into it, or not at all."""
         aside = self.root.with_name(f".{self.root.name}")
         try:
-            aside.mkdir(parents=True, exist_ok=True)
-            write_aside(aside / SOURCE, source)
-            AnalysisFolder(aside).write_state(record)
-            aside.rename(self.root)
+            with held_folder(aside):
+                write_aside(aside / SOURCE, source)
+                AnalysisFolder(aside).write_state(record)
+                aside.rename(self.root)
         except OSError as error:
             shutil.rmtree(aside, ignore_errors=True)
             raise Unavailable(f"{self.root} cannot be made: {error.strerror}", remedy_of(error)) from None

@@ -120,16 +120,17 @@ class StoredAnalyses:
     def restore(self) -> Iterator[tuple[Path, str | None]]:
         """File every folder again (reindex): each with None, or why it could not be."""
         root = self._settings.analyses_folder
+        records: list[AnalysisRecord] = []
         for path in sorted(root.iterdir()) if root.is_dir() else ():
             if not _TOKEN.fullmatch(path.name) or path.is_symlink():
                 continue
             try:
-                record = AnalysisFolder(path).read_state()
-                self._store.write(lambda t, record=record: t.analyses.put(record))  # type: ignore[misc]
+                records.append(AnalysisFolder(path).read_state())
             except SlamHiveError as error:
                 yield path, str(error)
-            else:
-                yield path, None
+        for record in sorted(records, key=lambda record: (record.created_at, record.token)):
+            self._store.write(lambda t, record=record: t.analyses.put(record))  # type: ignore[misc]
+            yield root / record.token, None
 
     def _make_room(self) -> None:
         """The oldest analyses of visitors go, so that one more may come."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 from slamhive.domain.names import check_name
 from slamhive.errors import InvalidInput
+from slamhive.files import temporary_folder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.reading import ArchiveReader, Place, not_unpacked
 from slamhive.services.experiments.folder import RECORD, SOURCE
@@ -86,9 +86,9 @@ def _check_datasets(archive: ArchiveReader, contents: Contents) -> None:
         description = f"datasets/{name}/{DATASET_FILE}"
         if not archive.has(description):
             continue
-        with tempfile.TemporaryDirectory() as folder:
-            archive.unpack(description, Path(folder) / name / DATASET_FILE)
-            dataset = load_dataset(Path(folder) / name)
+        with temporary_folder() as folder:
+            archive.unpack(description, folder / name / DATASET_FILE)
+            dataset = load_dataset(folder / name)
         if dataset.name != name:
             raise InvalidInput(f"dataset {name} of the archive is described as {dataset.name}")
 

@@ -40,8 +40,8 @@ from slamhive.store.archives import ArchiveRepository
 from slamhive.store.store import Store, Transaction
 
 BATCH = 100
-_LOCK = ".import.lock"
-_ASIDE = ".archive"
+LOCK = ".import.lock"
+ASIDE = ".archive"
 _CHECKING = 0.7
 """The share of the time that comparing checksums takes, unpacking on the way."""
 _MB = 1_000_000
@@ -108,6 +108,7 @@ class ArchiveImport:
                 around.import_before_runs(report.counts)
                 self._runs(archive, contents, _Ready(aside, around), report, progress)
                 around.import_after_runs(report.counts, kept_numbers=report.kept_numbers)
+        self._store.recheck()
         self._store.refresh_statistics()
         return report
 
@@ -144,7 +145,7 @@ class ArchiveImport:
     def _alone(self) -> Iterator[Path]:
         """One import at a time, with a folder for what is unpacked; what killed ones have left goes."""
         runs = self._settings.runs_folder
-        lock, aside = runs / _LOCK, runs / _ASIDE
+        lock, aside = runs / LOCK, runs / ASIDE
         try:
             with exclusive(lock):
                 shutil.rmtree(aside, ignore_errors=True)

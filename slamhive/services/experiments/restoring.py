@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from slamhive.errors import SlamHiveError
 from slamhive.services.driver_context import utc_now
+from slamhive.services.experiments.changing import WHY_CANCELLED
 from slamhive.services.experiments.context import ExperimentContext, silent
 from slamhive.services.experiments.folder import ExperimentFolder, experiment_folders
 from slamhive.services.experiments.storing import fill, put_experiment
@@ -27,7 +28,7 @@ class Restored:
 
 def restore_rows(context: ExperimentContext) -> Iterator[Restored]:
     """Make the row of each experiment what its folder says."""
-    for folder in experiment_folders(context.settings.experiments_folder):
+    for folder in sorted(experiment_folders(context.settings.experiments_folder), key=_first_stored):
         try:
             stamp, source = folder.read(), folder.source()
             if stamp is None:
@@ -45,10 +46,8 @@ def restore_rows(context: ExperimentContext) -> Iterator[Restored]:
 def restore_runs(context: ExperimentContext) -> Iterator[Restored]:
     """Store the cells, and queue again what has no run folder, except in experiments that were cancelled."""
     for record in context.store.read(lambda t: t.experiments.all()):
-        paused = record.state is ExperimentState.PAUSED
         if record.complete:
-            if paused:
-                context.store.write(lambda t, i=record.id: t.experiments.hold(i, held=True))  # type: ignore[misc]
+            _follow(context, record)
             continue
         folder = context.folder(record.name)
         before = _run_count(context, record)
@@ -63,7 +62,7 @@ def restore_runs(context: ExperimentContext) -> Iterator[Restored]:
                 problem = f"{other} runs have another configuration than their cell has now: the catalogue has changed"
         except SlamHiveError as error:
             problem = str(error)
-        context.store.write(lambda t, i=record.id, held=paused: t.experiments.hold(i, held=held))  # type: ignore[misc]
+        _follow(context, record)
         yield Restored(folder, _run_count(context, record) - before, problem)
 
 
@@ -71,6 +70,28 @@ def _repeat_disturbed(t: Transaction, experiment_id: int) -> None:
     """Queue again the repetitions of disturbed runs that no worker had begun."""
     for run in t.runs.get_many(t.experiments.to_repeat(experiment_id)):
         repeat_if_disturbed(t, run, utc_now())
+
+
+def _follow(context: ExperimentContext, record: ExperimentRecord) -> None:
+    """Its runs wait, or are cancelled, as is wanted of it as a whole."""
+    now = utc_now()
+
+    def work(t: Transaction) -> None:
+        if record.state is ExperimentState.CANCELLED:
+            t.experiments.cancel(record.id, now, WHY_CANCELLED)
+        else:
+            t.experiments.hold(record.id, held=record.state is ExperimentState.PAUSED)
+
+    context.store.write(work)
+
+
+def _first_stored(folder: ExperimentFolder) -> tuple[str, str]:
+    """Experiments are listed in the order in which they were stored."""
+    try:
+        stamp = folder.read()
+    except SlamHiveError:
+        stamp = None
+    return "" if stamp is None else stamp.created_at.isoformat(), folder.root.name
 
 
 def _run_count(context: ExperimentContext, record: ExperimentRecord) -> int:

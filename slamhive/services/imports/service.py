@@ -39,8 +39,8 @@ from slamhive.store.store import Store, Transaction
 from slamhive.trajectory.layout import UNKNOWN
 
 BATCH = 50
-_LOCK = ".import.lock"
-_ASIDE = ".import-"
+LOCK = ".import.lock"
+ASIDE = ".import-"
 
 Progress = Callable[[int, int], None]
 """Called with how many files were dealt with, and how many there are."""
@@ -106,8 +106,8 @@ class Imports:
         """One import at a time; what killed ones have left aside goes."""
         runs = self._settings.runs_folder
         try:
-            with exclusive(runs / _LOCK):
-                for aside in runs.glob(f"{_ASIDE}*"):
+            with exclusive(runs / LOCK):
+                for aside in runs.glob(f"{ASIDE}*"):
                     shutil.rmtree(aside, ignore_errors=True)
                 yield
         except Busy:
@@ -216,7 +216,7 @@ class Imports:
 
     def _make_folder(self, run: RunRecord, entry: Loaded, homes: _Homes) -> None:
         """Write the run's folder aside and rename it."""
-        aside = RunFolder(self._settings.runs_folder / f"{_ASIDE}{run.uid}")
+        aside = RunFolder(self._settings.runs_folder / f"{ASIDE}{run.uid}")
         events = self._store.read(lambda t: t.runs.events(run.id))
         algorithm = homes.algorithms[run.algorithm]
         dataset = homes.datasets[run.dataset].dataset

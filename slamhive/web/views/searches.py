@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 
 from flask import Blueprint, Response, flash, make_response, redirect, request, send_file
 from flask import url_for as address
@@ -12,6 +10,7 @@ from werkzeug.datastructures import MultiDict
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput, unknown
+from slamhive.files import temporary_folder
 from slamhive.services.group_export import GroupExport
 from slamhive.services.hive import Hive
 from slamhive.services.run_export import RunExport
@@ -94,8 +93,8 @@ def _file(name: str, kind: Format, content: TableExport[Record], pages: Page[Rec
 
 def _parquet(content: TableExport[Record], page: Page[Record]) -> Response:
     """A Parquet file is written whole, since its table of contents is at the end; it goes with the answer."""
-    with tempfile.TemporaryDirectory(prefix="slamhive-export-") as folder:
-        path = Path(folder) / "table.parquet"
+    with temporary_folder() as folder:
+        path = folder / "table.parquet"
         content.parquet(page, path)
         stream = path.open("rb")  # outlives the folder: the file goes when it is closed
     response = send_file(stream, mimetype=Format.PARQUET.media_type)

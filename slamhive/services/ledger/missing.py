@@ -1,0 +1,192 @@
+"""What the ledger lacks of what the database has. Lines are added, never taken away: the database may be the older."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from datetime import datetime
+
+from slamhive.domain.run import RunState
+from slamhive.errors import SlamHiveError
+from slamhive.runs.folder import RunFolder
+from slamhive.services.archive.lines import dataset_to_line, search_to_line
+from slamhive.services.ledger.book import Line
+from slamhive.services.ledger.evaluation_lines import asked_line, ended_lines, read_evaluations
+from slamhive.services.ledger.files import LedgerFiles
+from slamhive.services.ledger.lines import cell_line, label_line, record_line, run_lines
+from slamhive.settings import Settings
+from slamhive.store.archives import ArchiveRepository
+from slamhive.store.changes import AskedEvaluations
+from slamhive.store.configuration_listing import configuration_records
+from slamhive.store.configuration_records import ConfigurationRecord
+from slamhive.store.experiment_records import NewCell
+from slamhive.store.filed_runs import EndedEvaluation
+from slamhive.store.ledger import LedgerRepository
+from slamhive.store.store import Store, Transaction
+
+_AT_ONCE = 500
+
+
+class Missing:
+    """The lines that each book lacks.
+
+    Args:
+        settings: Where run folders lie.
+        store: The database.
+        files: The books.
+    """
+
+    def __init__(self, settings: Settings, store: Store, files: LedgerFiles) -> None:
+        self._settings = settings
+        self._store = store
+        self._files = files
+
+    def configurations(self) -> Iterator[Line]:
+        """Configurations, and what users say about them."""
+        told: set[int] = set()
+        said: dict[int, Line] = {}
+        for line in self._files.configurations.read():
+            told.update(entry[0] for entry in line.get("configurations", ()))
+            for number in line.get("deleted", ()):
+                told.discard(number)
+                said.pop(number, None)
+            if "label" in line:
+                said[line["label"]] = line
+        stored, described = self._store.read(
+            lambda t: (LedgerRepository(t.session).configurations(), LedgerRepository(t.session).described())
+        )
+        for record in self._records(sorted(stored - told)):
+            yield record_line(record)
+        for record in self._records(sorted({*described, *(stored & said.keys())})):
+            if said.get(record.id) != (line := label_line(record)):
+                yield line
+
+    def cells(self) -> Iterator[Line]:
+        """Cells of experiments, and how many there are."""
+        told: dict[str, set[int]] = defaultdict(set)
+        sizes: dict[str, Line] = {}
+        for line in self._files.cells.read():
+            told[line["experiment"]].update(entry[0] for entry in line.get("cells", ()))
+            if "size" in line:
+                sizes[line["experiment"]] = line["size"]
+        stored, counted = self._store.read(
+            lambda t: (LedgerRepository(t.session).stored_cells(), LedgerRepository(t.session).sizes())
+        )
+        for record in self._store.read(lambda t: t.experiments.all()):
+            if stored.get(record.uid, 0) > len(told[record.uid]):
+                yield from self._cells_of(record.id, record.uid)
+            if sizes.get(record.uid) != counted[record.uid]:
+                yield {"experiment": record.uid, "size": counted[record.uid]}
+
+    def runs(self) -> Iterator[Line]:
+        """Runs that wait, those that were cancelled before they had a folder, and active ones that are to end."""
+        told: dict[RunState, set[int]] = {RunState.QUEUED: set(), RunState.CANCELLED: set()}
+        asked: set[int] = set()
+        for line in self._files.runs.read():
+            told[RunState.QUEUED].update(entry[0] for entry in line.get("runs", ()))
+            told[RunState.CANCELLED].update(line.get("cancelled", ()))
+            asked.update(line.get("asked_to_end", ()))
+        waiting, to_end, experiments = self._store.read(
+            lambda t: (
+                LedgerRepository(t.session).waiting(),
+                LedgerRepository(t.session).asked_to_end(),
+                LedgerRepository(t.session).experiments(),
+            )
+        )
+        untold = [run_id for run_id, state in waiting.items() if self._untold(run_id, state, told[state])]
+        for part in _parts(sorted(set(untold) - told[RunState.QUEUED])):
+            yield from run_lines(self._store.read(lambda t: LedgerRepository(t.session).requests(part)), experiments)  # noqa: B023
+        yield from self._cancelled([run_id for run_id in untold if waiting[run_id] is RunState.CANCELLED])
+        if new := sorted(set(to_end) - asked):
+            yield {"asked_to_end": new}
+
+    def evaluations(self) -> Iterator[Line]:
+        """Evaluations that wait, and those that have ended."""
+        told = read_evaluations(self._files.evaluations.read())
+        ended, waiting = self._store.read(lambda t: LedgerRepository(t.session).evaluation_counts())
+        known = {key for entries in told.ended.values() for key in entries}
+        if ended > len(known):
+            protocols = set(told.protocols)
+            for run_id, entry in self._ended():
+                if (run_id, entry.protocol.fingerprint, entry.created_at) not in known:
+                    if entry.protocol.fingerprint not in protocols:
+                        protocols.add(entry.protocol.fingerprint)
+                        yield asked_line(AskedEvaluations(entry.protocol, entry.artefacts, entry.created_at, ()))
+                    yield from ended_lines({run_id: [entry]})
+        if waiting:
+            for asked in self._store.read(lambda t: LedgerRepository(t.session).open()):
+                new = [run for run in asked.run_ids if (run, asked.protocol.fingerprint, asked.at) not in told.asked]
+                if new:
+                    yield asked_line(AskedEvaluations(asked.protocol, asked.artefacts, asked.at, new))
+
+    def _records(self, ids: list[int]) -> Iterator[ConfigurationRecord]:
+        for part in _parts(ids):
+            yield from self._store.read(lambda t: configuration_records(t.session, part))  # noqa: B023
+
+    def _cells_of(self, experiment: int, uid: str) -> Iterator[Line]:
+        after = -1
+        while cells := self._store.read(lambda t: t.experiments.cells(experiment, after, _AT_ONCE)):  # noqa: B023
+            yield cell_line(
+                uid, [NewCell(cell.number, cell.name, cell.configuration_id, cell.values) for cell in cells]
+            )
+            after = cells[-1].number
+
+    def _cancelled(self, run_ids: list[int]) -> Iterator[Line]:
+        together: dict[tuple[datetime, str], list[int]] = defaultdict(list)
+        for part in _parts(run_ids):
+            found = self._store.read(lambda t: LedgerRepository(t.session).cancellations(part))  # noqa: B023
+            for run_id, when in found.items():
+                together[when].append(run_id)
+        for (at, why), members in together.items():
+            yield {"cancelled": members, "at": at.isoformat(), "why": why}
+
+    def _ended(self) -> Iterator[tuple[int, EndedEvaluation]]:
+        after = 0
+        while found := self._store.read(lambda t: LedgerRepository(t.session).ended(after=after)):  # noqa: B023
+            yield from ((run_id, entry) for _, run_id, entry in found)
+            after = found[-1][0]
+
+    def _untold(self, run_id: int, state: RunState, told: set[int]) -> bool:
+        """Whether neither the book nor the run's folder tells that it is in ``state``."""
+        if run_id in told:
+            return False
+        folder = RunFolder(self._settings.runs_folder / str(run_id))
+        try:
+            return not folder.record.exists() or folder.read_record().get("state") != state.value
+        except SlamHiveError:
+            return True
+
+
+def catalogue_lines(store: Store) -> Iterator[Line]:
+    """Algorithms with their versions, and datasets."""
+
+    def work(t: Transaction) -> list[Line]:
+        versions = LedgerRepository(t.session).versions()
+        algorithms: list[Line] = [
+            {
+                "algorithm": entry.name,
+                "package": entry.package,
+                "mode": entry.mode,
+                "versions": [
+                    {**version, "created_at": version["created_at"].isoformat()}
+                    for version in versions.get(entry.name, ())
+                ],
+            }
+            for entry in t.catalogue.algorithms()
+        ]
+        datasets = [{"dataset": dataset_to_line(entry), "folder": entry.folder} for entry in t.catalogue.datasets()]
+        return [*algorithms, *datasets]
+
+    yield from store.read(work)
+
+
+def search_lines(store: Store) -> Iterator[Line]:
+    """Saved searches."""
+    for record, at in store.read(lambda t: ArchiveRepository(t.session).saved_searches()):
+        yield search_to_line(record, at)
+
+
+def _parts(ids: Iterable[int]) -> Iterator[list[int]]:
+    wanted = list(ids)
+    for start in range(0, len(wanted), _AT_ONCE):
+        yield wanted[start : start + _AT_ONCE]

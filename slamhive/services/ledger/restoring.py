@@ -1,0 +1,301 @@
+"""Rows out of the ledger, under the numbers that they had. What is here already stays as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from functools import cached_property
+from itertools import islice
+from typing import Any
+
+from slamhive.domain.parameters import Parameter
+from slamhive.domain.run import RunEvent, RunState
+from slamhive.errors import SlamHiveError
+from slamhive.services.archive.lines import dataset_from_line, search_from_line
+from slamhive.services.catalogue import Catalogue
+from slamhive.services.driver_context import utc_now
+from slamhive.services.filing import dataset_of
+from slamhive.services.ledger.book import Book, Line
+from slamhive.services.ledger.evaluation_lines import LedgerEvaluations, read_evaluations
+from slamhive.services.ledger.files import LedgerFiles
+from slamhive.services.ledger.lines import (
+    NOT_A_LINE,
+    LedgerConfiguration,
+    LedgerRun,
+    cells_of,
+    configurations_of,
+    live_configurations,
+    moment,
+    runs_of,
+)
+from slamhive.store.archives import ArchiveRepository
+from slamhive.store.experiment_records import NewConfiguration
+from slamhive.store.filed_runs import FiledRun
+from slamhive.store.ledger import LedgerRepository
+from slamhive.store.records import AlgorithmVersion, RunFields, RunSnapshot
+from slamhive.store.runs import queued_event
+from slamhive.store.store import Store, Transaction
+
+_AT_ONCE = 500
+
+
+@dataclass
+class _Cancelled:
+    """Runs that were cancelled while they waited, with when and why; and active ones that are to end."""
+
+    waiting: dict[int, tuple[datetime, str]] = field(default_factory=dict)
+    active: list[int] = field(default_factory=list)
+
+
+class LedgerRestore:
+    """Restores what the ledger tells; the caller files the folders of experiments and runs in between.
+
+    Args:
+        store: To be filled.
+        catalogue: The algorithms and datasets that are here.
+        files: The ledger.
+    """
+
+    def __init__(self, store: Store, catalogue: Catalogue, files: LedgerFiles) -> None:
+        self._store = store
+        self._catalogue = catalogue
+        self._files = files
+        self._numbers: dict[int, int] = {}
+        self._later: dict[int, int] = {}
+        self.problems: list[str] = []
+
+    @cached_property
+    def evaluations(self) -> LedgerEvaluations:
+        """All evaluations of the ledger."""
+        return read_evaluations(self._files.evaluations.read())
+
+    # -- before the folders ----------------------------------------------------------------------------------------
+
+    def restore_before_runs(self) -> None:
+        """What runs refer to: algorithms, datasets, configurations."""
+        for line in self._files.catalogue.read():
+            self._guarded(self._files.catalogue, lambda: self._restore_catalogue(line))  # noqa: B023
+        last = live_configurations(self._files.configurations)
+        entries = self._configurations(last)
+        while part := list(islice(entries, _AT_ONCE)):
+            self._restore_configurations(part)
+
+    def restore_cells(self) -> None:
+        """The cells of experiments whose rows are there."""
+        experiments = self._experiments()
+        for line in self._files.cells.read():
+            experiment = experiments.get(str(line.get("experiment")))
+            if experiment is not None:
+                self._guarded(self._files.cells, lambda: self._restore_cells(line, experiment))  # noqa: B023
+
+    # -- after the folders -----------------------------------------------------------------------------------------
+
+    def repeat_later(self, left: Mapping[int, int]) -> None:
+        """Remember runs that repeat others which are not filed yet, {number: number of the other}."""
+        self._later.update(left)
+
+    def restore_after_runs(self) -> int:
+        """Runs without a folder, sizes of experiments, evaluations, labels and searches; how many runs there were."""
+        restored = self._runs()
+        self._store.write(lambda t: LedgerRepository(t.session).repeat(self._later))
+        self._sizes()
+        self._labels()
+        for line in self._files.searches.read():
+            self._guarded(self._files.searches, lambda: self._search(line))  # noqa: B023
+        return restored
+
+    def restore_evaluations(self) -> None:
+        """Queue again the evaluations that had not ended."""
+
+        def work(t: Transaction) -> None:
+            for asked in self.evaluations.open():
+                protocol_id = t.catalogue.put_protocol(asked.protocol)
+                LedgerRepository(t.session).queue_evaluations(asked, protocol_id)
+
+        self._store.write(work)
+
+    # -- algorithms, datasets, configurations ----------------------------------------------------------------------
+
+    def _restore_catalogue(self, line: Line) -> None:
+        if "dataset" in line:
+            name, values = dataset_from_line(line["dataset"])
+            row = {**values, "folder": str(line["folder"])}
+            self._store.write(lambda t: ArchiveRepository(t.session).dataset_if_absent(name, row))
+            return
+        name = str(line["algorithm"])
+        versions = [
+            (AlgorithmVersion(entry["identity"], entry["package_hash"], entry["version"]), moment(entry["created_at"]))
+            for entry in line["versions"]
+        ]
+
+        def work(t: Transaction) -> None:
+            algorithm_id = ArchiveRepository(t.session).algorithm_if_absent(name, line["package"], line["mode"])
+            for version, at in versions:
+                t.catalogue.put_version(algorithm_id, version, at)
+
+        self._store.write(work)
+
+    def _configurations(self, last: Mapping[int, int]) -> Iterator[LedgerConfiguration]:
+        book = self._files.configurations
+        for number, line in enumerate(book.read()):
+            found: list[LedgerConfiguration] = []
+            self._guarded(book, lambda: found.extend(configurations_of(line)))  # noqa: B023
+            yield from (entry for entry in found if last.get(entry.id) == number)
+
+    def _restore_configurations(self, part: list[LedgerConfiguration]) -> None:
+        aliases = {
+            (algorithm.name, parameter.key): parameter.general
+            for algorithm in self._catalogue.algorithms()
+            for parameter in algorithm.parameters
+        }
+        gone = {name: dataset_of(self._catalogue, name, {}) for name in {e.configuration.dataset for e in part}}
+        now = utc_now()
+
+        def work(t: Transaction) -> dict[int, int]:
+            algorithms = {record.name: record.id for record in t.catalogue.algorithms()}
+            for name in {entry.configuration.algorithm for entry in part} - algorithms.keys():
+                algorithms[name] = t.catalogue.put_algorithm_named(name, name, "")
+            datasets = {record.name: record.id for record in t.catalogue.datasets()}
+            for name in gone.keys() - datasets.keys():
+                datasets[name] = t.catalogue.put_dataset(gone[name], now)
+            entries = {
+                entry.id: NewConfiguration(
+                    entry.configuration,
+                    entry.configuration.content_hash,
+                    algorithms[entry.configuration.algorithm],
+                    datasets[entry.configuration.dataset],
+                    _definitions(entry, aliases),
+                )
+                for entry in part
+            }
+            times = {entry.id: entry.created_at for entry in part}
+            return LedgerRepository(t.session).restore_configurations(entries, times)
+
+        self._numbers.update(self._store.write(work))
+
+    # -- experiments and runs --------------------------------------------------------------------------------------
+
+    def _experiments(self) -> dict[str, int]:
+        """{uid: number}."""
+        found = self._store.read(lambda t: LedgerRepository(t.session).experiments())
+        return {uid: number for number, uid in found.items()}
+
+    def _restore_cells(self, line: Line, experiment: int) -> None:
+        cells = [
+            replace(cell, configuration_id=self._numbers[cell.configuration_id])
+            for cell in cells_of(line)
+            if cell.configuration_id in self._numbers
+        ]
+        self._store.write(lambda t: ArchiveRepository(t.session).add_cells(experiment, cells))
+
+    def _sizes(self) -> None:
+        """An experiment of which everything is back needs not be looked through again."""
+        told = {str(line.get("experiment")): line["size"] for line in self._files.cells.read() if "size" in line}
+
+        def work(t: Transaction) -> None:
+            rows = LedgerRepository(t.session)
+            stored = rows.stored_cells()
+            for number, uid in rows.experiments().items():
+                size = told.get(uid, {})
+                runs = len(t.experiments.run_ids(number))
+                if size.get("complete") and stored.get(uid, 0) == size["cells"] and runs >= size["runs"]:
+                    t.experiments.change(number, cells=size["cells"], runs=size["runs"], complete=True)
+
+        self._store.write(work)
+
+    def _runs(self) -> int:
+        """The runs that have no folder."""
+        cancelled = self._cancelled()
+        experiments = self._experiments()
+        restored = 0
+        for line in self._files.runs.read():
+            found: list[LedgerRun] = []
+            self._guarded(self._files.runs, lambda: found.extend(runs_of(line)))  # noqa: B023
+            for start in range(0, len(found), _AT_ONCE):
+                restored += self._restore_runs(found[start : start + _AT_ONCE], experiments, cancelled)
+        self._store.write(lambda t: LedgerRepository(t.session).ask_to_end(cancelled.active))
+        return restored
+
+    def _cancelled(self) -> _Cancelled:
+        found = _Cancelled()
+        for line in self._files.runs.read():
+            if "cancelled" in line:
+                when = moment(line["at"]), str(line["why"])
+                found.waiting.update({int(run_id): when for run_id in line["cancelled"]})
+            found.active += line.get("asked_to_end", ())
+        return found
+
+    def _restore_runs(self, part: list[LedgerRun], experiments: Mapping[str, int], cancelled: _Cancelled) -> int:
+        def work(t: Transaction) -> tuple[int, dict[int, int]]:
+            rows = LedgerRepository(t.session)
+            unknown = rows.unknown([run.id for run in part], [run.request.uid for run in part])
+            new = [run for run in part if run.id in unknown and run.request.configuration_id in self._numbers]
+            filed = [self._filed(run, experiments, cancelled.waiting.get(run.id)) for run in new]
+            for run in part:
+                if run.id not in unknown and run.id in cancelled.waiting:
+                    rows.cancel_if_queued(run.id, *cancelled.waiting[run.id])
+            return len(new), t.filed_runs.file(filed)
+
+        count, left = self._store.write(work)
+        self._later.update(left)
+        return count
+
+    def _filed(
+        self, run: LedgerRun, experiments: Mapping[str, int], cancelled: tuple[datetime, str] | None
+    ) -> FiledRun:
+        experiment_id = None if run.experiment is None else experiments.get(run.experiment)
+        request = replace(
+            run.request,
+            configuration_id=self._numbers[run.request.configuration_id],
+            experiment_id=experiment_id,
+            cell=None if experiment_id is None else run.request.cell,
+        )
+        state, fields, events = RunState.QUEUED, RunFields(), [queued_event(request, run.created_at)]
+        if cancelled is not None:
+            at, why = cancelled
+            state, fields = RunState.CANCELLED, RunFields(ended_at=at)
+            events.append(RunEvent(at, RunState.QUEUED, state, why))
+        return FiledRun(RunSnapshot(run.id, request, state, run.created_at, fields, 0, tuple(events)))
+
+    # -- what users have said --------------------------------------------------------------------------------------
+
+    def _labels(self) -> None:
+        said: dict[int, Line] = {}
+        for line in self._files.configurations.read():
+            if "label" in line:
+                said[line["label"]] = line
+            for gone in line.get("deleted", ()):
+                said.pop(gone, None)
+        for number, line in said.items():
+            if number in self._numbers:
+                self._guarded(self._files.configurations, lambda: self._label(self._numbers[number], line))  # noqa: B023
+
+    def _label(self, number: int, line: Line) -> None:
+        def work(t: Transaction) -> None:
+            here = t.configuration_book.get(number)
+            name, note = here.name or line["name"], here.note or line["note"]
+            if (name, note) != (here.name, here.note):
+                t.configuration_book.describe(number, name, note)
+            for group in line["groups"]:
+                t.configuration_book.add_to_group(group, [number])
+
+        self._store.write(work)
+
+    def _search(self, line: Line) -> None:
+        record, at = search_from_line(line)
+        self._store.write(lambda t: ArchiveRepository(t.session).saved_search_if_absent(record, at))
+
+    def _guarded(self, book: Book, work: Callable[[], Any]) -> None:
+        """One line that is none of ours, or clashes with what is here, keeps nothing else from being restored."""
+        try:
+            work()
+        except (SlamHiveError, *NOT_A_LINE) as error:
+            detail = str(error) if isinstance(error, SlamHiveError) else repr(error)
+            self.problems.append(f"{book.path.name}: {detail}")
+
+
+def _definitions(entry: LedgerConfiguration, aliases: Mapping[tuple[str, str], Any]) -> list[Parameter]:
+    """How the parameters were defined; the general name of one that is defined here is the one it has here."""
+    algorithm = entry.configuration.algorithm
+    return [replace(known, general=aliases.get((algorithm, known.key), known.general)) for known in entry.definitions]

@@ -1,0 +1,80 @@
+"""What a transaction has stored that no folder tells. Whoever keeps the folders learns of it after the commit.
+
+Repositories note what they do; :meth:`slamhive.store.store.Store.write` hands the notes on, so that no use case can
+forget to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Generic, TypeVar
+
+from sqlalchemy.orm import Session
+
+from slamhive.domain.protocol import Protocol
+from slamhive.evaluation.job import Artefacts
+from slamhive.store.experiment_records import NewCell, NewConfiguration
+from slamhive.store.records import RunRequest
+
+T = TypeVar("T")
+
+CHANGES_KEY = "slamhive.changes"
+
+
+@dataclass(frozen=True, slots=True)
+class NewRow(Generic[T]):
+    """A row that was added: its number, what it was made of, and when."""
+
+    id: int
+    content: T
+    at: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class AskedEvaluations:
+    """Evaluations that were queued together."""
+
+    protocol: Protocol
+    artefacts: Artefacts
+    at: datetime
+    run_ids: Sequence[int]
+
+
+@dataclass
+class Changes:
+    """Notes of one transaction.
+
+    ``described``: configurations whose name, note or groups have changed. ``cancelled``: runs that were cancelled while
+    they waited, with when and why; ``asked_to_end``: active ones that are to end. ``cells``: by the number of their
+    experiment; ``experiments``: those of which cells and runs were counted anew. ``evaluated``: evaluations that have
+    ended. ``uncertain``: the transaction was tried more than once, an earlier attempt may have stored more.
+    """
+
+    configurations: list[NewRow[NewConfiguration]] = field(default_factory=list)
+    described: set[int] = field(default_factory=set)
+    deleted: set[int] = field(default_factory=set)
+    runs: list[NewRow[RunRequest]] = field(default_factory=list)
+    cancelled: list[tuple[Sequence[int], datetime, str]] = field(default_factory=list)
+    asked_to_end: set[int] = field(default_factory=set)
+    cells: list[tuple[int, Sequence[NewCell]]] = field(default_factory=list)
+    experiments: set[int] = field(default_factory=set)
+    asked_evaluations: list[AskedEvaluations] = field(default_factory=list)
+    evaluated: set[int] = field(default_factory=set)
+    catalogue: bool = False
+    searches: bool = False
+    uncertain: bool = False
+
+    def __bool__(self) -> bool:
+        return any(getattr(self, name) for name in self.__dataclass_fields__)
+
+
+Listener = Callable[[Changes], None]
+
+
+def changes_of(session: Session) -> Changes:
+    """The notes of the transaction of ``session``."""
+    found = session.info.setdefault(CHANGES_KEY, Changes())
+    assert isinstance(found, Changes)
+    return found

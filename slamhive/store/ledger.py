@@ -1,0 +1,236 @@
+"""What the ledger asks the database for, and puts back: rows as they are, with the numbers that they had."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import func, insert, select, union, update
+from sqlalchemy.orm import Session
+
+from slamhive.domain import protocol as domain
+from slamhive.domain.run import RunState
+from slamhive.domain.stop_when import stop_when_from_json
+from slamhive.store.changes import AskedEvaluations, NewRow
+from slamhive.store.configuration_models import ConfigurationGroup, ConfigurationLabel
+from slamhive.store.configurations import ConfigurationRepository
+from slamhive.store.experiment_records import NewConfiguration
+from slamhive.store.filed_runs import AS_FILED, EndedEvaluation
+from slamhive.store.models import (
+    Algorithm,
+    AlgorithmVersion,
+    Configuration,
+    Evaluation,
+    Experiment,
+    ExperimentCell,
+    Protocol,
+    Run,
+    SavedSearch,
+)
+from slamhive.store.models import RunEvent as EventRow
+from slamhive.store.records import EvaluationState, RunRequest
+from slamhive.store.rows import chunks
+from slamhive.store.runs import RunRepository
+
+_RUNS = Run.__table__
+_CELLS = ExperimentCell.__table__
+_EVALUATIONS = Evaluation.__table__
+_CONFIGURATIONS = Configuration.__table__
+_EVENTS = EventRow.__table__
+_ACTIVE = tuple(state for state in RunState if state.active)
+_REQUEST = tuple(name for name in RunRequest.__dataclass_fields__ if name not in ("protocol", "stop_when"))
+
+WAITING = (RunState.QUEUED, RunState.CANCELLED)
+"""States in which a run may have no folder."""
+
+
+class LedgerRepository:
+    """Reads and restores what no folder but the ledger tells."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    # -- out -------------------------------------------------------------------------------------------------------
+
+    def empty(self) -> bool:
+        """Whether nothing is stored that a user has asked for."""
+        tables = (Configuration, Experiment, SavedSearch)
+        return not any(self._session.execute(select(table.id).limit(1)).first() for table in tables)
+
+    def experiments(self) -> dict[int, str]:
+        """{number: uid}."""
+        return {row.id: row.uid for row in self._session.execute(select(Experiment.id, Experiment.uid))}
+
+    def sizes(self) -> dict[str, dict[str, Any]]:
+        """Counted cells and runs of each experiment, by its uid."""
+        columns = (Experiment.uid, Experiment.cells, Experiment.runs, Experiment.complete)
+        return {
+            row.uid: {"cells": row.cells, "runs": row.runs, "complete": row.complete}
+            for row in self._session.execute(select(*columns))
+        }
+
+    def stored_cells(self) -> dict[str, int]:
+        """How many cells of each experiment are stored, by its uid."""
+        query = select(Experiment.uid, func.count()).join(_CELLS, _CELLS.c.experiment_id == Experiment.id)
+        return {row[0]: row[1] for row in self._session.execute(query.group_by(Experiment.uid))}
+
+    def configurations(self) -> set[int]:
+        """The numbers of all configurations."""
+        return set(self._session.execute(select(_CONFIGURATIONS.c.id)).scalars())
+
+    def described(self) -> list[int]:
+        """The numbers of the configurations that have a name, a note or a group."""
+        tables = (ConfigurationLabel.__table__, ConfigurationGroup.__table__)
+        query = union(*(select(table.c.configuration_id) for table in tables))
+        return sorted(self._session.execute(query).scalars())
+
+    def waiting(self) -> dict[int, RunState]:
+        """Runs that may have no folder, and their states."""
+        query = select(_RUNS.c.id, _RUNS.c.state).where(_RUNS.c.state.in_(WAITING))
+        return {row.id: row.state for row in self._session.execute(query)}
+
+    def asked_to_end(self) -> list[int]:
+        """Active runs that somebody has cancelled."""
+        query = select(_RUNS.c.id).where(_RUNS.c.state.in_(_ACTIVE), _RUNS.c.cancel_requested)
+        return list(self._session.execute(query.order_by(_RUNS.c.id)).scalars())
+
+    def requests(self, run_ids: Sequence[int]) -> list[NewRow[RunRequest]]:
+        """What was asked for with these runs."""
+        query = select(_RUNS).where(_RUNS.c.id.in_(run_ids)).order_by(_RUNS.c.id)
+        return [NewRow(row.id, _request(row), row.created_at) for row in self._session.execute(query)]
+
+    def cancellations(self, run_ids: Collection[int]) -> dict[int, tuple[datetime, str]]:
+        """When and why those of these runs were cancelled that were."""
+        query = select(_EVENTS).where(_EVENTS.c.run_id.in_(run_ids), _EVENTS.c.to_state == RunState.CANCELLED)
+        return {row.run_id: (row.at, row.why) for row in self._session.execute(query)}
+
+    def evaluation_counts(self) -> tuple[int, int]:
+        """How many evaluations have ended, and how many have not."""
+        query = select(_EVALUATIONS.c.open, func.count()).group_by(_EVALUATIONS.c.open)
+        counts = {row[0]: row[1] for row in self._session.execute(query)}
+        return counts.get(None, 0), counts.get(1, 0)
+
+    def ended(
+        self, evaluation_ids: Collection[int] | None = None, after: int = 0
+    ) -> list[tuple[int, int, EndedEvaluation]]:
+        """Number, run and content of these evaluations, or of the next thousand after ``after``, that have ended."""
+        query = (
+            select(_EVALUATIONS, Protocol.definition)
+            .join(Protocol, Protocol.id == _EVALUATIONS.c.protocol_id)
+            .where(_EVALUATIONS.c.open.is_(None), _EVALUATIONS.c.id > after)
+            .order_by(_EVALUATIONS.c.id)
+        )
+        query = query.limit(1000) if evaluation_ids is None else query.where(_EVALUATIONS.c.id.in_(evaluation_ids))
+        found = []
+        for row in self._session.execute(query):
+            values = {name: getattr(row, name) for name in AS_FILED}
+            entry = EndedEvaluation(domain.protocol_from_content(row.definition), **values)
+            found.append((row.id, row.run_id, entry))
+        return found
+
+    def open(self) -> list[AskedEvaluations]:
+        """Evaluations that have not ended, those together that were asked for together."""
+        query = (
+            select(_EVALUATIONS, Protocol.definition)
+            .join(Protocol, Protocol.id == _EVALUATIONS.c.protocol_id)
+            .where(_EVALUATIONS.c.open == 1)
+            .order_by(_EVALUATIONS.c.id)
+        )
+        together: dict[tuple[Any, ...], list[int]] = defaultdict(list)
+        definitions: dict[int, Any] = {}
+        for row in self._session.execute(query):
+            definitions[row.protocol_id] = row.definition
+            together[row.protocol_id, row.artefacts, row.created_at].append(row.run_id)
+        return [
+            AskedEvaluations(domain.protocol_from_content(definitions[protocol]), artefacts, at, run_ids)
+            for (protocol, artefacts, at), run_ids in together.items()
+        ]
+
+    def versions(self) -> dict[str, list[dict[str, Any]]]:
+        """The versions of each algorithm, by its name."""
+        query = select(AlgorithmVersion.__table__, Algorithm.name).join(
+            Algorithm, Algorithm.id == AlgorithmVersion.algorithm_id
+        )
+        found: dict[str, list[dict[str, Any]]] = defaultdict(list)
+        for row in self._session.execute(query.order_by(AlgorithmVersion.id)):
+            names = ("identity", "package_hash", "version", "created_at")
+            found[row.name].append({name: getattr(row, name) for name in names})
+        return found
+
+    # -- in --------------------------------------------------------------------------------------------------------
+
+    def restore_configurations(
+        self, entries: Mapping[int, NewConfiguration], created_at: Mapping[int, datetime]
+    ) -> dict[int, int]:
+        """Configurations under the numbers that they had; {that number: number here}."""
+        taken = set(
+            self._session.execute(select(_CONFIGURATIONS.c.id).where(_CONFIGURATIONS.c.id.in_(entries))).scalars()
+        )
+        repository = ConfigurationRepository(self._session)
+        free = {number: entry for number, entry in entries.items() if number not in taken}
+        found = repository.restore(free, created_at)
+        rest = [number for number in entries if number in taken]
+        others = repository.get_or_create_many([entries[number] for number in rest], max(created_at.values()))
+        return {**found, **{number: other for number, (other, _) in zip(rest, others, strict=True)}}
+
+    def unknown(self, run_ids: Sequence[int], uids: Sequence[str]) -> set[int]:
+        """Those of some hundreds of numbers that no run has, nor the uid that comes with it."""
+        query = select(_RUNS.c.id, _RUNS.c.uid).where(_RUNS.c.id.in_(run_ids) | _RUNS.c.uid.in_(uids))
+        rows = self._session.execute(query).all()
+        numbers, known = {row.id for row in rows}, {row.uid for row in rows}
+        return {number for number, uid in zip(run_ids, uids, strict=True) if number not in numbers and uid not in known}
+
+    def repeat(self, originals: Mapping[int, int]) -> None:
+        """Note which run each of these repeats, where that is here."""
+        for part in chunks(sorted(originals)):
+            wanted = {originals[run_id] for run_id in part}
+            here = set(self._session.execute(select(_RUNS.c.id).where(_RUNS.c.id.in_(wanted))).scalars())
+            for run_id in part:
+                if originals[run_id] in here:
+                    self._session.execute(update(_RUNS).where(_RUNS.c.id == run_id).values(retry_of=originals[run_id]))
+
+    def cancel_if_queued(self, run_id: int, at: datetime, why: str) -> None:
+        """Cancel a run that waits although it was cancelled."""
+        state = self._session.execute(select(_RUNS.c.state).where(_RUNS.c.id == run_id)).scalar_one()
+        if state is RunState.QUEUED:
+            RunRepository(self._session).move(run_id, RunState.CANCELLED, why=why, now=at)
+
+    def ask_to_end(self, run_ids: Sequence[int]) -> None:
+        """Have the workers of those of these runs end them that are active."""
+        for part in chunks(run_ids):
+            active = [_RUNS.c.id.in_(part), _RUNS.c.state.in_(_ACTIVE)]
+            self._session.execute(update(_RUNS).where(*active).values(cancel_requested=True))
+
+    def queue_evaluations(self, asked: AskedEvaluations, protocol_id: int) -> int:
+        """Queue those of succeeded runs that do not wait yet; how many."""
+        runs: list[int] = []
+        for part in chunks(asked.run_ids):
+            waits = select(_EVALUATIONS.c.run_id).where(
+                _EVALUATIONS.c.run_id.in_(part), _EVALUATIONS.c.protocol_id == protocol_id, _EVALUATIONS.c.open == 1
+            )
+            query = select(_RUNS.c.id).where(
+                _RUNS.c.id.in_(part), _RUNS.c.state == RunState.SUCCEEDED, _RUNS.c.id.not_in(waits)
+            )
+            runs += self._session.execute(query.order_by(_RUNS.c.id)).scalars()
+        values = {
+            "protocol_id": protocol_id,
+            "open": 1,
+            "state": EvaluationState.QUEUED,
+            "created_at": asked.at,
+            "attempt": 0,
+        }
+        if runs:
+            rows = [{"run_id": run_id, "artefacts": asked.artefacts, **values} for run_id in runs]
+            self._session.execute(insert(_EVALUATIONS), rows)
+        return len(runs)
+
+
+def _request(row: Any) -> RunRequest:
+    override = row.protocol_override
+    return RunRequest(
+        **{name: getattr(row, name) for name in _REQUEST},
+        protocol=None if override is None else domain.protocol_from_content(override),
+        stop_when=stop_when_from_json(row.stop_when),
+    )
