@@ -162,9 +162,9 @@ def judge(load: HostLoad, duration_s: float, player_lag_s: float | None, limits:
     reasons = tuple(_reasons(load, player_lag_s, limits))
     not_measured = load.not_measured
     enough = load.cores > 0 and load.covered_s > 0 and load.covered_s >= _LEAST_COVERED * duration_s
-    if not enough and not reasons and not not_measured:
-        missing = f"the machine was watched for {load.covered_s:.1f} s of {duration_s:.1f} s"
-        not_measured = (missing,)
+    if not enough and not reasons and (load.cores > 0 or not not_measured):
+        too_little = f"the machine was watched for {load.covered_s:.1f} s of {duration_s:.1f} s"
+        not_measured = (too_little, *not_measured)
     return Disturbance(enough or bool(reasons), reasons, not_measured)
 
 

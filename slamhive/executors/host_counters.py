@@ -150,7 +150,7 @@ class HostLog:
             return
         self._next_s = time_s + self._interval_s
         if self._counters is None:
-            self._append(f"{NOT_MEASURED}the machine: it is not the worker's own\n")
+            self._append(f"{NOT_MEASURED}the run was on another machine than the worker\n")
             self._given_up = True
             return
         told = dict(self._missing)

@@ -91,7 +91,7 @@ def _grown(difference: float) -> float | None:
 def _not_measured(path: Path) -> tuple[str, ...]:
     data = read_untrusted_lines(path, _MAX_BYTES)
     if data is None:
-        return ("the counters of the machine",)
+        return ("the machine was not watched",)
     lines = data.decode("utf-8", errors="replace").splitlines()
     told = (line.removeprefix(NOT_MEASURED).strip() for line in lines if line.startswith(NOT_MEASURED))
     return tuple(dict.fromkeys(told))

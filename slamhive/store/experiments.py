@@ -154,8 +154,11 @@ class ExperimentRepository:
             .where(_RUNS.c.disturbed_by > "", owner.is_not(None) if experiment_id is None else owner == experiment_id)
             .group_by(owner)
         )
+        found = {number: count for number, count in self._session.execute(query)}  # noqa: C416 - rows, not pairs
+        if not found:
+            return {}
         repeated = Counter(row.experiment_id for row in self._all_retried(experiment_id) if row.disturbed_by)
-        return {number: count - repeated[number] for number, count in self._session.execute(query)}
+        return {number: count - repeated[number] for number, count in found.items()}
 
     def to_repeat(self, experiment_id: int) -> list[int]:
         """Ids of the disturbed runs that may be repeated, those that have been included."""

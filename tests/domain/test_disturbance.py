@@ -93,6 +93,8 @@ def test_what_was_not_watched_is_unknown_not_undisturbed():
     little = judge(load(QUIET), 10.0, None, LIMITS)
     assert little.disturbed is None
     assert little.not_measured == ("the machine was watched for 1.0 s of 10.0 s",)
+    virtual = judge(load(QUIET, not_measured=("CPU frequency: no file",)), 10.0, None, LIMITS)
+    assert virtual.not_measured == ("the machine was watched for 1.0 s of 10.0 s", "CPU frequency: no file")
 
 
 def test_a_reason_counts_although_little_was_watched():

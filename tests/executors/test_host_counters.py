@@ -161,12 +161,12 @@ def test_a_run_on_another_machine_is_not_measured_by_this_one(tmp_path: Path) ->
         log.sample(float(second), run_cpu_s=0.0)
     load = read_host_load(tmp_path / "host.csv")
     assert load.intervals == ()
-    assert load.not_measured == ("the machine: it is not the worker's own",)
+    assert load.not_measured == ("the run was on another machine than the worker",)
 
 
 def test_an_old_run_has_no_counters(tmp_path: Path) -> None:
     load = read_host_load(tmp_path / "host.csv")
-    assert (load.intervals, load.not_measured) == ((), ("the counters of the machine",))
+    assert (load.intervals, load.not_measured) == ((), ("the machine was not watched",))
     assert host_metrics(load) == {}
 
 

@@ -75,7 +75,7 @@ def test_a_run_on_another_machine_is_unknown_with_the_reason(hive: Hive) -> None
     run = finish(hive, Elsewhere([Running(), Exited(0)], write_trajectory(3)))
     assert run.disturbance is not None
     assert run.disturbance.disturbed is None
-    assert run.disturbance.not_measured == ("the machine: it is not the worker's own",)
+    assert run.disturbance.not_measured == ("the run was on another machine than the worker",)
 
 
 class OneReading:

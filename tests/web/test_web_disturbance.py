@@ -48,6 +48,12 @@ def test_an_old_run_is_unknown_not_undisturbed(marked: Web) -> None:
     assert "undisturbed" not in text
 
 
+def test_a_run_that_was_not_watched_says_why_that_is_not_known(marked: Web) -> None:
+    put(marked, "failed", Disturbance(known=False, not_measured=("the machine was not watched", "and more")))
+    text = page(marked, f"/runs/{marked.runs['failed']}")
+    assert "disturbance not known: the machine was not watched</dd>" in text
+
+
 def test_lists_mark_runs_and_count_them_in_groups(marked: Web) -> None:
     assert page(marked, "/runs").count(BADGE) == 1
     assert BADGE in page(marked, "/")

@@ -123,11 +123,12 @@ def machine(run: RunRecord) -> Cell | None:
         return None
     if run.disturbance is None:
         return Cell("disturbance not recorded")
-    words = {True: "disturbed", False: "undisturbed", None: "disturbance not known"}[run.disturbance.disturbed]
-    if not run.disturbance.not_measured:
-        return Cell(words)
-    missing = ", ".join(text.partition(":")[0] for text in run.disturbance.not_measured)
-    return Cell(f"{words} (not recorded: {missing})", "; ".join(run.disturbance.not_measured))
+    not_measured, exact = run.disturbance.not_measured, "; ".join(run.disturbance.not_measured)
+    if run.disturbance.disturbed is None:
+        return Cell(f"disturbance not known: {not_measured[0]}" if not_measured else "disturbance not known", exact)
+    words = "disturbed" if run.disturbance.disturbed else "undisturbed"
+    missing = ", ".join(text.partition(":")[0] for text in not_measured)
+    return Cell(f"{words} (not recorded: {missing})" if missing else words, exact)
 
 
 def wall_time_s(run: RunRecord, now: datetime) -> float | None:
