@@ -1,6 +1,7 @@
 """Our figures against evo's command line, started as a user would, on real trajectories: equal to 1e-9."""
 
 import csv
+import io
 import json
 import os
 import subprocess
@@ -14,14 +15,13 @@ import pytest
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation.artefacts import FILES
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask
+from slamhive.evaluation.presets import PRESETS
 from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
 from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.tum import write_tum
+from tests.evaluation.tool_inputs import EVO, RECORDED, RUNS
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-DATA = ROOT.parent / "shared" / "data"
-RUNS = DATA / "euroc_vio_runs"
-EVO = DATA / "evo_trajectories"
 FLAGS = {Alignment.NONE: [], Alignment.SE3: ["-a"], Alignment.SIM3: ["-a", "-s"]}
 
 pytestmark = [
@@ -32,13 +32,13 @@ pytestmark = [
 
 
 def evaluate(
-    folder: Path, pairs: list[tuple[Path, Path]], alignment: Alignment, artefacts: Artefacts
+    folder: Path, pairs: list[tuple[Path, Path]], protocol: Protocol, artefacts: Artefacts
 ) -> list[EvaluationResult]:
     tasks = []
     for number, (reference, estimate) in enumerate(pairs):
         output = folder / str(number)
         output.mkdir(parents=True)
-        tasks.append(EvaluationTask(str(number), estimate, reference, output, Protocol(alignment), artefacts=artefacts))
+        tasks.append(EvaluationTask(str(number), estimate, reference, output, protocol, artefacts=artefacts))
     scratch = folder / "scratch"
     scratch.mkdir()
     return EvaluationRunner(ProcessStarter(ROOT)).run(tasks, scratch, lambda _result: None)
@@ -73,7 +73,7 @@ def test_equal_to_the_command_line(tmp_path: Path, kitti: tuple[Path, Path], ali
         (EVO / "freiburg1_xyz-groundtruth.txt", EVO / "freiburg1_xyz-rgbdslam.txt"),
         kitti,
     ]
-    results = evaluate(tmp_path, pairs, alignment, Artefacts.METRICS)
+    results = evaluate(tmp_path, pairs, Protocol(alignment), Artefacts.METRICS)
     for (reference, estimate), result in zip(pairs, results, strict=True):
         assert result.reason is None
         for key, command, options in (
@@ -87,9 +87,40 @@ def test_equal_to_the_command_line(tmp_path: Path, kitti: tuple[Path, Path], ali
                 assert result.metrics[f"{key}.{name}"] == pytest.approx(value, rel=1e-9, abs=1e-9), (estimate, name)
 
 
+def test_the_preset_is_equal_to_the_command_line(tmp_path: Path) -> None:
+    pairs = [RECORDED[name] for name in ("freiburg1_xyz ORB keyframes", "vislam_ba MH_03")]
+    results = evaluate(tmp_path, pairs, PRESETS.get("evo").protocol, Artefacts.METRICS)
+    for (reference, estimate), result in zip(pairs, results, strict=True):
+        for key, command, options in (
+            ("ate", "evo_ape", ["-a"]),
+            ("rpe.frames", "evo_rpe", []),
+            ("rpe_rot.frames", "evo_rpe", ["-r", "angle_deg"]),
+        ):
+            archive = tmp_path / "home" / f"{key}{result.id}.zip"
+            arguments = ["tum", str(reference), str(estimate), *options, "--save_results", str(archive)]
+            command_line(tmp_path / "home", command, *arguments)
+            for name in ("rmse", "mean", "median", "max"):
+                expected = pytest.approx(statistics(archive)[name], rel=1e-6, abs=1e-9)
+                assert result.metrics[f"{key}.{name}"] == expected, (estimate, key, name)
+        with zipfile.ZipFile(archive) as opened:
+            errors = np.load(io.BytesIO(opened.read("error_array.npy")))
+        assert result.metrics["rpe.frames.pairs"] == len(errors)
+
+
+def test_what_tums_script_counts_opens_with_evo_and_is_drawn(tmp_path: Path) -> None:
+    pair = RECORDED["freiburg1_xyz ORB keyframes"]
+    (result,) = evaluate(tmp_path, [pair], PRESETS.get("tum").protocol, Artefacts.PLOTS)
+    assert result.reason is None
+    assert (tmp_path / "0" / "rpe_map.png").read_bytes().startswith(b"\x89PNG")
+    assert statistics(tmp_path / "0" / "rpe.zip")["rmse"] == pytest.approx(result.metrics["rpe.rmse"])
+    table = tmp_path / "home" / "rpe.csv"
+    command_line(tmp_path / "home", "evo_res", str(tmp_path / "0" / "rpe.zip"), "--save_table", str(table))
+    assert "rmse" in table.read_text()
+
+
 def test_published_golden_values(tmp_path: Path, kitti: tuple[Path, Path]) -> None:
     xyz = (EVO / "freiburg1_xyz-groundtruth.txt", EVO / "freiburg1_xyz-rgbdslam.txt")
-    results = evaluate(tmp_path, [kitti, xyz], Alignment.SE3, Artefacts.METRICS)
+    results = evaluate(tmp_path, [kitti, xyz], Protocol(Alignment.SE3), Artefacts.METRICS)
     assert results[0].metrics["ate.rmse"] == pytest.approx(1.303450, abs=5e-7)
     assert results[1].metrics["ate.rmse"] == pytest.approx(0.013470, abs=5e-7)
     assert results[1].matched_poses == 785
@@ -111,7 +142,7 @@ def test_all_euroc_runs_agree_with_the_independent_figures(tmp_path: Path, align
         (RUNS / row["sequence"] / "groundtruth.txt", RUNS / row["algorithm"] / row["sequence"] / f"{row['trial']}.txt")
         for row in rows
     ]
-    results = evaluate(tmp_path, pairs, alignment, Artefacts.METRICS)
+    results = evaluate(tmp_path, pairs, Protocol(alignment), Artefacts.METRICS)
     for row, result in zip(rows, results, strict=True):
         assert result.reason is None
         assert result.matched_poses == int(row["n_matched"])
@@ -120,7 +151,7 @@ def test_all_euroc_runs_agree_with_the_independent_figures(tmp_path: Path, align
 
 def test_artefacts_open_with_evo_and_figures_are_drawn(tmp_path: Path) -> None:
     pair = (EVO / "freiburg1_xyz-groundtruth.txt", EVO / "freiburg1_xyz-rgbdslam.txt")
-    (result,) = evaluate(tmp_path, [pair], Alignment.SE3, Artefacts.PLOTS)
+    (result,) = evaluate(tmp_path, [pair], Protocol(Alignment.SE3), Artefacts.PLOTS)
     output = tmp_path / "0"
     figures = {f"traj_{name}.png" for name in ("trajectories", "xyz", "rpy", "speeds")}
     figures |= {f"{key}_{name}.png" for key in ("ape", "rpe") for name in ("raw", "map")}

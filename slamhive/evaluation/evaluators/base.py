@@ -83,7 +83,10 @@ class Evaluator(Interface):
         """The metric keys it may yield, all of them in the catalogue; no two evaluators yield the same."""
 
     def evaluate(self, paired: Paired) -> Figures:
-        """The figures of the pair. Raises InvalidInput if none can be taken: all keys are then missing for that."""
+        """The figures of the pair. Raises InvalidInput if none can be taken: all keys are then missing for that.
+
+        What the protocol does not ask for, such as other lengths of segments, is neither found nor missing.
+        """
 
 
 def absent(keys: Iterable[str], reason: str) -> Figures:
