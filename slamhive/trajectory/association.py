@@ -133,7 +133,7 @@ def nearest_as_tum(values: FloatArray, wanted: FloatArray) -> Indices:
     """
     lower, upper, nearer = _around(values, wanted)
     found = np.where(nearer > 0, upper, lower)
-    for tie in np.flatnonzero((nearer == 0) & (lower > 0)).tolist():
+    for tie in np.flatnonzero((nearer == 0) & (lower < upper) & (lower > 0)).tolist():
         begin, end = 0, len(values)
         while (middle := (begin + end) // 2) not in (lower[tie], upper[tie]):
             begin, end = (begin, middle) if middle > upper[tie] else (middle + 1, end)

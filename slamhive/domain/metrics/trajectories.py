@@ -16,9 +16,10 @@ _MAIN = ("rmse", "mean", "median", "max")
 _EVO = "evo (https://github.com/MichaelGrupp/evo)"
 _STURM = "Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012, eq. (1) to (3)"
 _TUM_SCRIPT = "pairs after the script of the TUM RGB-D benchmark, which has no tolerance"
+_AS_EVO = "pairs as evo, or as the script of the TUM RGB-D benchmark if the protocol says so"
 _PAIRS = {
-    "": "pairs as evo",
-    ".frames": "pairs as evo",
+    "": _AS_EVO,
+    ".frames": _AS_EVO,
     ".seconds": _TUM_SCRIPT,
     ".degrees": f"consecutive pairs as evo; all {_TUM_SCRIPT}",
 }

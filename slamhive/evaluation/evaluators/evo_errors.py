@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from functools import lru_cache
 
 import numpy as np
@@ -56,7 +55,7 @@ class RelativeError:
         if not paired.rotations_known:
             return absent(self.keys, ROTATIONS_UNKNOWN)
         protocol = paired.protocol
-        result = _unmatched(paired) if protocol.rpe_pairs is RpePairs.TUM else _matched(paired)
+        result = _as_tum(paired) if protocol.rpe_pairs is RpePairs.TUM else _as_evo(paired)
         if result is None:
             return absent(self.keys, f"no pair of poses is {protocol.rpe_delta_m:g} m of path apart")
         found = error_figures("rpe", result, protocol, archive="rpe")
@@ -64,11 +63,11 @@ class RelativeError:
         return Figures({**found.values, "rpe.pairs": number}, archives=found.archives)
 
 
-def _matched(paired: Paired) -> Result | None:
-    """Evo's result over its own pairs of the matched poses; None where there is no pair."""
+def _as_evo(paired: Paired) -> Result | None:
+    """The result of evo over its own pairs of the matched poses; None where there is no pair."""
     protocol = paired.protocol
     reference, aligned = evo_pair(paired)
-    with contextlib.suppress(filters.FilterException):
+    try:
         # evo reduces these trajectories to the pairs' ends.
         return rpe(
             reference,
@@ -78,11 +77,12 @@ def _matched(paired: Paired) -> Result | None:
             delta_unit=Unit.meters,
             all_pairs=protocol.rpe_pairs is RpePairs.ALL,
         )
-    return None
+    except filters.FilterException:
+        return None
 
 
-def _unmatched(paired: Paired) -> Result | None:
-    """The same of the pairs of TUM's script, which evo does not know; None where there is no pair."""
+def _as_tum(paired: Paired) -> Result | None:
+    """The same over the pairs of TUM's script, which evo does not know."""
     compared = compare(paired)
     (last, first), _ = compared.pairs("")
     if len(last) == 0:

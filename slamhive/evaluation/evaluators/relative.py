@@ -3,7 +3,7 @@
 The definition is Sturm et al.'s, "A Benchmark for the Evaluation of RGB-D SLAM Systems", IROS 2012, equations (1) to
 (3). Pairs are those of evo, which picks them on the estimate; by seconds, which evo lacks, and all pairs by degrees,
 where evo compares every pose with every other, they are those of the TUM RGB-D benchmark's script: the pose nearest to
-the delta along the trajectory. A protocol of unmatched pairs follows that script (``evaluate_rpe.py --fixed_delta``)
+the delta along the trajectory. A protocol of TUM's pairs follows that script (``evaluate_rpe.py --fixed_delta``)
 throughout.
 """
 
@@ -77,13 +77,13 @@ class Compared:
         protocol: Says which pairs.
         reference: The ground truth, one pose for each of ``estimate``.
         estimate: The estimate, aligned.
-        counts: Whether each may be part of a pair; None for all.
+        counts: Whether each may be part of a pair of TUM's script, shape (n,).
     """
 
     protocol: Protocol
     reference: Poses
     estimate: Poses
-    counts: BoolArray | None = None
+    counts: BoolArray
 
     def pairs(self, suffix: str) -> tuple[Pairs, str]:
         """The pairs of the metrics ``rpe<suffix>``, and in words how far they are apart."""
@@ -98,15 +98,15 @@ class Compared:
         return self._by_value(path_m(poses), protocol.rpe_delta_m), f"{protocol.rpe_delta_m:g} m of path"
 
     def _by_frames(self, delta: int) -> Pairs:
-        count = len(self.estimate)
-        if self.counts is not None:
+        count, rule = len(self.estimate), self.protocol.rpe_pairs
+        if rule is RpePairs.TUM:
             return self._by_value(np.arange(count, dtype=np.float64), delta)
-        i = np.arange(0, max(count - delta, 0), 1 if self.protocol.rpe_pairs is RpePairs.ALL else delta)
+        i = np.arange(0, max(count - delta, 0), 1 if rule is RpePairs.ALL else delta)
         return i, i + delta
 
     def _by_value(self, values: FloatArray, delta: float) -> Pairs:
-        if self.counts is not None:
-            return _pairs_of_script(values, delta, self.counts)
+        if self.protocol.rpe_pairs is RpePairs.TUM:
+            return _pairs_as_tum(values, delta, self.counts)
         if self.protocol.rpe_pairs is RpePairs.ALL:
             return all_pairs(values, delta, _TOLERANCE * delta)
         return consecutive_pairs(values, delta)
@@ -115,14 +115,15 @@ class Compared:
 def compare(paired: Paired) -> Compared:
     """The matched poses; or every pose of the estimate, each with the nearest of the ground truth, as TUM's script."""
     if paired.protocol.rpe_pairs is not RpePairs.TUM:
-        return Compared(paired.protocol, paired.matched_reference, paired.aligned)
+        every = np.ones(len(paired.aligned), dtype=bool)
+        return Compared(paired.protocol, paired.matched_reference, paired.aligned, every)
     estimate, truth_s = paired.aligned_estimate, paired.reference.stamps_s
     nearest = nearest_as_tum(truth_s, estimate.stamps_s)
     near = np.abs(truth_s[nearest] - estimate.stamps_s) <= _INTERVALS * np.median(np.diff(truth_s))
     return Compared(paired.protocol, paired.reference.take(nearest), estimate, near)
 
 
-def _pairs_of_script(values: FloatArray, delta: float, counts: BoolArray) -> Pairs:
+def _pairs_as_tum(values: FloatArray, delta: float, counts: BoolArray) -> Pairs:
     """Each pose with the one nearest to the delta further on, however far that is, unless it is the last.
 
     The later one comes first: the script sees the motion from there.
