@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -23,6 +26,7 @@ from tests.services.fake_executor import FakeExecutor
 
 pytestmark = pytest.mark.integration
 
+CHECKOUT = Path(__file__).resolve().parents[2]
 ONE = "name: one\nalgorithms: tiny\ndatasets: track\nevaluate: false\nrepeat_disturbed: 2\n"
 
 
@@ -160,6 +164,23 @@ def test_what_dies_while_the_run_is_sealed_repeats_it_once(hive: Hive, monkeypat
     work(hive, beside_each(iter([BUSY, QUIET])))
     assert died == [1], "the end and the repetition are stored together, or not at all"
     assert disturbed(hive) == [True, False]
+
+
+@pytest.mark.parametrize(("when", "stored"), [("inside", 1), ("after", 2)])
+def test_a_worker_that_is_killed_neither_loses_nor_doubles_a_repetition(hive: Hive, when: str, stored: int) -> None:
+    hive.experiments.start(source())
+    assert _worker(when) == -signal.SIGKILL
+    assert len(hive.experiments.run_ids("one")) == stored
+    assert _worker("never") == 0
+    assert disturbed(hive) == [True, True, True]
+    first, second, third = runs_of(hive)
+    assert [run.retry_of for run in (first, second, third)] == [None, first.id, second.id]
+
+
+def _worker(when: str) -> int:
+    """A worker process of this installation that dies at a moment; how it ended."""
+    command = [sys.executable, "-m", "tests.services.killed_while_sealing", when]
+    return subprocess.run(command, cwd=CHECKOUT, timeout=120, check=False, capture_output=True).returncode
 
 
 def test_reindexing_queues_the_repetition_that_had_not_begun(hive: Hive, tmp_path: Path) -> None:
