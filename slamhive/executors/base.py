@@ -6,10 +6,12 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import SlamHiveError, Unavailable
+
+if TYPE_CHECKING:
+    from slamhive.domain.algorithm import AlgorithmPackage
 
 _FILE_SLACK_BYTES = 1_000_000
 

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from slamhive.executors.base import Protections
 from slamhive.executors.containment_base import Containment, ContainmentRequest, DoesNotHold
-from slamhive.executors.priority import priority_here
 from slamhive.executors.run_cgroup import RunCgroup, find_parents
 from slamhive.executors.tree_limit import TreeLimit
-from slamhive.executors.user_limit import UserLimit
-
-_ANY_TASKS = 16
 
 
 def _make_cgroup(request: ContainmentRequest) -> Containment:
     return RunCgroup.make(request, find_parents())
 
 
+def _make_user(request: ContainmentRequest) -> Containment:
+    from slamhive.executors.user_limit import UserLimit  # noqa: PLC0415 - most supervisors start sooner without
+
+    return UserLimit.make(request)
+
+
 KINDS: dict[str, Callable[[ContainmentRequest], Containment]] = {
     "cgroup": _make_cgroup,
-    "user": UserLimit.make,
+    "user": _make_user,
     "tree": TreeLimit.make,
 }
 """From the strongest to the one that holds everywhere."""
@@ -55,27 +55,12 @@ def choose_containment(request: ContainmentRequest, kind: str | None = None) -> 
     raise DoesNotHold("; ".join(f"{name}: {reason}" for name, reason in reasons.items()))
 
 
-def survey(installation: str, kind: str | None = None) -> Protections:
-    """By what a run would be held that is started on this machine now, tried out and given back.
-
-    The supervisor's priority is tried out too, on a process that ends at once. Raises DoesNotHold as
-    :func:`choose_containment`.
-    """
-    chosen = choose_containment(ContainmentRequest(installation, f"survey-{os.getpid()}", _ANY_TASKS), kind)
-    try:
-        words = chosen.containment.words()
-        shares_processors = not chosen.containment.holds_cpu
-        return Protections(
-            **words, priority=priority_here(shares_processors=shares_processors), does_not_hold=chosen.does_not_hold
-        )
-    finally:
-        chosen.containment.remove()
-
-
 def found_again(description: dict[str, Any]) -> Containment | None:
     """The containment of a run whose supervisor is gone; None if that left nothing to find its processes by."""
     if description.get("kind") == RunCgroup.kind:
         return RunCgroup.found_again(description)
-    if description.get("kind") == UserLimit.kind:
+    if description.get("kind") == "user":
+        from slamhive.executors.user_limit import UserLimit  # noqa: PLC0415 - as above
+
         return UserLimit.found_again(description)
     return None

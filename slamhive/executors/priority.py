@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -77,13 +76,6 @@ def urgent() -> Iterator[None]:
         yield
     finally:
         os.sched_setscheduler(0, before, os.sched_param(0))
-
-
-def priority_here(*, shares_processors: bool) -> str:
-    """What :func:`raise_supervisor` would come to in a process started by this one, in words."""
-    command = [sys.executable, "-m", __name__, *(["shares"] if shares_processors else [])]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment).stdout.strip()
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ from slamhive.executors.base import (
     UsageSource,
 )
 from slamhive.executors.capped_log import assemble
-from slamhive.executors.containment import found_again, survey
+from slamhive.executors.containment import found_again
 from slamhive.executors.containment_base import Containment
 from slamhive.executors.environment import Environment, Environments, pip_problem
 from slamhive.executors.exit_file import EXIT_FILE
@@ -48,6 +48,7 @@ from slamhive.executors.registry import ExecutorContext
 from slamhive.executors.run_cgroup import group_name, left_over_groups
 from slamhive.executors.shim import IDENTITY_FILE, LOCK_FILE, OUTPUT_FOLDER, process_birth
 from slamhive.executors.shim_spec import ShimSpec
+from slamhive.executors.survey import survey
 from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.tree import remove_tree

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import subprocess
+import signal
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -197,7 +197,7 @@ class RunCgroup:
             # The frozen take their signals when they thaw; until then they leave the processors alone.
             for entry in self.members():
                 with contextlib.suppress(ProcessLookupError):
-                    os.kill(entry.pid, 9)
+                    os.kill(entry.pid, signal.SIGKILL)
             self._thaw()
         return end_all(self.members, patience_s)
 
@@ -218,12 +218,13 @@ class RunCgroup:
 
     def _try_to_enter(self) -> None:
         """Put a process into the group that does nothing. Raises OSError."""
-        with subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as probe:  # noqa: S607
-            try:
-                for folder in set(self._folders.values()):
-                    (folder / "cgroup.procs").write_text(str(probe.pid), encoding="ascii")
-            finally:
-                probe.kill()
+        probe = os.posix_spawnp("sleep", ["sleep", "60"], os.environ)
+        try:
+            for folder in set(self._folders.values()):
+                (folder / "cgroup.procs").write_text(str(probe), encoding="ascii")
+        finally:
+            os.kill(probe, signal.SIGKILL)
+            os.waitpid(probe, 0)
 
     def _way_to_end(self) -> str:
         if (self._tasks / "cgroup.kill").exists():

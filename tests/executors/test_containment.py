@@ -12,13 +12,18 @@ import pytest
 
 from slamhive.executors import containment
 from slamhive.executors.base import Gone, Limits, Running
-from slamhive.executors.containment import choose_containment, found_again, survey
+from slamhive.executors.containment import choose_containment, found_again
 from slamhive.executors.containment_base import ContainmentRequest, DoesNotHold
-from slamhive.executors.process_table import processes_of_user
+from slamhive.executors.exit_file import EXIT_FILE
+from slamhive.executors.process_table import all_processes, living, processes_of_user
 from slamhive.executors.process_tree import ProcessTreeSource
+from slamhive.executors.shim import IDENTITY_FILE, main
+from slamhive.executors.shim_spec import ShimSpec
+from slamhive.executors.survey import survey
 from slamhive.executors.user_limit import FIRST_UID, USERS
-from tests.executors.conftest import EVERYWHERE, HOLDING, REFUSING, wait_for_end
+from tests.executors.conftest import EVERYWHERE, HOLDING, REFUSING, open_to_other_users, wait_for_end
 from tests.executors.processes import processes_of
+from tests.executors.strangers import as_nobody
 from tests.waiting import eventually
 
 pytestmark = pytest.mark.integration
@@ -203,3 +208,41 @@ def test_supervisors_of_earlier_versions_are_found_again(bench):
     assert isinstance(bench.executor.usage_source(old), ProcessTreeSource)
     bench.executor.remove(old)
     assert processes_of(handle) == []
+
+
+def test_a_supervisor_without_rights_ends_a_run_that_multiplies(tmp_path):
+    """It has no control groups here and no other users: it counts, below a ceiling of the kernel."""
+    open_to_other_users(tmp_path)
+    work, home = tmp_path / "work", tmp_path / "work" / "home"
+    home.mkdir(parents=True)
+    for folder in (work, home):
+        folder.chmod(0o777)
+    many = "i=0; while [ $i -lt 300 ]; do sleep 20 & i=$((i+1)); done; wait"
+    # fmt: off
+    ShimSpec(
+        ["/bin/sh", "-c", many], {"PATH": os.environ["PATH"]}, str(home), None, None, 64, 100_000, containment="tree"
+    ).save(work)
+    # fmt: on
+
+    def supervise() -> str:
+        if os.fork() == 0:
+            try:
+                main(work)
+            finally:
+                os._exit(0)
+        os.wait()
+        return "started"
+
+    assert as_nobody(supervise) == "started"
+    eventually((work / EXIT_FILE).exists, "the end of the run")
+    ended = json.loads((work / EXIT_FILE).read_text())
+    assert (ended["exit_code"], ended["process_limit"]) == (137, True)
+    assert "the kernel refuses this user more than" in (work / IDENTITY_FILE).read_text()
+    assert [entry for entry in living(all_processes()) if is_in(entry.pid, home)] == []
+
+
+def is_in(pid: int, folder: Path) -> bool:
+    try:
+        return Path(f"/proc/{pid}/cwd").resolve() == folder
+    except OSError:
+        return False

@@ -1,0 +1,37 @@
+"""By what runs without a container would be held on this machine: tried out, for ``slamhive doctor``."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+from slamhive.executors import priority
+from slamhive.executors.base import Protections
+from slamhive.executors.containment import choose_containment
+from slamhive.executors.containment_base import ContainmentRequest
+
+_ANY_TASKS = 16
+
+
+def survey(installation: str, kind: str | None = None) -> Protections:
+    """By what a run would be held that is started on this machine now, tried out and given back.
+
+    Raises DoesNotHold as :func:`choose_containment`.
+    """
+    chosen = choose_containment(ContainmentRequest(installation, f"survey-{os.getpid()}", _ANY_TASKS), kind)
+    try:
+        words = chosen.containment.words()
+        shares_processors = not chosen.containment.holds_cpu
+        return Protections(
+            **words, priority=_priority_here(shares_processors=shares_processors), does_not_hold=chosen.does_not_hold
+        )
+    finally:
+        chosen.containment.remove()
+
+
+def _priority_here(*, shares_processors: bool) -> str:
+    """What a supervisor's priority would come to, in words: tried out by a process that ends at once."""
+    command = [sys.executable, "-m", priority.__name__, *(["shares"] if shares_processors else [])]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment).stdout.strip()
