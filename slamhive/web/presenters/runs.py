@@ -17,6 +17,15 @@ from slamhive.store.records import RunRecord
 from slamhive.web.columns import Column, Kind
 from slamhive.web.formatting import DASH, Cell, display_unit, duration, metric_cell, plural, significant, value_text
 
+_PROTECTIONS = {
+    "held_by": "Held by",
+    "processes": "Processes and threads",
+    "memory": "Memory",
+    "cpu": "CPU",
+    "end": "How it is ended",
+    "priority": "Priority",
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -129,6 +138,18 @@ def machine(run: RunRecord) -> Cell | None:
     words = "disturbed" if run.disturbance.disturbed else "undisturbed"
     missing = ", ".join(text.partition(":")[0] for text in not_measured)
     return Cell(f"{words} (not recorded: {missing})" if missing else words, exact)
+
+
+def protections(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """By what a run was held within its limits, in rows; empty for a run of earlier versions, or made elsewhere."""
+    told = record.get("protections")
+    if not isinstance(told, Mapping):
+        return []
+    rows = [(label, str(told[key])) for key, label in _PROTECTIONS.items() if key in told]
+    missing = told.get("does_not_hold")
+    if isinstance(missing, Mapping):
+        rows += [(f"No {way}", str(reason)) for way, reason in missing.items()]
+    return rows
 
 
 def wall_time_s(run: RunRecord, now: datetime) -> float | None:

@@ -135,6 +135,7 @@ def show(run_id: int) -> str:
     chosen = next((entry for entry in choices if entry.chosen), None)
     tools = _tools(services, run)
     notes = evaluation_notes(services.folder(run_id), None if chosen is None else chosen.fingerprint)
+    record = services.record(run_id)
     return render_template(
         "runs/show.html",
         run=run,
@@ -153,7 +154,8 @@ def show(run_id: int) -> str:
         tools=protocols.tool_rows(tools),
         tools_waiting=protocols.waiting(tools),
         measured=presenter.metric_rows(run, needs_protocol=False),
-        provenance=presenter.flatten(services.record(run_id)),
+        protections=presenter.protections(record),
+        provenance=presenter.flatten(record),
         events=services.events(run_id),
         evaluations=evaluations,
         evaluating=any(entry.state in (EvaluationState.QUEUED, EvaluationState.RUNNING) for entry in evaluations),
