@@ -80,15 +80,15 @@ def is_full(stats: dict[str, Any]) -> bool:
 def engine_protections(info: dict[str, Any]) -> Protections:
     """By what containers are held, from what the engine says of its kernel (``docker info``)."""
 
-    def held(able: str, file: str) -> str:
-        return f"held by the kernel ({file})" if info.get(able) else "not limited: the engine's kernel cannot"
+    def enforced(able: str, file: str) -> str:
+        return f"enforced by the kernel ({file})" if info.get(able) else "not enforced: the engine's kernel cannot"
 
     v1 = str(info.get("CgroupVersion", "1")) == "1"
     return Protections(
         held_by=f"container, control groups version {1 if v1 else 2}",
-        processes="refused by the kernel (pids.max)" if info.get("PidsLimit") else "not limited: the kernel cannot",
-        memory=held("MemoryLimit", "memory.limit_in_bytes" if v1 else "memory.max"),
-        cpu=held("CpuCfsQuota", "cpu.cfs_quota_us" if v1 else "cpu.max"),
-        end="all processes of the container, with its first one",
-        priority="a share of the processors of its own",
+        processes=enforced("PidsLimit", "pids.max"),
+        memory=enforced("MemoryLimit", "memory.limit_in_bytes" if v1 else "memory.max"),
+        cpu=enforced("CpuCfsQuota", "cpu.cfs_quota_us" if v1 else "cpu.max"),
+        end="all processes of the container are killed at once",
+        priority="the run has its own share of the processors",
     )

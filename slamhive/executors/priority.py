@@ -17,6 +17,8 @@ _OOM_SCORE = Path("/proc/self/oom_score_adj")
 _RAISED_BY = 5
 _SPARED_BY = 500
 _LOWEST_OOM_SCORE = -1000
+_SPARED = "; the kernel kills the supervisor late when the machine runs out of memory"
+_NOT_SPARED = "; the kernel may kill the supervisor when the machine runs out of memory"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +42,12 @@ class Priority:
     def words(self, *, shares_processors: bool) -> str:
         """For the record."""
         if self.raised:
-            nice = f"supervisor raised by {_RAISED_BY}"
+            nice = f"the supervisor runs at nice -{_RAISED_BY}, the run as any program"
         elif shares_processors:
-            nice = "supervisor cannot be raised; the run is lowered by 1"
+            nice = "the supervisor may not raise itself; the run has nice +1"
         else:
-            nice = "supervisor cannot be raised; the run has a share of the processors of its own"
-        return nice + ("; spared when memory runs out" if self.spared else "; not spared when memory runs out")
+            nice = "the supervisor may not raise itself; the run has its own share of the processors"
+        return nice + (_SPARED if self.spared else _NOT_SPARED)
 
 
 def raise_supervisor() -> Priority:

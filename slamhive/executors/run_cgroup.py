@@ -163,10 +163,10 @@ class RunCgroup:
         cpu = "cpu.cfs_quota_us" if v1 else "cpu.max"
         return {
             "held_by": f"control group, version {self._version}",
-            "processes": "refused by the kernel (pids.max)",
-            "memory": f"held by the kernel ({memory})" if self.holds_memory else "watched by the supervisor",
-            "cpu": f"held by the kernel ({cpu})" if self.holds_cpu else "bound to as many cores",
-            "end": f"all processes of the group, {self._way_to_end()}",
+            "processes": "enforced by the kernel (pids.max)",
+            "memory": f"enforced by the kernel ({memory})" if self.holds_memory else "checked by the supervisor",
+            "cpu": f"enforced by the kernel ({cpu})" if self.holds_cpu else "bound to whole cores",
+            "end": self._way_to_end(),
         }
 
     def enter(self) -> None:
@@ -228,8 +228,10 @@ class RunCgroup:
 
     def _way_to_end(self) -> str:
         if (self._tasks / "cgroup.kill").exists():
-            return "at once (cgroup.kill)"
-        return "frozen, then killed" if self._freezer() is not None else "stopped, then killed"
+            return "the whole group is killed at once (cgroup.kill)"
+        return (
+            "the whole group is frozen, then killed" if self._freezer() else "the whole group is stopped, then killed"
+        )
 
     def _freezer(self) -> Path | None:
         if self._version == 2:

@@ -50,13 +50,13 @@ class TreeLimit:
 
     def words(self) -> dict[str, str]:
         """See :class:`Containment`."""
-        ceiling = "" if self._ceiling is None else f"; the kernel refuses this user more than {self._ceiling} in all"
+        ceiling = "" if self._ceiling is None else f"; the kernel lets this user have {self._ceiling} in all"
         return {
-            "held_by": "the supervisor",
-            "processes": f"counted by the supervisor, which ends a run that has more{ceiling}",
-            "memory": "watched by the supervisor",
-            "cpu": "bound to as many cores",
-            "end": "all processes below the supervisor, stopped, then killed",
+            "held_by": "the supervisor alone",
+            "processes": f"counted by the supervisor, which kills a run that has too many{ceiling}",
+            "memory": "checked by the supervisor",
+            "cpu": "bound to whole cores",
+            "end": "all processes below the supervisor are stopped, then killed",
         }
 
     def enter(self) -> None:

@@ -92,10 +92,10 @@ class UserLimit:
         """See :class:`Containment`."""
         return {
             "held_by": f"a user of its own ({self._uid})",
-            "processes": "refused by the kernel (RLIMIT_NPROC)",
-            "memory": "watched by the supervisor",
-            "cpu": "bound to as many cores",
-            "end": "all processes of the user, stopped, then killed",
+            "processes": "enforced by the kernel (RLIMIT_NPROC)",
+            "memory": "checked by the supervisor",
+            "cpu": "bound to whole cores",
+            "end": "all processes of the user are stopped, then killed",
         }
 
     def enter(self) -> None:

@@ -221,13 +221,15 @@ def _memory_text(limit_bytes: int | None) -> str:
 
 
 def _processes_text(limit: int | None) -> str:
-    remedy = "if the algorithm needs more, raise RUN_PIDS, else let it start fewer threads"
-    return f"killed: it kept starting processes at its {_process_limit(limit)}; {remedy}"
+    remedy = "raise RUN_PIDS if the algorithm needs more, or let it start fewer threads"
+    return f"killed because it kept starting processes beyond its {_process_limit(limit)}; {remedy}"
 
 
 def _refused_text(evidence: Evidence) -> str:
     ending = _exit_text(evidence.exit_code, evidence.error_line)
-    return f"{ending}; it was refused processes at its {_process_limit(evidence.most_processes)}, raise RUN_PIDS"
+    return (
+        f"{ending}, after it was refused processes beyond its {_process_limit(evidence.most_processes)}; raise RUN_PIDS"
+    )
 
 
 def _process_limit(limit: int | None) -> str:

@@ -137,7 +137,7 @@ def test_a_controller_that_is_missing_is_left_to_the_supervisor(root):
         (root / SLICE / NAME / name).unlink()
     group = made(root)
     assert (group.holds_memory, group.holds_cpu) == (False, False)
-    assert group.words()["memory"] == "watched by the supervisor"
+    assert group.words()["memory"] == "checked by the supervisor"
 
 
 def test_without_a_limit_of_processes_it_does_not_hold(root):

@@ -47,7 +47,7 @@ def test_a_limit_of_processes_is_told_with_the_remedy():
     assert "limit of 64 processes and threads" in killed
     assert "RUN_PIDS" in killed
     refused = decide(Evidence(1, NONE, refused_processes=True, most_processes=64, error_line="no new thread")).detail
-    assert "exit code 1: no new thread; it was refused processes at its limit of 64" in refused
+    assert "exit code 1: no new thread, after it was refused processes beyond its limit of 64" in refused
     assert "RUN_PIDS" in refused
 
 

@@ -28,11 +28,11 @@ def page(web: Web, told: Any) -> str:
 
 def test_what_held_a_run_is_told_and_why_nothing_stronger_did(web: Web) -> None:
     text = page(web, HELD)
-    assert "<dt>Held within its limits by</dt><dd><details><summary>the supervisor</summary>" in text
+    assert "<dt>Limits enforced by</dt><dd><details><summary>the supervisor</summary>" in text
     assert "<dt>Processes and threads</dt><dd>counted by the supervisor</dd>" in text
     assert "<dt>No cgroup</dt><dd>no group &lt;b&gt;can&lt;/b&gt; be made</dd>" in text
 
 
 @pytest.mark.parametrize("told", [None, {}, [], "a text", {"does_not_hold": "a text"}])
 def test_runs_of_earlier_versions_and_odd_records_say_nothing_of_it(web: Web, told: Any) -> None:
-    assert "Held within its limits" not in page(web, told)
+    assert "Limits enforced" not in page(web, told)

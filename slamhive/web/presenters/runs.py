@@ -22,7 +22,7 @@ _PROTECTIONS = {
     "processes": "Processes and threads",
     "memory": "Memory",
     "cpu": "CPU",
-    "end": "How it is ended",
+    "end": "How it is killed",
     "priority": "Priority",
 }
 
