@@ -30,6 +30,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from slamhive.executors import namespaces
 from slamhive.executors.base import Protections
 from slamhive.executors.capped_log import CappedLog
 from slamhive.executors.containment import choose_containment
@@ -64,7 +65,10 @@ class Supervisor:
         self._priority = raise_supervisor()
         chosen = choose_containment(spec.containment_request(), spec.containment)
         self._containment = chosen.containment
-        self._does_not_hold = chosen.does_not_hold
+        refused = namespaces.refused_because()
+        self._apart = refused is None
+        not_apart = {} if refused is None else {"a network and a shared memory of its own": refused}
+        self._does_not_hold = chosen.does_not_hold | not_apart
         self._refusals = RefusalWatch(self._containment.patience_s)
         self._tree = ProcessTree(os.getpid())
         self._log = CappedLog(work / OUTPUT_FOLDER, spec.log_max_bytes)
@@ -132,6 +136,8 @@ class Supervisor:
             self._priority.give_back(shares_processors=not self._containment.holds_cpu)
             if cores := self._cores():
                 os.sched_setaffinity(0, cores)
+            if self._apart:
+                namespaces.enter_namespaces()
             self._containment.enter()
             # After that: a change of user would undo it.
             prctl(PR_SET_PDEATHSIG, signal.SIGKILL)

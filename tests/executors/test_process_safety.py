@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import resource
+import socket
 import threading
+from pathlib import Path
 
 import pytest
 
-from slamhive.executors import landlock
+from slamhive.executors import landlock, namespaces
 from slamhive.executors.base import Limits
 from slamhive.executors.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
 from slamhive.executors.registry import installation_id
@@ -171,3 +173,35 @@ def test_nobody_outside_is_signalled(bench):
     )
     _, handle = bench.start(script)
     assert wait_for_end(bench.executor, handle).exit_code == 7
+
+
+@pytest.mark.integration
+@process_only
+def test_network_and_shared_memory_are_its_own(bench):
+    refused = namespaces.refused_because()
+    if refused is not None:
+        pytest.skip(f"this machine makes no namespaces: {refused}")
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen()
+        script = (
+            "import pathlib, socket, sys\n"
+            "with socket.socket() as own:\n"
+            "    own.bind(('127.0.0.1', 0))\n"
+            "    own.listen()\n"
+            "    socket.create_connection(own.getsockname()).close()\n"
+            "pathlib.Path('/dev/shm/slamhive-test').write_bytes(b'1')\n"
+            "with socket.socket() as there:\n"
+            f"    sys.exit(7 if there.connect_ex({server.getsockname()}) else 8)\n"
+        )
+        _, handle = bench.start(script)
+        assert wait_for_end(bench.executor, handle).exit_code == 7
+    assert not Path("/dev/shm/slamhive-test").exists()
+
+
+def test_a_kernel_that_refuses_is_asked_by_a_child(monkeypatch):
+    def refuse() -> None:
+        raise OSError(1, "unshare: Operation not permitted")
+
+    monkeypatch.setattr(namespaces, "enter_namespaces", refuse)
+    assert namespaces.refused_because() == "unshare: Operation not permitted"

@@ -137,6 +137,13 @@ def fill(folder: Path) -> None:
                 stream.write(BLOCK)
 
 
+def fill_shm() -> None:
+    """Shared memory: 20 files of 20 MB."""
+    for number in range(20):
+        with Path(f"/dev/shm/hostile{number}").open("wb") as stream:
+            stream.writelines(BLOCK for _ in range(5))
+
+
 def long_log() -> None:
     """Lines of 1000 bytes, as many MB as it is told to write."""
     lines = (b"x" * 999 + b"\n") * 1000
@@ -324,6 +331,7 @@ ACTS: dict[str, Callable[[], None]] = {
     "fill_result": lambda: fill(RESULT),
     "fill_tmp": lambda: fill(SCRATCH),
     "fill_elsewhere": lambda: fill(Path("/var/tmp")),
+    "fill_shm": fill_shm,
     "long_log": long_log,
     "many_files": many_files,
     "many_files_tmp": lambda: many_files(SCRATCH),

@@ -1,0 +1,88 @@
+"""A network and a shared memory of its own for a run without a container, by namespaces of the kernel.
+
+As in a container: loopback alone, and a ``/dev/shm`` of limited size that is gone with the run. Root makes them itself;
+other users make them within a user namespace of their own, which some systems do not allow.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import os
+import socket
+import struct
+from pathlib import Path
+
+SHARED_MEMORY = "/dev/shm"  # noqa: S108 - the place that processes share memory in
+SHARED_MEMORY_BYTES = 256 * 1024 * 1024
+"""As much as containers get."""
+
+_CLONE_NEWNS, _CLONE_NEWUSER, _CLONE_NEWNET = 0x00020000, 0x10000000, 0x40000000
+_MS_NOSUID, _MS_NODEV, _MS_REC, _MS_PRIVATE = 1 << 1, 1 << 2, 1 << 14, 1 << 18
+_GET_FLAGS, _SET_FLAGS, _UP = 0x8913, 0x8914, 1
+_INTERFACE = struct.Struct("16sh22x")
+
+
+def refused_because() -> str | None:
+    """Why :func:`enter_namespaces` would fail on this machine; None if it would not. A child of this process tries."""
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            enter_namespaces()
+        except OSError as error:
+            os.write(writer, (error.strerror or str(error)).encode())
+        finally:
+            os._exit(0)
+    os.close(writer)
+    with os.fdopen(reader, "rb") as answer:
+        reason = answer.read().decode()
+    os.waitpid(child, 0)
+    return reason or None
+
+
+def enter_namespaces() -> None:
+    """Part with the network and the shared memory of the machine. Raises OSError, and is then good for nothing more.
+
+    For a process that is about to start the algorithm, while it has all its rights; what it starts stays with it.
+    """
+    uid, gid = os.getuid(), os.getgid()
+    if uid == 0:
+        _unshare(_CLONE_NEWNS | _CLONE_NEWNET)
+    else:
+        _unshare(_CLONE_NEWUSER | _CLONE_NEWNS | _CLONE_NEWNET)
+        _stay(uid, gid)
+    _mount("none", "/", "none", _MS_REC | _MS_PRIVATE, "")
+    if Path(SHARED_MEMORY).is_dir():
+        options = f"size={SHARED_MEMORY_BYTES},mode=1777"
+        _mount("tmpfs", SHARED_MEMORY, "tmpfs", _MS_NOSUID | _MS_NODEV, options)
+    _raise_loopback()
+
+
+def _stay(uid: int, gid: int) -> None:
+    """Be the same user and group within the user namespace as outside."""
+    Path("/proc/self/setgroups").write_text("deny", encoding="ascii")
+    Path("/proc/self/uid_map").write_text(f"{uid} {uid} 1", encoding="ascii")
+    Path("/proc/self/gid_map").write_text(f"{gid} {gid} 1", encoding="ascii")
+
+
+def _raise_loopback() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        _, flags = _INTERFACE.unpack(fcntl.ioctl(any_socket, _GET_FLAGS, _INTERFACE.pack(b"lo", 0)))
+        fcntl.ioctl(any_socket, _SET_FLAGS, _INTERFACE.pack(b"lo", flags | _UP))
+
+
+def _unshare(namespaces: int) -> None:
+    _check(ctypes.CDLL(None, use_errno=True).unshare(namespaces), "unshare")
+
+
+def _mount(source: str, target: str, kind: str, flags: int, options: str) -> None:
+    library = ctypes.CDLL(None, use_errno=True)
+    words = [text.encode() for text in (source, target, kind)]
+    _check(library.mount(*words, ctypes.c_ulong(flags), options.encode()), f"mount {target}")
+
+
+def _check(result: int, call: str) -> None:
+    if result != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, f"{call}: {os.strerror(number)}")
