@@ -1,0 +1,75 @@
+"""Disturbed runs in the store: counted in an experiment, replaced by their repetitions, on both kinds of database."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
+from slamhive.domain.run import RunState
+from slamhive.store import Store
+from slamhive.store.experiment_records import ExperimentState
+from tests.store.conftest import NOW
+from tests.store.store_samples import Samples
+
+pytestmark = pytest.mark.integration
+
+QUIET = Disturbance(known=True)
+BUSY = Disturbance(
+    known=True,
+    reasons=(DisturbanceReason(DisturbanceKind.OTHERS, "a"), DisturbanceReason(DisturbanceKind.STEAL, "b")),
+    not_measured=("CPU frequency: no file",),
+)
+UNKNOWN = Disturbance(known=False, not_measured=("the machine was not watched",))
+
+
+@pytest.fixture
+def experiment(store: Store) -> int:
+    """The id of an experiment without runs."""
+    values: dict[str, Any] = {"state": ExperimentState.ACTIVE, "complete": True, "created_at": NOW}
+    numbers = dict.fromkeys(("priority", "repeats", "cells", "runs"), 1)
+    texts = dict.fromkeys(("description", "content_hash", "source", "executor"), "")
+    return store.write(lambda tx: tx.experiments.get_or_create("e" * 32, "trial", **values, **numbers, **texts)).id
+
+
+def ended(samples: Samples, found: Disturbance, state: RunState = RunState.SUCCEEDED, **fields: Any) -> int:
+    run_id = samples.run_in(state, **fields)
+    samples.store.write(lambda tx: tx.runs.update(run_id, disturbance=found))
+    return run_id
+
+
+@pytest.mark.parametrize("found", [QUIET, BUSY, UNKNOWN])
+def test_what_is_known_comes_back(store: Store, samples: Samples, found: Disturbance) -> None:
+    run_id = ended(samples, found)
+    assert store.read(lambda tx: tx.runs.get(run_id)).disturbance == found
+
+
+def test_a_disturbed_run_is_replaced_unless_its_repetition_was_cancelled(
+    store: Store, samples: Samples, experiment: int
+) -> None:
+    mine: dict[str, Any] = {"experiment_id": experiment, "cell": 1}
+    quiet = ended(samples, QUIET, **mine)
+    unknown = ended(samples, UNKNOWN, **mine)
+    alone = ended(samples, BUSY, **mine)
+    failed = ended(samples, BUSY, RunState.FAILED, **mine)
+    replaced = ended(samples, BUSY, repeat_disturbed=1, **mine)
+    again = ended(samples, QUIET, retry_of=replaced, **mine)
+    kept = ended(samples, BUSY, **mine)
+    cancelled = ended(samples, UNKNOWN, RunState.CANCELLED, retry_of=kept, **mine)
+    elsewhere = ended(samples, BUSY)
+    after_quiet = ended(samples, QUIET, retry_of=quiet, **mine)
+
+    runs = store.read(lambda tx: tx.experiments.cell_runs(experiment, 1, 1, ["cpu.mean"]))
+    assert {run.id for run in runs} == {
+        *(quiet, unknown, alone, failed, replaced, again, kept, cancelled, after_quiet)
+    }, elsewhere
+    assert [run.id for run in runs if run.retried] == [replaced]
+    assert {run.id: run.disturbed for run in runs}[unknown] is None
+    assert [run.id for run in runs if run.disturbed] == [alone, failed, replaced, kept]
+    assert store.read(lambda tx: tx.experiments.disturbed_counts()) == {experiment: 3}
+    assert store.read(lambda tx: tx.experiments.disturbed_counts(experiment)) == {experiment: 3}
+    assert store.read(lambda tx: tx.experiments.to_repeat(experiment)) == [replaced]
+    counts = store.read(lambda tx: tx.experiments.all_counts(experiment))[experiment]
+    assert sum(entry.count for entry in counts if entry.retried) == 1
+    assert sum(entry.count for entry in counts) == 9
