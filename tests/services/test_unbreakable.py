@@ -102,7 +102,7 @@ def test_everything_dies_at_random_moments(
     if executor == "docker":
         assert run_docker("tag", request.getfixturevalue("base_image"), TINY_IMAGE).returncode == 0
     rng = random.Random(SEED)
-    moments = [round(rng.uniform(0.1, 2.5), 3) for _ in range(MOMENTS)]
+    moments = [round(rng.uniform(0.1, 1.8), 3) for _ in range(MOMENTS)]
     sys.stdout.write(f"\n{case}: dies after {moments} s (seed {SEED})\n")
     with installation(
         tmp_path, monkeypatch, executor=executor, database=database, environments=environments, worker_slots=str(SLOTS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from datetime import datetime
@@ -23,6 +24,8 @@ from slamhive.store.experiment_records import NewCell
 from slamhive.store.filed_runs import EndedEvaluation
 from slamhive.store.ledger import LedgerRepository
 from slamhive.store.store import Store, Transaction
+
+logger = logging.getLogger(__name__)
 
 _AT_ONCE = 500
 
@@ -55,6 +58,12 @@ class Missing:
         stored, described = self._store.read(
             lambda t: (LedgerRepository(t.session).configurations(), LedgerRepository(t.session).described())
         )
+        if told - stored:
+            logger.warning(
+                "%s tells of %d configurations that the database does not know: slamhive reindex restores them",
+                self._files.configurations.path,
+                len(told - stored),
+            )
         for record in self._records(sorted(stored - told)):
             yield record_line(record)
         for record in self._records(sorted({*described, *(stored & said.keys())})):
