@@ -93,6 +93,7 @@ def installation(
         if executor == "docker":
             for container in containers_of(data):
                 run_docker("rm", "--force", container)
+            run_docker("rmi", TINY_IMAGE)
 
 
 def containers_of(data: Path) -> list[str]:

@@ -10,7 +10,14 @@ from slamhive.errors import SlamHiveError
 from slamhive.services.ledger.book import Book, Line
 from slamhive.services.ledger.evaluation_lines import asked_line, ended_lines
 from slamhive.services.ledger.files import LedgerFiles
-from slamhive.services.ledger.lines import cell_line, configuration_lines, label_line, live_configurations, run_lines
+from slamhive.services.ledger.lines import (
+    NOT_A_LINE,
+    cell_line,
+    configuration_lines,
+    label_line,
+    live_configurations,
+    run_lines,
+)
 from slamhive.services.ledger.missing import Missing, catalogue_lines, search_lines
 from slamhive.settings import Settings
 from slamhive.store.changes import Changes
@@ -44,6 +51,10 @@ class Ledger:
                 self._note(changes)
         except SlamHiveError as error:
             logger.warning("%s; the ledger is completed when a worker starts", error)
+        except NOT_A_LINE:
+            logger.exception(
+                "%s holds a line that is none of ours and keeps it from being completed", self.files.folder
+            )
 
     def check(self) -> None:
         """Write what is missing: a kill or a full disk may have come between a transaction and its lines."""
