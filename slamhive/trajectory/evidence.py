@@ -94,8 +94,8 @@ def _unit_by_itself(times: FloatArray) -> Finding[TimeUnit]:
     if len(fitting) == 1:
         apart = _duration(step / fitting[0].per_second)
         return Finding(fitting[0], f"only as {fitting[0]} are the poses a likely time apart, {apart}")
-    shown = ", ".join(f"as {unit} {_duration(step / unit.per_second)}" for unit in fitting or TimeUnit)
-    return Finding(None, f"the poses are {step:g} of them apart: {shown}")
+    shown = ", ".join(f"{_duration(step / unit.per_second)} if they are {unit}" for unit in fitting or TimeUnit)
+    return Finding(None, f"the timestamps are {step:g} apart, which is {shown}")
 
 
 def _likely_units(times: FloatArray) -> list[TimeUnit]:

@@ -46,7 +46,7 @@ def test_an_estimate_on_another_clock_is_not_bent_to_the_ground_truth() -> None:
 
 def test_where_two_units_are_likely_there_is_doubt_with_what_was_found() -> None:
     found = find_unit(np.arange(0.0, 500.0, 5.0), None, None)
-    assert found == Finding(None, "the poses are 5 of them apart: as s 5 s, as ms 5 ms")
+    assert found == Finding(None, "the timestamps are 5 apart, which is 5 s if they are s, 5 ms if they are ms")
 
 
 def test_where_no_unit_is_likely_there_is_doubt() -> None:
@@ -54,7 +54,7 @@ def test_where_no_unit_is_likely_there_is_doubt() -> None:
     assert find_unit(np.array([7.0, 7.0]), None, None).value is None
     found = find_unit(np.arange(0.0, 9e15, 1e15), None, None)
     assert found.value is None
-    assert "as s 1e+15 s" in found.because
+    assert "1e+15 s if they are s" in found.because
 
 
 def test_what_a_file_states_counts_unless_the_numbers_contradict() -> None:

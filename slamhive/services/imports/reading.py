@@ -33,7 +33,7 @@ class Loaded:
         text: In TUM format; the bytes of the file itself if they were.
         kitti_poses: The bytes of the file itself if it was in KITTI format, else None.
         poses: How many.
-        format: Which it was.
+        format: The layout of its rows.
         checksum: Of the file, ``sha256:<hex>``.
         reading: How its numbers were taken.
     """
@@ -95,22 +95,22 @@ def load(candidate: Candidate, file: PoseFile, truth: Truth | None, duplicates: 
         text=_text(file, reading, trajectory),
         kitti_poses=kitti_poses,
         poses=len(trajectory),
-        format=TrajectoryFormat.TUM if reading.as_it_stands else _other_format(file),
+        format=file.format,
         checksum=f"sha256:{hashlib.sha256(file.data).hexdigest()}",
         reading=reading,
     )
 
 
 def load_truth(
-    path: Path, times: Path | None, told: Convention, partners: Sequence[Partner], duplicates: Duplicates
+    path: Path, times: Path | None, name: str, told: Convention, partners: Sequence[Partner], duplicates: Duplicates
 ) -> LoadedTruth:
     """A ground truth, which may hold positions alone; raises NotFound or InvalidInput.
 
-    ``partners`` may tell its unit and order where it does not by itself.
+    ``partners`` may tell its unit and order where it does not by itself. ``name`` is what its reading is called.
     """
     file = _read(path, TrajectoryFormat.AUTO, times, positions=True)
     _check_length(file, "ground truth")
-    reading = settle_truth(file, path.name, told, partners)
+    reading = settle_truth(file, name, told, partners)
     trajectory = _trajectory(file, reading, duplicates)
     kitti_poses = file.data if file.format is TrajectoryFormat.KITTI else None
     return LoadedTruth(_text(file, reading, trajectory), kitti_poses, Truth(trajectory, file.raw.orientations), reading)
@@ -164,10 +164,6 @@ def _first_number(data: bytes) -> float:
         return float(row.replace(b",", b" ").split()[0])
     except ValueError:
         return 0.0
-
-
-def _other_format(file: PoseFile) -> TrajectoryFormat:
-    return TrajectoryFormat.KITTI if file.format is TrajectoryFormat.KITTI else TrajectoryFormat.EUROC
 
 
 def _check_length(file: PoseFile, kind: str) -> None:

@@ -94,7 +94,7 @@ class Truths:
                 f"dataset {name} is not here, and no ground truth was found for it",
                 "say where it lies with --groundtruth, or with --relations if it has no trajectory",
             )
-        loaded = None if files.trajectory is None else self._load(files.trajectory, files)
+        loaded = None if files.trajectory is None else self._load(name, files.trajectory, files)
         dataset, contents = self._described(name, files, loaded)
         if not dry_run:
             with new_dataset_folder(dataset.folder, sum(map(len, contents.values()))) as aside:
@@ -103,9 +103,10 @@ class Truths:
                 (aside / DATASET_FILE).write_text(dataset_to_yaml(dataset), encoding="utf-8")
         return Home(dataset, True) if loaded is None else Home(dataset, True, loaded.truth, loaded.reading)
 
-    def _load(self, path: Path, files: TruthFiles) -> LoadedTruth:
+    def _load(self, dataset: str, path: Path, files: TruthFiles) -> LoadedTruth:
+        name = f"the ground truth of {dataset}"
         try:
-            return load_truth(path, files.times, files.told, files.partners, self._duplicates)
+            return load_truth(path, files.times, name, files.told, files.partners, self._duplicates)
         except InvalidInput as error:
             raise InvalidInput(f"ground truth {path.name}: {error.message}", error.remedy) from None
 
@@ -150,7 +151,7 @@ class Truths:
             raise InvalidInput(f"dataset {known.name} has no ground truth", "add one to its folder")
         reading: Reading | None = None
         if files.trajectory is not None:
-            truth = self._load(files.trajectory, files)
+            truth = self._load(known.name, files.trajectory, files)
             reading = truth.reading
             _check_file(known, "ground truth", known.groundtruth_path, truth.text, "--groundtruth")
             if known.groundtruth is not None and self._gravity_aligned and not known.groundtruth.gravity_aligned:

@@ -69,7 +69,7 @@ def test_every_unit_and_order_is_understood(hive, tmp_path, plain_truth, expecte
     folder = hive.folder(report.run_ids[0])
     np.testing.assert_allclose(np.loadtxt(folder.trajectory), expected_rows, atol=1.1e-6)
     origin = hive.record(report.run_ids[0])["imported"]
-    assert (origin["time_unit"], origin["quaternion_order"], origin["format"]) == (unit, order, "euroc")
+    assert (origin["time_unit"], origin["quaternion_order"], origin["format"]) == (unit, order, "tum")
     assert f"as {unit} do the timestamps fall into the time of the ground truth" in origin["because"]["time_unit"]
     assert f"deg read as {order}, and to " in origin["because"]["quaternion_order"]
 
@@ -134,8 +134,8 @@ def test_a_ground_truth_in_doubt_costs_its_dataset_and_names_its_own_option(hive
     (problem,) = carry_out(hive, tmp_path / "source").problems
     assert problem.name == "dataset seq (1 file)"
     assert problem.text == (
-        "ground truth groundtruth.txt: the time unit is in doubt: the poses are 5 of them apart: as s 5 s, as ms 5 ms; "
-        "say which it is with --groundtruth-time-unit (s, ms, us, ns)"
+        "ground truth groundtruth.txt: the time unit is in doubt: the timestamps are 5 apart, which is 5 s if they "
+        "are s, 5 ms if they are ms; say which it is with --groundtruth-time-unit (s, ms, us, ns)"
     )
     assert not (hive.settings.datasets_folder / "seq").exists()
     told = carry_out(hive, tmp_path / "source", truth_told=Convention(TimeUnit.MS))
@@ -179,7 +179,7 @@ def test_the_command_says_how_files_were_read_and_why(hive, tmp_path, plain_trut
     again = CliRunner().invoke(main, ["runs", "import", str(source), "--sensors", "stereo", "--json"])
     readings = {entry["name"]: entry for entry in json.loads(again.stdout)["readings"]}
     assert readings[f"orb/{SEQUENCE}/0.txt"]["time_unit"] == "ns"
-    assert readings["groundtruth.txt"]["quaternion_order"] == "xyzw"
+    assert readings[f"the ground truth of {SEQUENCE}"]["quaternion_order"] == "xyzw"
     assert hive.run(1).metrics["ate_rot.rmse"] < 10, "144 deg with the quaternions in the other order"
 
 
