@@ -14,6 +14,7 @@ from slamhive.evaluation.evaluators.base import Paired
 from slamhive.evaluation.references import Reference
 from slamhive.trajectory.alignment import align
 from slamhive.trajectory.association import associate
+from slamhive.trajectory.evidence import misread_unit
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.offset import position_misfit, search_offset, turning_misfit
 
@@ -43,10 +44,13 @@ def pair(
     estimate = shifted(estimate, offset_s)
     matched_reference, matched_estimate = associate(truth, estimate, protocol)
     if len(matched_reference) < MINIMUM_MATCHED_POSES:
+        misread = misread_unit(estimate.stamps_s, truth.stamps_s)
         raise InvalidInput(
             f"only {len(matched_reference)} of {len(estimate)} estimated poses match the ground truth in time, "
-            f"at least {MINIMUM_MATCHED_POSES} are needed",
-            "the run tracked too little, or the association tolerance is too small",
+            f"at least {MINIMUM_MATCHED_POSES} are needed" + ("" if misread is None else f": {misread.sentence}"),
+            "the run tracked too little, or the association tolerance is too small"
+            if misread is None
+            else misread.remedy,
         )
     transform = align(protocol.alignment, matched_estimate, matched_reference, protocol.align_poses)
     return Paired(

@@ -30,9 +30,11 @@ class Finding(Generic[_Choice]):
 
 
 SHORTEST_STEP_S, LONGEST_STEP_S = 5e-4, 10.0
-"""Poses come at 2000 Hz at most, and are rarely further apart than keyframes of a vehicle that waits."""
+"""Poses come at 2000 Hz at most, and are rarely further apart than keyframes of a vehicle that waits, ..."""
+SPARSE_STEP_S = 600.0
+"""... unless they are surveyed points, which people write in seconds."""
 FIRST_DATE_S, LAST_DATE_S = 6.3e8, 4.1e9
-"""1990 and 2100 as seconds since 1970: times beyond are none of a recording."""
+"""1990 and 2100 as seconds since 1970: dates beyond are none of a recording."""
 MOST_OVERLAP, LITTLE_OVERLAP = 0.3, 0.03
 """Of what two spans of time cover together, the share that they have in common: one fits, another does not."""
 
@@ -100,7 +102,11 @@ def _unit_by_itself(times: FloatArray) -> Finding[TimeUnit]:
 
 def _likely_units(times: FloatArray) -> list[TimeUnit]:
     """Those in which the poses are a likely time apart."""
-    return [unit for unit in TimeUnit if SHORTEST_STEP_S <= _step(times) / unit.per_second <= LONGEST_STEP_S]
+    step = _step(times)
+    longest_s = {TimeUnit.S: SPARSE_STEP_S}
+    return [
+        unit for unit in TimeUnit if SHORTEST_STEP_S <= step / unit.per_second <= longest_s.get(unit, LONGEST_STEP_S)
+    ]
 
 
 def _step(times: FloatArray) -> float:

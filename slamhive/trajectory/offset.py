@@ -144,6 +144,8 @@ def _golden_section(error: Callable[[float], float], low_s: float, high_s: float
 
 COARSE_STEP_S = 0.05
 """Between the samples whose correlation is taken: a peak of turning is wider."""
+MOST_SAMPLES = 200_000
+"""The first ten thousand seconds tell an offset."""
 _LEAST_CORRELATION = 0.25
 """Less is chance; what is found is a start, to be checked."""
 
@@ -164,7 +166,7 @@ def coarse_offset(reference: Trajectory, estimate: Trajectory, within_s: float, 
     """
     begin_s = max(reference.stamps_s[0], estimate.stamps_s[0] - within_s)
     end_s = min(reference.stamps_s[-1], estimate.stamps_s[-1] + within_s)
-    count = int((end_s - begin_s) / COARSE_STEP_S)
+    count = int(min(MOST_SAMPLES, (end_s - begin_s) / COARSE_STEP_S))
     if count < 2 * MINIMUM_COMPARED:
         return None
     stamps_s = begin_s + COARSE_STEP_S * np.arange(count)

@@ -84,10 +84,23 @@ def settle_truth(file: PoseFile, name: str, told: Convention, partners: Sequence
     time_unit = _decided(unit, "time unit", "--groundtruth-time-unit", TimeUnit)
     if not _has_order(file):
         return _reading(file, name, time_unit, unit.because, None)
-    found_deg = (_partner_spreads_deg(file, time_unit, partner) for partner in asked)
-    order = _order(file, told, time_unit, next((spreads for spreads in found_deg if spreads), {}))
+    order = _truth_order(file, told, time_unit, asked)
     _decided(order, "quaternion order", "--groundtruth-quaternion-order", QuaternionOrder)
     return _reading(file, name, time_unit, unit.because, order)
+
+
+def _truth_order(
+    file: PoseFile, told: Convention, unit: TimeUnit, partners: Sequence[Partner]
+) -> Finding[QuaternionOrder]:
+    """The order of a ground truth: an estimate may contradict what it states, or tell where it states nothing."""
+    by_itself = _order(file, told, unit, {})
+    if told.quaternion_order is not None:
+        return by_itself
+    spreads_deg = (_partner_spreads_deg(file, unit, partner) for partner in partners)
+    found = (_order(file, told, unit, entry) for entry in spreads_deg if entry)
+    if by_itself.value is not None:
+        return next(found, by_itself)
+    return next((entry for entry in found if entry.value is not None), by_itself)
 
 
 def _unit(file: PoseFile, told: Convention, truth: Span | None) -> Finding[TimeUnit]:
