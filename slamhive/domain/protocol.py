@@ -308,28 +308,37 @@ def _words(protocol: Protocol) -> list[str]:
         words.append(f"against {protocol.reference}")
     words.append(f"RPE over {protocol.rpe_delta_m:g} m")
     if protocol.rpe_pairs is not RpePairs.ALL:
-        words.append(f"{protocol.rpe_pairs} pairs")
+        words.append("pairs as TUM counts" if protocol.rpe_pairs is RpePairs.TUM else "consecutive pairs")
+    words += _segment_words(protocol)
     if protocol.duplicates is not Duplicates.REFUSE:
         words.append(f"duplicate timestamps: {DUPLICATES_LABELS[protocol.duplicates]}")
     shown = {"alignment", "association", "align_poses", "offset_search_s", "time_offset_s", "T_body_sensor"}
     shown |= {"reference", "rpe_delta_m", "rpe_pairs", "association_tolerance_s", "interpolation_interval_s"}
-    shown |= {"duplicates"}
+    shown |= {"duplicates", "segment_lengths_m", "segment_tolerance_m", "segment_rule", "hold_interval_s"}
     for field in fields(protocol):
         value = getattr(protocol, field.name)
         if field.name not in shown and value != field.default:
-            numbers = value if isinstance(value, tuple) else (value,)
-            words.append(f"{field.name} {' '.join(_plain(number) for number in numbers)}")
+            words.append(f"{field.name} {value:g}")
     return words
 
 
-def _plain(value: str | float) -> str:
-    return value if isinstance(value, str) else f"{value:g}"
+def _segment_words(protocol: Protocol) -> list[str]:
+    words: list[str] = []
+    if protocol.segment_lengths_m:
+        words.append(f"segments of {'/'.join(f'{length_m:g}' for length_m in protocol.segment_lengths_m)} m")
+    if protocol.segment_tolerance_m is not None:
+        words.append(f"segment lengths within {protocol.segment_tolerance_m:g} m")
+    if protocol.segment_rule is not SegmentRule.MATCHED:
+        words.append(f"segments as {'ETH3D' if protocol.segment_rule is SegmentRule.ETH3D else 'rpg'} counts")
+    return words
 
 
 def _association_words(protocol: Protocol) -> str:
     if protocol.association is Association.INTERPOLATE:
         return f"ground truth interpolated over up to {protocol.interpolation_interval_s:g} s"
     if protocol.association is Association.HOLD:
+        if protocol.hold_interval_s is not None:
+            return f"estimate held at the ground truth's stamps with a next one within {protocol.hold_interval_s:g} s"
         return "estimate held at every stamp of the ground truth"
     if protocol.association is Association.INDEX:
         return "poses by index"

@@ -67,9 +67,11 @@ def test_a_tools_way_with_segments_and_pairs_has_a_fingerprint_and_a_name_of_its
     plain = Protocol(Alignment.SE3)
     assert Protocol(Alignment.SE3, segment_rule=SegmentRule.MATCHED, hold_interval_s=None).content == plain.content
     for changed, words in (
-        (Protocol(Alignment.SE3, segment_rule=SegmentRule.RPG), "segment_rule rpg"),
-        (Protocol(Alignment.SE3, hold_interval_s=0.1), "hold_interval_s 0.1"),
-        (Protocol(Alignment.SE3, rpe_pairs=RpePairs.TUM), "tum pairs"),
+        (Protocol(Alignment.SE3, segment_rule=SegmentRule.RPG), "segments as rpg counts"),
+        (Protocol(Alignment.SE3, segment_rule=SegmentRule.ETH3D), "segments as ETH3D counts"),
+        (Protocol(Alignment.SE3, segment_lengths_m=(0.5, 2.0)), "segments of 0.5/2 m"),
+        (Protocol(Alignment.SE3, association=Association.HOLD, hold_interval_s=0.1), "with a next one within 0.1 s"),
+        (Protocol(Alignment.SE3, rpe_pairs=RpePairs.TUM), "pairs as TUM counts"),
         (Protocol(Alignment.SE3, association=Association.SWEEP), "association in one sweep 0.01 s"),
         (Protocol(Alignment.YAW_POSITION, align_poses=1), "yaw + position of the first pose"),
     ):
