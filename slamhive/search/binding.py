@@ -9,6 +9,7 @@ from datetime import datetime
 from fnmatch import fnmatchcase
 from typing import TypeAlias
 
+from slamhive.domain.verdict import VerdictKind
 from slamhive.errors import nearest
 from slamhive.search.fields import Field, Kind, Source, Vocabulary
 from slamhive.search.grammar import Junction, Tree, leaves, mapped
@@ -179,12 +180,12 @@ class _Binder:
         if leaf.sign in _PATTERNS:
             (word,) = leaf.values
             found = tuple(choice for choice in meaning.choices if matches(choice, word.text))
-            return Condition(meaning, Sign.IN if leaf.sign is Sign.LIKE else Sign.NOT_IN, found)
+            return _chosen(meaning, Sign.IN if leaf.sign is Sign.LIKE else Sign.NOT_IN, found)
         for word in leaf.values:
             if word.text not in meaning.choices:
                 remedy = nearest(word.text[:80], list(meaning.choices))
                 raise self._refusal(f"{meaning.name} is never {word.text[:80]!r}", remedy, word.place)
-        return Condition(meaning, leaf.sign, tuple(str(word.text) for word in leaf.values))
+        return _chosen(meaning, leaf.sign, tuple(str(word.text) for word in leaf.values))
 
     def _time(self, meaning: Field, leaf: Comparison) -> Condition:
         spans = []
@@ -227,6 +228,15 @@ class _Binder:
 
     def _refusal(self, message: str, remedy: str, place: Place) -> FilterError:
         return FilterError(message, remedy, self._source, place)
+
+
+def _chosen(meaning: Field, sign: Sign, values: tuple[str, ...]) -> Condition:
+    """A comparison with choices. Of the verdict: with kinds, of those that there are, since a run may have none."""
+    if meaning.source is not Source.VERDICT:
+        return Condition(meaning, sign, values)
+    wanted = {kind for value in values for kind in meaning.groups[value]}
+    denied = sign in {Sign.NOT_EQUAL, Sign.NOT_IN}
+    return Condition(meaning, Sign.IN, tuple(kind for kind in VerdictKind if (kind in wanted) is not denied))
 
 
 def matches(text: str, pattern: str) -> bool:

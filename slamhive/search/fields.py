@@ -11,6 +11,8 @@ from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
+from slamhive.domain.verdict import GROUPS as VERDICT_GROUPS
+from slamhive.domain.verdict import VerdictKind
 from slamhive.errors import nearest
 
 
@@ -33,13 +35,15 @@ class Source(StrEnum):
     PARAMETER = "parameter"
     SETUP = "setup"
     PROTOCOL = "protocol"
+    VERDICT = "verdict"
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
     """One name of the language.
 
-    ``groups`` tells, for an attribute of algorithms, which algorithms have which value.
+    ``groups`` tells, for an attribute of algorithms, which algorithms have which value; for the verdict, which kinds
+    a choice stands for.
     """
 
     name: str
@@ -71,6 +75,15 @@ SENSOR = Field(
 PROTOCOL = Field(
     "protocol", "Protocol", Kind.TEXT, Source.PROTOCOL, help="fingerprint that the figures are taken from; once only"
 )
+VERDICT = Field(
+    "verdict",
+    "Verdict",
+    Kind.CHOICE,
+    Source.VERDICT,
+    help="whether the run is good or why it counts as failed; 'failed' and 'diverged' stand for several reasons",
+    choices=(*map(str, VerdictKind), *VERDICT_GROUPS),
+    groups={**{str(kind): (str(kind),) for kind in VerdictKind}, **VERDICT_GROUPS},
+)
 BUILT_IN: dict[str, Field] = {
     entry.name: entry
     for entry in (
@@ -81,6 +94,7 @@ BUILT_IN: dict[str, Field] = {
         _configuration("dataset", "Dataset", Kind.TEXT),
         _run("state", "State", Kind.CHOICE, "where the run is in its life", RunState),
         _run("reason", "Reason", Kind.CHOICE, "why a run failed", FailureReason),
+        VERDICT,
         _run("executor", "Executor", Kind.TEXT, "docker, process, ..."),
         _run("experiment", "Experiment", Kind.TEXT, "name of the experiment that asked for the run"),
         _run("configuration", "Configuration", Kind.NUMBER, "number shared by all repeats"),

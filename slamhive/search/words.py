@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 
 from slamhive.domain.numbers import plain
+from slamhive.domain.verdict import VerdictKind
 from slamhive.search.binding import Condition, Search, Value
 from slamhive.search.fields import Field, Kind, Source
 from slamhive.search.grammar import written
@@ -55,6 +56,8 @@ def _value(field: Field, value: Value) -> str:
         return "true" if value else "false"
     if isinstance(value, int | float):
         return _with_unit(value, field.unit)
+    if field.source is Source.VERDICT:
+        return VerdictKind(str(value)).label
     return str(value).replace("_", " ") if field.kind is Kind.CHOICE and field.name in _SPELT_OUT else str(value)
 
 

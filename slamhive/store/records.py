@@ -255,10 +255,11 @@ class Page:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """A figure over ``n`` runs: mean, standard deviation of the sample (None for one run), smallest and largest."""
+    """A figure over ``n`` runs: mean, median, standard deviation of the sample (None for one run), and the extremes."""
 
     n: int
     mean: float
+    median: float
     std: float | None
     minimum: float
     maximum: float

@@ -1,4 +1,4 @@
-"""Runs grouped by configuration: how many, how many failed, and each figure's mean and spread over the repeats.
+"""Runs grouped by configuration: how many, how many failed, and each figure's mean, median and spread over the others.
 
 Figures of different protocols are never put together: a configuration that was evaluated under two has two of each.
 """
@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, FromClause, Select, and_, case, func, select
+from sqlalchemy import ColumnElement, FromClause, Select, and_, case, func, not_, select
 from sqlalchemy.orm import Session
 
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput, unknown
 from slamhive.search.binding import Search
 from slamhive.store.configurations import ConfigurationRepository
@@ -97,7 +96,7 @@ class _Groups:
 
     def _value(self, runs: FromClause, query: Select[Any]) -> ColumnElement[Any]:  # noqa: ARG002
         if self.sort.key == "failed":
-            return func.count(case((runs.c.state == RunState.FAILED, 1)))
+            return func.count(case((self.sql.failed(runs), 1)))
         if self.sort.key in {"algorithm", "dataset"}:
             table = (Algorithm if self.sort.key == "algorithm" else Dataset).__table__.alias()
             rows = Configuration.__table__.alias()
@@ -108,14 +107,17 @@ class _Groups:
         return func.count()
 
     def _mean(self, query: Select[Any], runs: FromClause) -> Select[Any]:
-        """The mean of a metric; none where its figures stem from several protocols, which have no common mean."""
+        """The mean of a metric over the runs that did not fail.
+
+        None where its figures stem from several protocols, which have no common mean.
+        """
         figures, joined = self._figures(runs, [self.sort.key])
         one = func.min(figures.c.protocol_id) == func.max(figures.c.protocol_id)
         return (
             query.with_only_columns(
                 case((one, func.avg(figures.c.value))).label("key_0"), runs.c.configuration_id.label("key_1")
             )
-            .outerjoin_from(runs, figures, joined)
+            .outerjoin_from(runs, figures, and_(joined, not_(self.sql.failed(runs))))
             .group_by(runs.c.configuration_id)
         )
 
@@ -141,7 +143,7 @@ class _Groups:
     def _records(self, ids: Sequence[int], metrics: Sequence[str]) -> tuple[GroupRecord, ...]:
         runs, table = RUNS.alias(), Configuration.__table__
         matching = [runs.c.configuration_id.in_(ids), self.sql.test(self.search.tree, runs)]
-        failed = func.count(case((runs.c.state == RunState.FAILED, 1)))
+        failed = func.count(case((self.sql.failed(runs), 1)))
         disturbed = func.count(case((runs.c.disturbed_by > "", 1)))
         counted = select(runs.c.configuration_id, func.count(), failed, disturbed).where(*matching)
         counted = counted.group_by(runs.c.configuration_id)
@@ -172,20 +174,29 @@ class _Groups:
     def _spreads(
         self, matching: list[ColumnElement[bool]], runs: FromClause, metrics: Sequence[str]
     ) -> dict[int, dict[ProtocolLabel | None, dict[str, Spread]]]:
-        """{configuration: {protocol, None for measured: {metric: spread}}}, in two passes over the figures.
+        """{configuration: {protocol, None for measured: {metric: spread}}} of runs that did not fail, in two passes.
 
         The sum of squared differences from the mean, not of squares: bytes squared leave no digits for the spread.
         """
         figures, joined = self._figures(runs, metrics)
         keys = [runs.c.configuration_id, figures.c.metric_id, figures.c.protocol_id]
         mean = func.avg(figures.c.value).over(partition_by=keys).label("mean")
-        inner = select(*keys, figures.c.value, mean).join_from(runs, figures, joined).where(*matching).subquery()
+        place = func.row_number().over(partition_by=keys, order_by=figures.c.value).label("place")
+        count = func.count().over(partition_by=keys).label("n")
+        inner = (
+            select(*keys, figures.c.value, mean, place, count)
+            .join_from(runs, figures, joined)
+            .where(*matching, not_(self.sql.failed(runs)))
+            .subquery()
+        )
         difference = inner.c.value - inner.c.mean
+        in_the_middle = and_(2 * inner.c.place >= inner.c.n, 2 * inner.c.place <= inner.c.n + 2)
         groups = [inner.c.configuration_id, inner.c.metric_id, inner.c.protocol_id]
         query = select(
             *groups,
             func.count(),
             func.max(inner.c.mean),
+            func.avg(case((in_the_middle, inner.c.value))),
             func.sum(difference * difference),
             func.min(inner.c.value),
             func.max(inner.c.value),
@@ -194,10 +205,10 @@ class _Groups:
         labels = {row.id: ProtocolLabel(row.fingerprint, row.label) for row in self.session.execute(_protocols())}
         found: dict[int, dict[ProtocolLabel | None, dict[str, Spread]]] = {}
         for row in self.session.execute(query):
-            configuration_id, metric_id, protocol_id, n, average, squares, low, high = tuple(row)
+            configuration_id, metric_id, protocol_id, n, average, middle, squares, low, high = tuple(row)
             label = None if protocol_id == MEASURED_PROTOCOL_ID else labels[protocol_id]
             std = math.sqrt(squares / (n - 1)) if n > 1 else None
-            spread = Spread(int(n), float(average), std, float(low), float(high))
+            spread = Spread(int(n), float(average), float(middle), std, float(low), float(high))
             found.setdefault(configuration_id, {}).setdefault(label, {})[metric_names[metric_id]] = spread
         return found
 

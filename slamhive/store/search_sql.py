@@ -28,10 +28,12 @@ from sqlalchemy import (
 )
 
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.run import RunState
 from slamhive.search.binding import Bound, Condition, Value
 from slamhive.search.fields import VARIANT_PREFIX, Kind, Source
 from slamhive.search.grammar import Junction
 from slamhive.search.syntax import PRESENCE, Sign
+from slamhive.store.metrics import VERDICT
 from slamhive.store.models import (
     Algorithm,
     Base,
@@ -44,6 +46,7 @@ from slamhive.store.models import (
     VariantOption,
 )
 from slamhive.store.search_names import Names
+from slamhive.store.search_verdicts import STORED_FAILURE, verdict_tree
 
 _RUN_COLUMNS = {
     "configuration": "configuration_id",
@@ -111,6 +114,8 @@ class Sql:
         if leaf.sign is Sign.MISSING:
             return not_(self._test_one(Condition(leaf.field, Sign.HAS), runs))
         source = leaf.field.source
+        if source is Source.VERDICT:
+            return self.test(verdict_tree(leaf), runs)
         if source is Source.RUN:
             return self.on_run(leaf, runs)
         if source is Source.METRIC:
@@ -144,6 +149,14 @@ class Sql:
             found = self.compare(value, leaf)
         return func.coalesce(found, false()) if guarded and name in _GUARDED else found
 
+    def failed(self, runs: FromClause) -> ColumnElement[bool]:
+        """Whether a row of ``runs`` counts as failed. The runs that failed by their evaluation are collected once."""
+        ended_badly: ColumnElement[bool] = runs.c.state == RunState.FAILED
+        found = self.figures_where(STORED_FAILURE, by_value=True)
+        if found is None:
+            return ended_badly
+        return or_(ended_badly, runs.c.id.in_(found[1].with_only_columns(found[0].c.run_id)))
+
     # -- where values are ------------------------------------------------------------------------------------------
 
     def figures(self, key: str, *, by_value: bool) -> tuple[FromClause, Select[Any]] | None:
@@ -156,7 +169,7 @@ class Sql:
         rows = FIGURES.alias()
         query = select(literal(1)).select_from(rows).where(rows.c.metric_id == self._names.metrics[key])
         chosen = self._names.protocol_id
-        if chosen is None or not CATALOGUE[key].needs_protocol:
+        if chosen is None or not (key == VERDICT or CATALOGUE[key].needs_protocol):
             return rows, query.where((rows.c.is_current if by_value else rows.c.is_current + 0) == 1)
         if by_value:
             query = query.where(rows.c.is_current.in_([0, 1]))

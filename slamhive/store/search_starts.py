@@ -13,6 +13,7 @@ from slamhive.search.fields import Source
 from slamhive.search.grammar import Junction, join, leaves
 from slamhive.search.syntax import Sign
 from slamhive.store.search_sql import COMPLEMENTS, NEVER, RUNS, Sql
+from slamhive.store.search_verdicts import verdict_tree
 
 _INDEXED = frozenset(
     {"id", "state", "reason", "executor", "configuration", "experiment", "created_at", "ended_at", "disturbed"}
@@ -82,7 +83,9 @@ def starts(tree: Bound | None) -> Iterator[Start]:
     One part of an ``and`` is enough; an ``or`` needs all its parts together.
     """
     if isinstance(tree, Condition):
-        if _has_list(tree):
+        if tree.field.source is Source.VERDICT and tree.sign is not Sign.MISSING:
+            yield from starts(verdict_tree(tree))
+        elif _has_list(tree):
             yield Start(tree)
     elif tree is not None and tree.word == "and":
         yield from _starts_of_and(tree.parts)

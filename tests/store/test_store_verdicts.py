@@ -8,9 +8,12 @@ import pytest
 from sqlalchemy import text
 
 from slamhive.domain.run import RunState
-from slamhive.domain.verdict import ERROR_OVER_REPEATS, REPEATS_LIMIT, VerdictKind
+from slamhive.domain.verdict import DIVERGED, ERROR_OVER_REPEATS, REPEATS_LIMIT, VerdictKind
 from slamhive.evaluation.job import EvaluationResult
-from slamhive.store import Store, migrate
+from slamhive.search.binding import Search, read_search
+from slamhive.search.fields import Vocabulary
+from slamhive.search.words import in_words
+from slamhive.store import RunSort, Store, migrate
 from slamhive.store.metrics import VERDICT
 from slamhive.store.verdicts import CODES, kind_of
 from tests.store.store_samples import SE3, SIM3, WORKER, Samples
@@ -140,3 +143,84 @@ def test_verdicts_are_no_metric_that_lists_offer(store: Store, samples: Samples)
 def test_every_kind_that_is_stored_has_a_code_of_its_own() -> None:
     assert {kind_of(code) for code in CODES.values()} == set(VerdictKind) - {VerdictKind.ENDED_BADLY}
     assert kind_of(None) is None
+
+
+# -- filters and groups ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def mixed(store: Store, samples: Samples) -> list[int]:
+    """Runs of every kind: 5 repeats, one lost, one diverged, one that cannot be evaluated, and some not judged."""
+    runs = evaluated(store, samples, 0.1, 0.12, 0.11, 1.4, None)
+    lost = samples.run_in(RunState.SUCCEEDED)
+    evaluate(store, lost, outcome(0.01, tracked=0.2))
+    far = samples.run_in(RunState.SUCCEEDED, configuration_id=samples.configuration({"nFeatures": 7}))
+    evaluate(store, far, outcome(8.0))
+    states = (RunState.FAILED, RunState.CANCELLED, RunState.SUCCEEDED, RunState.QUEUED)
+    return [*runs, lost, far, *(samples.run_in(state) for state in states)]
+
+
+def found(store: Store, where: str, sort: RunSort | None = None) -> list[int]:
+    search = read_search(where, Vocabulary(protocols={SIM3.fingerprint: SIM3.label}))
+    page = store.read(lambda tx: tx.runs.page(search, sort, limit=100))
+    assert store.read(lambda tx: tx.searches.exact_count(search)) == page.count.number == len(page.records)
+    assert store.read(lambda tx: tx.searches.run_ids(search)) == sorted(run.id for run in page.records)
+    return [run.id for run in page.records]
+
+
+@pytest.mark.parametrize(
+    ("where", "kinds_wanted"),
+    [
+        ("verdict = good", {VerdictKind.GOOD}),
+        ("verdict = diverged", set(DIVERGED)),
+        ("verdict = diverged_outlier", {OUTLIER}),
+        ("verdict = failed", set(VerdictKind) - {GOOD}),
+        ("verdict != good", set(VerdictKind) - {GOOD}),
+        ("verdict in (ended_badly, not_evaluable)", {VerdictKind.ENDED_BADLY, VerdictKind.NOT_EVALUABLE}),
+        ("verdict not in (diverged, good)", set(VerdictKind) - {GOOD, *DIVERGED}),
+        ("verdict ~ tracked*", {VerdictKind.TRACKED_TOO_LITTLE}),
+        ("verdict !~ diverged*", set(VerdictKind) - set(DIVERGED)),
+        ("verdict = failed and ate.rmse > 1", set(DIVERGED)),
+        ("has verdict", set(VerdictKind)),
+        ("not verdict = failed and id > 0", {GOOD, None}),
+        ("missing verdict", {None}),
+    ],
+)
+def test_filters_find_runs_by_their_verdict(
+    store: Store, mixed: list[int], where: str, kinds_wanted: set[VerdictKind | None]
+) -> None:
+    runs = store.read(lambda tx: tx.runs.get_many(mixed, with_metrics=True))
+    wanted = [run.id for run in runs if (run.verdict and run.verdict.kind) in kinds_wanted]
+    assert wanted
+    assert found(store, where, RunSort("id", descending=False)) == wanted
+    assert set(found(store, where, RunSort("ate.rmse"))) == set(wanted)
+
+
+def test_a_filter_that_chooses_a_protocol_goes_by_the_verdicts_under_it(store: Store, mixed: list[int]) -> None:
+    evaluate(store, mixed[0], outcome(6.0, SIM3), SIM3)
+    assert found(store, f"verdict = diverged_far and protocol = {SIM3.fingerprint}") == [mixed[0]]
+    assert mixed[0] in found(store, "verdict = good")
+
+
+def test_a_filter_says_in_words_what_it_looks_for() -> None:
+    search = read_search("verdict = diverged", Vocabulary())
+    assert in_words(search) == "verdict one of diverged, diverged (outlier among its repeats)"
+    assert in_words(read_search("verdict = good", Vocabulary())) == "verdict good"
+
+
+def test_groups_count_every_failure_and_average_the_others(store: Store, mixed: list[int]) -> None:
+    page = store.read(lambda tx: tx.searches.groups(Search(), RunSort("failed"), None, 10, ["ate.rmse"]))
+    first, second = page.records
+    assert [(group.runs, group.failed) for group in (first, second)] == [(10, 4), (1, 1)]
+    (figures,) = first.figures.values()
+    spread = figures["ate.rmse"]
+    assert [spread.n, spread.median, spread.mean, spread.maximum] == pytest.approx([3, 0.11, 0.11, 0.12])
+    assert second.figures == {}
+
+
+@pytest.mark.parametrize(("errors_m", "middle"), [([0.1], 0.1), ([0.1, 0.3], 0.2), ([0.1, 0.2, 0.15, 0.3], 0.175)])
+def test_the_median_of_groups(store: Store, samples: Samples, errors_m: list[float], middle: float) -> None:
+    evaluated(store, samples, *errors_m)
+    page = store.read(lambda tx: tx.searches.groups(Search(), RunSort("ate.rmse"), None, 10, ["ate.rmse"]))
+    (figures,) = page.records[0].figures.values()
+    assert figures["ate.rmse"].median == pytest.approx(middle)
