@@ -14,8 +14,8 @@ from slamhive.analysis.analysis_model import AnalysisModel, SetModel
 from slamhive.analysis.forms import FORMS, Form, FormOptions
 from slamhive.analysis.paper_file import PaperNames, convert, is_paper_file
 from slamhive.analysis.selection import Expression, check_names, in_words, parse_expression, union_of
-from slamhive.analysis.table import FailureRule
 from slamhive.catalogue.validation import first_problem_at
+from slamhive.domain.verdict import FailureRule
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 
 PROTOCOL = "protocol:"
@@ -107,7 +107,7 @@ def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames |
         use=use,
         protocol=model.protocol,
         one=tuple(model.one),
-        rule=FailureRule(**model.failed_when.model_dump()),
+        rule=model.failed_when.rule,
         forms=forms,
         source=text,
         exclude_disturbed=model.exclude_disturbed,

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from slamhive.analysis.selection import parse_expression
 from slamhive.catalogue.validation import explained
+from slamhive.domain.verdict import FailureRule
 from slamhive.errors import InvalidInput
 
 MAX_SETS = 50
@@ -48,10 +50,28 @@ class SetModel(_Model):
 
 
 class FailureModel(_Model):
-    """When a run counts as failed besides not having ended well: one rule for every figure."""
+    """When a run counts as failed besides not having ended well: instead of the rule that holds everywhere else."""
 
-    tracked_fraction_below: float | None = Field(default=0.75, ge=0, le=1)
+    tracked_path_below: float | None = Field(
+        default=0.7, ge=0, le=1, description="Share of the path; gaps are judged by the estimate's own spacing."
+    )
+    tracked_fraction_below: float | None = Field(
+        default=None, ge=0, le=1, description="Share of the time, by the protocol's gap; takes the place of the path."
+    )
     ate_rmse_above_m: float | None = Field(default=None, gt=0)
+    ate_path_above_percent: float | None = Field(default=5.0, gt=0, description="ATE RMSE in percent of the path.")
+    ate_extent_above_percent: float | None = Field(
+        default=50.0, gt=0, description="ATE RMSE in percent of that of an estimate that never moves."
+    )
+    outliers: bool = Field(default=True, description="Whether an outlier among the repeats has diverged.")
+
+    @property
+    def rule(self) -> FailureRule:
+        """The rule; a file that names the share of the time alone means it instead of that of the path."""
+        rule = FailureRule(**self.model_dump())
+        given = self.model_fields_set
+        by_time = "tracked_fraction_below" in given and "tracked_path_below" not in given
+        return replace(rule, tracked_path_below=None) if by_time else rule
 
 
 def _set_name(name: str) -> str:

@@ -16,6 +16,16 @@ import pandas as pd
 from slamhive.analysis.colours import algorithm_colours, dataset_markers
 from slamhive.domain.metrics import CATALOGUE, Direction
 from slamhive.domain.numbers import plural
+from slamhive.domain.verdict import (
+    DATED_FRACTION,
+    ERROR,
+    EVIDENCE,
+    TRACKED_FRACTION,
+    TRACKED_PATH,
+    FailureRule,
+    VerdictKind,
+    judge,
+)
 from slamhive.errors import InvalidInput, unknown
 
 
@@ -76,29 +86,6 @@ def metric_column(key: str) -> Column:
 
 
 @dataclass(frozen=True, slots=True)
-class FailureRule:
-    """When a run counts as failed: one rule for every figure, stated on each.
-
-    It did not end well; or it tracked less than ``tracked_fraction_below`` of the ground truth's time (the published
-    SLAM Hive takes 0.75); or its ATE RMSE is above ``ate_rmse_above_m``; or its evaluation failed. A run that nobody
-    has evaluated has not failed: it is in no table, and its absence is told (:attr:`RunTable.unevaluated`).
-    """
-
-    tracked_fraction_below: float | None = 0.75
-    ate_rmse_above_m: float | None = None
-
-    @property
-    def words(self) -> str:
-        """The rule as a sentence for captions."""
-        parts = ["did not end well", "could not be evaluated"]
-        if self.tracked_fraction_below is not None:
-            parts.append(f"tracked less than {100 * self.tracked_fraction_below:.4g} % of the time")
-        if self.ate_rmse_above_m is not None:
-            parts.append(f"has an ATE RMSE above {self.ate_rmse_above_m:g} m")
-        return f"A run counts as failed if it {', '.join(parts[:-1])} or {parts[-1]}."
-
-
-@dataclass(frozen=True, slots=True)
 class RunTable:
     """Runs as rows.
 
@@ -110,7 +97,8 @@ class RunTable:
         markers: The marker of each dataset.
         told: Parameters that say what others say already, by key.
         installed: The sensor set-up of each installed algorithm, with runs or without.
-        unevaluated: How many runs are left out because nobody has evaluated them under the protocol in question.
+        unevaluated: How many runs are left out because nobody has evaluated them under the protocol in question, or
+            because they were cancelled or have not ended: they are neither good nor failed.
         without_disturbed: How many runs are left out because they were measured on a disturbed machine; None if such
             runs are kept.
     """
@@ -161,6 +149,20 @@ class RunTable:
             return f"{plural(self.without_disturbed, 'run')} measured on a disturbed machine left out."
         count, total = len(self.disturbed()), len(self.frame)
         return f"{count} of {plural(total, 'run')} measured on a disturbed machine." if count else ""
+
+    @property
+    def rule_words(self) -> str:
+        """The rule as a sentence, and how many runs cannot be judged by all of it."""
+        frame = self.frame
+        if TRACKED_PATH not in frame or TRACKED_FRACTION not in frame or self.rule.tracked_path_below is None:
+            return self.rule.words
+        dated = int((frame[TRACKED_PATH].isna() & frame[TRACKED_FRACTION].notna()).sum())
+        if not dated:
+            return self.rule.words
+        return (
+            f"{self.rule.words} {dated} of the runs were evaluated before this rule and are judged by the time that "
+            f"they tracked ({100 * DATED_FRACTION:g} % are needed); evaluate them again to renew that."
+        )
 
     def with_rows(self, rows: pd.DataFrame) -> RunTable:
         """The same columns over other rows."""
@@ -255,21 +257,21 @@ def is_disturbed(frame: pd.DataFrame) -> pd.Series:
 
 def mark_failures(frame: pd.DataFrame, rule: FailureRule) -> pd.DataFrame:
     """``frame`` with the column :data:`FAILED`: why each run counts as failed, None for the good ones."""
+    known = [key for key in EVIDENCE if key in frame]
+    values = frame[known].to_numpy(dtype=float)
+    there = np.isfinite(values)
     why = np.full(len(frame), None, dtype=object)
-
-    def mark(rows: pd.Series, text: str) -> None:
-        chosen = rows.to_numpy(dtype=bool) & (why == None)  # noqa: E711 - elementwise
-        why[chosen] = text
-
-    ended_badly = (frame["state"] != "succeeded").to_numpy(dtype=bool)
-    reasons = frame["reason"].where(frame["reason"].notna(), frame["state"]).to_numpy(dtype=object)
-    why[ended_badly] = reasons[ended_badly]
-    if "ate.rmse" in frame:
-        mark(frame["ate.rmse"].isna() & (frame["evaluation"] != "succeeded"), "could not be evaluated")
-        if rule.ate_rmse_above_m is not None:
-            mark(frame["ate.rmse"] > rule.ate_rmse_above_m, "ATE too high")
-    if "tracked_fraction" in frame and rule.tracked_fraction_below is not None:
-        mark(frame["tracked_fraction"] < rule.tracked_fraction_below, "tracked too little")
+    facts = frame[["state", "reason", "evaluation"]].itertuples(index=False, name=None)
+    for row, (state, reason, evaluation) in enumerate(facts):
+        if state != "succeeded":
+            why[row] = state if reason is None or pd.isna(reason) else reason
+            continue
+        metrics = {key: values[row, place] for place, key in enumerate(known) if there[row, place]}
+        if ERROR in known and ERROR not in metrics and evaluation != "succeeded":
+            why[row] = VerdictKind.NOT_EVALUABLE.label
+            continue
+        kind = judge(metrics, rule).kind
+        why[row] = kind.label if kind.failed else None
     marked = frame.copy()
     marked[FAILED] = pd.Series(why, index=frame.index, dtype=object)
     return marked

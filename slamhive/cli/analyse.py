@@ -53,7 +53,9 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
     else:
         messages.print(f"{report['runs']} runs, {report['failed']} failed: {report['selection']}")
         if report["unevaluated"]:
-            messages.print(f"left out: {report['unevaluated']} runs that nobody has evaluated under this protocol")
+            messages.print(
+                f"left out: {report['unevaluated']} runs: not evaluated under this protocol, cancelled or not ended"
+            )
         _tell_disturbance(report["disturbance"])
         rows = [(entry["form"], entry["title"], entry["charts"], entry["error"] or "") for entry in _brief(report)]
         print_table(("form", "title", "figures", "not shown because"), rows)

@@ -128,18 +128,19 @@ class FailureRule:
             parts.append(f"tracked less than {100 * self.tracked_path_below:.4g} % of the path")
         if self.tracked_fraction_below is not None:
             parts.append(f"tracked less than {100 * self.tracked_fraction_below:.4g} % of the time")
+        errors = []
         if self.ate_rmse_above_m is not None:
-            parts.append(f"has an ATE RMSE above {self.ate_rmse_above_m:g} m")
+            errors.append(f"above {self.ate_rmse_above_m:g} m")
         if self.ate_path_above_percent is not None:
-            parts.append(f"diverged: ATE RMSE above {self.ate_path_above_percent:g} % of the path")
+            errors.append(f"above {self.ate_path_above_percent:g} % of the path")
         if self.ate_extent_above_percent is not None:
-            parts.append(f"diverged: ATE RMSE above {self.ate_extent_above_percent:g} % of that of standing still")
+            errors.append(f"above {self.ate_extent_above_percent:g} % of that of an estimate that never moves")
         if self.outliers:
-            parts.append(
-                f"is an outlier among {FEWEST_REPEATS} or more repeats (ATE RMSE {_LEAST_FACTOR:g} to "
-                f"{_LARGEST_FACTOR:g} times their median, by their spread)"
-            )
-        return f"A run counts as failed if it {', '.join(parts[:-1])} or {parts[-1]}."
+            factors = f"{_LEAST_FACTOR:g} to {_LARGEST_FACTOR:g} times"
+            errors.append(f"more than {factors} the median of {FEWEST_REPEATS} or more repeats, by their spread")
+        if errors:
+            parts.append(f"diverged (ATE RMSE {_either(errors)})")
+        return f"A run counts as failed if it {_either(parts)}."
 
 
 DEFAULT_RULE = FailureRule()
@@ -244,3 +245,7 @@ def _good_words(metrics: Mapping[str, float]) -> str:
     apart = "" if percent is None else f" ({percent:.3g} % of the path)"
     repeats = "" if ERROR_OVER_REPEATS in metrics else " There are too few repeats to tell an outlier."
     return f"The run ended well{tracked} with an ATE RMSE of {metrics[ERROR]:.3g} m{apart}.{repeats}"
+
+
+def _either(parts: list[str]) -> str:
+    return f"{', '.join(parts[:-1])} or {parts[-1]}" if len(parts) > 1 else parts[0]

@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 
 from slamhive.analysis.forms import FormData, RunTrack, RunUsage
-from slamhive.analysis.table import FailureRule, RunTable, make_table
+from slamhive.analysis.table import RunTable, make_table
+from slamhive.domain.verdict import FailureRule
 
 ALGORITHMS = {"kiss-icp": 0.02, "orb-slam3-stereo": 0.05, "rko-lio": 0.04}
 DATASETS = ("kitti_06", "room", "v101")

@@ -18,7 +18,8 @@ from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import FORMATS, print_chart
 from slamhive.analysis.result import FormResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED as FAILED_COLUMN
-from slamhive.analysis.table import Column, ColumnKind, FailureRule
+from slamhive.analysis.table import Column, ColumnKind
+from slamhive.domain.verdict import FailureRule
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.services.analyses.tables import table_csv, table_latex, table_parquet
 from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, REPEATS, SCALES, NoFiles, data_of, sweep_table

@@ -136,9 +136,9 @@ def test_another_rule_may_be_stricter_looser_or_leave_parts_out():
 
 def test_the_rule_is_stated_in_words():
     assert DEFAULT_RULE.words == (
-        "A run counts as failed if it did not end well, could not be evaluated, tracked less than 70 % of the path, "
-        "diverged: ATE RMSE above 5 % of the path, diverged: ATE RMSE above 50 % of that of standing still or is an "
-        "outlier among 3 or more repeats (ATE RMSE 4 to 6 times their median, by their spread)."
+        "A run counts as failed if it did not end well, could not be evaluated, tracked less than 70 % of the path or "
+        "diverged (ATE RMSE above 5 % of the path, above 50 % of that of an estimate that never moves or more than 4 "
+        "to 6 times the median of 3 or more repeats, by their spread)."
     )
     assert FailureRule(None, None, None, None, None, outliers=False).words == (
         "A run counts as failed if it did not end well or could not be evaluated."

@@ -12,8 +12,8 @@ import pytest
 
 from slamhive.analysis.colours import PALETTE
 from slamhive.analysis.result import ResultTable, TableColumn
-from slamhive.analysis.table import FailureRule
 from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
+from slamhive.domain.verdict import FailureRule
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.project import project_root
 from slamhive.services.analyses.bundle import report_page, write_folder, zipped

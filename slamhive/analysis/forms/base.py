@@ -163,7 +163,7 @@ def caption(table: RunTable, shown: int, protocol: str | None, *more: str) -> st
     """What every figure says of itself: n, failures by the one rule, protocol."""
     failed = int(table.frame[FAILED].notna().sum())
     total = len(table.frame)
-    parts = [f"n = {shown} of {total} runs, {failed} failed.", table.rule.words, table.disturbance_words]
+    parts = [f"n = {shown} of {total} runs, {failed} failed.", table.rule_words, table.disturbance_words]
     parts.append(f"Protocol: {protocol}." if protocol else "No figure here depends on an evaluation protocol.")
     return " ".join(filter(None, [*parts, *more]))
 
@@ -243,7 +243,7 @@ def summary_table(key: str, table: RunTable, metrics: Sequence[str], by: Sequenc
         for metric in metrics:
             cells += _summary_cells(summarise(number_column(good, metric)))
         rows.append(tuple(cells))
-    return ResultTable(key, "Summary", tuple(columns), tuple(rows), caption=f"{table.rule.words} {_INTERVAL}")
+    return ResultTable(key, "Summary", tuple(columns), tuple(rows), caption=f"{table.rule_words} {_INTERVAL}")
 
 
 _SUMMARY = {"mean": "mean", "std": "std", "median": "median", "low": "95 % from", "high": "95 % to"}

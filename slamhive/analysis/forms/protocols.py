@@ -70,7 +70,7 @@ class Protocols(Form[ProtocolsOptions]):
             marks=tuple(_boxes(complete, algorithms, labels)),
             caption=(
                 f"n = {len(complete)} runs that were evaluated under all {wide.shape[1]} protocols, of "
-                f"{len(table.frame)} selected, {len(table.failed())} of which failed. {table.rule.words} "
+                f"{len(table.frame)} selected, {len(table.failed())} of which failed. {table.rule_words} "
                 "Figures of different protocols stand side by side here and are not averaged."
             ),
         )

@@ -116,7 +116,7 @@ class Selector(Form[SelectorOptions]):
         under = f"Protocol: {protocol}. " if protocol else ""
         text = (
             f"{len(chosen)} of {len(candidates)} tested settings keep {words} in at least "
-            f"{100 * options.kept_share:g} % of their runs. Failed runs keep nothing. {table.rule.words} "
+            f"{100 * options.kept_share:g} % of their runs. Failed runs keep nothing. {table.rule_words} "
             f"{under}Ranked by datasets covered, then by the mean of {rank.label}; whiskers: 95 % bootstrap interval."
         )
         charts = (_chart(chosen[:_SHOWN], rank, options.title, text, table),) if chosen else ()

@@ -47,7 +47,7 @@ def report_json(outcome: AnalysisOutcome, now: datetime) -> dict[str, Any]:
             "unknown": int(table.frame["disturbed"].isna().sum()),
             "left_out": table.without_disturbed,
         },
-        "rule": table.rule.words,
+        "rule": table.rule_words,
         "protocols": [
             {"fingerprint": str(name), "label": str(labels.iloc[0]), "runs": len(labels)} for name, labels in protocols
         ],

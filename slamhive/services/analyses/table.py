@@ -9,11 +9,12 @@ from typing import Any
 
 import pandas as pd
 
-from slamhive.analysis.table import UNDISTURBED, FailureRule, RunTable, make_table
+from slamhive.analysis.table import UNDISTURBED, RunTable, make_table
 from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import RunState
 from slamhive.domain.variant import variant_from_json
+from slamhive.domain.verdict import EVIDENCE, FailureRule
 from slamhive.errors import InvalidInput
 from slamhive.search.fields import VARIANT_PREFIX
 from slamhive.store.records import EvaluationState
@@ -23,9 +24,6 @@ Columns = dict[str, list[Any]]
 ById = dict[str, dict[int, Any]]
 
 _ENDINGS = {"hz": "Hz", "s": "s", "m": "m", "px": "px", "rad": "rad"}
-
-RULE_METRICS = ("ate.rmse", "tracked_fraction")
-"""Every table holds what the rule of failures looks at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +49,7 @@ def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) 
         NotFound: for a protocol that nothing was evaluated under.
         InvalidInput: none of the runs has been evaluated yet.
     """
-    metrics = sorted({key for key in request.keys if key in CATALOGUE} | set(RULE_METRICS))
+    metrics = sorted({key for key in request.keys if key in CATALOGUE} | set(EVIDENCE))
 
     def work(transaction: Any) -> tuple[Columns, ById, ById, ById, dict[str, str]]:
         source = transaction.run_table
@@ -101,13 +99,16 @@ def _disturbance_words(kinds: str | None) -> str | None:
 def _evaluated(source: Any, facts: Columns, errors_m: Mapping[int, float], protocol: str | None) -> Columns:
     """The facts of runs whose figures are there or cannot be had, how their evaluations ended, and under what protocol.
 
-    What remains are good runs that nobody has evaluated: an absent figure is not a failure.
+    What remains are runs that nobody has evaluated, that were cancelled or have not ended: they have not failed.
     """
     ended_well = [state == RunState.SUCCEEDED for state in facts["state"]]
     pairs = list(zip(facts["run_id"], ended_well, strict=True))
     lacking = [run_id for run_id, well in pairs if well and run_id not in errors_m]
     evaluations = dict.fromkeys(errors_m, EvaluationState.SUCCEEDED) | source.evaluated(lacking, protocol)
-    kept = [not well or run_id in evaluations for run_id, well in pairs]
+    kept = [
+        run_id in evaluations if well else state == RunState.FAILED
+        for (run_id, well), state in zip(pairs, facts["state"], strict=True)
+    ]
     if not any(kept) and kept:
         under = "" if protocol is None else f" under protocol {source.protocol_label(protocol)} ({protocol})"
         raise InvalidInput(f"none of the {len(kept)} runs has been evaluated{under}", "evaluate them first")
