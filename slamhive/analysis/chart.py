@@ -111,7 +111,8 @@ class Line:
 class Bars:
     """One bar for each category of the x axis (NaN: no bar). ``striped`` is for failures.
 
-    ``texts`` stand above bars without interval, and are shown on hover. ``colours`` are those of single bars.
+    ``medians`` are lines across the bars. ``texts`` stand above bars without interval, and are shown on hover.
+    ``colours`` are those of single bars.
     """
 
     name: str
@@ -122,6 +123,7 @@ class Bars:
     striped: bool = False
     texts: tuple[str, ...] | None = None
     colours: tuple[str, ...] | None = None
+    medians: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from slamhive.analysis.chart import (
+    REFERENCE,
     Bars,
     Boxes,
     Cells,
@@ -45,6 +46,8 @@ MOST_LEVEL_LABELS = 20
 MOST_LEVEL_DIMENSIONS = 6
 
 _OUTLINE = "#8a8f98"
+_MEDIAN_SHARE = 0.008
+"""Thickness of a median's line over the height of the plot."""
 
 
 def traces_of(mark: Mark, chart: Chart) -> list[Json]:
@@ -197,7 +200,28 @@ def _bars(mark: Bars, chart: Chart) -> list[Json]:
             "array": numbers(mark.high - mark.heights),
             "arrayminus": numbers(mark.heights - mark.low),
         }
-    return [trace]
+    return [trace] if mark.medians is None else [trace | {"offsetgroup": trace["name"]}, _medians(mark, trace)]
+
+
+def _medians(mark: Bars, bars: Json) -> Json:
+    """Thin bars over the others, which move and vanish with them."""
+    medians = np.zeros(0) if mark.medians is None else mark.medians
+    tops = mark.heights if mark.high is None else mark.high
+    thick = _MEDIAN_SHARE * float(np.nanmax(tops, initial=0.0, where=np.isfinite(tops)))
+    return {
+        "type": "bar",
+        "name": bars["name"],
+        "legendgroup": bars["legendgroup"],
+        "offsetgroup": bars["name"],
+        "showlegend": False,
+        "x": bars["x"],
+        "y": numbers(np.where(np.isfinite(medians), thick, np.nan)),
+        "base": numbers(medians - thick / 2),
+        "marker": {"color": colour_of_mark(REFERENCE)},
+        "customdata": numbers(medians),
+        "hovertemplate": "median %{customdata:.4g}<extra></extra>",
+        **meta_of(REFERENCE),
+    }
 
 
 def _boxes(mark: Boxes, _chart: Chart) -> list[Json]:

@@ -122,6 +122,8 @@ def _bars(axes: Any, mark: Bars, chart: Chart) -> None:
         reach = np.stack([mark.heights - mark.low, mark.high - mark.heights])
         look |= {"yerr": np.where(np.isfinite(reach), np.maximum(reach, 0), 0), "error_kw": {"elinewidth": 0.9}}
     axes.bar(x, mark.heights, **look)
+    if mark.medians is not None:
+        axes.hlines(mark.medians, x - 0.4 * width, x + 0.4 * width, colors=_REFERENCE_COLOUR, linewidth=1.2)
     if mark.low is not None:
         return  # words would lie over the whiskers
     axes.margins(y=0.15)

@@ -10,6 +10,7 @@ import click
 from slamhive.cli.output import messages, print_table
 from slamhive.domain.numbers import plural
 from slamhive.domain.parameters import Value
+from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.services.experiments.records import (
     Cell,
     CellFigures,
@@ -18,6 +19,7 @@ from slamhive.services.experiments.records import (
     Phase,
     Spread,
     Standing,
+    failure_words,
 )
 from slamhive.services.experiments.reporting import NO_FIGURES, failures_text
 
@@ -73,10 +75,11 @@ def _basis(found: ExperimentPreview) -> str:
 
 def print_status(status: ExperimentStatus) -> None:
     """How far one experiment is."""
-    counts = ", ".join(f"{count:,} {phase}" for phase, count in status.counts.items() if count)
+    counts = ", ".join(f"{count:,} {phase.label}" for phase, count in status.counts.items() if count)
     click.echo(f"{status.name}: {status.standing}; {status.runs:,} runs of {status.cells:,} configurations: {counts}")
     if status.failures:
-        click.echo("failed: " + ", ".join(f"{reason} {count:,}" for reason, count in status.failures.items()))
+        found = (f"{failure_words(failure)} {count:,}" for failure, count in status.failures.items())
+        click.echo(f"failed: {', '.join(found)}")
     if status.retried:
         click.echo(f"not counted: {plural(status.retried, 'failed or disturbed run')} that another run replaces")
     if status.disturbed:
@@ -89,7 +92,7 @@ def print_status(status: ExperimentStatus) -> None:
 
 def print_statuses(found: Sequence[ExperimentStatus]) -> None:
     """A line for each experiment."""
-    columns = ("name", "state", "configurations", "runs", *Phase, "created (UTC)")
+    columns = ("name", "state", "configurations", "runs", *(phase.label for phase in Phase), "created (UTC)")
     rows = [
         (
             status.name,
@@ -101,22 +104,27 @@ def print_statuses(found: Sequence[ExperimentStatus]) -> None:
         )
         for status in found
     ]
-    print_table(columns, rows, right=("configurations", "runs", *Phase))
+    print_table(columns, rows, right=("configurations", "runs", *(phase.label for phase in Phase)))
 
 
 def print_report(status: ExperimentStatus, cells: Sequence[Cell], axes: Sequence[str]) -> None:
     """A row for each cell and protocol: counts, and mean ± standard deviation of the figures."""
-    headings = tuple(heading for heading, *_ in FIGURES)
+    ate, *others = (heading for heading, *_ in FIGURES)
+    headings = (ate, "median", *others)
     columns = ("cell", *axes, "runs", "good", "failed", "failures", "disturbed", *headings, "protocol")
     rows = [_report_row(cell, figures, axes) for cell in cells for figures in cell.figures or (NO_FIGURES,)]
     numbers = ("cell", "runs", "good", "failed", "disturbed", *headings)
-    print_table(columns, rows, right=numbers, spare=("failures", "time s", "disturbed"))
+    print_table(columns, rows, right=numbers, spare=("failures", "time s", "disturbed", "median"))
     print_status(status)
-    click.echo("figures: mean ± standard deviation of the good runs; failed runs are counted, not averaged")
+    click.echo("metrics: mean ± standard deviation of the runs that did not fail; failed ones are counted")
+    click.echo(DEFAULT_RULE.words)
     click.echo("disturbed: how many of these were measured on a disturbed machine and are not replaced")
 
 
 def _report_row(cell: Cell, figures: CellFigures, axes: Sequence[str]) -> tuple[Any, ...]:
+    ate, *others = (_spread(figures.metrics.get(key), factor, form) for _, key, factor, form in FIGURES)
+    _, key, factor, form = FIGURES[0]
+    first = figures.metrics.get(key)
     return (
         cell.number,
         *(_value(cell.values, axis) for axis in axes),
@@ -125,7 +133,9 @@ def _report_row(cell: Cell, figures: CellFigures, axes: Sequence[str]) -> tuple[
         sum(cell.failures.values()) or None,
         failures_text(cell),
         figures.disturbed or None,
-        *(_spread(figures.metrics.get(key), factor, form) for _, key, factor, form in FIGURES),
+        ate,
+        None if first is None else form.format(first.median * factor),
+        *others,
         figures.protocol[:8] if figures.protocol else None,
     )
 

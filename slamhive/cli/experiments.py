@@ -71,7 +71,7 @@ def start(cli: CliContext, file: Path, executor: str | None, wait: bool, yes: bo
         print_json(status_to_json(status))
     else:
         print_status(status)
-    if wait and status.counts[Phase.GOOD] < status.runs:
+    if wait and status.counts[Phase.GOOD] + status.counts[Phase.UNJUDGED] < status.runs:
         raise click.exceptions.Exit(1)
 
 

@@ -10,7 +10,7 @@ from slamhive.store.records import GroupRecord, ProtocolLabel, Spread
 
 HEAD = ("configuration", "algorithm", "dataset", "parameters", "runs", "failed", "protocol", "disturbed")
 _NUMBERS = frozenset({"configuration", "runs", "failed", "disturbed"})
-_PARTS = ("mean", "std", "n", "min", "max")
+_PARTS = ("mean", "std", "n", "min", "max", "median")
 
 
 class GroupExport(TableExport[GroupRecord]):
@@ -45,4 +45,4 @@ def by_protocol(group: GroupRecord) -> Iterator[tuple[ProtocolLabel | None, dict
 def _parts(spread: Spread | None) -> tuple[Value, ...]:
     if spread is None:
         return (None,) * len(_PARTS)
-    return spread.mean, spread.std, spread.n, spread.minimum, spread.maximum
+    return spread.mean, spread.std, spread.n, spread.minimum, spread.maximum, spread.median

@@ -10,6 +10,7 @@ from enum import StrEnum
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.parameters import Parameter, Value
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.verdict import VerdictKind
 
 
 class ExperimentState(StrEnum):
@@ -68,7 +69,8 @@ class CellRecord:
 class CellRun:
     """A run of a cell, as tables of cells need it. ``retried``: a later run took its place, that of ``retry_of``.
 
-    ``disturbed``: it was measured on a disturbed machine; None if that is not known.
+    ``disturbed``: it was measured on a disturbed machine; None if that is not known. ``judged``: the stored verdict,
+    None if nobody has evaluated it.
     """
 
     id: int
@@ -81,16 +83,21 @@ class CellRun:
     disturbed: bool | None = None
     protocol: str | None = None
     metrics: dict[str, float] = field(default_factory=dict)
+    judged: VerdictKind | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class StateCount:
-    """How many runs are in a state for a reason; ``retried`` ones, whose place another run took, apart."""
+    """How many runs are in a state for a reason; ``retried`` ones, whose place another run took, apart.
+
+    ``judged``: their stored verdict, None where nobody has evaluated them.
+    """
 
     state: RunState
     reason: FailureReason | None
     retried: bool
     count: int
+    judged: VerdictKind | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
@@ -10,26 +9,26 @@ from typing import Any
 from sqlalchemy import ColumnElement, and_, func, insert, or_, select, update
 from sqlalchemy.orm import Session
 
-from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.run import RunState
 from slamhive.errors import unknown
 from slamhive.store.changes import changes_of
+from slamhive.store.experiment_counts import DISTURBED, REPLACEABLE
 from slamhive.store.experiment_records import (
     CellRecord,
     CellRun,
     ExperimentRecord,
     NewCell,
-    StateCount,
 )
-from slamhive.store.metrics import MetricRepository
+from slamhive.store.metrics import VERDICT, MetricRepository
 from slamhive.store.models import Configuration, Evaluation, Experiment, ExperimentCell, Protocol, Run
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.rows import chunks, get_or_insert
+from slamhive.store.verdicts import kind_of
 
 _EXPERIMENTS = Experiment.__table__
 _CELLS = ExperimentCell.__table__
 _RUNS = Run.__table__
 _ENDED = tuple(state for state in RunState if state.ended)
-_REPLACEABLE = (RunState.FAILED, RunState.CANCELLED)
 _RECORD = tuple(ExperimentRecord.__dataclass_fields__)
 
 
@@ -124,41 +123,17 @@ class ExperimentRepository:
             .order_by(_RUNS.c.cell, _RUNS.c.id)
         )
         rows = self._session.execute(query).all()
-        figures = MetricRepository(self._session).for_runs((row.id for row in rows), metrics)
+        figures = MetricRepository(self._session).for_runs((row.id for row in rows), metrics, verdicts=True)
         return [
             CellRun(
                 *(row.id, row.cell, row.seed, row.state, row.reason, bool(row.retried), row.retry_of),
                 disturbed=None if row.disturbed_by is None else bool(row.disturbed_by),
                 protocol=row.fingerprint,
+                judged=kind_of(figures[row.id].pop(VERDICT, None)),
                 metrics=figures[row.id],
             )
             for row in rows
         ]
-
-    def cell_counts(self, experiment_id: int) -> list[tuple[int, RunState, FailureReason | None, int]]:
-        """How many runs each cell has in each state for each reason, retried ones left out."""
-        query = (
-            select(_RUNS.c.cell, _RUNS.c.state, _RUNS.c.reason, func.count())
-            .where(_RUNS.c.experiment_id == experiment_id)
-            .group_by(_RUNS.c.cell, _RUNS.c.state, _RUNS.c.reason)
-        )
-        retried = Counter((row.cell, row.state, row.reason) for row in self._all_retried(experiment_id))
-        found = ((tuple(row[:3]), row[3]) for row in self._session.execute(query))
-        return [(*key, count - retried[key]) for key, count in found if count > retried[key]]
-
-    def disturbed_counts(self, experiment_id: int | None = None) -> dict[int, int]:
-        """How many runs of each experiment were measured on a disturbed machine and not repeated since."""
-        owner = _RUNS.c.experiment_id
-        query = (
-            select(owner, func.count())
-            .where(_RUNS.c.disturbed_by > "", owner.is_not(None) if experiment_id is None else owner == experiment_id)
-            .group_by(owner)
-        )
-        found = {number: count for number, count in self._session.execute(query)}  # noqa: C416 - rows, not pairs
-        if not found:
-            return {}
-        repeated = Counter(row.experiment_id for row in self._all_retried(experiment_id) if row.disturbed_by)
-        return {number: count - repeated[number] for number, count in found.items()}
 
     def to_repeat(self, experiment_id: int) -> list[int]:
         """Ids of the disturbed runs that may be repeated, those that have been included."""
@@ -168,22 +143,6 @@ class ExperimentRepository:
         return list(self._session.execute(query.order_by(_RUNS.c.id)).scalars())
 
     # -- its runs as a whole ---------------------------------------------------------------------------------------
-
-    def all_counts(self, experiment_id: int | None = None) -> dict[int, list[StateCount]]:
-        """How many runs are in each state for each reason, by experiment: of one, or of all."""
-        owner = _RUNS.c.experiment_id
-        query = (
-            select(owner, _RUNS.c.state, _RUNS.c.reason, func.count())
-            .where(owner.is_not(None) if experiment_id is None else owner == experiment_id)
-            .group_by(owner, _RUNS.c.state, _RUNS.c.reason)
-        )
-        retried = Counter((row.experiment_id, row.state, row.reason) for row in self._all_retried(experiment_id))
-        found: dict[int, list[StateCount]] = defaultdict(list)
-        for number, state, reason, count in self._session.execute(query):
-            again = retried[number, state, reason]
-            parts = ((False, count - again), (True, again))
-            found[number] += [StateCount(state, reason, is_retried, part) for is_retried, part in parts if part]
-        return found
 
     def run_ids(self, experiment_id: int) -> list[int]:
         """The ids of all its runs, retries too, in order."""
@@ -247,36 +206,14 @@ class ExperimentRepository:
         )
         return list(self._session.execute(query.order_by(_RUNS.c.id)).scalars())
 
-    def _all_retried(self, experiment_id: int | None) -> Sequence[Any]:
-        """The runs that another has taken the place of, looked up from the few retries: not asked of each run."""
-        later = _RUNS.alias("later")
-        columns = (_RUNS.c[name] for name in ("id", "experiment_id", "cell", "state", "reason", "disturbed_by"))
-        owner = _RUNS.c.experiment_id
-        query = (
-            select(*columns)
-            .distinct()
-            .select_from(later.join(_RUNS, _RUNS.c.id == later.c.retry_of))
-            .where(owner.is_not(None) if experiment_id is None else owner + 0 == experiment_id)
-            .where(later.c.retry_of.is_not(None), _replaced_by(later))
-        )
-        return self._session.execute(query).all()
-
     def _retried(self, experiment_id: int) -> ColumnElement[bool]:
         """Whether another run of the experiment has taken the place of a run."""
         later = _RUNS.alias("later")
         mine = select(later.c.retry_of).where(later.c.retry_of.is_not(None), later.c.experiment_id == experiment_id)
         going_on = mine.where(later.c.state != RunState.CANCELLED)
         return or_(
-            and_(_RUNS.c.state.in_(_REPLACEABLE), _RUNS.c.id.in_(mine)), and_(_DISTURBED, _RUNS.c.id.in_(going_on))
+            and_(_RUNS.c.state.in_(REPLACEABLE), _RUNS.c.id.in_(mine)), and_(DISTURBED, _RUNS.c.id.in_(going_on))
         )
-
-
-_DISTURBED = and_(_RUNS.c.state == RunState.SUCCEEDED, func.coalesce(_RUNS.c.disturbed_by, "") > "")
-
-
-def _replaced_by(later: Any) -> ColumnElement[bool]:
-    """A failed or cancelled run is replaced by any later one, a good but disturbed one unless that was cancelled."""
-    return or_(_RUNS.c.state.in_(_REPLACEABLE), and_(_DISTURBED, later.c.state != RunState.CANCELLED))
 
 
 def _between(column: ColumnElement[Any], experiment_id: int, first: int, last: int) -> list[ColumnElement[bool]]:

@@ -56,7 +56,7 @@ class MetricRepository:
         chosen = MetricValue.is_current == 1
         if protocol_id is not None:
             chosen = MetricValue.protocol_id.in_([MEASURED_PROTOCOL_ID, protocol_id])
-        metric_ids = [metric_id for metric_id, key in known.items() if keys is None or key in keys]
+        metric_ids = [metric_id for metric_id, key in known.items() if keys is None or key in (*keys, VERDICT)]
         wanted = sorted(set(run_ids))
         found: dict[int, dict[str, float]] = {run_id: {} for run_id in wanted}
         for part in chunks(wanted):

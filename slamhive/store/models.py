@@ -206,8 +206,8 @@ class Run(Base):
     __table_args__ = (
         Index("ix_runs_queue", "state", "held", "priority", "id"),
         Index("ix_runs_affinity", "state", "held", "priority", "affinity", "id"),
-        Index("ix_runs_experiment", "experiment_id", "cell", "state", "reason"),
-        Index("ix_runs_experiment_counts", "experiment_id", "state", "reason"),
+        Index("ix_runs_experiment_cells", "experiment_id", "cell", "state", "reason", "current_protocol_id"),
+        Index("ix_runs_experiment_states", "experiment_id", "state", "reason", "current_protocol_id"),
         Index("ix_runs_current_protocol_id_state", "current_protocol_id", "state"),
         {**TABLE_OPTIONS, "sqlite_autoincrement": True},
     )

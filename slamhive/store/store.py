@@ -24,6 +24,7 @@ from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.durations import DurationRepository
 from slamhive.store.engine import WRITES, database_label, make_engine
 from slamhive.store.evaluations import EvaluationRepository
+from slamhive.store.experiment_counts import ExperimentCounts
 from slamhive.store.experiments import ExperimentRepository
 from slamhive.store.failures import explained, gave_up, is_transient, short
 from slamhive.store.filed_runs import FiledRunRepository
@@ -87,6 +88,11 @@ class Transaction:
     def experiments(self) -> ExperimentRepository:
         """Experiments and their cells."""
         return ExperimentRepository(self.session)
+
+    @cached_property
+    def experiment_counts(self) -> ExperimentCounts:
+        """How many runs of experiments are in which state."""
+        return ExperimentCounts(self.session)
 
     @cached_property
     def analyses(self) -> AnalysisRepository:

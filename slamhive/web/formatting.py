@@ -17,11 +17,12 @@ PERCENT_METRICS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """What a table shows: ``text`` on the page, ``exact`` on hover."""
+    """What a table shows: ``text`` on the page with a smaller ``note`` behind it, ``exact`` on hover."""
 
     text: str
     exact: str = ""
     missing: bool = False
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,16 @@ def metric_cell(metric: Metric, value: float | None) -> Cell:
         return Cell(DASH, f"no {metric.label} known", missing=True)
     shown = display_unit(metric)
     return Cell(significant(value * shown.factor), f"{value!r} {metric.unit}".strip())
+
+
+def mean_text(mean: float, std: float | None) -> str:
+    """``0.112 ± 0.010``, or the mean alone where no deviation is known."""
+    return significant(mean) if std is None else f"{significant(mean)} ± {significant(std, 2)}"
+
+
+def median_text(n: int, median: float) -> str:
+    """``median 0.11``; empty for one or two values, whose median is their mean."""
+    return f"median {significant(median)}" if n > 2 else ""
 
 
 def significant(value: float, digits: int = 4) -> str:

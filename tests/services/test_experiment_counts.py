@@ -8,11 +8,12 @@ from typing import Any, cast
 import pytest
 
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.verdict import VerdictKind
 from slamhive.services.experiments.axis_table import AxisTable
 from slamhive.services.experiments.records import Phase
 from slamhive.services.experiments.time_left import KEPT_S, MANY_RUNS, TimeLeft
 from slamhive.services.hive import Hive
-from slamhive.store.experiment_records import CellRecord
+from slamhive.store.experiment_records import CellRecord, StateCount
 from tests.services.test_experiments import SIX, source
 
 
@@ -27,16 +28,23 @@ def test_a_plan_warns_once_where_lost_tracking_cannot_be_watched(hive: Hive) -> 
 def test_the_grid_counts_failures_by_reason() -> None:
     cells = [CellRecord(number, "", number + 10, {"rate": number % 2, "seed": 1}) for number in (1, 2, 3)]
     crashed, timeout = FailureReason.NONZERO_EXIT, FailureReason.TIMEOUT
-    counts = [
-        (1, RunState.FAILED, crashed, 2),
-        (3, RunState.FAILED, crashed, 1),
-        (3, RunState.FAILED, timeout, 1),
-        (2, RunState.SUCCEEDED, None, 4),
-    ]
+    failed, succeeded = RunState.FAILED, RunState.SUCCEEDED
+    counts = {
+        1: [StateCount(failed, crashed, retried=False, count=2), StateCount(failed, crashed, retried=True, count=9)],
+        2: [
+            StateCount(succeeded, None, retried=False, count=4, judged=VerdictKind.GOOD),
+            StateCount(succeeded, None, retried=False, count=2, judged=VerdictKind.DIVERGED_FAR),
+            StateCount(succeeded, None, retried=False, count=1),
+        ],
+        3: [StateCount(failed, crashed, retried=False, count=1), StateCount(failed, timeout, retried=False, count=1)],
+    }
     grid = AxisTable.of(cells).grid(("rate", "seed"), counts, "e")
     assert [cell.configurations for cell in grid.cells.values()] == [(11, 13), (12,)]
-    assert [dict(cell.failures) for cell in grid.cells.values()] == [{crashed: 3, timeout: 1}, {}]
-    assert [cell.counts[Phase.FAILED] for cell in grid.cells.values()] == [4, 0]
+    diverged = {VerdictKind.DIVERGED_FAR: 2}
+    assert [dict(cell.failures) for cell in grid.cells.values()] == [{crashed: 3, timeout: 1}, diverged]
+    assert [cell.counts[Phase.FAILED] for cell in grid.cells.values()] == [4, 2]
+    assert [cell.counts[Phase.GOOD] for cell in grid.cells.values()] == [0, 4]
+    assert [cell.counts[Phase.UNJUDGED] for cell in grid.cells.values()] == [0, 1]
 
 
 def test_the_mean_of_many_runs_is_kept_for_a_minute_and_of_few_never() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from slamhive.analysis.chart import Axis, Bars, Chart
+from slamhive.analysis.chart import Axis, Bars, Chart, Mark
 from slamhive.analysis.forms.base import (
     FORMS,
     Form,
@@ -23,6 +23,7 @@ from slamhive.analysis.forms.base import (
     result_of,
     summary_table,
 )
+from slamhive.analysis.forms.places import failed_marks
 from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, RunTable
@@ -62,14 +63,19 @@ class ByAlgorithm(Form[ByAlgorithmOptions]):
         shown = len(table.good().dropna(subset=[options.metric]))
         which = "all configurations" if options.of == "average" else "the best configuration of each"
         bars = tuple(_means(table, options.metric, x))
+        marks: tuple[Mark, ...] = (*bars, *failed_marks(table, x, "dataset"))
         means = Chart(
             key=f"by_algorithm_{options.metric}",
             title=options.title or f"{column.label}, {which}",
             x=x,
             y=Axis(f"{column.label}, mean", column.unit),
-            marks=bars,
+            marks=marks,
             caption=caption(
-                table, shown, protocol, f"Bars: mean over {_counts(bars)} runs; whiskers: one standard deviation."
+                table,
+                shown,
+                protocol,
+                f"Bars: mean over {_counts(bars)} runs; whiskers: one standard deviation; dark lines: median. Crosses "
+                "above: failed runs.",
             ),
         )
         failures = Chart(
@@ -99,7 +105,8 @@ class ByAlgorithm(Form[ByAlgorithmOptions]):
 def best_configurations(table: RunTable, metric: str) -> dict[tuple[str, str], int]:
     """{(algorithm, dataset): configuration} with the best mean; those with fewer failures come first.
 
-    A configuration that fails more often is not better, however well its other runs went.
+    A configuration that fails more often is not better, however well its other runs went. Where all runs of all
+    configurations failed, the first of them stands there with its failures.
     """
     sign = -1.0 if table.column(metric).direction is Direction.HIGHER else 1.0
     best: dict[tuple[str, str], int] = {}
@@ -108,9 +115,8 @@ def best_configurations(table: RunTable, metric: str) -> dict[tuple[str, str], i
     for (algorithm, dataset, configuration), rows in grouped:
         values = number_column(rows[rows[FAILED].isna()], metric)
         values = values[np.isfinite(values)]
-        if not len(values):
-            continue
-        score = (float(rows[FAILED].notna().mean()), sign * float(values.mean()))
+        mean = sign * float(values.mean()) if len(values) else np.inf
+        score = (float(rows[FAILED].notna().mean()), mean)
         key = (str(algorithm), str(dataset))
         if key not in scores or score < scores[key]:
             scores[key], best[key] = score, int(configuration)
@@ -135,6 +141,7 @@ def _means(table: RunTable, metric: str, x: Axis) -> Iterator[Bars]:
             heights=heights,
             low=np.maximum(heights - spread, 0.0),
             high=heights + spread,
+            medians=np.array([np.nan if entry is None else entry.median for entry in found]),
             colour=table.colours[str(algorithm)],
             texts=tuple("" if entry is None else f"n = {entry.count}" for entry in found),
         )
@@ -166,6 +173,7 @@ def _best_table(table: RunTable, metric: str, chosen: dict[tuple[str, str], int]
         TableColumn("dataset", "Dataset"),
         TableColumn("configuration_id", "Best configuration"),
         TableColumn("mean", f"{column.label} mean", column.unit),
+        TableColumn("median", f"{column.label} median", column.unit),
         TableColumn("std", f"{column.label} std", column.unit),
         TableColumn("runs", "Runs"),
         TableColumn("failed", "Failed"),
@@ -174,9 +182,9 @@ def _best_table(table: RunTable, metric: str, chosen: dict[tuple[str, str], int]
     for (algorithm, dataset), configuration in sorted(chosen.items()):
         group = table.frame[(table.frame["configuration_id"] == configuration) & (table.frame["dataset"] == dataset)]
         summary = summarise(number_column(group[group[FAILED].isna()], metric))
-        mean, std = (None, None) if summary is None else (summary.mean, summary.std)
+        spread = (None, None, None) if summary is None else (summary.mean, summary.median, summary.std)
         failed = int(group[FAILED].notna().sum())
-        rows.append((algorithm, dataset, configuration, mean, std, len(group), failed))
+        rows.append((algorithm, dataset, configuration, *spread, len(group), failed))
     note = "The configuration with the fewest failures on the dataset; of several, that with the best mean."
     return ResultTable("best", "Best configurations", columns, tuple(rows), note)
 

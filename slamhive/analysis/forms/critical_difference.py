@@ -87,8 +87,8 @@ class CriticalDifference(Form[CriticalDifferenceOptions]):
                 len(table.frame),
                 protocol,
                 f"Friedman p = {test.p_value:.3g} over {len(blocks)} datasets{not_rejected}; bars join those "
-                f"that {words} does not tell apart at {options.significance:g}. All repeats of a dataset count by "
-                "their mean; a competitor none of whose runs was good on a dataset has the last rank there.",
+                f"that {words} does not tell apart at {options.significance:g}. All runs of a dataset are ranked "
+                "together, failed ones last, and a competitor counts by the mean rank of its runs.",
             ),
             bare=True,
             height=0.5 + 0.07 * len(names),
@@ -98,21 +98,21 @@ class CriticalDifference(Form[CriticalDifferenceOptions]):
 
 
 def _scores(table: RunTable, metric: str) -> tuple[list[str], list[str], Array]:
-    """Competitors, datasets, and the costs (datasets, competitors): means of good runs, worse than all if none was.
+    """Competitors, datasets, and the mean rank of each competitor's runs among all runs of the dataset.
 
-    Only datasets on which every competitor was run take part.
+    A failed run has the worst rank: a competitor is never judged by those of its runs that survived. Only datasets on
+    which every competitor was run take part; that its runs failed there is no reason to leave one out.
     """
     sign = -1.0 if table.column(metric).direction is Direction.HIGHER else 1.0
-    runs = table.frame.pivot_table(index="dataset", columns=_COMPETITOR, values="run_id", aggfunc="size")
-    runs = runs.dropna(axis=0)
-    if runs.empty:
+    runs = table.frame[table.frame[FAILED].notna() | table.frame[metric].notna()]
+    costs = (sign * runs[metric]).where(runs[FAILED].isna(), np.inf)
+    ranks = costs.groupby(runs["dataset"]).rank(method="average")
+    ranked = runs.assign(rank=ranks)
+    means = ranked.pivot_table(index="dataset", columns=_COMPETITOR, values="rank", aggfunc="mean")
+    means = means.reindex(columns=sorted(table.frame[_COMPETITOR].unique())).dropna(axis=0)
+    if means.empty:
         raise InvalidInput("no dataset was run by every competitor", "narrow the selection to a full grid")
-    good = table.good()
-    means = good.pivot_table(index="dataset", columns=_COMPETITOR, values=metric, aggfunc="mean")
-    means = sign * means.reindex(index=runs.index, columns=runs.columns)
-    worst = means.max(axis=1).fillna(0.0) + 1.0
-    filled = means.apply(lambda values: values.fillna(worst), axis=0)
-    return [str(name) for name in filled.columns], [str(name) for name in filled.index], filled.to_numpy(dtype=float)
+    return [str(name) for name in means.columns], [str(name) for name in means.index], means.to_numpy(dtype=float)
 
 
 def _diagram(names: list[str], test: RankTest) -> Iterator[Mark]:

@@ -75,16 +75,19 @@ class Pareto(Form[ParetoOptions]):
                 f"no selected run has all of {', '.join(options.metrics)}", "choose metrics that were measured"
             )
         signs = np.array([-1.0 if column.direction is Direction.HIGHER else 1.0 for column in columns])
+        survivors = bool(means["failed"].any())
         front = fronts_by_dataset(means, options.metrics, signs)
         x, y = columns[0], columns[1]
-        joined = ", joined by dashed lines" if len(columns) == 2 else ""
+        in_plane = len(columns) == 2 and not survivors
+        joined = ", joined by dashed lines" if in_plane else ""
+        beaten = [column.label for column in columns] + (["the share of failed runs"] if survivors else [])
         chart = Chart(
             key=f"pareto_{'_'.join(options.metrics)}",
             title=options.title or f"{y.label} against {x.label}",
             x=axis_of(x, log=spans_decades(number_column(means, x.key))),
             y=axis_of(y, log=spans_decades(number_column(means, y.key))),
             marks=(
-                *_front(means[front], x.key, y.key, len(options.metrics)),
+                *(_front(means[front], x.key, y.key) if in_plane else ()),
                 *_points(means.assign(front=front), options.metrics, table),
             ),
             caption=caption(
@@ -93,7 +96,7 @@ class Pareto(Form[ParetoOptions]):
                 protocol,
                 f"One point for each of {len(means)} configurations and datasets (mean over its good runs); "
                 f"{int(front.sum())} are beaten by none of their dataset in "
-                f"{', '.join(column.label for column in columns)}: outlined{joined}.",
+                f"{', '.join(beaten)}: outlined{joined}.",
             ),
         )
         tables = (_front_table(means[front], table, options.metrics), raw_table("pareto_raw", table, options.metrics))
@@ -132,10 +135,14 @@ def pareto_front(costs: Array) -> Array:
 
 
 def fronts_by_dataset(means: pd.DataFrame, metrics: list[str], signs: Array) -> Array:
-    """Which rows are on the front of their dataset: an easy sequence says nothing about who is better on a hard one."""
+    """Which rows are on the front of their dataset: an easy sequence says nothing about who is better on a hard one.
+
+    The share of failed runs is one more cost: a mean over the runs that survived beats nobody who lost fewer.
+    """
     front = np.zeros(len(means), dtype=bool)
     datasets = means["dataset"].to_numpy()
-    costs = means[metrics].to_numpy(dtype=float) * signs
+    lost = means["failed"].to_numpy(dtype=float) / means["runs"].to_numpy(dtype=float)
+    costs = np.column_stack([means[metrics].to_numpy(dtype=float) * signs, lost])
     for dataset in set(datasets):
         rows = np.flatnonzero(datasets == dataset)
         front[rows[pareto_front(costs[rows])]] = True
@@ -159,10 +166,8 @@ def _points(means: pd.DataFrame, metrics: list[str], table: RunTable) -> Iterato
     yield from legend(table)
 
 
-def _front(front: pd.DataFrame, x: str, y: str, metrics: int) -> Iterator[Line]:
-    """The front of each dataset as a line; with a third metric its points do not lie on one, and none is drawn."""
-    if metrics > 2:
-        return
+def _front(front: pd.DataFrame, x: str, y: str) -> Iterator[Line]:
+    """The front of each dataset as a line, which its points lie on if two costs alone count."""
     for dataset, rows in front.groupby("dataset", sort=True):
         ordered = rows.sort_values(x)
         places = number_column(ordered, x), number_column(ordered, y)

@@ -87,7 +87,8 @@ def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -
         marks.append(Line("mean", ends, np.full(2, summary.mean), low=low, high=high, colour=REFERENCE, dashed=True))
         spread = "" if summary.std is None else f", std {summary.std:.3g}"
         relative = "" if not summary.std or not summary.mean else f" ({100 * summary.std / summary.mean:.2g} %)"
-        more = f"Mean {summary.mean:.4g} {column.unit}{spread}{relative}; band: 95 % bootstrap interval of the mean."
+        middle = f"median {summary.median:.4g}"
+        more = f"Mean {summary.mean:.4g} {column.unit}{spread}{relative}, {middle}; band: 95 % bootstrap interval."
     failed_runs = failed["run_id"].to_numpy(dtype=int)
     marks.append(FailedRuns(np.array([order[run] for run in failed_runs], dtype=float), failed_runs, colour))
     return Chart(

@@ -111,13 +111,19 @@ class Selector(Form[SelectorOptions]):
         candidates = _candidates(table, bounds, options.rank_by)
         chosen = [entry for entry in candidates if entry.score and entry.kept >= options.kept_share * entry.runs]
         sign = -1.0 if rank.direction is Direction.HIGHER else 1.0
-        chosen.sort(key=lambda entry: (-entry.datasets, sign * (entry.score.mean if entry.score else 0.0)))
+        chosen.sort(
+            key=lambda entry: (
+                *(-entry.datasets, entry.failed / entry.runs),
+                sign * (entry.score.mean if entry.score else 0.0),
+            )
+        )
         words = " and ".join(_bound_words(bound, table) for bound in bounds)
         under = f"Protocol: {protocol}. " if protocol else ""
         text = (
             f"{len(chosen)} of {len(candidates)} tested settings keep {words} in at least "
             f"{100 * options.kept_share:g} % of their runs. Failed runs keep nothing. {table.rule_words} "
-            f"{under}Ranked by datasets covered, then by the mean of {rank.label}; whiskers: 95 % bootstrap interval."
+            f"{under}Ranked by datasets covered, by the share of failed runs, then by the mean of {rank.label}; "
+            "whiskers: 95 % bootstrap interval."
         )
         charts = (_chart(chosen[:_SHOWN], rank, options.title, text, table),) if chosen else ()
         notes = () if chosen else (f"No tested setting keeps {words}.",)

@@ -8,6 +8,7 @@ from typing import Any
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
 from slamhive.domain.variant import variant_to_json
+from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.services.experiments.records import Cell, ExperimentPreview, ExperimentStatus, Grid, Phase
 from slamhive.services.run_json import plain, timestamp
 
@@ -76,6 +77,7 @@ def status_to_json(status: ExperimentStatus) -> dict[str, Any]:
         "retried": status.retried,
         "failures": {reason.value: count for reason, count in status.failures.items()},
         "disturbed": status.disturbed,
+        "failed_if": DEFAULT_RULE.words,
         "left_s": status.left_s,
     }
 
@@ -95,6 +97,7 @@ def cell_to_json(cell: Cell) -> dict[str, Any]:
                 "seed": run.seed,
                 "state": run.state.value,
                 "reason": None if run.reason is None else run.reason.value,
+                "verdict": None if run.judged is None else run.judged.value,
                 "retried": run.retried,
                 "disturbed": run.disturbed,
             }

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections import Counter, OrderedDict, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slamhive.domain.parameters import Value
-from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import unknown
-from slamhive.services.experiments.records import MOST_LISTED, Grid, GridCell, Phase
-from slamhive.store.experiment_records import CellRecord, ExperimentRecord
+from slamhive.services.experiments.records import MOST_LISTED, Failure, Grid, GridCell, Phase, failure_of
+from slamhive.store.experiment_records import CellRecord, ExperimentRecord, StateCount
 from slamhive.store.store import Transaction
 
 MOST_TABLES = 8
@@ -22,8 +21,8 @@ MOST_TABLES = 8
 
 Integers = NDArray[np.int32]
 Key = tuple[str, Value | None]
-CellCount = tuple[int, RunState, FailureReason | None, int]
-"""Number of the cell, state, reason, and how many runs."""
+CellCounts = Mapping[int, Sequence[StateCount]]
+"""By the number of the cell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,12 +68,12 @@ class AxisTable:
         """The axes with their values, in the order of the file."""
         return {axis: tuple(value for value in values if value is not None) for axis, values in self.values.items()}
 
-    def grid(self, axes: tuple[str, str], counts: Iterable[CellCount], name: str) -> Grid:
+    def grid(self, axes: tuple[str, str], counts: CellCounts, name: str) -> Grid:
         """Runs by phase over two axes.
 
         Args:
             axes: Of the rows and of the columns.
-            counts: The runs of the cells.
+            counts: The runs of the cells; retried ones are left out.
             name: Of the experiment, for messages.
         """
         rows, columns = (self._axis(axis, name) for axis in axes)
@@ -83,16 +82,18 @@ class AxisTable:
         place = rows.astype(np.int64) * shape[1] + columns
         used, first, members = np.unique(place, return_index=True, return_counts=True)
         together = np.split(self.configurations[np.argsort(place, kind="stable")], np.cumsum(members)[:-1])
-        index = {state: phases.index(Phase.of(state)) for state in RunState}
-        entries = list(counts)
-        table = np.array([(cell, index[state], n) for cell, state, _, n in entries], dtype=np.int64).reshape(-1, 3)
+        entries = [(cell, entry) for cell, found in counts.items() for entry in found if not entry.retried]
+        index = [phases.index(Phase.of(entry.state, entry.judged)) for _, entry in entries]
+        numbers = [(cell, phase, entry.count) for (cell, entry), phase in zip(entries, index, strict=True)]
+        table = np.array(numbers, dtype=np.int64).reshape(-1, 3)
         of_cell = place[np.searchsorted(self.numbers, table[:, 0])]
         sums = np.zeros((shape[0] * shape[1], len(phases)), dtype=np.int64)
         np.add.at(sums, (of_cell, table[:, 1]), table[:, 2])
-        failures: dict[int, Counter[FailureReason]] = defaultdict(Counter)
-        for at, (_, state, reason, count) in zip(of_cell, entries, strict=True):
-            if state is RunState.FAILED and reason is not None:
-                failures[int(at)][reason] += count
+        failures: dict[int, Counter[Failure]] = defaultdict(Counter)
+        for at, (_, entry) in zip(of_cell, entries, strict=True):
+            failure = failure_of(entry)
+            if failure is not None:
+                failures[int(at)][failure] += entry.count
         return Grid(
             *axes,
             rows=self.values[axes[0]],

@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
+from typing import Protocol
 
 from slamhive import strict_yaml
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import Variant
+from slamhive.domain.verdict import VerdictKind
 from slamhive.store.experiment_records import CellRun
 
 MOST_LISTED = 200
@@ -37,16 +39,55 @@ class Phase(StrEnum):
     QUEUED = "queued"
     RUNNING = "running"
     GOOD = "good"
+    UNJUDGED = "unjudged"
     FAILED = "failed"
     CANCELLED = "cancelled"
 
+    @property
+    def label(self) -> str:
+        """The phase in words."""
+        return "not evaluated" if self is Phase.UNJUDGED else self.value
+
     @classmethod
-    def of(cls, state: RunState) -> Phase:
-        """The phase that ``state`` belongs to."""
-        ends = {RunState.SUCCEEDED: cls.GOOD, RunState.FAILED: cls.FAILED, RunState.CANCELLED: cls.CANCELLED}
+    def of(cls, state: RunState, judged: VerdictKind | None) -> Phase:
+        """The phase of a run with this state and stored verdict."""
+        if state is RunState.SUCCEEDED and judged is not None:
+            return cls.FAILED if judged.failed else cls.GOOD
+        ends = {RunState.SUCCEEDED: cls.UNJUDGED, RunState.FAILED: cls.FAILED, RunState.CANCELLED: cls.CANCELLED}
         if state is RunState.QUEUED:
             return cls.QUEUED
         return ends.get(state, cls.RUNNING)
+
+
+ENDED = (Phase.GOOD, Phase.UNJUDGED, Phase.FAILED, Phase.CANCELLED)
+"""The phases of runs that nothing more will come of."""
+
+Failure = FailureReason | VerdictKind
+"""Why a run counts as failed: how it ended, or its verdict."""
+
+
+class _Ended(Protocol):
+    """What is known of runs that ended alike."""
+
+    @property
+    def state(self) -> RunState: ...
+    @property
+    def reason(self) -> FailureReason | None: ...
+    @property
+    def judged(self) -> VerdictKind | None: ...
+
+
+def failure_of(run: _Ended) -> Failure | None:
+    """Why runs in this state, with this reason and verdict, count as failed; None if they do not."""
+    if run.state is RunState.FAILED:
+        return run.reason or VerdictKind.ENDED_BADLY
+    judged = run.judged if run.state is RunState.SUCCEEDED else None
+    return judged if judged is not None and judged.failed else None
+
+
+def failure_words(failure: Failure) -> str:
+    """A failure inside a sentence."""
+    return failure.label if isinstance(failure, VerdictKind) else failure.value.replace("_", " ")
 
 
 class Standing(StrEnum):
@@ -146,22 +187,28 @@ class ExperimentStatus:
     missing: int
     counts: Mapping[Phase, int]
     retried: int
-    failures: Mapping[FailureReason, int]
+    failures: Mapping[Failure, int]
     disturbed: int
     left_s: float | None
 
     @property
     def ended(self) -> int:
         """Runs that nothing more will come of."""
-        return sum(self.counts[phase] for phase in (Phase.GOOD, Phase.FAILED, Phase.CANCELLED))
+        return sum(self.counts[phase] for phase in ENDED)
+
+    @property
+    def ended_badly(self) -> int:
+        """Failed runs that may be tried again; those that failed by their verdict would end alike."""
+        return sum(count for failure, count in self.failures.items() if isinstance(failure, FailureReason))
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Mean and sample standard deviation of ``n`` values; no deviation of a single one."""
+    """Mean, median and sample standard deviation of ``n`` values; no deviation of a single one."""
 
     n: int
     mean: float
+    median: float
     std: float | None
 
 
@@ -192,7 +239,7 @@ class Cell:
     values: Mapping[str, Value]
     runs: tuple[CellRun, ...]
     counts: Mapping[Phase, int]
-    failures: Mapping[FailureReason, int]
+    failures: Mapping[Failure, int]
     figures: tuple[CellFigures, ...]
 
 
@@ -217,7 +264,7 @@ class GridCell:
     first: int
     configurations: tuple[int, ...]
     counts: Mapping[Phase, int]
-    failures: Mapping[FailureReason, int]
+    failures: Mapping[Failure, int]
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ def csv_text(cells: Iterable[Cell], axes: Sequence[str]) -> str:
     """The whole report as CSV: exact values, an empty field where there is none, metrics in their own units."""
     stream = io.StringIO()
     writer = csv.writer(stream)
-    figures = [column for key in METRICS for column in (f"{key}.mean", f"{key}.std", f"{key}.n")]
+    figures = [column for key in METRICS for column in (f"{key}.mean", f"{key}.std", f"{key}.n", f"{key}.median")]
     writer.writerow([*_HEAD, *axes, *_COUNTS, *figures])
     for cell in cells:
         for row in csv_rows(cell, axes):
@@ -36,7 +36,7 @@ def csv_rows(cell: Cell, axes: Sequence[str]) -> Iterator[list[Any]]:
         row += [figures.protocol, figures.runs, figures.disturbed]
         for key in METRICS:
             found = figures.metrics.get(key)
-            row += [None, None, 0] if found is None else [found.mean, found.std, found.n]
+            row += [None, None, 0, None] if found is None else [found.mean, found.std, found.n, found.median]
         yield row
 
 

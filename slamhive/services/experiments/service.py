@@ -107,7 +107,7 @@ class Experiments:
 
         def work(t: Transaction) -> Grid:
             record = t.experiments.get(name)
-            counts = t.experiments.cell_counts(record.id)
+            counts = t.experiment_counts.by_cell(record.id)
             return self._tables.get(t, record).grid((row_axis, column_axis), counts, name)
 
         return self._context.store.read(work)

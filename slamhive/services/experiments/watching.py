@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from statistics import fmean, stdev
+from statistics import fmean, median, stdev
 
-from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.records import (
@@ -14,9 +14,11 @@ from slamhive.services.experiments.records import (
     CellFigures,
     CellPage,
     ExperimentStatus,
+    Failure,
     Phase,
     Spread,
     Standing,
+    failure_of,
 )
 from slamhive.services.experiments.time_left import TimeLeft
 from slamhive.store.experiment_records import CellRecord, CellRun, ExperimentRecord, ExperimentState, StateCount
@@ -32,7 +34,7 @@ _STANDINGS = {ExperimentState.PAUSED: Standing.PAUSED, ExperimentState.ACTIVE: S
 
 def all_statuses(t: Transaction) -> tuple[ExperimentStatus, ...]:
     """Every experiment, the newest first, without the time left."""
-    counts, disturbed = t.experiments.all_counts(), t.experiments.disturbed_counts()
+    counts, disturbed = t.experiment_counts.by_experiment(), t.experiment_counts.disturbed()
     return tuple(
         status_of(record, counts.get(record.id, []), disturbed.get(record.id, 0)) for record in t.experiments.all()
     )
@@ -41,9 +43,9 @@ def all_statuses(t: Transaction) -> tuple[ExperimentStatus, ...]:
 def status(t: Transaction, name: str, time_left: TimeLeft) -> ExperimentStatus:
     """The experiment called ``name``; raises NotFound."""
     record = t.experiments.get(name)
-    counts = t.experiments.all_counts(record.id).get(record.id, [])
+    counts = t.experiment_counts.by_experiment(record.id).get(record.id, [])
     waiting = sum(entry.count for entry in counts if not entry.state.ended)
-    disturbed = t.experiments.disturbed_counts(record.id).get(record.id, 0)
+    disturbed = t.experiment_counts.disturbed(record.id).get(record.id, 0)
     return status_of(record, counts, disturbed, time_left.of(t, record, waiting))
 
 
@@ -52,15 +54,16 @@ def status_of(
 ) -> ExperimentStatus:
     """The status that these counts amount to."""
     counts: Counter[Phase] = Counter()
-    failures: Counter[FailureReason] = Counter()
+    failures: Counter[Failure] = Counter()
     retried = 0
     for entry in found:
         if entry.retried:
             retried += entry.count
             continue
-        counts[Phase.of(entry.state)] += entry.count
-        if entry.state is RunState.FAILED and entry.reason is not None:
-            failures[entry.reason] += entry.count
+        counts[Phase.of(entry.state, entry.judged)] += entry.count
+        failure = failure_of(entry)
+        if failure is not None:
+            failures[failure] += entry.count
     return ExperimentStatus(
         id=record.id,
         name=record.name,
@@ -126,8 +129,8 @@ def _with_runs(t: Transaction, experiment_id: int, cells: Sequence[CellRecord]) 
 
 
 def _cell(cell: CellRecord, runs: Sequence[CellRun]) -> Cell:
-    counts = Counter(Phase.of(run.state) for run in runs if not run.retried)
-    failures = Counter(run.reason for run in runs if run.reason is not None)
+    counts = Counter(Phase.of(run.state, run.judged) for run in runs if not run.retried)
+    failures = Counter(failure for run in runs if (failure := failure_of(run)) is not None)
     return Cell(
         number=cell.number,
         name=cell.name,
@@ -141,10 +144,10 @@ def _cell(cell: CellRecord, runs: Sequence[CellRun]) -> Cell:
 
 
 def _figures(runs: Sequence[CellRun]) -> Iterator[CellFigures]:
-    """Figures of the good runs, those of each protocol by themselves."""
+    """Figures of the runs that did not fail, those of each protocol by themselves."""
     groups: dict[str | None, list[CellRun]] = defaultdict(list)
     for run in counted_runs(runs):
-        if run.state is RunState.SUCCEEDED:
+        if Phase.of(run.state, run.judged) in (Phase.GOOD, Phase.UNJUDGED):
             groups[run.protocol].append(run)
     for protocol in sorted(groups, key=str):
         values: dict[str, list[float]] = defaultdict(list)
@@ -172,5 +175,5 @@ def counted_runs(runs: Sequence[CellRun]) -> list[CellRun]:
 
 
 def spread(values: Sequence[float]) -> Spread:
-    """Mean and sample standard deviation of at least one value."""
-    return Spread(len(values), fmean(values), stdev(values) if len(values) > 1 else None)
+    """Mean, median and sample standard deviation of at least one value."""
+    return Spread(len(values), fmean(values), median(values), stdev(values) if len(values) > 1 else None)

@@ -7,27 +7,39 @@ from dataclasses import dataclass
 
 from slamhive.domain.metrics import Metric
 from slamhive.domain.parameters import Value
-from slamhive.domain.run import FailureReason
 from slamhive.services.experiments import records
 from slamhive.services.experiments.records import (
+    ENDED,
     CellFigures,
     ExperimentPreview,
     ExperimentStatus,
+    Failure,
     Grid,
     GridCell,
     Phase,
     Spread,
+    failure_words,
 )
 from slamhive.services.experiments.reporting import NO_FIGURES
-from slamhive.web.formatting import DASH, Cell, display_unit, duration, plural, significant, size, thousands, value_text
+from slamhive.web.formatting import (
+    DASH,
+    Cell,
+    display_unit,
+    duration,
+    mean_text,
+    median_text,
+    plural,
+    size,
+    thousands,
+    value_text,
+)
 
 MOST_ROWS, MOST_COLUMNS = 50, 25
 """Of a grid on a page; the words say what was left out."""
 
 Search = Callable[[Mapping[str, Value | None], Sequence[int]], dict[str, str] | None]
 """The arguments of the runs page, by the values of a place of the grid and the numbers of its configurations."""
-FINISHED_PHASES = (Phase.GOOD, Phase.FAILED, Phase.CANCELLED)
-_DRAWN = (Phase.GOOD, Phase.FAILED, Phase.CANCELLED, Phase.RUNNING, Phase.QUEUED)
+_DRAWN = (Phase.GOOD, Phase.UNJUDGED, Phase.FAILED, Phase.CANCELLED, Phase.RUNNING, Phase.QUEUED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,13 +108,13 @@ def segments(counts: Mapping[Phase, int]) -> tuple[Segment, ...]:
 
 def counts_in_words(counts: Mapping[Phase, int]) -> str:
     """``3 good, 1 failed, 2 queued``; nothing for what there is none of."""
-    return ", ".join(f"{thousands(counts[phase])} {phase.value}" for phase in _DRAWN if counts.get(phase)) or "no runs"
+    return ", ".join(f"{thousands(counts[phase])} {phase.label}" for phase in _DRAWN if counts.get(phase)) or "no runs"
 
 
-def failures_in_words(failures: Mapping[FailureReason, int]) -> str:
-    """``2 crashed, 1 no trajectory``, the most frequent first."""
+def failures_in_words(failures: Mapping[Failure, int]) -> str:
+    """``2 nonzero exit, 1 diverged``, the most frequent first."""
     ordered = sorted(failures.items(), key=lambda entry: (-entry[1], entry[0].value))
-    return ", ".join(f"{thousands(count)} {reason.value.replace('_', ' ')}" for reason, count in ordered if count)
+    return ", ".join(f"{thousands(count)} {failure_words(failure)}" for failure, count in ordered if count)
 
 
 def status_in_words(status: ExperimentStatus) -> str:
@@ -259,7 +271,7 @@ def _variants(preview: ExperimentPreview) -> str:
 def _entry(found: GridCell | None, values: Mapping[str, Value | None], search: Search) -> GridEntry | None:
     if found is None:
         return None
-    ended = sum(found.counts.get(phase, 0) for phase in FINISHED_PHASES)
+    ended = sum(found.counts.get(phase, 0) for phase in ENDED)
     told = (Phase.FAILED, Phase.RUNNING, Phase.CANCELLED)
     where = ", ".join(f"{axis} {axis_text(value)}" for axis, value in values.items())
     several = f" in {plural(found.cells, 'configuration')}" if found.cells > 1 else ""
@@ -276,12 +288,12 @@ def _entry(found: GridCell | None, values: Mapping[str, Value | None], search: S
 
 
 def _figure(metric: Metric, spread: Spread | None) -> Cell:
-    """Mean, and standard deviation where there is one; all digits and the number of runs on hover."""
+    """Mean, standard deviation and median where there are several; all digits and the number of runs on hover."""
     if spread is None:
         return Cell(DASH, f"no {metric.label} known", missing=True)
     factor = display_unit(metric).factor
-    mean = significant(spread.mean * factor)
+    text = mean_text(spread.mean * factor, None if spread.std is None else spread.std * factor)
     exact = f"mean {spread.mean!r} {metric.unit} of {plural(spread.n, 'run')}"
-    if spread.std is None:
-        return Cell(mean, exact)
-    return Cell(f"{mean} ± {significant(spread.std * factor, 2)}", f"{exact}, standard deviation {spread.std!r}")
+    if spread.std is not None:
+        exact += f", standard deviation {spread.std!r}, median {spread.median!r}"
+    return Cell(text, exact, note=median_text(spread.n, spread.median * factor))

@@ -13,7 +13,7 @@ from slamhive.domain.sensors import SensorSetup
 from slamhive.executors.registry import EXECUTORS
 from slamhive.services.group_export import by_protocol
 from slamhive.store.records import GroupRecord, ProtocolLabel, SavedSearchRecord, Spread
-from slamhive.web.formatting import DASH, Cell, display_unit, plural, significant, value_text
+from slamhive.web.formatting import DASH, Cell, display_unit, mean_text, median_text, plural, significant, value_text
 
 GONE = "no longer there"
 """The group of names that runs have and no folder."""
@@ -132,15 +132,14 @@ def _rows_of(group: GroupRecord, columns: Sequence[GroupColumn]) -> list[GroupRo
 
 
 def _spread_cell(metric: Metric, spread: Spread | None) -> Cell:
-    """Mean and standard deviation over the runs that have the figure; how many, and the extremes, on hover."""
+    """Mean, standard deviation and median over the runs that did not fail; how many, and the extremes, on hover."""
     if spread is None:
         return Cell(DASH, f"no {metric.label} known", missing=True)
     shown = display_unit(metric)
-    text = significant(spread.mean * shown.factor)
-    if spread.std is not None:
-        text += f" ± {significant(spread.std * shown.factor, 2)}"
+    text = mean_text(spread.mean * shown.factor, None if spread.std is None else spread.std * shown.factor)
     low, high = (significant(value * shown.factor) for value in (spread.minimum, spread.maximum))
-    return Cell(text, f"mean of {plural(spread.n, 'run')}, {low} to {high} {shown.unit}".strip())
+    exact = f"mean of {plural(spread.n, 'run')} that did not fail, {low} to {high} {shown.unit}".strip()
+    return Cell(text, exact, note=median_text(spread.n, spread.median * shown.factor))
 
 
 def _choice(name: str, title: str, groups: dict[str, tuple[tuple[str, str], ...]], chosen: tuple[str, ...]) -> Choice:

@@ -9,8 +9,9 @@ from flask import Blueprint, Response, flash, make_response, redirect, render_te
 from flask import url_for as address
 
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.errors import NotFound
-from slamhive.services.experiments.records import Cell, ExperimentStatus, Phase, Standing
+from slamhive.services.experiments.records import Cell, ExperimentStatus, Standing
 from slamhive.services.experiments.watching import METRICS
 from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.experiment_file import parse_experiment
@@ -65,7 +66,8 @@ def show(name: str) -> str:
     return render_template(
         "experiments/show.html",
         status=status,
-        failed=status.counts[Phase.FAILED],
+        failed=status.ended_badly,
+        rule=DEFAULT_RULE.words,
         axes=list(axes),
         shown_axes=shown_axes,
         asked=grid,
