@@ -35,6 +35,7 @@ COLUMNS = (
     "dataset",
     "state",
     "reason",
+    "verdict",
     "disturbed",
     "poses",
     "ATE m",
@@ -210,10 +211,7 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
         print_json(content)
         return
     click.echo(f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {entry.state}")
-    if entry.detail:
-        click.echo(f"{entry.reason or 'note'}: {entry.detail}")
-    if entry.disturbance is not None and entry.disturbance.disturbed:
-        click.echo(f"disturbed: {entry.disturbance.words}; {'; '.join(entry.disturbance.remedies)}")
+    _print_outcome(entry)
     click.echo(f"folder {content['folder']}")
     print_table(("parameter", "value"), [(key, value) for key, value in content["parameters"].items()])
     metrics = content["metrics"]
@@ -265,6 +263,16 @@ def retry(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
     print_runs(new, as_json)
 
 
+def _print_outcome(entry: RunRecord) -> None:
+    """Why the run ended as it did, whether it counts as good, and whether the machine was disturbed."""
+    if entry.detail:
+        click.echo(f"{entry.reason or 'note'}: {entry.detail}")
+    if entry.verdict is not None:
+        click.echo(f"verdict: {entry.verdict.kind.label}. {entry.verdict.words}")
+    if entry.disturbance is not None and entry.disturbance.disturbed:
+        click.echo(f"disturbed: {entry.disturbance.words}; {'; '.join(entry.disturbance.remedies)}")
+
+
 def parse_assignments(settings: tuple[str, ...]) -> dict[str, str]:
     """``KEY=VALUE`` texts as a mapping; raises InvalidInput for one without ``=`` or a key given twice."""
     parsed: dict[str, str] = {}
@@ -287,6 +295,7 @@ def run_row(entry: RunRecord) -> tuple[Any, ...]:
         entry.dataset,
         entry.state.value,
         None if entry.reason is None else entry.reason.value,
+        None if entry.verdict is None else entry.verdict.kind.value,
         disturbed_text(entry.disturbance),
         entry.poses,
         _number(metrics.get("ate.rmse"), "{:.4f}"),
@@ -310,6 +319,8 @@ def print_runs(entries: list[RunRecord], as_json: bool) -> None:
         for entry in entries:
             if entry.detail and entry.state is RunState.FAILED:
                 messages.print(f"run {entry.id}: {entry.detail}", markup=False, soft_wrap=True)
+            if entry.verdict is not None and entry.verdict.failed and entry.state is RunState.SUCCEEDED:
+                messages.print(f"run {entry.id}: {entry.verdict.words}", markup=False, soft_wrap=True)
             if entry.disturbance is not None and entry.disturbance.disturbed:
                 messages.print(f"run {entry.id} was disturbed: {entry.disturbance.words}", markup=False, soft_wrap=True)
     else:

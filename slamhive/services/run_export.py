@@ -27,6 +27,7 @@ _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
     "seed": lambda run: run.seed,
     "state": lambda run: run.state.value,
     "reason": lambda run: None if run.reason is None else run.reason.value,
+    "verdict": lambda run: None if run.verdict is None else run.verdict.kind.value,
     "disturbed": lambda run: disturbed_text(run.disturbance),
     "created_at": lambda run: timestamp(run.created_at),
     "started_at": lambda run: timestamp(run.started_at),

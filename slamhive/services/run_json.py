@@ -11,6 +11,7 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
 from slamhive.domain.stop_when import stop_when_to_json
 from slamhive.domain.variant import variant_to_json
+from slamhive.domain.verdict import Verdict
 from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluation_notes import evaluation_notes
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
@@ -48,8 +49,14 @@ def run_to_json(run: RunRecord) -> dict[str, Any]:
         "protocol": None
         if run.protocol is None
         else {"fingerprint": run.protocol.fingerprint, "label": run.protocol.label},
+        "verdict": None if run.verdict is None else verdict_to_json(run.verdict),
         "metrics": metrics_to_json(run.metrics or {}),
     }
+
+
+def verdict_to_json(verdict: Verdict) -> dict[str, Any]:
+    """Whether the run counts as failed, and why."""
+    return {"kind": verdict.kind.value, "failed": verdict.failed, "words": verdict.words}
 
 
 def metrics_to_json(values: dict[str, float]) -> dict[str, dict[str, Any]]:

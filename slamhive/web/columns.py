@@ -9,6 +9,7 @@ from functools import cache
 from types import MappingProxyType
 
 from slamhive.domain.metrics import CATALOGUE, Metric
+from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.errors import unknown
 from slamhive.search.fields import PARAMETER_PREFIX, Vocabulary
 from slamhive.search.fields import Kind as FieldKind
@@ -28,6 +29,7 @@ class Kind(StrEnum):
     TIME = "time"
     PARAMETERS = "parameters"
     EXPERIMENT = "experiment"
+    VERDICT = "verdict"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +57,7 @@ DEFAULT_COLUMNS = (
     "variant",
     "parameters",
     "state",
+    "verdict",
     "created_at",
     "ate.rmse",
     "rpe.rmse",
@@ -88,6 +91,7 @@ def all_columns() -> Mapping[str, Column]:
         Column("seed", "Seed", Kind.NUMBER, lambda run: Cell(str(run.seed)), sort="seed"),
         Column("state", "State", Kind.STATE, lambda run: Cell(run.state.value), sort="state"),
         Column("reason", "Reason", Kind.TEXT, _reason, sort="reason", help="why a run failed"),
+        Column("verdict", "Verdict", Kind.VERDICT, _verdict, help=DEFAULT_RULE.words),
         Column("disturbed", "Disturbed", Kind.TEXT, _disturbed, help="whether the machine was disturbed, and by what"),
         _time_column("created_at", "Created"),
         _time_column("started_at", "Started"),
@@ -162,6 +166,13 @@ def _reason(run: RunRecord) -> Cell:
     if run.reason is None:
         return Cell(DASH, missing=True)
     return Cell(run.reason.value.replace("_", " "), run.detail or "")
+
+
+def _verdict(run: RunRecord) -> Cell:
+    verdict = run.verdict
+    if verdict is None:
+        return Cell(DASH, "not judged: cancelled, not ended or not evaluated", missing=True)
+    return Cell(verdict.kind.label, verdict.words)
 
 
 def _disturbed(run: RunRecord) -> Cell:

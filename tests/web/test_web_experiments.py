@@ -268,7 +268,7 @@ def test_the_list_shows_how_far_each_is(trial: Web):
     world.finish_run(trial.hive, runs_of(trial, 1)[0])
     text = trial.client.get("/experiments").text
     assert "Showing all 1 experiment, newest first." in text
-    assert "1 good, 11 queued" in text
+    assert "1 not evaluated, 11 queued" in text
     assert html.escape("What <b>features</b> do") in text
     assert "What <b>" not in text
     assert trial.client.get("/experiments?page=2").status_code == 400
@@ -503,7 +503,7 @@ def test_an_experiment_through_the_api(web: Web):
     assert started.status_code == 201
     assert started.get_json()["runs"] == 12
     (listed,) = web.client.get("/api/v1/experiments").get_json()["experiments"]
-    assert listed["counts"] == {"queued": 12, "running": 0, "good": 0, "failed": 0, "cancelled": 0}
+    assert listed["counts"] == {"queued": 12, "running": 0, "good": 0, "unjudged": 0, "failed": 0, "cancelled": 0}
     one = web.client.get("/api/v1/experiments/trial").get_json()
     assert one["yaml"] == TRIAL
     assert one["axes"]["nFeatures"] == [500, 1000, 1500]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -13,7 +13,8 @@ from slamhive.domain.external import IMPORTED
 from slamhive.domain.metrics import CATALOGUE, Metric
 from slamhive.domain.parameters import Parameter, Value
 from slamhive.domain.run import RunState
-from slamhive.store.records import RunRecord
+from slamhive.domain.verdict import Verdict, VerdictKind, not_evaluable
+from slamhive.store.records import EvaluationRecord, RunRecord
 from slamhive.web.columns import Column, Kind
 from slamhive.web.formatting import DASH, Cell, display_unit, duration, metric_cell, plural, significant, value_text
 
@@ -111,6 +112,17 @@ def outcome(run: RunRecord) -> str:
     if run.state is RunState.QUEUED:
         return "Waiting for a worker."
     return f"In a worker's hands: {run.state.value}."
+
+
+def verdict(run: RunRecord, evaluations: Sequence[EvaluationRecord]) -> Verdict | None:
+    """Whether the run is good, and if not why; None if it has not been judged, or if its outcome says the same."""
+    found = run.verdict
+    if found is None or run.state is RunState.FAILED:
+        return None
+    if found.kind is not VerdictKind.NOT_EVALUABLE:
+        return found
+    reasons = [entry.reason for entry in evaluations if entry.reason]
+    return not_evaluable(reasons[-1] if reasons else None)
 
 
 def disturbed(run: RunRecord) -> str:

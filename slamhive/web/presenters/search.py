@@ -10,6 +10,7 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.metrics import CATALOGUE, Metric
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
+from slamhive.domain.verdict import GROUPS, VerdictKind
 from slamhive.executors.registry import EXECUTORS
 from slamhive.services.group_export import by_protocol
 from slamhive.store.records import GroupRecord, ProtocolLabel, SavedSearchRecord, Spread
@@ -75,6 +76,7 @@ def choices(
         "sensor": ("Sensors", _plain(SensorSetup)),
         "state": ("State", _plain(RunState)),
         "reason": ("Reason of failure", _plain(FailureReason)),
+        "verdict": ("Verdict", _verdicts()),
         "executor": ("Executor", _plain(EXECUTORS.names())),
         "experiment": ("Experiment", {}),
     }
@@ -150,6 +152,11 @@ def _choice(name: str, title: str, groups: dict[str, tuple[tuple[str, str], ...]
 
 def _plain(values: Iterable[str]) -> dict[str, tuple[tuple[str, str], ...]]:
     return {"": tuple((str(value), str(value).replace("_", " ")) for value in values)}
+
+
+def _verdicts() -> dict[str, tuple[tuple[str, str], ...]]:
+    kinds = tuple((kind.value, kind.label) for kind in VerdictKind)
+    return {"": tuple((name, f"{name}, all kinds") for name in GROUPS), "one by one": kinds}
 
 
 def _grouped(entries: Iterable[tuple[str, str, str]]) -> dict[str, tuple[tuple[str, str], ...]]:

@@ -23,6 +23,7 @@ from flask import url_for as address
 
 from slamhive.analysis.colours import colour_of
 from slamhive.domain.run import RunState
+from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.input_bounds import whole_number
 from slamhive.search.reader import FilterError
@@ -108,6 +109,7 @@ def _search_page(services: Hive, query: RunQuery, **content: Any) -> str:
     return render_template(
         "runs/index.html",
         query=query,
+        rule=DEFAULT_RULE.words,
         all_columns=all_columns(),
         saved=[(entry, search.saved_args(entry)) for entry in services.searches.saved()],
         unevaluated=services.unevaluated(),
@@ -141,6 +143,8 @@ def show(run_id: int) -> str:
         run=run,
         algorithm=algorithm,
         outcome=presenter.outcome(run),
+        verdict=presenter.verdict(run, evaluations),
+        rule=DEFAULT_RULE.words,
         disturbed=presenter.disturbed(run),
         machine=presenter.machine(run),
         wall_time_s=presenter.wall_time_s(run, now()),
