@@ -136,8 +136,8 @@ class FailureRule:
         if self.ate_extent_above_percent is not None:
             errors.append(f"above {self.ate_extent_above_percent:g} % of that of an estimate that never moves")
         if self.outliers:
-            factors = f"{_LEAST_FACTOR:g} to {_LARGEST_FACTOR:g} times"
-            errors.append(f"more than {factors} the median of {FEWEST_REPEATS} or more repeats, by their spread")
+            factors = f"{_LEAST_FACTOR:g} to {_LARGEST_FACTOR:g} times, depending on their spread,"
+            errors.append(f"more than {factors} the median of {FEWEST_REPEATS} or more repeats")
         if errors:
             parts.append(f"diverged (ATE RMSE {_either(errors)})")
         return f"A run counts as failed if it {_either(parts)}."

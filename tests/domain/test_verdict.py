@@ -138,7 +138,7 @@ def test_the_rule_is_stated_in_words():
     assert DEFAULT_RULE.words == (
         "A run counts as failed if it did not end well, could not be evaluated, tracked less than 70 % of the path or "
         "diverged (ATE RMSE above 5 % of the path, above 50 % of that of an estimate that never moves or more than 4 "
-        "to 6 times the median of 3 or more repeats, by their spread)."
+        "to 6 times, depending on their spread, the median of 3 or more repeats)."
     )
     assert FailureRule(None, None, None, None, None, outliers=False).words == (
         "A run counts as failed if it did not end well or could not be evaluated."
