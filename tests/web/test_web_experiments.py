@@ -445,7 +445,7 @@ def test_disturbed_runs_are_counted_until_another_replaces_them(trial: Web):
     trial.hive.store.write(lambda t: t.runs.update(first, disturbance=busy))
     text = trial.client.get("/experiments/trial").text
     assert "Measured on a disturbed machine: 1 run." in text
-    assert "<td>1 good, 1 queued; 1 disturbed</td>" in text
+    assert "<td>1 not evaluated, 1 queued; 1 disturbed</td>" in text
     trial.hive.retry(first)
     text = trial.client.get("/experiments/trial").text
     assert "Not counted: 1 failed or disturbed run that another run replaces." in text

@@ -91,7 +91,7 @@ def test_groups_are_exported_as_they_are_shown(shown: Web):
     assert sum(row["runs"] for row in rows) == len(shown.runs)
     head = ["configuration", "algorithm", "dataset", "parameters", "runs", "failed", "protocol", "disturbed"]
     assert list(rows[0])[:8] == head
-    assert list(rows[0])[8:] == [f"cpu.mean.{part}" for part in ("mean", "std", "n", "min", "max")]
+    assert list(rows[0])[8:] == [f"cpu.mean.{part}" for part in ("mean", "std", "n", "min", "max", "median")]
     header = shown.client.get("/searches/export.csv?group=configuration&columns=id,cpu.mean").text.splitlines()[0]
     assert header.split(",") == list(rows[0])
 
