@@ -67,9 +67,9 @@ def test_a_disturbed_run_is_replaced_unless_its_repetition_was_cancelled(
     assert [run.id for run in runs if run.retried] == [replaced]
     assert {run.id: run.disturbed for run in runs}[unknown] is None
     assert [run.id for run in runs if run.disturbed] == [alone, failed, replaced, kept]
-    assert store.read(lambda tx: tx.experiments.disturbed_counts()) == {experiment: 3}
-    assert store.read(lambda tx: tx.experiments.disturbed_counts(experiment)) == {experiment: 3}
+    assert store.read(lambda tx: tx.experiment_counts.disturbed()) == {experiment: 3}
+    assert store.read(lambda tx: tx.experiment_counts.disturbed(experiment)) == {experiment: 3}
     assert store.read(lambda tx: tx.experiments.to_repeat(experiment)) == [replaced]
-    counts = store.read(lambda tx: tx.experiments.all_counts(experiment))[experiment]
+    counts = store.read(lambda tx: tx.experiment_counts.by_experiment(experiment))[experiment]
     assert sum(entry.count for entry in counts if entry.retried) == 1
     assert sum(entry.count for entry in counts) == 9
