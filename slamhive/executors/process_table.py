@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,7 +85,15 @@ def send(pids: Iterable[int], number: signal.Signals) -> None:
             os.kill(pid, number)
 
 
-def stop_and_kill(listed: Callable[[], list[ProcessEntry]], spare: Collection[int] = ()) -> None:
+def send_to_group(group: int, number: signal.Signals) -> None:
+    """Send a signal to all members of a process group at one moment."""
+    if group <= 1:  # 0 is a group of another pid namespace; to signal group 1 means to signal everybody
+        return
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(group, number)
+
+
+def stop_and_kill(listed: Callable[[], list[ProcessEntry]]) -> None:
     """Stop everything that ``listed`` finds until it finds nothing new, then kill it all.
 
     What is stopped does not fork while the others are killed. A process group is signalled as a whole: the kernel does
@@ -93,7 +101,6 @@ def stop_and_kill(listed: Callable[[], list[ProcessEntry]], spare: Collection[in
 
     Args:
         listed: Lists the living processes as they are now.
-        spare: Process groups that hold others too.
     """
     known: dict[int, ProcessEntry] = {}
     deadline_s = time.monotonic() + _STOP_PATIENCE_S
@@ -102,8 +109,8 @@ def stop_and_kill(listed: Callable[[], list[ProcessEntry]], spare: Collection[in
         if not fresh:
             break
         known.update({entry.pid: entry for entry in fresh})
-        _signal_all(fresh, signal.SIGSTOP, spare)
-    _signal_all(known.values(), signal.SIGKILL, spare)
+        _signal_all(fresh, signal.SIGSTOP)
+    _signal_all(known.values(), signal.SIGKILL)
 
 
 def end_all(listed: Callable[[], list[ProcessEntry]], patience_s: float) -> bool:
@@ -117,13 +124,10 @@ def end_all(listed: Callable[[], list[ProcessEntry]], patience_s: float) -> bool
     return True
 
 
-def _signal_all(entries: Iterable[ProcessEntry], number: signal.Signals, spare: Collection[int]) -> None:
+def _signal_all(entries: Iterable[ProcessEntry], number: signal.Signals) -> None:
     entries = list(entries)
-    for group in {entry.group for entry in entries} - {os.getpgrp(), *spare}:
-        if group <= 1:  # 0 is a group of another pid namespace; to signal group 1 means to signal everybody
-            continue
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(group, number)
+    for group in {entry.group for entry in entries} - {os.getpgrp()}:
+        send_to_group(group, number)
     send((entry.pid for entry in entries), number)
 
 

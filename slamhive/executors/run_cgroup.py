@@ -191,6 +191,8 @@ class RunCgroup:
     def end(self, patience_s: float) -> bool:
         """See :class:`Containment`. Nothing can be started in the group from the first moment on."""
         self._try_to_write("pids", "pids.max", "0")
+        if not self.members():
+            return True
         if (self._tasks / "cgroup.kill").exists():
             self._try_to_write("pids", "cgroup.kill", "1")
         elif self._freeze():

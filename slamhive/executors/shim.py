@@ -14,7 +14,6 @@ Signals: SIGTERM is passed on to all descendants, SIGUSR1 kills them.
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import json
 import math
@@ -40,7 +39,7 @@ from slamhive.executors.landlock import confine_writes
 from slamhive.executors.linux import PR_SET_CHILD_SUBREAPER, PR_SET_NO_NEW_PRIVS, PR_SET_PDEATHSIG, prctl
 from slamhive.executors.priority import raise_supervisor, urgent
 from slamhive.executors.process_limit import RefusalWatch
-from slamhive.executors.process_table import end_all, send
+from slamhive.executors.process_table import end_all, send, send_to_group
 from slamhive.executors.shim_spec import ShimSpec
 from slamhive.files import write_aside
 
@@ -248,8 +247,9 @@ class Supervisor:
     def _kill_all(self) -> None:
         """By the containment, then what got out of it but not out of the tree."""
         with urgent():
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self._pid, signal.SIGSTOP)  # most of what multiplies, at once and without counting it
+            if self._status is None:
+                # Most of what multiplies, at once and without counting it. Once reaped, the number may be another's.
+                send_to_group(self._pid, signal.SIGSTOP)
             self._containment.end(_KILL_PATIENCE_S)
             end_all(self._tree.living, _KILL_PATIENCE_S)
 
