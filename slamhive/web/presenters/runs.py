@@ -195,7 +195,9 @@ def _success(run: RunRecord) -> str:
     ate_m = (run.metrics or {}).get("ate.rmse")
     if ate_m is not None and run.protocol is not None:
         parts.append(f"; ATE RMSE {significant(ate_m, 3)} m ({run.protocol.label})")
-    return "".join(parts) + "."
+    # The first part counts the poses.
+    remarks = (run.detail or "").partition("; ")[2]
+    return "".join(parts) + "." + (f" {remarks[0].upper()}{remarks[1:]}." if remarks else "")
 
 
 def changed_cell(

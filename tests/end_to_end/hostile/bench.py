@@ -171,6 +171,8 @@ class Bench:
         address = f"/runs/{run_id}"
         status, page = self.get(address)
         assert status == OK, page[-2000:]
+        removed = re.search(r"removed from its result: .*", self.hive.run(run_id).detail or "")
+        assert removed is None or removed[0][1:] in outcome_of(page)
         files = sorted(set(re.findall(rf'href="({address}/files/[^"]+)"', page)))
         for path in (f"{address}/figures.json", f"/api/v1{address}", "/runs", *files):
             status, text = self.get(path)
@@ -314,3 +316,10 @@ def table(rows: list[Row]) -> str:
         f"| {row.answers.slowest_s:.2f} s ({row.answers.slowest}) |\n"
         for row in sorted(rows, key=lambda row: (row.act, row.executor))
     )
+
+
+def outcome_of(page: str) -> str:
+    """The sentence at the head of a run's page."""
+    found = re.search(r'<p class="outcome[^>]*>(.*?)</p>', page, re.DOTALL)
+    assert found is not None
+    return found[1]
