@@ -29,7 +29,7 @@ def hints_of(hive: Hive, ended: Iterable[EvaluationRecord]) -> dict[int, tuple[H
 
 
 def print_hints(found: dict[int, tuple[Hint, ...]]) -> None:
-    """A line on stderr for each mistake, with the numbers of the first run that has it."""
+    """A line on stderr for each hint, with the numbers of the first run that has it."""
     alike: dict[tuple[str, str], list[tuple[int, Hint]]] = {}
     for run_id, hints in found.items():
         for hint in hints:
@@ -39,4 +39,4 @@ def print_hints(found: dict[int, tuple[Hint, ...]]) -> None:
         numbers = ", ".join(str(run_id) for run_id, _ in members[:_NAMED_RUNS])
         more = f" and {len(members) - _NAMED_RUNS} more" if len(members) > _NAMED_RUNS else ""
         where = f"run {first}" if len(members) == 1 else f"runs {numbers}{more} (the numbers are those of run {first})"
-        messages.print(f"likely mistake in {where}: {hint_in_words(hint)}", markup=False, soft_wrap=True)
+        messages.print(f"hint for {where}: {hint_in_words(hint)}", markup=False, soft_wrap=True)

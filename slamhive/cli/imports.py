@@ -43,10 +43,14 @@ _SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Witho
 @click.option("--times", default=DEFAULT_TIMES, show_default=True, help="Where the stamps of KITTI poses lie.")
 @click.option("--format", "wanted", type=choice(TrajectoryFormat), default="auto", show_default=True)
 @click.option("--sensors", multiple=True, metavar="[NAME=]SETUP", help=_SENSORS_HELP)
-@click.option("--time-unit", type=choice(TimeUnit), help="Of the timestamps; default: found out, or asked.")
-@click.option("--quaternion-order", type=choice(QuaternionOrder), help="Default: found out, or asked.")
-@click.option("--groundtruth-time-unit", type=choice(TimeUnit), help="As --time-unit, of the ground truths.")
-@click.option("--groundtruth-quaternion-order", type=choice(QuaternionOrder), help="Of the ground truths.")
+@click.option("--time-unit", type=choice(TimeUnit), help="Unit of the timestamps; detected if left out.")
+@click.option(
+    "--quaternion-order", type=choice(QuaternionOrder), help="Order of the quaternions; detected if left out."
+)
+@click.option("--groundtruth-time-unit", type=choice(TimeUnit), help="Unit of the ground truths' timestamps.")
+@click.option(
+    "--groundtruth-quaternion-order", type=choice(QuaternionOrder), help="Order of the ground truths' quaternions."
+)
 @click.option("--duplicates", type=choice(Duplicates), default="refuse", show_default=True, help=_DUPLICATES_HELP)
 @click.option("--gravity-aligned", is_flag=True, help="The z axis of the ground truths points up.")
 @click.option("--evaluate/--no-evaluate", default=True, show_default=True, help="Evaluate what has no evaluation yet.")
@@ -56,8 +60,8 @@ _SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Witho
 def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, **options: Any) -> None:
     """Import trajectories from SOURCE, a folder or a table.
 
-    The unit of timestamps and the order of quaternions are detected by what speaks for them, and reported. Where that
-    is in doubt the file is refused, and the message names the option that decides.
+    The unit of timestamps and the order of quaternions are detected from the files, and reported. A file that leaves
+    them in doubt is refused, and the message names the option that decides.
 
     Poses are those of the body, in the frame that the ground truth describes. The same command again imports what is
     new, and completes an import that was killed.

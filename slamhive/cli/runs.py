@@ -225,7 +225,7 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
         click.echo(f"protocol {entry.protocol.fingerprint}: {entry.protocol.label}")
     if entry.protocol is not None:
         for hint in evaluation_notes(hive.folder(run_id), entry.protocol.fingerprint).hints:
-            click.echo(f"likely mistake: {hint_in_words(hint)}")
+            click.echo(f"hint: {hint_in_words(hint)}")
     for evaluation in content["evaluations"]:
         if evaluation["reason"]:
             click.echo(f"evaluation {evaluation['id']} {evaluation['state']}: {evaluation['reason']}")

@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Hint:
-    """One likely mistake.
+    """One likely mistake, or a doubt that a path leaves.
 
     Attributes:
         key: Names the mistake: ``quaternion_order``, ``inverse_poses``, ...

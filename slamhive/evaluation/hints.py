@@ -220,7 +220,7 @@ def _straight(paired: Paired, fit: Fit, ate_m: float) -> Hint | None:
     return Hint(
         "straight_path",
         f"The path is nearly straight: it strays {aside_m:.2g} m from a line, and the position error is {ate_m:.2g} m. "
-        f"So alignment leaves the rotation about that line open by about {open_deg:.0f} deg.",
+        f"So alignment may turn it about that line by up to about {open_deg:.0f} deg.",
         "do not compare orientations of this run, or align with first_pose, or with yaw_position where z points up",
     )
 

@@ -29,7 +29,7 @@ def put(web: Web, *hints: Hint) -> None:
 
 def test_the_page_of_a_run_tells_mistake_and_remedy(hinted: Web) -> None:
     text = " ".join(hinted.client.get(f"/runs/{hinted.runs['done']}").text.split())
-    assert 'data-hint="quaternion_order"><strong>Likely mistake.</strong>' in text
+    assert 'data-hint="quaternion_order"><strong>Hint.</strong>' in text
     assert "The quaternions seem to be &lt;mixed up&gt;: 144 deg." in text
     assert "<strong>Remedy:</strong> write qx qy qz qw.</p>" in text
 
@@ -44,6 +44,6 @@ def test_a_run_without_hints_is_told_nothing(web: Web) -> None:
         run = web.hive.run(web.runs["done"])
         assert run.protocol is not None
         (web.hive.folder(run.id).evaluation(run.protocol.fingerprint) / RESULT_FILE).write_text(text)
-        assert "Likely mistake" not in web.client.get(f"/runs/{run.id}").text
+        assert "<strong>Hint.</strong>" not in web.client.get(f"/runs/{run.id}").text
         (evaluation,) = web.client.get(f"/api/v1/runs/{run.id}").get_json()["evaluations"]
         assert evaluation["hints"] == []

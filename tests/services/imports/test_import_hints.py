@@ -46,14 +46,14 @@ SENTENCE = r"The estimate is \d+(\.\d+)? times as large as the ground truth: it 
 def test_commands_tell_a_mistake_once_with_its_remedy(hive, source):
     code, _, messages = command("runs", "import", source, "--sensors", "stereo")
     assert code == 0
-    (line,) = [line for line in messages.splitlines() if "likely mistake" in line]
-    where = "likely mistake in runs 2, 3 (the numbers are those of run 2)"
+    (line,) = [line for line in messages.splitlines() if "hint for" in line]
+    where = "hint for runs 2, 3 (the numbers are those of run 2)"
     assert re.fullmatch(rf"{re.escape(where)}: {SENTENCE} Remedy: write positions in metres\.", line)
     code, shown, messages = command("evaluate", "1", "2", "--json")
     assert [[hint["key"] for hint in run["hints"]] for run in json.loads(shown)] == [[], ["scale"]]
-    assert re.search(rf"likely mistake in run 2: {SENTENCE}", messages)
-    assert re.search(rf"^likely mistake: {SENTENCE}", command("runs", "show", "2")[1], re.MULTILINE)
-    assert "likely mistake" not in command("runs", "show", "1")[1]
+    assert re.search(rf"hint for run 2: {SENTENCE}", messages)
+    assert re.search(rf"^hint: {SENTENCE}", command("runs", "show", "2")[1], re.MULTILINE)
+    assert "hint: " not in command("runs", "show", "1")[1]
     (evaluation, *_) = json.loads(command("runs", "show", "2", "--json")[1])["evaluations"]
     assert evaluation["hints"][0]["remedy"] == "write positions in metres"
 
