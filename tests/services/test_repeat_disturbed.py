@@ -54,7 +54,7 @@ def test_a_disturbed_run_is_repeated_until_one_is_not(hive: Hive) -> None:
     assert disturbed(hive) == [True, False]
     assert (second.retry_of, second.seed, second.cell, second.repeat_disturbed) == (first.id, first.seed, first.cell, 1)
     status = hive.experiments.status("one")
-    assert (status.counts[Phase.GOOD], status.retried, status.disturbed) == (1, 1, 0)
+    assert (status.counts[Phase.UNJUDGED], status.retried, status.disturbed) == (1, 1, 0)
     assert (status.runs, status.standing) == (1, Standing.FINISHED)
     (cell,) = hive.experiments.report("one")
     (figures,) = cell.figures
@@ -71,7 +71,7 @@ def test_it_is_repeated_so_often_at_most_and_the_last_counts_marked(hive: Hive) 
     assert disturbed(hive) == [True, True, True]
     assert [run.repeat_disturbed for run in runs_of(hive)] == [2, 1, 0]
     status = hive.experiments.status("one")
-    assert (status.counts[Phase.GOOD], status.retried, status.disturbed) == (1, 2, 1)
+    assert (status.counts[Phase.UNJUDGED], status.retried, status.disturbed) == (1, 2, 1)
     assert status_to_json(status)["disturbed"] == 1
     (cell,) = hive.experiments.report("one")
     (figures,) = cell.figures
@@ -141,12 +141,12 @@ def test_a_cancelled_repetition_leaves_the_disturbed_run_in_its_place(hive: Hive
     hive._executors["process"] = beside(*BUSY)
     hive.worker(only=hive.experiments.run_ids("one")).run(until_idle=True)
     status = hive.experiments.status("one")
-    assert (status.counts[Phase.QUEUED], status.counts[Phase.GOOD], status.retried) == (1, 0, 1)
+    assert (status.counts[Phase.QUEUED], status.counts[Phase.UNJUDGED], status.retried) == (1, 0, 1)
     (cell,) = hive.experiments.report("one")
     assert cell.figures[0].runs == 1, "it counts until the repetition has ended"
     hive.cancel(runs_of(hive)[1].id)
     status = hive.experiments.status("one")
-    assert (status.counts[Phase.CANCELLED], status.counts[Phase.GOOD], status.disturbed) == (1, 1, 1)
+    assert (status.counts[Phase.CANCELLED], status.counts[Phase.UNJUDGED], status.disturbed) == (1, 1, 1)
 
 
 def test_what_dies_while_the_run_is_sealed_repeats_it_once(hive: Hive, monkeypatch: pytest.MonkeyPatch) -> None:
