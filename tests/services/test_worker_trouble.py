@@ -31,7 +31,7 @@ def test_a_broken_record_ends_the_run_and_not_the_worker(hive):
     hive.worker().run(until_idle=True)
     after = hive.run(broken)
     assert (after.state, after.reason) == (RunState.FAILED, FailureReason.START_ERROR)
-    assert "cannot be read" in after.detail
+    assert "run.json is not JSON that can be used" in after.detail
     assert finish(hive, FakeExecutor([Exited(0)], write_trajectory())).state is RunState.SUCCEEDED
 
 
