@@ -92,7 +92,9 @@ class _StrictLoader(yaml.SafeLoader):
             if key_node.value in seen:
                 raise _refusal(f"the key {key_node.value!r} appears twice", key_node.start_mark)
             seen.add(key_node.value)
-        return super().construct_mapping(node, deep=deep)
+        self.flatten_mapping(node)
+        # A key is text, also if it reads like a number, a truth value or nothing at all.
+        return {key_node.value: self.construct_object(value_node, deep=deep) for key_node, value_node in node.value}
 
 
 def _without_surprises(resolvers: dict[str, list[tuple[str, re.Pattern[str]]]]) -> dict[str, list[Any]]:

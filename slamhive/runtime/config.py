@@ -94,28 +94,32 @@ def from_yaml(text: str, source: str = "config.yaml") -> RunConfig:
     for key in ("slam-hive-algorithm", "slam-hive-dataset"):
         if not isinstance(content.get(key), str):
             raise InvalidInput(f"{source}: {key} is missing")
-    own = content.get("slam-hive") or {}
+    try:
+        return RunConfig(
+            algorithm=content["slam-hive-algorithm"],
+            dataset=content["slam-hive-dataset"],
+            **sections,
+            algorithm_attribute=content.get("algorithm-attribute"),
+            dataset_attribute=content.get("dataset-attribute"),
+            **_own_part(content.get("slam-hive") or {}),
+        )
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:
+        raise InvalidInput(f"{source}: slam-hive does not hold what the controller writes there: {error}") from None
+
+
+def _own_part(own: Mapping[str, Any]) -> dict[str, Any]:
     playback = own.get("playback") or {}
-    return RunConfig(
-        algorithm=content["slam-hive-algorithm"],
-        dataset=content["slam-hive-dataset"],
-        **sections,
-        algorithm_attribute=content.get("algorithm-attribute"),
-        dataset_attribute=content.get("dataset-attribute"),
-        run_id=own.get("run"),
-        seed=int(own.get("seed") or 0),
-        playback_mode=str(playback.get("mode") or "realtime"),
-        playback_rate=float(playback.get("rate") or 1.0),
-    )
+    return {
+        "run_id": own.get("run"),
+        "seed": int(own.get("seed") or 0),
+        "playback_mode": str(playback.get("mode") or "realtime"),
+        "playback_rate": float(playback.get("rate") or 1.0),
+    }
 
 
 def load(path: Path) -> RunConfig:
     """Read ``config.yaml`` from ``path``."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InvalidInput(f"{path} cannot be read: {error.strerror}") from None
-    return from_yaml(text, str(path))
+    return from_yaml(strict_yaml.read_text(path), str(path))
 
 
 def _plain(value: Any) -> Any:

@@ -22,7 +22,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.catalogue import Catalogue
 from slamhive.services.driver_context import utc_now
 from slamhive.services.evaluations import PROTOCOL_FILE
-from slamhive.services.record import configuration_from_record, snapshot_from_record
+from slamhive.services.record import check_types, configuration_from_record, snapshot_from_record
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import EndedEvaluation, FiledRun
 from slamhive.store.records import AlgorithmVersion, EvaluationState, Host, RunSnapshot
@@ -183,6 +183,8 @@ def _ended(protocol: Protocol, result: EvaluationResult, at: datetime) -> EndedE
 def _read(catalogue: Catalogue, record: dict[str, Any]) -> Filed:
     configuration = configuration_from_record(record)
     part, host = record.get("algorithm", {}), record.get("host")
+    check_types(part, dict.fromkeys(("package", "mode", "identity", "package_hash", "version"), str))
+    check_types(host or {}, {"cpu_model": str, "cpu_count": int, "memory_bytes": int, "kernel": str, "os": str})
     metrics = {str(key): float(value) for key, value in record.get("metrics", {}).items()}
     if not all(map(math.isfinite, metrics.values())):
         raise ValueError("a metric is not finite")

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
+from types import UnionType
 from typing import Any
 
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
@@ -149,6 +150,7 @@ def _snapshot(record: Mapping[str, Any], configuration_id: int, experiment_id: i
     created_at = _time(record["created_at"])
     if created_at is None:
         raise ValueError("created_at is null")
+    check_types({**request, **record, **fields}, _TYPES)
     return RunSnapshot(
         id=int(record["id"]),
         request=RunRequest(
@@ -173,6 +175,32 @@ def _snapshot(record: Mapping[str, Any], configuration_id: int, experiment_id: i
         fields=fields,
         events=tuple(_event(entry) for entry in record.get("events", [])),
     )
+
+
+_TYPES: dict[str, type | UnionType] = {
+    "uid": str,
+    "executor": str,
+    "seed": int,
+    "priority": int,
+    "evaluate": bool,
+    "cpu_cores": float | int | None,
+    "memory_mb": int | None,
+    "timeout_s": float | int | None,
+    "retry_of": int | None,
+    "detail": str | None,
+    "exit_code": int | None,
+    "poses": int | None,
+    "handle": dict | None,
+    "dataset_checksum": str | None,
+}
+"""What a database takes in these places."""
+
+
+def check_types(content: Mapping[str, Any], types: Mapping[str, type | UnionType]) -> None:
+    """Raise TypeError for the first of these that is there and is of another type."""
+    for name, kind in types.items():
+        if name in content and not isinstance(content[name], kind):
+            raise TypeError(f"{name} is {str(content[name])[:80]!r}")
 
 
 def _event(entry: Mapping[str, Any]) -> RunEvent:

@@ -162,7 +162,8 @@ class ArchiveRepository:
     def add_cells(self, experiment_id: int, cells: Sequence[NewCell]) -> None:
         """Store those of the cells that are not here."""
         if cells:
-            numbers = _CELLS.c.number.between(cells[0].number, cells[-1].number)
+            wanted = [cell.number for cell in cells]
+            numbers = _CELLS.c.number.between(min(wanted), max(wanted))
             here = self._numbers(_CELLS.c.number, _CELLS.c.experiment_id == experiment_id, numbers)
             missing = [cell for cell in cells if cell.number not in here]
             ExperimentRepository(self._session).add_cells(experiment_id, missing)

@@ -13,12 +13,13 @@ from typing import Any
 from slamhive.bags.staging import checksum
 from slamhive.catalogue.dataset_file import load_dataset
 from slamhive.domain.dataset import Dataset
-from slamhive.errors import SlamHiveError
+from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.files import write_aside
+from slamhive.input_bounds import read_record
 
 MANIFEST = "variant.json"
 
-UNREADABLE = (OSError, ValueError, KeyError, TypeError)
+UNREADABLE = (InvalidInput, OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError)
 """What reading a manifest that is damaged, or removed meanwhile, may raise."""
 
 
@@ -74,7 +75,7 @@ def write_manifest(folder: Path, plan: VariantPlan, dataset: Dataset, took_s: fl
 
 def read_manifest(folder: Path) -> Manifest:
     """The manifest of ``folder``; raises one of :data:`UNREADABLE`."""
-    content = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    content = read_record(folder / MANIFEST)
     return Manifest(
         dataset=str(content["dataset"]),
         steps=tuple(dict(step) for step in content["steps"]),

@@ -39,23 +39,31 @@ def check_archive(archive: ArchiveReader, progress: Progress, place: Place = not
     contents = Contents()
     _check_runs(archive, contents, progress)
     _check_datasets(archive, contents)
-    configurations = {lines.configuration_from_line(content).id for content in archive.lines(layout.CONFIGURATIONS)}
+    algorithms = {lines.algorithm_from_line(content)[0] for content in archive.lines(layout.ALGORITHMS)}
+    configurations = set()
+    for content in archive.lines(layout.CONFIGURATIONS):
+        line = lines.configuration_from_line(content)
+        if line.configuration.algorithm not in algorithms or line.configuration.dataset not in contents.datasets:
+            raise InvalidInput(f"configuration {line.id} of the archive refers to what it lacks", "export it again")
+        configurations.add(line.id)
     contents.experiments = [lines.experiment_from_line(content) for content in archive.lines(layout.EXPERIMENTS)]
     names = {record.name for record in contents.experiments}
     if len(names) < len(contents.experiments):
         raise InvalidInput("the archive has two experiments of one name", "export it again")
     for record in contents.experiments:
         parse_experiment(record.source, f"experiment {record.name} of the archive")
+    cells: set[tuple[str, int]] = set()
     for content in archive.lines(layout.CELLS):
         experiment, cell = lines.cell_from_line(content)
+        if (experiment, cell.number) in cells:
+            raise InvalidInput(f"the archive has cell {cell.number} of {experiment[:64]} twice", "export it again")
+        cells.add((experiment, cell.number))
         if experiment not in names or cell.configuration_id not in configurations:
             raise InvalidInput(f"a cell of the archive refers to what it lacks: {experiment[:64]}, {cell.name}")
     for content in archive.lines(layout.SEARCHES):
         lines.search_from_line(content)
     for content in archive.lines(layout.ANALYSES):
         lines.analysis_from_line(content)
-    for content in archive.lines(layout.ALGORITHMS):
-        lines.algorithm_from_line(content)
     _check_folders(archive, contents, names)
     return contents
 

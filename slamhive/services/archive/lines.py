@@ -166,7 +166,7 @@ def configuration_from_line(content: Mapping[str, Any]) -> ConfigurationLine:
             id=_whole(content["id"]),
             configuration=configuration,
             created_at=_time(content["created_at"]),
-            name=content["name"],
+            name=None if content["name"] is None else str(content["name"]),
             note=str(content["note"]),
             groups=tuple(map(str, content["groups"])),
             definitions=tuple(

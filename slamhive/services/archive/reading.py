@@ -176,7 +176,7 @@ class ArchiveReader:
         try:
             with self._file.open(self._members[name]) as stream:
                 yield stream
-        except _BROKEN as error:
+        except (*_BROKEN, OSError) as error:  # a place before the beginning of the file is an OSError
             raise InvalidInput(f"{self._path}: {shown(name)} is damaged: {error}", _DAMAGED) from None
 
 

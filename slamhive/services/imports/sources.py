@@ -24,6 +24,7 @@ _OPTIONAL = (
     *("groundtruth_time_unit", "groundtruth_quaternion_order"),
 )
 _ONLY_TRIAL = "1"
+_LONGEST_NAME_BYTES, _LONGEST_PATH = 255, 1024
 _LINK = "is a link, and links are not followed; put the file there"
 _UNPRINTABLE = "the name holds characters that cannot be printed; rename it"
 
@@ -210,6 +211,8 @@ def _inside(folder: Path, text: str) -> Path:
         raise InvalidInput(f"file {text[:80]!r} is not below {folder}", "name files relative to the table")
     if not text.isprintable():
         raise InvalidInput(f"file {text[:80]!r}: {_UNPRINTABLE}")
+    if any(len(part.encode()) > _LONGEST_NAME_BYTES for part in relative.parts) or len(text) > _LONGEST_PATH:
+        raise InvalidInput(f"file {text[:80]!r} has a name that no file can have", "name files relative to the table")
     path = folder / relative
     if any(part.is_symlink() for part in (path, *path.parents) if part != folder and folder in part.parents):
         raise InvalidInput(f"file {text[:80]!r} is a link, and links are not followed", "put the file there")

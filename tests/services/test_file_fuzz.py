@@ -1,0 +1,362 @@
+"""No file makes SLAM Hive fail: each mutation of each format is read, or refused in one line, and costs little."""
+
+from __future__ import annotations
+
+import random
+import resource
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamhive.analysis.analysis_file import parse_analysis
+from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.catalogue.dataset_file import load_dataset
+from slamhive.catalogue.protocol_file import load_protocol
+from slamhive.domain.sensors import SensorSetup
+from slamhive.errors import SlamHiveError
+from slamhive.evaluation.evaluators.consistency import read_covariances
+from slamhive.evaluation.evaluators.relations import read_relations
+from slamhive.evaluation.job import result_from_json
+from slamhive.evaluation.pcd import read_pcd
+from slamhive.runs.folder import RunFolder
+from slamhive.runs.outcome import inspect_trajectory
+from slamhive.runs.profiling import read_profile
+from slamhive.runs.untrusted import read_numeric_columns, read_untrusted_json
+from slamhive.runtime import config as run_config
+from slamhive.runtime.pcd import write_pcd
+from slamhive.services.analyses.folder import AnalysisFolder
+from slamhive.services.archive.checking import check_archive
+from slamhive.services.archive.exporting import ExportRequest, export_archive
+from slamhive.services.archive.importing import ArchiveImport
+from slamhive.services.archive.layout import MANIFEST, ROWS
+from slamhive.services.archive.reading import open_archive
+from slamhive.services.configuration_changes import Label
+from slamhive.services.experiments.folder import ExperimentFolder
+from slamhive.services.experiments.records import ExperimentSource
+from slamhive.services.hive import Hive, open_hive
+from slamhive.services.imports.request import ImportRequest, TrajectoryFormat
+from slamhive.services.reindex import reindex
+from slamhive.services.series import run_series
+from slamhive.settings import describe, load_settings
+from slamhive.trajectory.kitti import read_kitti
+from slamhive.trajectory.tum import read_tum
+from tests.analysis.test_paper_file import NAMES, PAPER
+from tests.fuzzing import NASTY_TEXTS, mutated
+from tests.services.archive_world import PROTOCOL, make_runs
+from tests.services.imports.world import trajectory
+from tests.services.test_archive_hostile import members_of, rewritten, sealed
+from tests.services.tiny_project import ALGORITHM, environment, make_dataset, make_project
+
+pytestmark = pytest.mark.integration
+
+MUTATIONS = 300
+MOST_GROWTH_KB = 700_000
+"""Of the memory of the process over all mutations of a format."""
+
+EXPERIMENT = """\
+name: fuzzed
+description: nothing
+algorithms: tiny
+datasets: track
+parameters:
+  seconds: 1:3:1 | lin(4, 6, 3)
+  behaviour: good
+where: seconds >= 2 and seconds != 5
+seeds: [1, 2]
+repeats: 2
+limits: {memory_mb: 500, timeout_s: 60}
+stop_when: {lost_tracking_s: 5}
+evaluate: {alignment: se3}
+executor: process
+"""
+CONFIGURATION = """\
+algorithm: tiny
+dataset: track
+parameters: {seconds: 1.5}
+playback: {mode: realtime, rate: 2.0}
+name: n
+"""
+ANALYSIS = """\
+name: An analysis
+text: "**bold**"
+select:
+  good: {runs: [1, 2]}
+  rest: {where: "state = succeeded and cpu.mean < 9"}
+forms:
+  - {form: scatter, x: cpu.mean, y: duration}
+  - {form: by_algorithm, metric: ate.rmse}
+"""
+PROTOCOL_YAML = "alignment: se3\nassociation_tolerance_s: 0.02\nrpe_delta_m: 1.0\nsegment_lengths_m: [5, 10]\n"
+_FRAME_ROWS = "".join(f"{100 + k / 10},{k / 10},{k / 10 + 0.03},0\n" for k in range(50))
+FRAMES = f"timestamp,received,done,dropped\n{_FRAME_ROWS}"
+USAGE = "time,cpu_usage,memory_usage\n" + "".join(f"{k / 10},{1 + k % 3},{1e8 + k}\n" for k in range(50))
+TABLE = "algorithm,dataset,trial,file,groundtruth\nalpha,seq1,1,a.txt,truth.txt\nbeta,seq1,1,b.txt,truth.txt\n"
+_EUROC_ROWS = "".join(f"{(100 + k) * 10**9},{k},{k * k},0,1,0,0,0\n" for k in range(30))
+EUROC = f"#timestamp [ns],x,y,z,qw,qx,qy,qz\n{_EUROC_ROWS}"
+KITTI = "".join(f"1 0 0 {k} 0 1 0 {k * k} 0 0 1 0\n" for k in range(30))
+RELATIONS = "100 101 0.1 0 0 0 0 0\n101 102.5 0.2 0.1 0 0 0 0\n"
+FILTER = "id > 0 and state in (failed, succeeded) and ate.rmse < 0.5 m"
+_COVARIANCE = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
+COVARIANCES = "# orientation: body\n" + "".join(f"{100 + k} {_COVARIANCE}\n" for k in range(10))
+CONFIG = """\
+slam-hive-algorithm: tiny
+slam-hive-dataset: track
+algorithm-parameters: {a: 1}
+general-parameter: {b: 2.5}
+slam-hive: {run: 1, seed: 2, playback: {mode: realtime, rate: 1.0}}
+"""
+
+SENSORS = {"": SensorSetup.LIDAR}
+
+Reader = Callable[[Hive, Path, bytes], object]
+"""Reads mutated bytes, with a folder of its own to write them to."""
+
+
+def written(folder: Path, name: str, data: bytes) -> Path:
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+    return path
+
+
+def text_of(data: bytes) -> str:
+    """What a form or a decoded file hands on."""
+    return data.decode("utf-8", "replace")
+
+
+def read_algorithm(_hive: Hive, folder: Path, data: bytes) -> object:
+    written(folder, "tiny/slamhive/mapping.py", b"")
+    return load_algorithms(written(folder, "tiny/algorithm.yaml", data).parent)
+
+
+def read_dataset(_hive: Hive, folder: Path, data: bytes) -> object:
+    return load_dataset(written(folder, "track/dataset.yaml", data).parent)
+
+
+def read_table(hive: Hive, folder: Path, data: bytes) -> object:
+    for name in ("a.txt", "b.txt", "truth.txt"):
+        (folder / name).write_text(trajectory(1))
+    return imported(hive, ImportRequest(written(folder, "t.csv", data), table=True, sensors=SENSORS))
+
+
+def read_configuration(hive: Hive, _folder: Path, data: bytes) -> object:
+    return hive.configurations.import_yaml(text_of(data), "c.yaml", Label())
+
+
+def read_columns(_hive: Hive, folder: Path, data: bytes) -> object:
+    return read_numeric_columns(written(folder, "c.csv", data), ("time", "cpu_usage"), 10**7)
+
+
+def imported(hive: Hive, request: ImportRequest) -> object:
+    """What an import would do; a file with a problem is told in the report, and counts as refused here."""
+    report = hive.imports.carry_out(request, ignore, dry_run=True)
+    for problem in report.problems:
+        raise SlamHiveError(problem.text)
+    return report
+
+
+def ignore(*_arguments: object) -> None:
+    """Progress that nobody looks at."""
+
+
+def import_as(kind: TrajectoryFormat) -> Reader:
+    """A folder with one trajectory, as an import takes it; problems of one file are told, not raised."""
+
+    def read(hive: Hive, folder: Path, data: bytes) -> object:
+        written(folder, "s/seq1/groundtruth.txt", trajectory().encode())
+        if kind is TrajectoryFormat.KITTI:
+            written(folder, "s/seq1/times.txt", "".join(f"{100 + k / 10}\n" for k in range(30)).encode())
+        written(folder, "s/alpha/seq1/1.txt", data)
+        return imported(hive, ImportRequest(folder / "s", format=kind, sensors=SENSORS))
+
+    return read
+
+
+def reindexed(name: str) -> Reader:
+    """A file of run 1, which is then filed with all others; a folder that cannot be filed is left out in words."""
+
+    def read(hive: Hive, _folder: Path, data: bytes) -> object:
+        path = hive.folder(1).root / name
+        before = path.read_bytes()
+        path.write_bytes(data)
+        try:
+            report = reindex(hive, ignore)
+            run_series(hive.run(1), hive.folder(1))
+        finally:
+            path.write_bytes(before)
+        for _, reason in report.skipped:
+            raise SlamHiveError(reason)
+        return report
+
+    return read
+
+
+def archived(name: str) -> Reader:
+    """A member of an archive whose checksums fit, checked as a whole and then imported."""
+
+    def read(hive: Hive, folder: Path, data: bytes) -> object:
+        members = {**members_of(hive.settings.data.parent / "a.zip"), name: data}
+        return import_archive(hive, rewritten(folder / "b.zip", members if name == MANIFEST else sealed(members)))
+
+    return read
+
+
+def import_archive(hive: Hive, path: Path) -> object:
+    with open_archive(path) as opened:
+        check_archive(opened, ignore)
+    return ArchiveImport(hive.settings, hive.store, hive.catalogue).carry_out(path, ignore)
+
+
+def read_settings(_hive: Hive, folder: Path, data: bytes) -> object:
+    draw = random.Random(data)
+    names = draw.sample([entry.environment for entry in describe()], 2)
+    return load_settings(folder, {name: draw.choice(NASTY_TEXTS) for name in names})
+
+
+def read_run_folder(hive: Hive, folder: Path, data: bytes) -> object:
+    """What an algorithm leaves behind, file by file the same bytes."""
+    run = RunFolder(folder / "run")
+    run.create()
+    for path in (run.frames, run.profiling, run.playback, run.about, run.trajectory, run.energy, run.progress):
+        path.write_bytes(data)
+    read_untrusted_json(run.about, 64_000)
+    inspect_trajectory(run.trajectory)
+    read_profile(run.profiling)
+    return run_series(hive.run(1), run)
+
+
+def zip_of(hive: Hive) -> bytes:
+    return (hive.settings.data.parent / "a.zip").read_bytes()
+
+
+def in_run(name: str) -> Callable[[Hive], bytes]:
+    return lambda hive: (hive.folder(1).root / name).read_bytes()
+
+
+def member(name: str) -> Callable[[Hive], bytes]:
+    def data(hive: Hive) -> bytes:
+        with zipfile.ZipFile(hive.settings.data.parent / "a.zip") as file:
+            return file.read(name)
+
+    return data
+
+
+def map_of(hive: Hive) -> bytes:
+    path = hive.settings.data.parent / "Map.pcd"
+    write_pcd(path, np.random.default_rng(1).normal(size=(50, 3)))
+    return path.read_bytes()
+
+
+def stored_analysis(hive: Hive) -> AnalysisFolder:
+    listed = hive.stored_analyses.listed()
+    token = listed[0].token if listed else hive.stored_analyses.create(ANALYSIS).token
+    return hive.stored_analyses.folder(token)
+
+
+def read_analysis_state(_hive: Hive, folder: Path, data: bytes) -> object:
+    return AnalysisFolder(written(folder, f"{'a' * 32}/state.json", data).parent).read_state()
+
+
+def read_experiment_record(_hive: Hive, folder: Path, data: bytes) -> object:
+    return ExperimentFolder(written(folder, "fuzzed/experiment.json", data).parent).read()
+
+
+def stored_experiment(hive: Hive) -> bytes:
+    if not any(status.name == "fuzzed" for status in hive.experiments.list()):
+        hive.experiments.start(ExperimentSource(EXPERIMENT))
+    return (hive.settings.experiments_folder / "fuzzed" / "experiment.json").read_bytes()
+
+
+EVALUATION = f"evaluations/{PROTOCOL.fingerprint}"
+FORMATS: dict[str, tuple[bytes | Callable[[Hive], bytes], Reader]] = {
+    "algorithm.yaml": (ALGORITHM.encode(), read_algorithm),
+    "dataset.yaml": (lambda h: (h.settings.datasets_folder / "track/dataset.yaml").read_bytes(), read_dataset),
+    "experiment YAML": (EXPERIMENT.encode(), lambda h, _, d: h.experiments.preview(ExperimentSource(text_of(d)))),
+    "analysis YAML": (ANALYSIS.encode(), lambda h, _, d: h.analyses.fingerprint(h.analyses.read(text_of(d)))),
+    "published analysis YAML": (PAPER.encode(), lambda _h, _f, d: parse_analysis(text_of(d), names=NAMES)),
+    "protocol YAML": (PROTOCOL_YAML.encode(), lambda _, f, d: load_protocol(written(f, "p.yaml", d))),
+    "configuration YAML": (CONFIGURATION.encode(), read_configuration),
+    "config.yaml": (CONFIG.encode(), lambda _, f, d: run_config.load(written(f, "config.yaml", d))),
+    "run.json": (in_run("run.json"), reindexed("run.json")),
+    "result.json": (in_run(f"{EVALUATION}/result.json"), reindexed(f"{EVALUATION}/result.json")),
+    "result.json of an engine": (in_run(f"{EVALUATION}/result.json"), lambda _h, _f, d: result_from_json(text_of(d))),
+    "protocol.json": (in_run(f"{EVALUATION}/protocol.json"), reindexed(f"{EVALUATION}/protocol.json")),
+    "current protocol": (in_run("evaluations/current"), reindexed("evaluations/current")),
+    "traj.tum of an evaluation": (in_run(f"{EVALUATION}/traj.tum"), reindexed(f"{EVALUATION}/traj.tum")),
+    "errors.csv of an evaluation": (in_run(f"{EVALUATION}/errors.csv"), reindexed(f"{EVALUATION}/errors.csv")),
+    "experiment.json": (stored_experiment, read_experiment_record),
+    "state.json of an analysis": (lambda h: (stored_analysis(h).root / "state.json").read_bytes(), read_analysis_state),
+    "archive": (zip_of, lambda h, f, d: import_archive(h, written(f, "b.zip", d))),
+    **{f"archive {name}": (member(name), archived(name)) for name in (*ROWS, MANIFEST, "runs/1/run.json")},
+    "TUM": (trajectory().encode(), lambda _, f, d: read_tum(written(f, "t.txt", d))),
+    "TUM import": (trajectory(1).encode(), import_as(TrajectoryFormat.AUTO)),
+    "KITTI poses": (KITTI.encode(), lambda _, f, d: read_kitti(
+        written(f, "p.txt", d), written(f, "t.txt", "".join(f"{k}\n" for k in range(30)).encode()))),
+    "KITTI import": (KITTI.encode(), import_as(TrajectoryFormat.KITTI)),
+    "EuRoC import": (EUROC.encode(), import_as(TrajectoryFormat.EUROC)),
+    "relations": (RELATIONS.encode(), lambda _, f, d: read_relations(written(f, "r.txt", d))),
+    "covariances": (COVARIANCES.encode(), lambda _, f, d: read_covariances(written(f, "c.txt", d))),
+    "import table": (TABLE.encode(), read_table),
+    "frames.csv": (FRAMES.encode(), read_run_folder),
+    "profiling.csv": (USAGE.encode(), read_run_folder),
+    "playback.json": (b'{"sent": 10, "dropped": 1, "lag_s": 0.5, "names": ["a", {"b": [1, 2]}]}', read_run_folder),
+    "CSV columns": (USAGE.encode(), read_columns),
+    "Map.pcd": (map_of, lambda _, f, d: read_pcd(written(f, "Map.pcd", d), "Map.pcd")),
+    "filter": (FILTER.encode(), lambda h, _, d: h.searches.find(text_of(d)[:50_000])),
+    "settings": (b"0", read_settings),
+}  # fmt: skip
+
+
+LENIENT = {
+    *("result.json", "protocol.json", "current protocol", "traj.tum of an evaluation", "errors.csv of an evaluation"),
+    *("frames.csv", "profiling.csv", "playback.json", "CSV columns"),
+}
+"""What cannot be read of these counts as not there: an algorithm, or a killed evaluation, may have left anything."""
+
+
+@pytest.fixture(scope="module")
+def hive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
+    """An installation with three runs, and beside it an archive of them."""
+    root = tmp_path_factory.mktemp("fuzz")
+    make_project(root / "project")
+    make_dataset(root / "data")
+    with pytest.MonkeyPatch.context() as patch:
+        for key, value in environment(root / "project", root / "data").items():
+            patch.setenv(key, value)
+        patch.setattr(Hive, "executor_name", lambda hive, asked=None: asked or "process")
+        hive = open_hive()
+        make_runs(hive, 3)
+        stored_experiment(hive)
+        stored_analysis(hive)
+        export_archive(hive.settings, hive.store, ExportRequest(root / "a.zip"), ignore)
+        yield hive
+        hive.close()
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_no_mutation_of_a_file_breaks_its_reader(hive: Hive, tmp_path: Path, name: str):
+    sample, read = FORMATS[name]
+    data = sample if isinstance(sample, bytes) else sample(hive)
+    draw = random.Random(name)
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    accepted, refused = 0, []
+    if name != "settings":
+        read(hive, tmp_path, data)  # the sample itself is of this format
+    for number in range(MUTATIONS):
+        spoiled = mutated(data, draw)
+        try:
+            read(hive, tmp_path, spoiled)
+        except SlamHiveError as error:
+            refused.append(str(error))
+        except Exception as error:
+            error.add_note(f"mutation {number} of {name}: {spoiled[:2000]!r}")
+            raise
+        else:
+            accepted += 1
+    print(f"{name}: {accepted} accepted, {len(refused)} refused")  # noqa: T201 - what the report counts
+    assert all(text.strip() and "\n" not in text for text in refused)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < MOST_GROWTH_KB
+    assert bool(refused) == (name not in LENIENT)
