@@ -20,7 +20,7 @@ class DataRoot(StrEnum):
     FOUND = "found"
     """The data root has to be there; the database is made if it is not."""
     READ = "read"
-    """Both have to be there."""
+    """Both have to be there; of a folder that holds datasets or runs the database is made."""
     OPTIONAL = "optional"
     """The command works without either, and makes neither."""
 
@@ -40,7 +40,8 @@ def open_data_root(settings: Settings, expected: DataRoot) -> Store:
     if expected is not DataRoot.MADE:
         _check_there(settings)
     if expected is DataRoot.READ:
-        store = open_store(settings.effective_database_url, settings.database_retry_s, create=False)
+        create = settings.mode is not Mode.VIEW_ONLY and _is_in_use(settings)
+        store = open_store(settings.effective_database_url, settings.database_retry_s, create=create)
         _make_folders(settings)
         return store
     _make_folders(settings)
@@ -56,6 +57,11 @@ def _check_there(settings: Settings) -> None:
         raise _unusable(settings, error) from None
     if not stat.S_ISDIR(found.st_mode):
         raise InvalidInput(f"data root {settings.data} is not a folder", REMEDY)
+
+
+def _is_in_use(settings: Settings) -> bool:
+    """Whether the folder is a data root for certain, and no folder that somebody named by mistake."""
+    return settings.datasets_folder.is_dir() or settings.runs_folder.is_dir()
 
 
 def _make_folders(settings: Settings) -> None:

@@ -51,7 +51,7 @@ def test_an_experiment_from_plan_to_report(file: Path, tmp_path: Path) -> None:
     started = call("experiment", "start", file, "--wait")
     assert started.exit_code == 1, "two of four fail"
     assert "four: finished; 4 runs of 4 configurations: 2 good, 2 failed" in started.output
-    assert "failed: nonzero_exit 2" in started.output
+    assert "failed: nonzero exit 2" in started.output
 
     rows = call("experiment", "report", file).stdout.splitlines()
     assert rows[0].split()[:3] == ["cell", "behaviour", "seconds"]
