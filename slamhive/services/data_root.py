@@ -20,7 +20,7 @@ class DataRoot(StrEnum):
     FOUND = "found"
     """The data root has to be there; the database is made if it is not."""
     READ = "read"
-    """Both have to be there; of a folder that holds datasets or runs the database is made."""
+    """Both have to be there; in a folder that holds datasets and no runs yet the database is made."""
     OPTIONAL = "optional"
     """The command works without either, and makes neither."""
 
@@ -40,7 +40,7 @@ def open_data_root(settings: Settings, expected: DataRoot) -> Store:
     if expected is not DataRoot.MADE:
         _check_there(settings)
     if expected is DataRoot.READ:
-        create = settings.mode is not Mode.VIEW_ONLY and _is_in_use(settings)
+        create = settings.mode is not Mode.VIEW_ONLY and _is_new(settings)
         store = open_store(settings.effective_database_url, settings.database_retry_s, create=create)
         _make_folders(settings)
         return store
@@ -59,9 +59,10 @@ def _check_there(settings: Settings) -> None:
         raise InvalidInput(f"data root {settings.data} is not a folder", REMEDY)
 
 
-def _is_in_use(settings: Settings) -> bool:
-    """Whether the folder is a data root for certain, and no folder that somebody named by mistake."""
-    return settings.datasets_folder.is_dir() or settings.runs_folder.is_dir()
+def _is_new(settings: Settings) -> bool:
+    """Whether the folder is a data root for certain, since it holds datasets, and has no runs that a database lost."""
+    runs = settings.runs_folder
+    return settings.datasets_folder.is_dir() and not (runs.is_dir() and any(runs.iterdir()))
 
 
 def _make_folders(settings: Settings) -> None:

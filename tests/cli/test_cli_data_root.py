@@ -145,7 +145,7 @@ def test_reindex_makes_the_database_again(project: Path):
     make_dataset(project / "data")
     assert call("run", "tiny", "track").exit_code == 0
     (project / "data" / "slamhive.db").unlink()
-    assert "slamhive reindex makes one" in call("runs").stderr
+    assert "slamhive reindex restores them" in call("runs").stderr
     assert call("reindex").exit_code == 0
     assert call("runs").exit_code == 0
 
