@@ -9,6 +9,7 @@ import os
 import resource
 import signal
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from slamhive.executors.process_table import living, processes_of_user
 from slamhive.executors.run_cgroup import Parents, RunCgroup, find_parents, group_name, left_over_groups
 from slamhive.executors.tree_limit import TreeLimit
 from tests.executors.strangers import as_nobody
+from tests.waiting import PATIENCE_S
 
 REQUEST = ContainmentRequest("3f" * 16, "run-7", 64, 2_000_000_000, 1.5)
 NAME = "slamhive-3f3f3f3f3f3f-run-7"
@@ -161,11 +163,20 @@ def test_refusals_and_kills_are_seen(root):
     assert group.look(NO_TREE) == Look(out_of_memory=True)
 
 
-def test_it_is_killed_as_a_whole(root):
+@pytest.fixture
+def member() -> Iterator[subprocess.Popen[bytes]]:
+    """A process that a group may hold."""
+    with subprocess.Popen(["sleep", "60"], start_new_session=True) as process:
+        yield process
+        process.kill()
+
+
+def test_it_is_killed_as_a_whole(root, member):
     group = made(root)
     folder = root / SLICE / NAME
-    (folder / "cgroup.procs").write_text("")
-    assert group.end(1.0)
+    (folder / "cgroup.procs").write_text(f"{member.pid}\n")
+    assert group.end(PATIENCE_S)
+    assert member.wait(PATIENCE_S) == -signal.SIGKILL
     assert ((folder / "pids.max").read_text()[0], (folder / "cgroup.kill").read_text()) == ("0", "1")
     assert "cgroup.kill" in group.words()["end"]
 
@@ -177,11 +188,20 @@ def test_usage_is_that_of_the_group(root):
     assert source.peak_memory_bytes() == 60_000_000
 
 
-def test_it_is_found_again(root):
+def test_an_empty_group_is_closed_and_not_killed(root):
+    group = made(root)
+    (root / SLICE / NAME / "cgroup.procs").write_text("")
+    assert group.end(PATIENCE_S)
+    assert (root / SLICE / NAME / "pids.max").read_text()[0] == "0"
+    assert (root / SLICE / NAME / "cgroup.kill").read_text() == ""
+
+
+def test_it_is_found_again(root, member):
     again = found_again(made(root).describe())
     assert isinstance(again, RunCgroup)
-    (root / SLICE / NAME / "cgroup.procs").write_text("")
-    assert again.end(1.0)
+    (root / SLICE / NAME / "cgroup.procs").write_text(f"{member.pid}\n")
+    assert again.end(PATIENCE_S)
+    assert member.wait(PATIENCE_S) == -signal.SIGKILL
     assert (root / SLICE / NAME / "cgroup.kill").read_text() == "1"
 
 
