@@ -164,7 +164,8 @@ def run_pytest(tier: Tier) -> Outcome:
     """Run the tests that carry the marks of a tier and read pytest's own report."""
     with tempfile.TemporaryDirectory() as folder:
         report_path = Path(folder) / "report.xml"
-        command = [sys.executable, "-m", "pytest", "-q", "-m", tier.marks, f"--junitxml={report_path}"]
+        command = [sys.executable, "-m", "pytest", "-q", "--durations=8", "-m", tier.marks]
+        command.append(f"--junitxml={report_path}")
         if tier.workers > 1 and (os.cpu_count() or 1) > 1:
             command += ["-n", str(tier.workers)]
         environment = os.environ if tier.engine else {**os.environ, "DOCKER_HOST": NO_ENGINE}

@@ -68,6 +68,8 @@ def _settle_layout(figure: Figure) -> None:
     assert engine is not None, "figures here have one"
     engine.execute(figure)
     figure.set_layout_engine("none")
+    for part in figure.subfigs:  # legends and titles are placed in these
+        part.bbox_relative.set_points(np.round(part.bbox_relative.get_points(), 9))
     for axes in figure.axes:
         left, bottom, width, height = (round(value, 9) for value in axes.get_position(original=True).bounds)
         axes.set_position((left, bottom, width, height))

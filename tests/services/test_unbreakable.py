@@ -50,7 +50,7 @@ AWAY_S = 60.0
 FILLINGS = 3
 FULL_S = 4.0
 TURNS = 6
-STORMS = [pytest.param(name, marks=marks_of(name)) for name in ("sqlite-process", "mariadb-process", "mariadb-docker")]
+STORMS = [pytest.param(name, marks=marks_of(name)) for name in ("sqlite-process", "mariadb-docker")]
 
 _counted: dict[str, dict[str, object]] = {}
 
