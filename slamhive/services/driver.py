@@ -13,7 +13,7 @@ from slamhive.errors import SlamHiveError
 from slamhive.executors.base import EngineUnavailable, ImageMissing, RunHandle, StartFailed
 from slamhive.services.collecting import Collecting
 from slamhive.services.driver_context import DriverContext
-from slamhive.services.evidence import ENGINE_AWAY, STARTED_BY
+from slamhive.services.evidence import ENGINE_AWAY
 from slamhive.services.preparing import Preparing
 from slamhive.services.record import handle_to_json, spec_from_json
 from slamhive.services.run_disk import remove_scratch, settle_result
@@ -108,7 +108,7 @@ class RunDriver:
         stored = handle_to_json(handle)
         started_at = _start_time(handle, self._context.now())
         protections = {} if handle.protections is None else {"protections": asdict(handle.protections)}
-        started = {"handle": stored, "started_at": exact(started_at), STARTED_BY: hand.run.attempt}
+        started = {"handle": stored, "started_at": exact(started_at)}
         hand.save({**started, **protections})
         hand.move(RunState.RUNNING, "started", started_at=started_at, handle=stored)
 

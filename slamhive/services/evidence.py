@@ -30,7 +30,7 @@ STOP_RULE = "stop_rule"
 """Key of the record: reason and detail of the stop rule that was broken."""
 
 STARTED_BY = "started_by_attempt"
-"""Key of the record: which attempt of a worker started the run."""
+"""Key of the record: which attempt of a worker was the first to start the run, or to try."""
 
 _KILLED = 137
 """The exit code of what got SIGKILL."""
@@ -111,5 +111,5 @@ def _gone_because(status: RunStatus, saved: dict[str, Any]) -> str | None:
 
 
 def _unwatched(saved: dict[str, Any]) -> bool:
-    """Whether the worker that started the run is not the one that finds it ended, and neither has stopped it."""
+    """Whether another worker than the first that tried to start the run finds it ended, and none has stopped it."""
     return STOPPED_BECAUSE not in saved and saved.get(STARTED_BY, saved.get("attempt")) != saved.get("attempt")

@@ -13,6 +13,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.executors.base import ImageMissing
 from slamhive.runs.early_end import EarlyEnd, skipped
+from slamhive.services.evidence import STARTED_BY
 from slamhive.services.host import describe_host
 from slamhive.services.preparation import (
     Job,
@@ -85,7 +86,8 @@ class Preparing:
         identity = hand.executor.build(job.algorithm.package, self._show_build_line)
         write_config(job, hand.folder)
         spec = build_spec(job, hand.folder, hand.context.settings, identity, hand.cores)
-        hand.save({**provenance(job, identity), "spec": spec_to_json(spec)})
+        # The attempt is written down before the start: a worker that dies in the start may have started the run.
+        hand.save({**provenance(job, identity), "spec": spec_to_json(spec), STARTED_BY: hand.run.attempt})
         self._register_version(job, identity)
         hand.move(RunState.STARTING, f"prepared with {identity[:19]}", timeout_s=spec.timeout_s)
 
