@@ -7,6 +7,8 @@ import pytest
 from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
 from tests.web.web_world import Web
 
+pytestmark = pytest.mark.integration
+
 WORDS = "other processes used more than 0.5 of 2 cores for 80 % of the run (1.4 on average)"
 BUSY = Disturbance(known=True, reasons=(DisturbanceReason(DisturbanceKind.OTHERS, WORDS),))
 BADGE = f'<span class="state state-disturbed" title="{WORDS}">disturbed</span>'

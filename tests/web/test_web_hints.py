@@ -10,6 +10,8 @@ from slamhive.domain.hint import Hint
 from slamhive.evaluation.job import RESULT_FILE, EvaluationResult, result_to_json
 from tests.web.web_world import Web
 
+pytestmark = pytest.mark.integration
+
 HINT = Hint("quaternion_order", "The quaternions seem to be <mixed up>: 144 deg.", "write qx qy qz qw")
 
 

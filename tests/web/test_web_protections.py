@@ -8,6 +8,8 @@ import pytest
 
 from tests.web.web_world import Web
 
+pytestmark = pytest.mark.integration
+
 HELD = {
     "held_by": "the supervisor",
     "processes": "counted by the supervisor",
