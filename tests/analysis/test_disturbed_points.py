@@ -16,6 +16,8 @@ from slamhive.analysis.result import FormResult
 from slamhive.analysis.table import UNDISTURBED, RunTable
 from tests.analysis.analysis_world import data_of, sweep_table
 
+pytestmark = pytest.mark.integration  # plotting and statistics take seconds to load
+
 COUNT = len(sweep_table().frame)
 BUSY = "load of others, steal"
 

@@ -17,6 +17,8 @@ from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.table import RunTable, make_table
 from tests.analysis.analysis_world import NoFiles
 
+pytestmark = pytest.mark.integration  # plotting and statistics take seconds to load
+
 DATASETS = ("a", "b", "c")
 LUCKY, SOLID = "lucky", "solid"
 

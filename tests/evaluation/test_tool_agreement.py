@@ -32,6 +32,8 @@ from slamhive.evaluation.references import Reference
 from slamhive.trajectory.model import Trajectory
 from tests.evaluation.tool_inputs import RECORDED, RUNS, recorded, synthetic
 
+pytestmark = pytest.mark.integration  # evo takes seconds to load
+
 TOOLS: dict[str, Any] = json.loads((Path(__file__).parent / "tool_values.json").read_text(encoding="utf-8"))
 ROUNDING = 2e-9
 AS_WRITTEN = {"ov": 0.01, "eth3d": 2e-4}
