@@ -28,8 +28,8 @@ import docker
 from slamhive.bags.room import RoomOptions
 from slamhive.errors import NotFound
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.record import spec_from_json
-from slamhive.services.request import Submission
+from slamhive.services.runs.record import spec_from_json
+from slamhive.services.runs.submission import Submission
 from slamhive.store import RunRecord
 
 RATIO_BOUND = 1.05

@@ -39,8 +39,8 @@ from benchmarks.web import SERVER
 from slamhive.project import project_root
 from slamhive.search.binding import Search, read_search
 from slamhive.search.fields import vocabulary_of
-from slamhive.services.catalogue import Catalogue
-from slamhive.services.searches import Searches
+from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.services.searches.service import Searches
 from slamhive.settings import load_settings
 from slamhive.store import RunSort, Store, open_store
 from tests.services.mariadb import DatabaseServer, find_server

@@ -22,14 +22,14 @@ from typing import Any
 
 from benchmarks.expand import EXPERIMENT, PER_VALUE, catalogue
 from slamhive.executors.base import Executor
-from slamhive.services.catalogue import Catalogue
-from slamhive.services.experiments import watching
+from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.services.datasets.variants import Variants
+from slamhive.services.experiments import status as statuses
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.folder import ExperimentStamp
 from slamhive.services.experiments.service import Experiments
 from slamhive.services.experiments.storing import fill, put_experiment
 from slamhive.services.ledger.keeping import Ledger
-from slamhive.services.variants import Variants
 from slamhive.settings import Settings
 from slamhive.store import Store, open_store
 from slamhive.store.experiment_records import ExperimentState
@@ -91,7 +91,7 @@ def measure(store: Store, text: str, folder: Path) -> dict[str, float]:
 
     stored = _timed(storing)
     claim = _timed(lambda: store.write(lambda t: t.queue.claim("benchmark", now, 60.0)))
-    page = _timed(lambda: store.read(lambda t: watching.cell_page(t, experiment.name, 50_000, 50)))
+    page = _timed(lambda: store.read(lambda t: statuses.cell_page(t, experiment.name, 50_000, 50)))
     experiments = Experiments(context)
     first_status = _timed(lambda: experiments.status(experiment.name))
     status = _timed(lambda: experiments.status(experiment.name))

@@ -17,8 +17,8 @@ from slamhive.cli.waiting import experiment_to_end
 from slamhive.domain.sensors import SensorKind
 from slamhive.errors import NotFound, SlamHiveError
 from slamhive.executors.base import ImageMissing
-from slamhive.services.experiments.records import ExperimentSource, Phase, Standing
 from slamhive.services.experiments.reporting import varying
+from slamhive.services.experiments.views import ExperimentSource, Phase, Standing
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from slamhive.sweep.experiment_file import parse_experiment

@@ -11,7 +11,8 @@ from slamhive.cli.output import messages, print_table
 from slamhive.domain.numbers import plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.verdict import DEFAULT_RULE
-from slamhive.services.experiments.records import (
+from slamhive.services.experiments.reporting import NO_FIGURES, failures_text
+from slamhive.services.experiments.views import (
     Cell,
     CellFigures,
     ExperimentPreview,
@@ -21,7 +22,6 @@ from slamhive.services.experiments.records import (
     Standing,
     failure_words,
 )
-from slamhive.services.experiments.reporting import NO_FIGURES, failures_text
 
 FIGURES = (
     ("ATE m", "ate.rmse", 1.0, "{:.4f}"),

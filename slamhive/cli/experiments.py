@@ -15,8 +15,8 @@ from slamhive.cli.waiting import experiment_to_end
 from slamhive.files import write_aside
 from slamhive.services.experiments.as_json import cell_to_json, preview_to_json, status_to_json
 from slamhive.services.experiments.context import Progress
-from slamhive.services.experiments.records import ExperimentSource, Phase, Standing
 from slamhive.services.experiments.reporting import csv_text, varying
+from slamhive.services.experiments.views import ExperimentSource, Phase, Standing
 from slamhive.services.hive import Hive
 from slamhive.sweep.experiment_file import parse_experiment
 

@@ -12,7 +12,7 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import messages, print_json, print_table, progress_bar
 from slamhive.domain.variant import Variant, parse_step, variant_from_json
 from slamhive.errors import Conflict, InvalidInput
-from slamhive.services.run_json import timestamp
+from slamhive.services.json_values import timestamp
 
 KEY_SHOWN = 12
 STEP_HELP = (

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from slamhive.cli.output import counting_bar, messages
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, SlamHiveError
-from slamhive.services.experiments.records import Phase, Standing
+from slamhive.services.experiments.views import Phase, Standing
 from slamhive.services.hive import Hive
-from slamhive.services.worker import Worker
+from slamhive.services.worker.worker import Worker
 from slamhive.store import EvaluationState, RunRecord
 
 PAUSE_S = 0.3

@@ -24,28 +24,28 @@ from slamhive.runs.log_line import read_tail
 from slamhive.search.binding import Search
 from slamhive.services.analyses.jobs import AnalysisJobs
 from slamhive.services.analyses.stored import StoredAnalyses
-from slamhive.services.catalogue import Catalogue, check_writable
-from slamhive.services.comparisons import Comparisons
-from slamhive.services.configurations import Configurations
-from slamhive.services.current_protocols import CurrentProtocols
+from slamhive.services.clock import utc_now
+from slamhive.services.configurations.service import Configurations
 from slamhive.services.data_root import DataRoot, open_data_root
-from slamhive.services.driver_context import utc_now
-from slamhive.services.evaluations import Evaluations
+from slamhive.services.datasets.catalogue import Catalogue, check_writable
+from slamhive.services.datasets.variants import Variants
+from slamhive.services.evaluations.comparisons import Comparisons
+from slamhive.services.evaluations.current import CurrentProtocols
+from slamhive.services.evaluations.protocols import Protocols
+from slamhive.services.evaluations.service import Evaluations
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.service import Experiments
 from slamhive.services.imports.service import Imports
 from slamhive.services.ledger.keeping import Ledger
-from slamhive.services.lock import WorkerLock
-from slamhive.services.preparation import check_disk, check_package, check_recorded, recorded_topics
-from slamhive.services.progress import RunProgress, run_progress
-from slamhive.services.protocols import Protocols
-from slamhive.services.record import handle_from_json
-from slamhive.services.request import Submission, protocol_for
-from slamhive.services.retrying import check_retriable, retry_request
-from slamhive.services.searches import Searches
-from slamhive.services.series import RunSeries, run_series
-from slamhive.services.variants import Variants
-from slamhive.services.worker import Worker
+from slamhive.services.runs.progress import RunProgress, run_progress
+from slamhive.services.runs.record import handle_from_json
+from slamhive.services.runs.retrying import check_retriable, retry_request
+from slamhive.services.runs.series import RunSeries, run_series
+from slamhive.services.runs.specification import check_disk, check_package, check_recorded, recorded_topics
+from slamhive.services.runs.submission import Submission, protocol_for
+from slamhive.services.searches.service import Searches
+from slamhive.services.worker.lock import WorkerLock
+from slamhive.services.worker.worker import Worker
 from slamhive.settings import Mode, Settings, load_settings
 from slamhive.store import (
     EvaluationRecord,

@@ -14,7 +14,7 @@ from slamhive.domain.protocol import Alignment
 from slamhive.domain.variant import Variant, parse_step, step_text
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.services.hive import Hive
-from slamhive.services.request import BOUNDS, Submission
+from slamhive.services.runs.submission import BOUNDS, Submission
 from slamhive.settings import Settings
 from slamhive.web.formatting import duration, plural, value_text
 

@@ -10,7 +10,7 @@ import pytest
 from slamhive.bags.room import RoomOptions
 from slamhive.domain.run import RunState
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 from slamhive.store import RunRecord
 
 pytestmark = [pytest.mark.integration, pytest.mark.docker]

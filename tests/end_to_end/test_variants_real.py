@@ -16,7 +16,7 @@ from slamhive.domain.run import RunState
 from slamhive.domain.variant import Variant, VariantStep, parse_step
 from slamhive.runtime import config as run_config
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 from slamhive.store import RunRecord
 
 pytestmark = [pytest.mark.integration, pytest.mark.docker]

@@ -15,8 +15,8 @@ from slamhive.input_bounds import DEEPEST_JSON
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.outcome import inspect_trajectory
 from slamhive.runs.untrusted import measured_number, read_numeric_columns, read_untrusted_json
-from slamhive.services.evidence import read_about
-from slamhive.services.series import read_track
+from slamhive.services.runs.series import read_track
+from slamhive.services.worker.evidence import read_about
 
 pytestmark = pytest.mark.integration
 

@@ -9,11 +9,11 @@ from slamhive.domain.run import RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.variant import VariantStep
 from slamhive.evaluation.job import Artefacts
-from slamhive.services.configuration_changes import Changes, Label
-from slamhive.services.experiments.records import ExperimentSource
+from slamhive.services.configurations.changes import Changes, Label
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.services.imports.request import ImportRequest
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 from slamhive.store.records import RunSort, SavedSearchRecord
 from tests.services.imports.world import make_source
 from tests.waiting import eventually

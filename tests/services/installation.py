@@ -13,7 +13,7 @@ import pytest
 from slamhive.executors.docker_engine import INSTALLATION_LABEL
 from slamhive.executors.registry import installation_id
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 from tests.services.accounts import Accounts, settle_accounts
 from tests.services.docker_base import run_docker
 from tests.services.machine import Machine

@@ -14,7 +14,7 @@ from typing import Any
 
 from slamhive.executors.process import ProcessExecutor
 from slamhive.runs.folder import RunFolder
-from slamhive.services.evaluations import Evaluations
+from slamhive.services.evaluations.service import Evaluations
 from slamhive.services.hive import open_hive
 from slamhive.store import Store
 

@@ -23,10 +23,10 @@ from slamhive.services.archive.exporting import ExportReport, ExportRequest, Par
 from slamhive.services.archive.importing import ArchiveImport, ArchiveReport
 from slamhive.services.archive.layout import MANIFEST
 from slamhive.services.archive.writing import archive_writer
-from slamhive.services.experiments.records import ExperimentSource
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 from slamhive.store import RunSort
 from slamhive.store.metrics import VERDICT
 from slamhive.store.records import SavedSearchRecord

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.errors import NotFound
-from slamhive.services.catalogue import Catalogue
+from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.settings import Settings
 from tests.services.tiny_project import ALGORITHM, make_project
 

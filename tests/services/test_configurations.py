@@ -13,11 +13,11 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import parse_step
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError
 from slamhive.runtime import config as run_config
-from slamhive.services import worker as worker_module
-from slamhive.services.configuration_changes import Changes, Label
-from slamhive.services.configuration_words import configuration_to_json, parse_conditions
+from slamhive.services.configurations.changes import Changes, Label
+from slamhive.services.configurations.words import configuration_to_json, parse_conditions
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
+from slamhive.services.worker import worker as worker_module
 from slamhive.settings import Mode
 from slamhive.store import ConfigurationFilter
 from tests.services.fake_executor import FakeExecutor, write_trajectory

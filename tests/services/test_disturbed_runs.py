@@ -12,8 +12,8 @@ from slamhive.domain.run import RunState
 from slamhive.executors.base import Exited, RunHandle, Running
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
-from slamhive.services.request import Submission
-from slamhive.services.run_json import run_to_json
+from slamhive.services.runs.as_json import run_to_json
+from slamhive.services.runs.submission import Submission
 from slamhive.store.records import RunRecord
 from tests.burning import busy_machine
 from tests.services.disturbed_machine import beside

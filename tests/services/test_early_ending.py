@@ -14,8 +14,8 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.stop_when import StopWhen
 from slamhive.executors.base import Exited, Running, RunSpec
 from slamhive.runs.outcome import UNSEEN
-from slamhive.services.evidence import STOP_RULE, STOPPED_BECAUSE
-from slamhive.services.request import Submission, unwatchable
+from slamhive.services.runs.submission import Submission, unwatchable
+from slamhive.services.worker.evidence import STOP_RULE, STOPPED_BECAUSE
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit
 from tests.services.test_worker_recovery import processes_of, started_times, work
@@ -114,7 +114,7 @@ def test_what_was_written_down_before_the_worker_died_stands(hive):
 
 def drive(hive, run_id):
     """In this thread, as the worker ``worker`` would."""
-    from slamhive.services.driver import RunDriver  # noqa: PLC0415
+    from slamhive.services.worker.driver import RunDriver  # noqa: PLC0415
 
     worker = hive.worker()
     worker._held.add(run_id)

@@ -17,9 +17,9 @@ from pathlib import Path
 import pytest
 
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.services import worker as worker_module
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
+from slamhive.services.worker import worker as worker_module
 from tests.services.docker_base import run_docker
 from tests.services.tiny_project import environment, make_dataset, make_project
 

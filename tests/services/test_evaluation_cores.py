@@ -9,7 +9,7 @@ from unittest.mock import Mock
 import pytest
 
 from slamhive.evaluation.job import EvaluationTask
-from slamhive.services.evaluations import Evaluations
+from slamhive.services.evaluations.service import Evaluations
 from slamhive.settings import Settings
 from slamhive.store.records import EvaluationRecord
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from slamhive.runs.folder import RunFolder
-from slamhive.services.evaluation_files import evaluation_files
+from slamhive.services.evaluations.files import evaluation_files
 from tests.services.tiny_project import make_dataset
 
 pytestmark = pytest.mark.integration

@@ -7,9 +7,9 @@ from unittest.mock import Mock
 import pytest
 
 from slamhive.errors import Unavailable
-from slamhive.services.catalogue import Catalogue
+from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.hive import Hive
-from slamhive.services.lock import WorkerLock
+from slamhive.services.worker.lock import WorkerLock
 from slamhive.settings import Settings
 
 pytestmark = pytest.mark.integration

@@ -10,8 +10,8 @@ import pytest
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import VerdictKind
 from slamhive.services.experiments.axis_table import AxisTable
-from slamhive.services.experiments.records import Phase
 from slamhive.services.experiments.time_left import KEPT_S, MANY_RUNS, TimeLeft
+from slamhive.services.experiments.views import Phase
 from slamhive.services.hive import Hive
 from slamhive.store.experiment_records import CellRecord, StateCount
 from tests.services.test_experiments import SIX, source

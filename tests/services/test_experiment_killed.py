@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.services.experiments.records import ExperimentSource
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
 from tests.services.test_worker_recovery import processes_of, started_times
 from tests.waiting import eventually

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.services.experiments.records import ExperimentSource, Phase, Standing
+from slamhive.services.experiments.views import ExperimentSource, Phase, Standing
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 
@@ -28,7 +28,7 @@ seeds: 1 | 2
 KILLED_START = """
 import os, signal, sys
 from slamhive.services.experiments import previewing, starting, storing
-from slamhive.services.experiments.records import ExperimentSource
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import open_hive
 from slamhive.store import Store
 storing.CHUNK = 10

@@ -12,7 +12,7 @@ from sqlalchemy import text
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.services.experiments import checks
-from slamhive.services.experiments.records import ExperimentSource, Phase, Standing
+from slamhive.services.experiments.views import ExperimentSource, Phase, Standing
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
 from slamhive.store import RunRecord

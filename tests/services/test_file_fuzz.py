@@ -33,13 +33,13 @@ from slamhive.services.archive.exporting import ExportRequest, export_archive
 from slamhive.services.archive.importing import ArchiveImport
 from slamhive.services.archive.layout import MANIFEST, ROWS
 from slamhive.services.archive.reading import open_archive
-from slamhive.services.configuration_changes import Label
+from slamhive.services.configurations.changes import Label
 from slamhive.services.experiments.folder import ExperimentFolder
-from slamhive.services.experiments.records import ExperimentSource
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.imports.request import ImportRequest, TrajectoryFormat
 from slamhive.services.reindex import reindex
-from slamhive.services.series import run_series
+from slamhive.services.runs.series import run_series
 from slamhive.settings import describe, load_settings
 from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.tum import read_tum

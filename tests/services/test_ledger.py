@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from slamhive.errors import Conflict, Unavailable
-from slamhive.services.configuration_changes import Label
+from slamhive.services.configurations.changes import Label
 from slamhive.services.hive import Hive, check_indexed, open_hive
 from slamhive.services.ledger.book import Book
 from slamhive.services.reindex import reindex
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 
 pytestmark = pytest.mark.integration
 

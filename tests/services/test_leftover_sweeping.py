@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from slamhive.services.hive import Hive
-from slamhive.services.leftovers import sweep_leftovers
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
+from slamhive.services.worker.leftovers import sweep_leftovers
 
 pytestmark = pytest.mark.integration
 
@@ -24,7 +24,7 @@ from pathlib import Path
 from slamhive import files
 from slamhive.bags.staging import new_dataset_folder
 from slamhive.executors.environment import Environments
-from slamhive.services.evaluation_scratch import scratch_folder
+from slamhive.services.evaluations.scratch import scratch_folder
 
 data = Path(sys.argv[1])
 run = data / "runs" / "1"

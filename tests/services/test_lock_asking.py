@@ -9,8 +9,8 @@ import threading
 import pytest
 
 from slamhive.errors import Conflict
-from slamhive.services import lock as lock_module
-from slamhive.services.lock import WorkerLock
+from slamhive.services.worker import lock as lock_module
+from slamhive.services.worker.lock import WorkerLock
 from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.integration

@@ -14,9 +14,9 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import DEFAULT_RULE, VerdictKind
 from slamhive.evaluation.job import EvaluationResult
 from slamhive.services.analyses.table import TableRequest, load_table
-from slamhive.services.experiments.records import Phase
+from slamhive.services.experiments.views import Phase
 from slamhive.services.hive import Hive
-from slamhive.services.run_json import run_to_json
+from slamhive.services.runs.as_json import run_to_json
 from slamhive.store import RunSort
 from slamhive.store.experiment_records import ExperimentState, NewCell
 from tests.store.store_samples import SE3, WORKER, Samples

@@ -15,7 +15,7 @@ from slamhive.evaluation.presets import PRESETS
 from slamhive.executors.base import Exited, RunSpec
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 from slamhive.settings import Settings
 from tests.services.fake_executor import FakeExecutor
 

@@ -10,9 +10,9 @@ import pytest
 
 from slamhive.runs.folder import RunFolder
 from slamhive.services.hive import Hive
-from slamhive.services.record import begin_record
 from slamhive.services.reindex import reindex
-from slamhive.services.request import Submission
+from slamhive.services.runs.record import begin_record
+from slamhive.services.runs.submission import Submission
 
 pytestmark = pytest.mark.integration
 

@@ -11,13 +11,13 @@ import pytest
 
 from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput, Unavailable
-from slamhive.services import worker as worker_module
 from slamhive.services.experiments.as_json import cell_to_json, preview_to_json, status_to_json
-from slamhive.services.experiments.records import ExperimentSource, Phase, Standing
-from slamhive.services.experiments.watching import counted_runs
+from slamhive.services.experiments.status import counted_runs
+from slamhive.services.experiments.views import ExperimentSource, Phase, Standing
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
-from slamhive.services.retrying import repeat_if_disturbed
+from slamhive.services.runs.retrying import repeat_if_disturbed
+from slamhive.services.worker import worker as worker_module
 from slamhive.store.experiment_records import CellRun
 from slamhive.store.records import RunRecord
 from slamhive.sweep.experiment_file import parse_experiment
@@ -159,7 +159,7 @@ def test_what_dies_while_the_run_is_sealed_repeats_it_once(hive: Hive, monkeypat
             died.append(hive.store.read(lambda other: len(other.experiments.run_ids(run.experiment_id))))
             raise Unavailable("the disk went away")
 
-    monkeypatch.setattr("slamhive.services.collecting.repeat_if_disturbed", die_first)
+    monkeypatch.setattr("slamhive.services.worker.collecting.repeat_if_disturbed", die_first)
     hive.experiments.start(source())
     work(hive, beside_each(iter([BUSY, QUIET])))
     assert died == [1], "the end and the repetition are stored together, or not at all"

@@ -13,9 +13,9 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.executors.base import Exited, RunHandle, Running, RunSpec
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.leftovers import DiskLimits
-from slamhive.services.evidence import gather_evidence
-from slamhive.services.preparation import disk_limit_bytes
-from slamhive.services.run_disk import disk_limits
+from slamhive.services.runs.specification import disk_limit_bytes
+from slamhive.services.worker.disk import disk_limits
+from slamhive.services.worker.evidence import gather_evidence
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit
 from tests.waiting import PATIENCE_S
@@ -43,7 +43,7 @@ def test_a_worker_killed_after_the_removal_is_followed_by_the_same_outcome(hive,
             raise OSError(5, "as good as killed")
         return gather_evidence(folder, *arguments)
 
-    monkeypatch.setattr("slamhive.services.collecting.gather_evidence", once)
+    monkeypatch.setattr("slamhive.services.worker.collecting.gather_evidence", once)
     run = finish(hive, FakeExecutor([Exited(0)], leave_a_link))
     assert seen == [False, False]
     assert run.reason is FailureReason.MALFORMED_TRAJECTORY

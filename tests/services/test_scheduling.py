@@ -13,11 +13,11 @@ from slamhive.bags.variants.build import build_variant
 from slamhive.domain.run import RunState
 from slamhive.domain.variant import VariantStep
 from slamhive.executors.base import EngineUnavailable, Exited, Running, RunSpec
-from slamhive.services import turns as turns_module
-from slamhive.services import variants as variants_module
-from slamhive.services.experiments.records import ExperimentSource
+from slamhive.services.datasets import variants as variants_module
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
+from slamhive.services.worker import turns as turns_module
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_variant_runs import HALF, hive
 from tests.waiting import PATIENCE_S, eventually
@@ -136,7 +136,7 @@ def test_runs_of_other_executors_go_on_while_an_engine_is_away(hive):
 
 def test_an_engine_that_comes_back_between_two_looks_leaves_no_run_behind(hive, monkeypatch):
     """It was away when the worker looked for a run, and there when the worker asked whether it may end."""
-    monkeypatch.setattr("slamhive.services.worker.TROUBLE_PAUSE_S", 0.0)
+    monkeypatch.setattr("slamhive.services.worker.worker.TROUBLE_PAUSE_S", 0.0)
     docker: Any = FakeExecutor([Running(), Exited(0)], write_trajectory(), name="docker")
     hive._executors.update(docker=docker)
     (waiting,) = hive.submit(Submission("tiny", "track", executor="docker", evaluate=False))

@@ -7,7 +7,7 @@ import os
 import pytest
 
 from slamhive.errors import InvalidInput
-from slamhive.services.slots import share_cores
+from slamhive.services.worker.slots import share_cores
 
 
 def test_only_cores_that_may_be_used_are_shared(monkeypatch):

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from slamhive.domain.affinity import run_affinity
-from slamhive.services.turns import MOST_IN_A_ROW, AbsentExecutors, Turns
+from slamhive.services.worker.turns import MOST_IN_A_ROW, AbsentExecutors, Turns
 
 pytestmark = pytest.mark.integration
 

@@ -18,15 +18,15 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import VariantStep, parse_step
 from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
 from slamhive.runtime import config as run_config
-from slamhive.services import variants as variants_module
-from slamhive.services import worker as worker_module
+from slamhive.services.datasets import variants as variants_module
+from slamhive.services.datasets.variants import IDENTITY
 from slamhive.services.experiments.checks import UNMEASURED_BYTES_PER_S
-from slamhive.services.experiments.records import ExperimentSource
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
-from slamhive.services.request import Submission
-from slamhive.services.run_json import run_to_json
-from slamhive.services.variants import IDENTITY
+from slamhive.services.runs.as_json import run_to_json
+from slamhive.services.runs.submission import Submission
+from slamhive.services.worker import worker as worker_module
 from slamhive.tree import folder_bytes
 from tests.services.fake_executor import FakeExecutor, Running, write_trajectory
 from tests.services.recorded_track import SCANS, make_recorded_track

@@ -12,10 +12,10 @@ import pytest
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, Unavailable
 from slamhive.executors.base import EngineUnavailable, Exited, Gone, ImageMissing, Running, StartFailed
-from slamhive.services import worker as worker_module
 from slamhive.services.hive import Hive, check_indexed, open_hive
-from slamhive.services.request import Submission
-from slamhive.services.run_json import run_to_json
+from slamhive.services.runs.as_json import run_to_json
+from slamhive.services.runs.submission import Submission
+from slamhive.services.worker import worker as worker_module
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.tiny_project import environment, make_dataset, make_project
 from tests.waiting import PATIENCE_S, eventually

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from slamhive.domain.run import RunState
-from slamhive.services.evaluations import Evaluations
+from slamhive.services.evaluations.service import Evaluations
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 from tests.waiting import PATIENCE_S, eventually
 
 # A worker is started, killed and followed by another some forty times; on a busy machine that takes minutes.

@@ -13,7 +13,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import Unavailable
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.base import EngineUnavailable, Exited, ImageMissing, RunHandle, Running
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 from slamhive.store import EvaluationState
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit
@@ -90,7 +90,7 @@ def test_what_fails_after_the_outcome_cannot_take_the_evaluation(hive, monkeypat
     if failing == "remove":
         executor.remove = refuse
     else:
-        monkeypatch.setattr("slamhive.services.collecting.write_plots", refuse)
+        monkeypatch.setattr("slamhive.services.worker.collecting.write_plots", refuse)
     hive._executors["process"] = executor
     (run,) = hive.submit(Submission("tiny", "track"))
     hive.worker(only=[run.id]).run(until_idle=True)

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import pytest
 
-from slamhive.services.configuration_changes import Label
+from slamhive.services.configurations.changes import Label
 from slamhive.services.hive import Hive
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 from tests.web.web_world import HOSTILE, Web
 
 pytestmark = pytest.mark.integration

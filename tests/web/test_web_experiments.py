@@ -12,7 +12,7 @@ import pytest
 
 from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.services.experiments.records import ExperimentSource, Standing
+from slamhive.services.experiments.views import ExperimentSource, Standing
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
 from slamhive.web.experiment_draft import MOST_TEXT

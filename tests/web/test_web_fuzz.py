@@ -16,7 +16,7 @@ import pytest
 from werkzeug.test import TestResponse
 
 from slamhive.services.analyses.jobs import AnalysisJobs
-from slamhive.services.experiments.records import ExperimentSource
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
 from tests.web import web_world as world

@@ -12,7 +12,7 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
 from slamhive.search.fields import Vocabulary
-from slamhive.services.searches import LeftOut
+from slamhive.services.searches.service import LeftOut
 from slamhive.store.records import Count
 from slamhive.web.columns import all_columns
 from slamhive.web.run_query import RunQuery, summary

@@ -13,7 +13,7 @@ import pytest
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation.job import EvaluationTask
 from slamhive.project import project_root
-from slamhive.services.series import MAX_POINTS, Track, read_track, thin_keeping_extremes
+from slamhive.services.runs.series import MAX_POINTS, Track, read_track, thin_keeping_extremes
 from slamhive.web.figures import best_plane, path_figures
 from tests.web import web_world as world
 from tests.web.web_world import Web

@@ -23,7 +23,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.evaluation.job import EvaluationResult
 from slamhive.project import project_root
 from slamhive.runs.folder import RunFolder
-from slamhive.services.catalogue import Catalogue
+from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode, Settings
 from slamhive.store import RunRequest, Transaction, open_store

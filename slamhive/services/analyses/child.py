@@ -60,8 +60,8 @@ def _compute(asked: dict[str, Any], root: Path) -> str:
     from slamhive.services.analyses.page import page_json  # noqa: PLC0415
     from slamhive.services.analyses.run import AnalysisLimits  # noqa: PLC0415
     from slamhive.services.analyses.service import Analyses  # noqa: PLC0415
-    from slamhive.services.catalogue import Catalogue  # noqa: PLC0415
-    from slamhive.services.searches import Searches  # noqa: PLC0415
+    from slamhive.services.datasets.catalogue import Catalogue  # noqa: PLC0415
+    from slamhive.services.searches.service import Searches  # noqa: PLC0415
     from slamhive.settings import load_settings  # noqa: PLC0415
     from slamhive.store.store import open_store  # noqa: PLC0415
 

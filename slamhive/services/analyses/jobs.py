@@ -19,7 +19,7 @@ from typing import IO, Any
 import slamhive
 from slamhive.errors import Conflict, SlamHiveError
 from slamhive.services.analyses.folder import AnalysisFolder
-from slamhive.services.driver_context import utc_now
+from slamhive.services.clock import utc_now
 from slamhive.settings import Settings
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.records import LeaseLost

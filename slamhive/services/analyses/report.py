@@ -11,7 +11,7 @@ from slamhive.analysis.analysis_file import set_words
 from slamhive.analysis.result_json import to_json
 from slamhive.analysis.table import FAILED
 from slamhive.services.analyses.run import AnalysisOutcome, FormOutcome
-from slamhive.services.run_json import timestamp
+from slamhive.services.json_values import timestamp
 
 FORMAT = 1
 SHOWN_ROWS = 200

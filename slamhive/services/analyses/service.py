@@ -12,9 +12,9 @@ from slamhive.errors import InvalidInput
 from slamhive.services.analyses.report import report_json
 from slamhive.services.analyses.run import AnalysisLimits, AnalysisSources, run_analysis
 from slamhive.services.analyses.selection import select_runs
-from slamhive.services.catalogue import Catalogue
-from slamhive.services.driver_context import utc_now
-from slamhive.services.searches import Searches
+from slamhive.services.clock import utc_now
+from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.services.searches.service import Searches
 from slamhive.settings import Settings
 from slamhive.store.store import Store, Transaction
 from slamhive.strict_yaml import read_text

@@ -17,7 +17,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.analyses.folder import AnalysisFolder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.writing import ArchiveWriter, archive_writer
-from slamhive.services.driver_context import utc_now
+from slamhive.services.clock import utc_now
 from slamhive.services.experiments.folder import RECORD, SOURCE
 from slamhive.settings import Settings
 from slamhive.store.archives import ArchiveRepository

@@ -23,9 +23,9 @@ from slamhive.services.archive import layout, lines
 from slamhive.services.archive.checking import Contents, Progress, check_archive
 from slamhive.services.archive.reading import ArchiveReader, open_archive
 from slamhive.services.archive.surroundings import Surroundings
-from slamhive.services.catalogue import Catalogue, check_writable
-from slamhive.services.driver_context import utc_now
-from slamhive.services.filing import (
+from slamhive.services.clock import utc_now
+from slamhive.services.datasets.catalogue import Catalogue, check_writable
+from slamhive.services.runs.filing import (
     FolderRun,
     FoundEvaluation,
     current_protocol,
@@ -34,7 +34,7 @@ from slamhive.services.filing import (
     put_configurations,
     read_filed,
 )
-from slamhive.services.record import snapshot_from_record
+from slamhive.services.runs.record import snapshot_from_record
 from slamhive.settings import Settings
 from slamhive.store.archives import ArchiveRepository
 from slamhive.store.store import Store, Transaction

@@ -17,14 +17,14 @@ from slamhive.domain.run import RunEvent, RunState
 from slamhive.domain.variant import variant_to_json
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.job import Artefacts
-from slamhive.services.configuration_words import check_label
-from slamhive.services.record import (
+from slamhive.services.configurations.words import check_label
+from slamhive.services.json_values import plain
+from slamhive.services.runs.record import (
     begin_record,
     configuration_from_record,
     events_to_json,
     snapshot_from_record,
 )
-from slamhive.services.run_json import plain
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.configuration_records import ConfigurationRecord
 from slamhive.store.experiment_records import CellRecord, ExperimentRecord, ExperimentState, NewCell

@@ -16,7 +16,7 @@ from slamhive.services.analyses.folder import AnalysisFolder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.checking import Contents
 from slamhive.services.archive.reading import ArchiveReader
-from slamhive.services.catalogue import Catalogue
+from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.experiments.folder import ExperimentFolder, ExperimentStamp
 from slamhive.settings import Settings
 from slamhive.store.archives import ArchiveRepository

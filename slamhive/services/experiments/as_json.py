@@ -9,8 +9,8 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
 from slamhive.domain.variant import variant_to_json
 from slamhive.domain.verdict import DEFAULT_RULE
-from slamhive.services.experiments.records import Cell, ExperimentPreview, ExperimentStatus, Grid, Phase
-from slamhive.services.run_json import plain, timestamp
+from slamhive.services.experiments.views import Cell, ExperimentPreview, ExperimentStatus, Grid, Phase
+from slamhive.services.json_values import plain, timestamp
 
 
 def preview_to_json(found: ExperimentPreview) -> dict[str, Any]:

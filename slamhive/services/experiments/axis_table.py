@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slamhive.domain.parameters import Value
 from slamhive.errors import unknown
-from slamhive.services.experiments.records import MOST_LISTED, Failure, Grid, GridCell, Phase, failure_of
+from slamhive.services.experiments.views import MOST_LISTED, Failure, Grid, GridCell, Phase, failure_of
 from slamhive.store.experiment_records import CellRecord, ExperimentRecord, StateCount
 from slamhive.store.store import Transaction
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 from datetime import datetime
 
 from slamhive.errors import Conflict
-from slamhive.services.driver_context import utc_now
+from slamhive.services.clock import utc_now
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.folder import ExperimentStamp
-from slamhive.services.retrying import retry_request
-from slamhive.services.run_uid import run_uid
+from slamhive.services.runs.retrying import retry_request
+from slamhive.services.runs.uid import run_uid
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
 from slamhive.store.store import Transaction
 

@@ -12,9 +12,9 @@ from slamhive.bags.variants.cache import VariantEntry
 from slamhive.domain.protocol import Protocol
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.services.experiments.context import ExperimentContext
-from slamhive.services.experiments.records import VariantNeed
-from slamhive.services.preparation import check_disk, check_package, check_recorded, recorded_topics
-from slamhive.services.request import protocol_for
+from slamhive.services.experiments.views import VariantNeed
+from slamhive.services.runs.specification import check_disk, check_package, check_recorded, recorded_topics
+from slamhive.services.runs.submission import protocol_for
 from slamhive.sweep.binding import at
 from slamhive.sweep.expand import Expansion
 from slamhive.sweep.experiment import Experiment
@@ -33,7 +33,7 @@ Pair = tuple[str, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class DiskSpace:
     """Disk that an experiment needs and that there is, in bytes."""
 
     variants: tuple[VariantNeed, ...]
@@ -88,7 +88,7 @@ def protocol_of_pair(
     return protocol_for(algorithm, dataset, context.settings, experiment.evaluation.alignment)
 
 
-def find_room(context: ExperimentContext, expansion: Expansion) -> Room:
+def find_disk_space(context: ExperimentContext, expansion: Expansion) -> DiskSpace:
     """Which variants are needed, and how much disk there is for them and for run folders."""
     entries = context.variants.entries()
     made = {entry.key for entry in entries}
@@ -101,7 +101,7 @@ def find_room(context: ExperimentContext, expansion: Expansion) -> Room:
             if plan is not None:
                 make_s = plan.source_bytes / speeds.get(name, speeds[_ANY_DATASET])
                 needs.append(VariantNeed(name, variant, plan.key, plan.needed_bytes, make_s, plan.key in made))
-    return Room(
+    return DiskSpace(
         variants=tuple(needs),
         run_bytes=expansion.size.runs * _bytes_of_a_run(context),
         free_bytes=shutil.disk_usage(context.settings.data).free,
@@ -110,32 +110,34 @@ def find_room(context: ExperimentContext, expansion: Expansion) -> Room:
     )
 
 
-def room_problems(context: ExperimentContext, experiment: Experiment, room: Room) -> Iterator[SlamHiveError]:
+def disk_space_problems(
+    context: ExperimentContext, experiment: Experiment, space: DiskSpace
+) -> Iterator[SlamHiveError]:
     """What does not fit, even with every unused variant removed; runs on the same variant follow each other."""
     try:
         check_disk(context.settings)
     except Unavailable as error:
         yield error
-    largest = max((need.needed_bytes for need in room.variants if not need.made), default=0)
-    if largest > room.cache_bytes:
+    largest = max((need.needed_bytes for need in space.variants if not need.made), default=0)
+    if largest > space.cache_bytes:
         yield InvalidInput(
-            f"{experiment.place}: a variant takes {_mb(largest)}, the cache holds {_mb(room.cache_bytes)}",
+            f"{experiment.place}: a variant takes {_mb(largest)}, the cache holds {_mb(space.cache_bytes)}",
             "raise VARIANT_CACHE_BYTES",
         )
     kept = context.settings.min_free_disk_mb * 1_000_000
-    needed = largest + room.run_bytes + kept
-    if needed > room.free_bytes + room.unused_bytes:
+    needed = largest + space.run_bytes + kept
+    if needed > space.free_bytes + space.unused_bytes:
         yield Unavailable(
             f"{experiment.place}: the experiment needs {_mb(needed)} (largest variant {_mb(largest)}, run folders "
-            f"{_mb(room.run_bytes)}, kept free {_mb(kept)}), {context.settings.data} has {_mb(room.free_bytes)} free",
+            f"{_mb(space.run_bytes)}, kept free {_mb(kept)}), {context.settings.data} has {_mb(space.free_bytes)} free",
             "make room, or vary less at once",
         )
 
 
-def warnings(room: Room) -> Sequence[str]:
+def warnings(space: DiskSpace) -> Sequence[str]:
     """What works, but costs."""
-    total = sum(need.needed_bytes for need in room.variants)
-    limit = min(room.cache_bytes, room.free_bytes + sum(need.needed_bytes for need in room.variants if need.made))
+    total = sum(need.needed_bytes for need in space.variants)
+    limit = min(space.cache_bytes, space.free_bytes + sum(need.needed_bytes for need in space.variants if need.made))
     if total <= limit:
         return ()
     takes = f"its variants take up to {_mb(total)}, there is room for {_mb(limit)}"

@@ -9,9 +9,9 @@ from slamhive.bags.variants.rules import RegisteredSteps
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.errors import InvalidInput
 from slamhive.executors.base import Executor
-from slamhive.services.catalogue import Catalogue
+from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.services.datasets.variants import Variants
 from slamhive.services.experiments.folder import ExperimentFolder
-from slamhive.services.variants import Variants
 from slamhive.settings import Settings
 from slamhive.store.durations import Pairing
 from slamhive.store.store import Store

@@ -1,4 +1,4 @@
-"""What starting an experiment would do: how much, how long, how much room. Nothing is stored."""
+"""What starting an experiment would do: how much, how long, how much space. Nothing is stored."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 
-from slamhive.services.experiments.checks import find_room, pair_problems, room_problems, warnings
+from slamhive.services.experiments.checks import disk_space_problems, find_disk_space, pair_problems, warnings
 from slamhive.services.experiments.context import ExperimentContext, Progress, guessed_duration_s
-from slamhive.services.experiments.records import ExperimentPreview, PreviewRow, Standing
-from slamhive.services.request import unwatchable
+from slamhive.services.experiments.views import ExperimentPreview, PreviewRow, Standing
+from slamhive.services.runs.submission import unwatchable
 from slamhive.store.durations import Pairing
 from slamhive.store.experiment_records import KnownConfiguration
 from slamhive.sweep.expand import Expansion, PlannedRun
@@ -62,8 +62,8 @@ def preview(
     ``executor`` None: none can be used, which the caller has told among the refusals.
     """
     expansion = context.expand(experiment)
-    room = find_room(context, expansion)
-    refusals = [str(error) for error in room_problems(context, experiment, room)]
+    space = find_disk_space(context, expansion)
+    refusals = [str(error) for error in disk_space_problems(context, experiment, space)]
     if executor is not None:
         refusals += [str(error) for error in pair_problems(context, experiment, expansion, executor)]
     sums = _sum_up(context, expansion, progress)
@@ -79,15 +79,15 @@ def preview(
         rows=tuple(sums.rows),
         known_cells=sums.known_cells,
         known_runs=sums.known_runs,
-        time_s=(sums.time_s + room.variant_s) / slots,
-        variant_time_s=room.variant_s / slots,
+        time_s=(sums.time_s + space.variant_s) / slots,
+        variant_time_s=space.variant_s / slots,
         measured_runs=sums.measured_runs,
         slots=slots,
-        variants=room.variants,
-        variant_bytes=room.variant_bytes,
-        run_bytes=room.run_bytes,
-        free_bytes=room.free_bytes,
-        warnings=(*_unseen(experiment, expansion), *warnings(room)),
+        variants=space.variants,
+        variant_bytes=space.variant_bytes,
+        run_bytes=space.run_bytes,
+        free_bytes=space.free_bytes,
+        warnings=(*_unseen(experiment, expansion), *warnings(space)),
         refusals=tuple(refusals),
         standing=standing,
         repeat_disturbed=experiment.repeat_disturbed,

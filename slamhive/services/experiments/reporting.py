@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from slamhive.domain.parameters import Value
-from slamhive.services.experiments.records import Cell, CellFigures, Phase
-from slamhive.services.experiments.watching import METRICS
+from slamhive.services.experiments.status import METRICS
+from slamhive.services.experiments.views import Cell, CellFigures, Phase
 
 NO_FIGURES = CellFigures(None, 0, 0, {})
 _HEAD = ("cell", "name")

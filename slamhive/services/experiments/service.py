@@ -7,13 +7,16 @@ from dataclasses import replace
 
 from slamhive.domain.parameters import Value
 from slamhive.errors import Conflict, SlamHiveError
-from slamhive.services.catalogue import check_writable
-from slamhive.services.experiments import watching
+from slamhive.services.datasets.catalogue import check_writable
+from slamhive.services.experiments import status as statuses
 from slamhive.services.experiments.axis_table import AxisTables
 from slamhive.services.experiments.changing import put_state, retry_failed
 from slamhive.services.experiments.context import ExperimentContext, Progress, silent
 from slamhive.services.experiments.previewing import preview
-from slamhive.services.experiments.records import (
+from slamhive.services.experiments.restoring import Restored, restore_rows, restore_runs
+from slamhive.services.experiments.starting import add_repeats, check_same, start
+from slamhive.services.experiments.time_left import TimeLeft
+from slamhive.services.experiments.views import (
     Cell,
     CellPage,
     ExperimentPreview,
@@ -22,9 +25,6 @@ from slamhive.services.experiments.records import (
     Grid,
     Standing,
 )
-from slamhive.services.experiments.restoring import Restored, restore_rows, restore_runs
-from slamhive.services.experiments.starting import add_repeats, check_same, start
-from slamhive.services.experiments.time_left import TimeLeft
 from slamhive.store.experiment_records import ExperimentState
 from slamhive.store.store import Transaction
 from slamhive.sweep.experiment_file import parse_experiment
@@ -83,11 +83,11 @@ class Experiments:
 
     def list(self) -> tuple[ExperimentStatus, ...]:
         """All experiments, the newest first, without the time left."""
-        return self._context.store.read(watching.all_statuses)
+        return self._context.store.read(statuses.all_statuses)
 
     def status(self, name: str) -> ExperimentStatus:
         """How far an experiment is; raises NotFound."""
-        return self._context.store.read(lambda t: watching.status(t, name, self._time_left))
+        return self._context.store.read(lambda t: statuses.status(t, name, self._time_left))
 
     def source(self, name: str) -> ExperimentSource:
         """The file of an experiment as it was given."""
@@ -100,7 +100,7 @@ class Experiments:
 
     def cells(self, name: str, after: int = 0, limit: int = 50) -> CellPage:
         """The next ``limit`` cells (1 to 1000) after number ``after``, with their runs and figures."""
-        return self._context.store.read(lambda t: watching.cell_page(t, name, after, limit))
+        return self._context.store.read(lambda t: statuses.cell_page(t, name, after, limit))
 
     def grid(self, name: str, row_axis: str, column_axis: str) -> Grid:
         """How many runs are queued, running, good, failed and cancelled for each pair of values of two axes."""
@@ -115,7 +115,7 @@ class Experiments:
     def report(self, name: str) -> Iterator[Cell]:
         """Every cell in order; few are in memory at a time. Raises NotFound at once."""
         self._context.store.read(lambda t: t.experiments.get(name))
-        return watching.all_cells(self._context, name)
+        return statuses.all_cells(self._context, name)
 
     def run_ids(self, name: str) -> tuple[int, ...]:
         """The ids of all its runs, retries too, in order."""

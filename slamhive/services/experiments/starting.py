@@ -6,13 +6,13 @@ import uuid
 from dataclasses import replace
 
 from slamhive.errors import Conflict, InvalidInput
-from slamhive.services.driver_context import utc_now
+from slamhive.services.clock import utc_now
 from slamhive.services.experiments.changing import changing, stamp_of, write_stamp
-from slamhive.services.experiments.checks import find_room, pair_problems, room_problems
+from slamhive.services.experiments.checks import disk_space_problems, find_disk_space, pair_problems
 from slamhive.services.experiments.context import ExperimentContext, Progress
 from slamhive.services.experiments.folder import ExperimentFolder, ExperimentStamp
-from slamhive.services.experiments.records import ExperimentSource
 from slamhive.services.experiments.storing import fill, put_experiment
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
 from slamhive.sweep.expand import Expansion
 from slamhive.sweep.experiment import Experiment
@@ -88,7 +88,7 @@ def add_repeats(context: ExperimentContext, name: str, count: int, progress: Pro
 def _checked(context: ExperimentContext, experiment: Experiment, executor: str) -> Expansion:
     """All that the experiment asks for; raises the first thing that would keep it from running."""
     expansion = context.expand(experiment)
-    for error in room_problems(context, experiment, find_room(context, expansion)):
+    for error in disk_space_problems(context, experiment, find_disk_space(context, expansion)):
         raise error
     for error in pair_problems(context, experiment, expansion, executor):
         raise error

@@ -11,12 +11,12 @@ from slamhive.domain.affinity import run_affinity
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.protocol import Protocol
 from slamhive.errors import Conflict
-from slamhive.services.driver_context import utc_now
+from slamhive.services.clock import utc_now
 from slamhive.services.experiments.checks import Pair, protocol_of_pair
 from slamhive.services.experiments.context import ExperimentContext, Progress
 from slamhive.services.experiments.folder import ExperimentStamp
 from slamhive.services.experiments.previewing import chunks_of
-from slamhive.services.run_uid import run_uid
+from slamhive.services.runs.uid import run_uid
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
 from slamhive.store.records import RunRequest
 from slamhive.store.store import Transaction

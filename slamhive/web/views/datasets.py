@@ -7,8 +7,8 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 from slamhive.domain.variant import variant_from_json
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.search.build import matching
-from slamhive.services.preparation import check_dataset_files
-from slamhive.services.series import read_dataset_path
+from slamhive.services.runs.series import read_dataset_path
+from slamhive.services.runs.specification import check_dataset_files
 from slamhive.store.records import RunSort
 from slamhive.web.context import hive, variant_maker
 from slamhive.web.figures import best_plane, path_figures

@@ -11,10 +11,10 @@ from werkzeug.datastructures import MultiDict
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput, unknown
 from slamhive.files import temporary_folder
-from slamhive.services.group_export import GroupExport
+from slamhive.services.exports.groups import GroupExport
+from slamhive.services.exports.runs import RunExport
+from slamhive.services.exports.table import Format, Page, Record, TableExport
 from slamhive.services.hive import Hive
-from slamhive.services.run_export import RunExport
-from slamhive.services.table_export import Format, Page, Record, TableExport
 from slamhive.store.records import GroupRecord, RunRecord, SavedSearchRecord
 from slamhive.web.context import hive
 from slamhive.web.run_query import EXPORT_LIMIT, RunQuery

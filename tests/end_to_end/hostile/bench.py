@@ -21,7 +21,7 @@ from pathlib import Path
 import psutil
 
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.tree import walk
 from tests.end_to_end.hostile.mapping import ACTS, TRAJECTORIES

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from slamhive.cli import main
 from slamhive.domain.hint import Hint
-from slamhive.services.evaluation_notes import evaluation_notes
+from slamhive.services.evaluations.notes import evaluation_notes
 from tests.services.imports.world import write
 
 pytestmark = pytest.mark.integration

@@ -13,7 +13,7 @@ from slamhive.cli import main
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import InvalidInput
 from slamhive.services.imports.request import ImportRequest
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 from tests.services.imports.world import trajectory, write
 
 pytestmark = pytest.mark.integration

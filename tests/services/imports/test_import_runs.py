@@ -17,7 +17,7 @@ from slamhive.files import write_aside
 from slamhive.services.hive import open_hive
 from slamhive.services.imports.request import ImportRequest
 from slamhive.services.reindex import reindex
-from slamhive.services.request import Submission
+from slamhive.services.runs.submission import Submission
 from slamhive.trajectory.kitti import format_kitti
 from slamhive.trajectory.tum import parse_tum
 from tests.services.imports.world import POSES, make_source, trajectory, write

@@ -1,0 +1,1 @@
+"""Configurations: made, changed, described, and grouped."""

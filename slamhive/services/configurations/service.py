@@ -1,0 +1,320 @@
+"""Configurations: made, copied, changed, described, grouped, deleted, exported and imported; none ever changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from slamhive.bags.variants.rules import RegisteredSteps
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.configuration import Configuration
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.parameters import check_stored, find_parameter
+from slamhive.errors import NotFound, unknown
+from slamhive.services.clock import utc_now
+from slamhive.services.configurations.changes import NO_LABEL, Changes, Label, Stored
+from slamhive.services.configurations.words import check_label
+from slamhive.services.datasets.catalogue import Catalogue, check_writable
+from slamhive.services.datasets.variants import Variants
+from slamhive.services.runs.submission import Submission
+from slamhive.settings import Settings
+from slamhive.store import ConfigurationFilter, ConfigurationPage, ConfigurationRecord, RunRecord, Store, Transaction
+from slamhive.sweep.exchange import Imported, configuration_from_yaml, configuration_to_yaml
+from slamhive.sweep.view import CatalogueView
+
+NO_FILTER = ConfigurationFilter()
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """A configuration with what it refers to, everything about it checked that needs no run."""
+
+    algorithm: Algorithm
+    dataset: Dataset
+    configuration: Configuration
+
+
+class Configurations:
+    """The configurations of one installation.
+
+    Args:
+        settings: The mode decides whether anything may change.
+        store: Where they lie.
+        catalogue: What they are checked against.
+        variants: Resolves pre-processing steps.
+    """
+
+    def __init__(self, settings: Settings, store: Store, catalogue: Catalogue, variants: Variants) -> None:
+        self._settings = settings
+        self._store = store
+        self._catalogue = catalogue
+        self._variants = variants
+
+    # -- looking ---------------------------------------------------------------------------------------------------
+
+    def page(
+        self, wanted: ConfigurationFilter = NO_FILTER, after: str | None = None, limit: int = 50
+    ) -> ConfigurationPage:
+        """One page, newest first; raises InvalidInput or NotFound for a filter that cannot be meant."""
+        return self._store.read(lambda t: t.configuration_book.page(wanted, after, limit))
+
+    def get(self, configuration_id: int) -> ConfigurationRecord:
+        """The configuration with this number; raises NotFound."""
+        return self._store.read(lambda t: t.configuration_book.get(configuration_id))
+
+    def find(self, reference: str) -> ConfigurationRecord:
+        """The configuration with this number, or of this name; raises NotFound."""
+        if reference.isascii() and reference.isdigit():
+            if len(reference) > 18:
+                raise NotFound(f"unknown configuration {reference}", "slamhive configuration list shows all")
+            return self.get(int(reference))
+        found = self._store.read(lambda t: t.configuration_book.named(reference))
+        if found is None:
+            raise NotFound(f"unknown configuration {reference!r}", "slamhive configuration list shows all")
+        return self.get(found)
+
+    def latest_runs(self, configuration_id: int, limit: int) -> tuple[RunRecord, ...]:
+        """Its newest runs with their figures, newest first."""
+
+        def work(t: Transaction) -> tuple[RunRecord, ...]:
+            return t.runs.get_many(t.configuration_book.latest_runs(configuration_id, limit), with_metrics=True)
+
+        return self._store.read(work)
+
+    def groups(self) -> dict[str, int]:
+        """All groups, and how many configurations each has."""
+        return self._store.read(lambda t: t.configuration_book.groups())
+
+    def check_group(self, name: str) -> str:
+        """``name`` if there is such a group; raises NotFound."""
+        known = self.groups()
+        if name not in known:
+            raise unknown("group", name, list(known))
+        return name
+
+    def check(self, submission: Submission) -> Checked:
+        """What ``submission`` would run, with the variant spelt out.
+
+        Raises NotFound or InvalidInput naming the value that cannot be used, Unavailable where there is no room.
+        """
+        submission.check()
+        algorithm = self._catalogue.algorithm(submission.algorithm)
+        dataset = self._catalogue.dataset(submission.dataset)
+        configuration = submission.configuration(algorithm)
+        variant = self._variants.resolve(dataset, configuration.variant)
+        self._variants.check(dataset, variant)
+        algorithm.assign(dataset)
+        return Checked(algorithm, dataset, replace(configuration, variant=variant))
+
+    def same_as(self, submission: Submission) -> ConfigurationRecord | None:
+        """The stored configuration with the content of ``submission``; raises as :meth:`check`."""
+        content_hash = self.check(submission).configuration.content_hash
+
+        def work(transaction: Transaction) -> ConfigurationRecord | None:
+            found = transaction.configuration_book.with_content(content_hash)
+            return None if found is None else transaction.configuration_book.get(found)
+
+        return self._store.read(work)
+
+    def check_runnable(self, configuration_id: int) -> ConfigurationRecord:
+        """The configuration, if the algorithm as it is defined now still takes what is stored.
+
+        Raises InvalidInput naming the value that no longer fits: a definition may have been edited since.
+        """
+        record = self.get(configuration_id)
+        algorithm = self._catalogue.algorithm(record.configuration.algorithm)
+        check_stored(algorithm.name, algorithm.parameters, record.configuration.parameters)
+        return record
+
+    def submission(self, configuration_id: int, changes: Changes | None = None) -> tuple[Submission, tuple[str, ...]]:
+        """What runs this configuration with ``changes``, and notes of what does not come over to another algorithm.
+
+        A value goes with its parameter's key or general name; what the algorithm has besides gets its default.
+        """
+        record, changes = self.get(configuration_id), changes or Changes()
+        stored = record.configuration
+        algorithm = self._catalogue.algorithm(changes.algorithm or stored.algorithm)
+        own: dict[str, object] = {}
+        for name, value in (changes.parameters or {}).items():
+            parameter = find_parameter(algorithm.parameters, name)
+            own[name if parameter is None else parameter.key] = value
+        settings: dict[str, object] = {}
+        notes: list[str] = []
+        for key, value in stored.parameters.items():
+            definition = record.parameters.get(key)
+            parameter = find_parameter(algorithm.parameters, key)
+            if parameter is None and definition is not None and definition.general is not None:
+                parameter = find_parameter(algorithm.parameters, definition.general)
+            if parameter is None:
+                notes.append(f"{key}={value} is left out: {algorithm.name} has no such parameter")
+            else:
+                settings[parameter.key] = value
+        submission = Submission(
+            algorithm=algorithm.name,
+            dataset=changes.dataset or stored.dataset,
+            parameters={**settings, **own},
+            playback_mode=changes.playback_mode or stored.playback.mode.value,
+            playback_rate=stored.playback.rate if changes.playback_rate is None else changes.playback_rate,
+            variant=stored.variant if changes.variant is None else changes.variant,
+        )
+        return submission, tuple(notes)
+
+    # -- making ----------------------------------------------------------------------------------------------------
+
+    def create(self, submission: Submission, label: Label = NO_LABEL) -> Stored:
+        """Store the configuration of ``submission``, or find the one that is the same."""
+        self._check_writable()
+        return self._put(self.check(submission), label.checked())
+
+    def copy(self, configuration_id: int, changes: Changes, label: Label = NO_LABEL) -> Stored:
+        """Store a copy with ``changes``; the original stays, and keeps its name, note and groups."""
+        self._check_writable()
+        submission, notes = self.submission(configuration_id, changes)
+        stored = self._put(self.check(submission), label.checked())
+        return replace(stored, notes=(*notes, *stored.notes))
+
+    def modify(self, configuration_id: int, changes: Changes, label: Label = NO_LABEL) -> Stored:
+        """A configuration with ``changes`` in place of the old one, which goes if nothing depends on it.
+
+        Content never changes under a number: the changed configuration has a number of its own. It takes over name,
+        note and groups where the old one goes; where runs or an experiment hold that, it stays as it is, and a note
+        says so. Without a change of content, only what ``label`` says is changed.
+        """
+        self._check_writable()
+        submission, notes = self.submission(configuration_id, changes)
+        checked, label = self.check(submission), label.checked()
+
+        def work(t: Transaction) -> Stored:
+            old = t.configuration_book.get(configuration_id)
+            if checked.configuration.content_hash == old.configuration.content_hash:
+                self._describe(t, old, label)
+                return Stored(t.configuration_book.get(old.id), created=False)
+            held = _held_by(old)
+            if held is not None:
+                stored = self._put_in(t, checked, label)
+                return replace(stored, notes=(*notes, f"{old.label} stays as it is: {held}"))
+            stored = self._put_in(t, checked, NO_LABEL)
+            t.configuration_book.delete(old.id)
+            self._describe(t, stored.record, _inherited(old, stored.record, label))
+            for group in old.groups:
+                t.configuration_book.add_to_group(group, [stored.record.id])
+            told = f"{old.label} is gone: nothing depended on it"
+            return replace(stored, record=t.configuration_book.get(stored.record.id), notes=(*notes, told))
+
+        return self._store.write(work)
+
+    def import_yaml(self, text: str, source: str, label: Label = NO_LABEL) -> Stored:
+        """Store the configuration that a YAML text states, ours or a published SLAM Hive's.
+
+        Raises NotFound or InvalidInput that names ``source`` and the place.
+        """
+        self._check_writable()
+        imported = self.read_yaml(text, source)
+        content = imported.configuration
+        submission = Submission(
+            content.algorithm,
+            content.dataset,
+            content.parameters,
+            playback_mode=content.playback.mode.value,
+            playback_rate=content.playback.rate,
+            variant=content.variant,
+        )
+        own = Label(imported.name if label.name is None else label.name, imported.note, label.group)
+        if label.note is not None:
+            own = replace(own, note=label.note)
+        stored = self._put(self.check(submission), own.checked())
+        return replace(stored, notes=(*stored.notes, *imported.notes), seed=imported.seed)
+
+    def read_yaml(self, text: str, source: str) -> Imported:
+        """What a YAML text states, without storing it."""
+        view = CatalogueView(
+            algorithms={entry.name: entry for entry in self._catalogue.algorithms()},
+            datasets={entry.name: entry for entry in self._catalogue.datasets()},
+            steps=RegisteredSteps(),
+        )
+        return configuration_from_yaml(text, view, source)
+
+    def export_yaml(self, configuration_id: int) -> str:
+        """The text that :meth:`import_yaml` reads back to the same configuration."""
+        record = self.get(configuration_id)
+        return configuration_to_yaml(record.configuration, record.name, record.note)
+
+    # -- describing and removing -----------------------------------------------------------------------------------
+
+    def describe(self, configuration_id: int, label: Label) -> ConfigurationRecord:
+        """Set name, note or group; raises Conflict if the name belongs to another configuration."""
+        self._check_writable()
+        label = label.checked()
+
+        def work(t: Transaction) -> ConfigurationRecord:
+            self._describe(t, t.configuration_book.get(configuration_id), label)
+            return t.configuration_book.get(configuration_id)
+
+        return self._store.write(work)
+
+    def group(self, name: str, configuration_ids: Sequence[int], *, remove: bool = False) -> None:
+        """Put configurations into a group, or take them out; all or none."""
+        self._check_writable()
+        checked = check_label("group", name)
+
+        def work(t: Transaction) -> None:
+            change = t.configuration_book.remove_from_group if remove else t.configuration_book.add_to_group
+            change(checked, configuration_ids)
+
+        self._store.write(work)
+
+    def delete(self, configuration_ids: Sequence[int]) -> None:
+        """Remove configurations, all or none; raises Conflict for one that runs or an experiment depend on."""
+        self._check_writable()
+
+        def work(t: Transaction) -> None:
+            for configuration_id in dict.fromkeys(configuration_ids):
+                t.configuration_book.delete(configuration_id)
+
+        self._store.write(work)
+
+    def _put(self, checked: Checked, label: Label) -> Stored:
+        return self._store.write(lambda t: self._put_in(t, checked, label))
+
+    def _put_in(self, t: Transaction, checked: Checked, label: Label) -> Stored:
+        now = utc_now()
+        configuration_id, created = t.configurations.get_or_create(
+            checked.configuration,
+            t.catalogue.put_algorithm(checked.algorithm),
+            t.catalogue.put_dataset(checked.dataset, now),
+            now,
+            checked.algorithm.parameters,
+        )
+        record, notes = t.configuration_book.get(configuration_id), []
+        if not created:
+            if record.name and label.name and label.name != record.name:
+                notes.append(f"it keeps the name {record.name!r}")
+            name = None if record.name else label.name or None
+            label = replace(label, name=name, note=None if record.note else label.note or None)
+        self._describe(t, record, label)
+        return Stored(t.configuration_book.get(configuration_id), created, tuple(notes))
+
+    def _describe(self, t: Transaction, record: ConfigurationRecord, label: Label) -> None:
+        name = record.name if label.name is None else label.name or None
+        note = record.note if label.note is None else label.note
+        if (name, note) != (record.name, record.note):
+            t.configuration_book.describe(record.id, name, note)
+        if label.group:
+            t.configuration_book.add_to_group(label.group, [record.id])
+
+    def _check_writable(self) -> None:
+        check_writable(self._settings)
+
+
+def _inherited(old: ConfigurationRecord, new: ConfigurationRecord, label: Label) -> Label:
+    """``label`` for ``new``, completed by what was said about ``old`` where nothing is said about it yet."""
+    name = old.name if label.name is None and new.name is None else label.name
+    note = old.note if label.note is None and not new.note else label.note
+    return replace(label, name=name, note=note)
+
+
+def _held_by(record: ConfigurationRecord) -> str | None:
+    """Why a configuration must stay, None if it need not."""
+    if record.runs:
+        return f"it has {record.runs} run{'s' if record.runs > 1 else ''}"
+    return f"it is part of experiment {record.experiments[0]}" if record.experiments else None

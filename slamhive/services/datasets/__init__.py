@@ -1,0 +1,1 @@
+"""What can be run on what: algorithms, datasets and their variants."""

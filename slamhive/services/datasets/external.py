@@ -1,0 +1,56 @@
+"""The algorithm of a run: a package here, or one of which only trajectories are here."""
+
+from __future__ import annotations
+
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.external import EXTERNAL_PACKAGE, external_algorithm
+from slamhive.domain.sensors import SensorSetup
+from slamhive.errors import InvalidInput
+from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.store.store import Store
+
+
+def algorithm_here_or_elsewhere(store: Store, catalogue: Catalogue, name: str, package: str) -> Algorithm:
+    """The algorithm called ``name``, of the package that runs were stored with; raises as the catalogue does."""
+    if package != EXTERNAL_PACKAGE:
+        return catalogue.algorithm(name)
+    return external_algorithm(name, SensorSetup(store.read(lambda t: t.catalogue.algorithm(name)).mode))
+
+
+def imported_algorithms(store: Store) -> tuple[Algorithm, ...]:
+    """All algorithms of which only trajectories are here."""
+    records = store.read(lambda t: t.catalogue.algorithms())
+    return tuple(
+        external_algorithm(record.name, SensorSetup(record.mode))
+        for record in records
+        if record.package == EXTERNAL_PACKAGE
+    )
+
+
+def choose_algorithm(store: Store, catalogue: Catalogue, name: str, setup: SensorSetup | None) -> Algorithm:
+    """The algorithm that imported trajectories belong to.
+
+    Args:
+        store: Knows those that were imported before.
+        catalogue: Those that have a package.
+        name: Of the algorithm.
+        setup: What the user says that it senses with.
+
+    Raises InvalidInput if that is not known, or contradicts what is.
+    """
+    known = next((algorithm for algorithm in catalogue.algorithms() if algorithm.name == name), None)
+    if known is None:
+        known = next((algorithm for algorithm in imported_algorithms(store) if algorithm.name == name), None)
+    if known is None:
+        if setup is None:
+            raise InvalidInput(
+                f"algorithm {name} is not installed here, and what it senses with decides the default alignment",
+                f"say it with --sensors {name}=SETUP ({', '.join(SensorSetup)})",
+            )
+        return external_algorithm(name, setup)
+    if setup is not None and setup is not known.setup:
+        raise InvalidInput(
+            f"algorithm {name} senses with {known.setup.value} here, not with {setup.value}",
+            f"leave out its --sensors, or say --sensors {name}={known.setup.value}",
+        )
+    return known

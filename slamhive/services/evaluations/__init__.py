@@ -1,0 +1,1 @@
+"""Evaluating runs: protocols, the queue of evaluations, and what they leave behind."""

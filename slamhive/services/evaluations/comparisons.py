@@ -1,0 +1,117 @@
+"""One run, evaluated the way published tools count, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.protocol import Protocol
+from slamhive.domain.protocol_request import exactly
+from slamhive.errors import InvalidInput
+from slamhive.evaluation.job import Artefacts
+from slamhive.evaluation.presets import PRESETS, Preset
+from slamhive.runs.folder import RunFolder
+from slamhive.services.evaluations.notes import evaluation_notes
+from slamhive.services.evaluations.service import Evaluations
+from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
+from slamhive.store.store import Store
+
+NOT_EVALUATED = "not evaluated"
+
+
+@dataclass(frozen=True, slots=True)
+class ToolFigures:
+    """What one tool would print of a run.
+
+    Attributes:
+        name: Of the preset.
+        preset: How the tool counts.
+        protocol: What that is for this run; None where it does not fit.
+        figures: {metric key: value} of the figures that the tool prints; without those that are missing.
+        note: Why there are no figures, or why one of them is missing; None if all are there.
+        samples: {metric key: over how many pairs or segments the figure is taken, in words}.
+    """
+
+    name: str
+    preset: Preset
+    protocol: Protocol | None
+    figures: Mapping[str, float]
+    note: str | None
+    samples: Mapping[str, str] = field(default_factory=dict)
+
+
+class Comparisons:
+    """Evaluates a run under every preset, and puts the figures side by side.
+
+    Args:
+        store: Figures and evaluations.
+        evaluations: Queues them.
+        runs_folder: Where run folders lie; why a figure is missing stands there.
+    """
+
+    def __init__(self, store: Store, evaluations: Evaluations, runs_folder: Path) -> None:
+        self._store = store
+        self._evaluations = evaluations
+        self._runs_folder = runs_folder
+
+    def queue(self, run_id: int) -> list[int]:
+        """Queue the evaluations that are not there yet; their ids. Conflict for a run that did not succeed."""
+        run = self._store.read(lambda t: t.runs.get(run_id))
+        done = self._store.read(lambda t: t.metrics.by_protocol(run_id))
+        queued: list[int] = []
+        for name, preset in PRESETS:
+            protocol, _ = self._protocol(run, name, preset)
+            if protocol is not None and protocol.fingerprint not in done:
+                queued += self._evaluations.queue([run_id], exactly(protocol, name), Artefacts.METRICS)
+        return queued
+
+    def of(self, run_id: int) -> list[ToolFigures]:
+        """What every tool would print, as far as it has been evaluated."""
+        run = self._store.read(lambda t: t.runs.get(run_id))
+        done = self._store.read(lambda t: t.metrics.by_protocol(run_id))
+        latest = {
+            entry.protocol.fingerprint: entry for entry in self._store.read(lambda t: t.evaluations.for_run(run_id))
+        }
+        return [self._row(run, name, preset, done, latest) for name, preset in PRESETS]
+
+    def _row(
+        self,
+        run: RunRecord,
+        name: str,
+        preset: Preset,
+        done: Mapping[str | None, Mapping[str, float]],
+        latest: Mapping[str, EvaluationRecord],
+    ) -> ToolFigures:
+        protocol, refusal = self._protocol(run, name, preset)
+        if protocol is None:
+            return ToolFigures(name, preset, None, {}, refusal)
+        found = done.get(protocol.fingerprint)
+        if found is None:
+            return ToolFigures(name, preset, protocol, {}, _state(latest.get(protocol.fingerprint)))
+        figures = {key: found[key] for key in preset.figures if key in found}
+        absent = [key for key in preset.figures if key not in found]
+        note = self._why_missing(run.id, protocol, absent) if absent else None
+        samples = {key: words for key in figures if (words := CATALOGUE[key].sample(found))}
+        return ToolFigures(name, preset, protocol, figures, note, samples)
+
+    def _protocol(self, run: RunRecord, name: str, preset: Preset) -> tuple[Protocol | None, str | None]:
+        try:
+            return self._evaluations.protocol_of(run, exactly(preset.protocol, name)), None
+        except InvalidInput as error:
+            return None, f"does not fit: {error.message}"
+
+    def _why_missing(self, run_id: int, protocol: Protocol, keys: list[str]) -> str:
+        """The reason that the evaluation left in the run folder; several are joined."""
+        missing = evaluation_notes(RunFolder(self._runs_folder / str(run_id)), protocol.fingerprint).missing
+        reasons = dict.fromkeys(missing.get(key, f"{key} is missing") for key in keys)
+        return "; ".join(reasons)
+
+
+def _state(evaluation: EvaluationRecord | None) -> str:
+    if evaluation is None:
+        return NOT_EVALUATED
+    if evaluation.state is EvaluationState.FAILED:
+        return evaluation.reason or "failed"
+    return f"evaluation {evaluation.state.value}"

@@ -1,0 +1,286 @@
+"""Evaluating runs: queued in the database, done in batches, many runs to one start of the evaluation."""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from pathlib import Path
+
+from slamhive.domain.external import IMPORTED
+from slamhive.domain.protocol import Protocol
+from slamhive.domain.protocol_request import ProtocolRequest
+from slamhive.domain.sensors import IDENTITY4, Matrix4
+from slamhive.errors import SlamHiveError, Unavailable
+from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask, failed_result
+from slamhive.evaluation.runner import EvaluationRunner
+from slamhive.files import write_aside
+from slamhive.runs.folder import RunFolder
+from slamhive.services.clock import utc_now
+from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.services.datasets.external import algorithm_here_or_elsewhere
+from slamhive.services.evaluations.files import evaluation_files
+from slamhive.services.evaluations.protocols import fitting_protocol, reference_path
+from slamhive.services.evaluations.scratch import scratch_folder
+from slamhive.services.identity import owner_is_dead
+from slamhive.settings import Settings
+from slamhive.store.records import EvaluationRecord, LeaseLost, RunRecord
+from slamhive.store.store import Store
+
+logger = logging.getLogger(__name__)
+
+PROTOCOL_FILE = "protocol.json"
+BATCH_SIZE = 100
+NO_ENGINE = "slamhive"
+
+ResultCallback = Callable[[EvaluationRecord, EvaluationResult], None]
+ResultStore = Callable[[EvaluationResult], None]
+
+
+class Evaluations:
+    """Queue evaluations and work through them.
+
+    Args:
+        settings: Association tolerance and gap threshold of the default protocols; where the data lies.
+        store: Queue and results.
+        catalogue: Sensor setups, extrinsics and ground truths.
+        runner: Starts the evaluation engine, in a container or a process; made when first needed.
+    """
+
+    def __init__(
+        self, settings: Settings, store: Store, catalogue: Catalogue, runner: Callable[[], EvaluationRunner]
+    ) -> None:
+        self._settings = settings
+        self._store = store
+        self._catalogue = catalogue
+        self._make_runner = runner
+        self._runner: EvaluationRunner | None = None
+        self._runner_lock = threading.Lock()
+
+    def queue(
+        self,
+        run_ids: Iterable[int],
+        asked: ProtocolRequest | None = None,
+        artefacts: Artefacts = Artefacts.FILES,
+    ) -> list[int]:
+        """Queue an evaluation of each run; their ids.
+
+        ``asked`` None means the protocol that the run was submitted with, or else the one its sensors deserve.
+        Raises NotFound for an unknown run or algorithm, Conflict for a run that did not succeed; nothing is queued
+        then.
+        """
+        runs = self._store.read(lambda t: t.runs.get_many(run_ids))
+        by_protocol: dict[Protocol, list[int]] = defaultdict(list)
+        for protocol, members in self._by_protocol(runs, asked):
+            by_protocol[protocol] += members
+        now = utc_now()
+        return self._store.write(
+            lambda t: [
+                evaluation_id
+                for protocol, members in by_protocol.items()
+                for evaluation_id in t.evaluations.queue(members, protocol, now, artefacts)
+            ]
+        )
+
+    def _by_protocol(
+        self, runs: Iterable[RunRecord], asked: ProtocolRequest | None
+    ) -> Iterator[tuple[Protocol, list[int]]]:
+        """Runs that are evaluated alike, told once for all of one algorithm on one dataset."""
+        alike: dict[tuple[str, str, str | None], list[RunRecord]] = defaultdict(list)
+        for run in runs:
+            own = None if run.protocol_override is None else run.protocol_override.fingerprint
+            alike[run.algorithm, run.dataset, own].append(run)
+        for members in alike.values():
+            yield self.protocol_of(members[0], asked), [run.id for run in members]
+
+    def records(self, evaluation_ids: Iterable[int]) -> list[EvaluationRecord]:
+        """The evaluations with these ids, as they stand."""
+        return self._store.read(lambda t: t.evaluations.get_many(evaluation_ids))
+
+    def waiting(self) -> list[EvaluationRecord]:
+        """All evaluations that are queued or worked on."""
+        return self._store.read(lambda t: t.evaluations.open())
+
+    def still_open(self, evaluation_ids: Iterable[int]) -> set[int]:
+        """Those of these evaluations that have not ended."""
+        return self._store.read(lambda t: t.evaluations.still_open(evaluation_ids))
+
+    def unsettled(self, run_ids: Iterable[int]) -> list[int]:
+        """Those of these runs that have no successful evaluation."""
+        return self._store.read(lambda t: t.evaluations.unsettled_among(run_ids))
+
+    def take_over_from_the_dead(self) -> None:
+        """Put back what killed processes of this machine held, so that nobody waits for their leases to run out."""
+        for owner in self._store.read(lambda t: t.evaluations.owners()):
+            if owner_is_dead(owner):
+                self._store.write(lambda t, owner=owner: t.evaluations.release_all(owner))  # type: ignore[misc]
+
+    def unevaluated(self) -> list[int]:
+        """Runs that succeeded and have no evaluation yet."""
+        return self._store.read(lambda t: t.evaluations.unevaluated_run_ids())
+
+    def prepare(self, progress: Callable[[str], None]) -> None:
+        """Make what evaluations need (in Docker: their image) unless it is there, instead of with the first of them.
+
+        ``progress`` takes one line of what goes on. Raises SlamHiveError if it cannot be made.
+        """
+        self._engine().prepare(progress)
+
+    def work_once(
+        self,
+        owner: str,
+        stopping: threading.Event,
+        only: Collection[int] | None = None,
+        on_result: ResultCallback | None = None,
+        cores: tuple[int, ...] | None = None,
+    ) -> int:
+        """Claim a batch, evaluate it, store each result; how many were done.
+
+        ``only`` restricts the choice to evaluations of these runs; ``cores`` are the numbers of those to evaluate on,
+        None for all.
+        """
+        now = utc_now()
+        claimed = self._store.write(lambda t: t.evaluations.claim(owner, now, self._settings.lease_s, BATCH_SIZE, only))
+        if not claimed:
+            return 0
+        heartbeat_ends = threading.Event()
+        heartbeat = threading.Thread(
+            target=self._heartbeat, args=(owner, [entry.id for entry in claimed], heartbeat_ends), daemon=True
+        )
+        heartbeat.start()
+        try:
+            self._evaluate(claimed, owner, stopping, on_result, cores)
+        finally:
+            heartbeat_ends.set()
+            heartbeat.join()
+            # What has no result (the engine did not start, the worker is stopping) waits for the next worker.
+            self._store.write(lambda t: t.evaluations.release([entry.id for entry in claimed], owner))
+        return len(claimed)
+
+    def _evaluate(
+        self,
+        claimed: Sequence[EvaluationRecord],
+        owner: str,
+        stopping: threading.Event,
+        on_result: ResultCallback | None,
+        cores: tuple[int, ...] | None,
+    ) -> None:
+        by_id = {str(entry.id): entry for entry in claimed}
+
+        def store(result: EvaluationResult) -> None:
+            entry = by_id[result.id]
+            now = utc_now()
+            try:
+                first = self._store.write(lambda t: t.evaluations.finish(entry.id, owner, result, now))
+                if first:
+                    self._folder(entry.run_id).write_current_protocol(result.fingerprint)
+            except LeaseLost as error:
+                logger.warning("%s", error)
+            if result.reason is not None:
+                logger.warning("run %d cannot be evaluated: %s", entry.run_id, result.reason)
+            if on_result is not None:
+                on_result(entry, result)
+
+        tasks = self._tasks(claimed, store)
+        if tasks:
+            with scratch_folder(self._settings.data) as scratch:
+                self._run(tasks, scratch, store, stopping, cores)
+
+    def _tasks(self, claimed: Sequence[EvaluationRecord], refuse: ResultStore) -> list[EvaluationTask]:
+        """What the engine has to do; an evaluation that cannot even begin is refused with its reason."""
+        runs = {run.id: run for run in self._store.read(lambda t: t.runs.get_many({e.run_id for e in claimed}))}
+        tasks: list[EvaluationTask] = []
+        for entry in claimed:
+            try:
+                tasks.append(self._task(entry, runs[entry.run_id]))
+            except Unavailable:
+                raise
+            except SlamHiveError as error:
+                refuse(_refused(entry, str(error)))
+        return tasks
+
+    def _run(
+        self,
+        tasks: Sequence[EvaluationTask],
+        scratch: Path,
+        store: ResultStore,
+        stopping: threading.Event,
+        cores: tuple[int, ...] | None,
+    ) -> None:
+        try:
+            self._engine().run(tasks, scratch, store, stopping, cores)
+        except (Unavailable, LeaseLost):
+            raise
+        except SlamHiveError as error:
+            # The engine cannot be made (its image does not build): another attempt would end alike.
+            self._fail_all(tasks, str(error), store)
+        except Exception as error:
+            logger.exception("a fault of ours while %d runs were evaluated", len(tasks))
+            self._fail_all(tasks, f"internal error: {type(error).__name__}: {error}", store)
+
+    def _fail_all(self, tasks: Sequence[EvaluationTask], reason: str, store: ResultStore) -> None:
+        for task in tasks:
+            store(failed_result(task, reason, NO_ENGINE))
+
+    def _engine(self) -> EvaluationRunner:
+        with self._runner_lock:
+            if self._runner is None:
+                self._runner = self._make_runner()
+            return self._runner
+
+    def _task(self, entry: EvaluationRecord, run: RunRecord) -> EvaluationTask:
+        dataset = self._catalogue.dataset(run.dataset)
+        reference = reference_path(dataset, entry.protocol)
+        folder = self._folder(run.id)
+        output = folder.evaluation(entry.protocol.fingerprint)
+        try:
+            output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise Unavailable(f"{output} cannot be made: {error.strerror}", "check space and rights") from None
+        write_aside(output / PROTOCOL_FILE, json.dumps(entry.protocol.content, indent=1))
+        return EvaluationTask(
+            id=str(entry.id),
+            estimate=folder.trajectory,
+            reference=reference,
+            output=output,
+            protocol=entry.protocol,
+            T_body_sensor=self._trajectory_frame(run),
+            artefacts=entry.artefacts,
+            positions_only=dataset.groundtruth is not None and dataset.groundtruth.positions_only,
+            files=evaluation_files(folder, dataset),
+        )
+
+    def _folder(self, run_id: int) -> RunFolder:
+        return RunFolder(self._settings.runs_folder / str(run_id))
+
+    def _trajectory_frame(self, run: RunRecord) -> Matrix4:
+        """The pose, in the body frame, of the sensor whose poses the trajectory holds."""
+        if run.executor == IMPORTED:
+            return IDENTITY4
+        algorithm = self._catalogue.algorithm(run.algorithm)
+        return algorithm.assign(self._catalogue.dataset(run.dataset))[algorithm.trajectory_role].T_body_sensor
+
+    def protocol_of(self, run: RunRecord, asked: ProtocolRequest | None = None) -> Protocol:
+        """The protocol to evaluate ``run`` under: as asked for, as submitted, or as its sensors deserve."""
+        if asked is None and run.protocol_override is not None:
+            return run.protocol_override
+        algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run.algorithm, run.package)
+        return fitting_protocol(algorithm, self._catalogue.dataset(run.dataset), self._settings, asked)
+
+    def _heartbeat(self, owner: str, evaluation_ids: list[int], ends: threading.Event) -> None:
+        while not ends.wait(self._settings.lease_s / 3):
+            now = utc_now()
+            try:
+                self._store.write(
+                    lambda t, now=now: t.evaluations.heartbeat(evaluation_ids, owner, now, self._settings.lease_s)  # type: ignore[misc]
+                )
+            except SlamHiveError as error:
+                logger.warning("heartbeat of evaluations: %s", error)
+
+
+def _refused(entry: EvaluationRecord, reason: str) -> EvaluationResult:
+    """The result of an evaluation that could not even begin."""
+    nowhere = Path()
+    return failed_result(EvaluationTask(str(entry.id), nowhere, None, nowhere, entry.protocol), reason, NO_ENGINE)

@@ -1,0 +1,1 @@
+"""Runs: asked for, specified, recorded, and shown."""

@@ -1,0 +1,222 @@
+"""Filing a run folder as database rows: what reindexing and archives share. The folder is the truth."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from slamhive.domain.affinity import run_affinity
+from slamhive.domain.configuration import Configuration
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.external import IMPORTED
+from slamhive.domain.protocol import Protocol, protocol_from_content
+from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.evaluation.job import RESULT_FILE, Artefacts, EvaluationResult, result_from_json
+from slamhive.input_bounds import MOST_RECORD_BYTES, read_record, read_text
+from slamhive.runs.folder import RunFolder
+from slamhive.services.clock import utc_now
+from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.services.evaluations.service import PROTOCOL_FILE
+from slamhive.services.runs.record import check_types, configuration_from_record, snapshot_from_record
+from slamhive.store.experiment_records import NewConfiguration
+from slamhive.store.filed_runs import EndedEvaluation, FiledRun
+from slamhive.store.records import AlgorithmVersion, EvaluationState, Host, RunSnapshot
+from slamhive.store.store import Transaction
+
+logger = logging.getLogger(__name__)
+
+_NOT_A_RECORD = (KeyError, TypeError, ValueError, AttributeError)
+"""What reading a record raises that lacks something, or holds something else in its place."""
+
+FoundEvaluation = tuple[Protocol, EvaluationResult, datetime]
+"""Protocol, result and time of an evaluation."""
+
+
+@dataclass(frozen=True, slots=True)
+class Filed:
+    """What is filed of a run besides its row, out of its record."""
+
+    configuration: Configuration
+    dataset: Dataset
+    package: str
+    mode: str
+    version: AlgorithmVersion | None
+    host: Host | None
+    metrics: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class FolderRun:
+    """A run out of its folder, to be filed.
+
+    ``found``: the evaluations in the folder, oldest first; ``history``: what is known of those that were filed
+    elsewhere. ``current``: the protocol whose figures are shown.
+    """
+
+    record: dict[str, Any]
+    filed: Filed
+    found: Sequence[FoundEvaluation] = ()
+    current: str | None = None
+    history: Sequence[EndedEvaluation] = ()
+    attempt: int = 1
+
+
+def read_filed(catalogue: Catalogue, record: dict[str, Any], source: str) -> Filed:
+    """What the record tells; raises InvalidInput, naming ``source``, if something is missing or none of ours."""
+    try:
+        return _read(catalogue, record)
+    except _NOT_A_RECORD as error:
+        raise InvalidInput(f"{source} is not complete: {error!r}", "restore it, or remove the folder") from None
+
+
+def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -> dict[int, int]:
+    """Make the rows of some hundreds of runs, their events, evaluations and figures what their folders say.
+
+    Returns those that repeat a run which is not here, see :meth:`FiledRunRepository.file`.
+    """
+    now = utc_now()
+    places = put_configurations(t, catalogue, [run.filed for run in runs])
+    named = {run.record["request"].get("experiment") for run in runs} - {None}
+    experiments = {name: found.id for name in named if (found := t.experiments.find(str(name))) is not None}
+    machines = {run.filed.host for run in runs if run.filed.host is not None}
+    hosts = {host: t.catalogue.put_host(host) for host in machines}
+    versions: dict[tuple[int, AlgorithmVersion], int] = {}
+    rows = []
+    for run, (algorithm_id, configuration_id) in zip(runs, places, strict=True):
+        experiment_id = experiments.get(run.record["request"].get("experiment"))
+        snapshot = snapshot_from_record(run.record, configuration_id, experiment_id)
+        fields = snapshot.fields.copy()
+        version = run.filed.version
+        if version is not None:
+            key = algorithm_id, version
+            if key not in versions:
+                versions[key] = t.catalogue.put_version(algorithm_id, version, now)
+            fields["algorithm_version_id"] = versions[key]
+        if run.filed.host is not None:
+            fields["host_id"] = hosts[run.filed.host]
+        configuration = run.filed.configuration
+        request = snapshot.request
+        if request.executor != IMPORTED:
+            affinity = run_affinity(configuration.dataset, configuration.variant, run.filed.package)
+            request = replace(request, affinity=affinity)
+        rows.append(_filed_run(run, replace(snapshot, request=request, fields=fields, attempt=run.attempt)))
+    return t.filed_runs.file(rows)
+
+
+def put_configurations(t: Transaction, catalogue: Catalogue, entries: Sequence[Filed]) -> list[tuple[int, int]]:
+    """The rows of algorithm and configuration of each, made if they are new."""
+    now = utc_now()
+    modes = {entry.configuration.algorithm: (entry.package, entry.mode) for entry in entries}
+    algorithms = {name: t.catalogue.put_algorithm_named(name, *mode) for name, mode in modes.items()}
+    known = {entry.dataset.name: entry.dataset for entry in entries}
+    gone = {name: not dataset.folder.is_dir() for name, dataset in known.items()}
+    datasets = {name: t.catalogue.put_dataset(known[name], now, gone=gone[name]) for name in known}
+    definitions = {algorithm.name: algorithm.parameters for algorithm in catalogue.algorithms()}
+    wanted = [
+        NewConfiguration(
+            entry.configuration,
+            entry.configuration.content_hash,
+            algorithms[entry.configuration.algorithm],
+            datasets[entry.dataset.name],
+            definitions.get(entry.configuration.algorithm, ()),
+        )
+        for entry in entries
+    ]
+    found = t.configurations.get_or_create_many(wanted, now)
+    return [(entry.algorithm_id, number) for entry, (number, _) in zip(wanted, found, strict=True)]
+
+
+def found_evaluations(folder: RunFolder) -> list[FoundEvaluation]:
+    """Each whole evaluation in the folder, oldest first."""
+    found = []
+    for path in sorted(folder.root.glob(f"evaluations/*/{RESULT_FILE}"), key=lambda entry: entry.stat().st_mtime):
+        try:
+            protocol = protocol_from_content(read_record(path.parent / PROTOCOL_FILE))
+            result = _checked(result_from_json(read_text(path, MOST_RECORD_BYTES)), protocol)
+        except (InvalidInput, *_NOT_A_RECORD) as error:
+            logger.warning("%s is left out: %s", path.parent, error)
+            continue
+        found.append((protocol, result, _modified(path)))
+    return found
+
+
+def _checked(result: EvaluationResult, protocol: Protocol) -> EvaluationResult:
+    """The result, if it is one of ``protocol`` and has figures that can be filed; raises ValueError or TypeError."""
+    if result.fingerprint != protocol.fingerprint:
+        raise ValueError(f"it is a result of protocol {result.fingerprint}")
+    if not all(isinstance(key, str) and math.isfinite(value) for key, value in result.metrics.items()):
+        raise ValueError("a figure is not finite")
+    return result
+
+
+def current_protocol(folder: RunFolder, evaluations: Iterable[FoundEvaluation]) -> str | None:
+    """The protocol that was chosen for the run, or, in folders that do not say, the latest that has figures."""
+    succeeded = [result.fingerprint for _, result, _ in evaluations if result.succeeded]
+    chosen = folder.read_current_protocol()
+    if chosen in succeeded:
+        return chosen
+    return succeeded[-1] if succeeded else None
+
+
+def _filed_run(run: FolderRun, snapshot: RunSnapshot) -> FiledRun:
+    known = {(entry.protocol.fingerprint, entry.state) for entry in run.history}
+    found = [_ended(protocol, result, at) for protocol, result, at in run.found]
+    return FiledRun(
+        snapshot,
+        measured=run.filed.metrics,
+        evaluations=[*run.history, *(e for e in found if (e.protocol.fingerprint, e.state) not in known)],
+        figures={result.fingerprint: result.metrics for _, result, _ in run.found if result.succeeded},
+        current=run.current,
+    )
+
+
+def _ended(protocol: Protocol, result: EvaluationResult, at: datetime) -> EndedEvaluation:
+    state = EvaluationState.SUCCEEDED if result.succeeded else EvaluationState.FAILED
+    return EndedEvaluation(protocol, state, result.reason, Artefacts.FILES, result.engine, at, None, at, attempt=1)
+
+
+def _read(catalogue: Catalogue, record: dict[str, Any]) -> Filed:
+    configuration = configuration_from_record(record)
+    part, host = record.get("algorithm", {}), record.get("host")
+    check_types(part, dict.fromkeys(("package", "mode", "identity", "package_hash", "version"), str))
+    check_types(host or {}, {"cpu_model": str, "cpu_count": int, "memory_bytes": int, "kernel": str, "os": str})
+    metrics = {str(key): float(value) for key, value in record.get("metrics", {}).items()}
+    if not all(map(math.isfinite, metrics.values())):
+        raise ValueError("a metric is not finite")
+    return Filed(
+        configuration=configuration,
+        dataset=dataset_of(catalogue, configuration.dataset, record),
+        package=part.get("package", configuration.algorithm),
+        mode=part.get("mode", ""),
+        version=AlgorithmVersion(part["identity"], part["package_hash"], part["version"])
+        if "identity" in part
+        else None,
+        host=None if host is None else Host(**host),
+        metrics=metrics,
+    )
+
+
+def dataset_of(catalogue: Catalogue, name: str, record: Mapping[str, Any]) -> Dataset:
+    """The dataset as its folder says, or what the record knows of one that is gone, which has no recording."""
+    try:
+        return catalogue.dataset_in_folder(name)
+    except SlamHiveError:
+        known = record.get("dataset", {})
+        return Dataset(
+            name=name,
+            folder=catalogue.dataset_folder(name),
+            bag="",
+            duration_s=float(known.get("duration_s", 0.0)),
+            sensors=(),
+            groundtruth=None,
+            checksum=str(known.get("checksum", "")),
+        )
+
+
+def _modified(path: Path) -> datetime:
+    return datetime.fromtimestamp(path.stat().st_mtime, UTC)

@@ -1,0 +1,55 @@
+"""Keeps ``run.json`` up to date while a run lives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from slamhive.domain.run import RunEvent
+from slamhive.errors import SlamHiveError
+from slamhive.runs.folder import RunFolder
+from slamhive.services.runs.record import begin_record, events_to_json
+from slamhive.store.records import RunRecord
+from slamhive.store.store import Store
+
+
+class RecordKeeper:
+    """Writes the record of one run, always with the moves that the database knows.
+
+    Args:
+        folder: The run's folder.
+        store: Where the moves are.
+        run_id: The run.
+    """
+
+    def __init__(self, folder: RunFolder, store: Store, run_id: int) -> None:
+        self._folder = folder
+        self._store = store
+        self._run_id = run_id
+
+    def readable(self) -> bool:
+        """Whether there is a record that can be read."""
+        try:
+            self._folder.read_record()
+        except SlamHiveError:
+            return False
+        return True
+
+    def read(self) -> dict[str, Any]:
+        """The record; raises NotFound or InvalidInput."""
+        return self._folder.read_record()
+
+    def begin(self, run: RunRecord) -> None:
+        """Write the record of a run of which nothing is written yet, or nothing readable."""
+        self._write(begin_record(run), None)
+
+    def save(self, changes: dict[str, Any], final: RunEvent | None = None, *, without: str | None = None) -> None:
+        """Add ``changes``, drop the key ``without``; ``final`` is the move that is about to be made."""
+        content = {**self.read(), **changes}
+        if without is not None:
+            content.pop(without, None)
+        self._write(content, final)
+
+    def _write(self, content: dict[str, Any], final: RunEvent | None) -> None:
+        events = self._store.read(lambda t: t.runs.events(self._run_id))
+        content["events"] = events_to_json([*events, *([] if final is None else [final])])
+        self._folder.write_record(content)

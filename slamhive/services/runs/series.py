@@ -1,0 +1,207 @@
+"""What the figures of a run show, as arrays: path, error, CPU and memory, latency. Read from its folder."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.protocol import protocol_from_content
+from slamhive.errors import SlamHiveError
+from slamhive.input_bounds import read_record
+from slamhive.runs.folder import RunFolder
+from slamhive.runs.untrusted import read_numeric_columns, read_untrusted_lines
+from slamhive.services.evaluations.service import PROTOCOL_FILE
+from slamhive.store.records import RunRecord
+
+Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+MAX_POINTS = 3000
+"""A figure draws no more points than this; a screen has no more columns."""
+LIMIT_BYTES = 64_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A path: ``times_s`` (n,), ``positions_m`` (n, 3). ``poses`` counts them before thinning.
+
+    ``pieces`` (n,) numbers the stretches between gaps, so that nothing is drawn as tracked that was not.
+    """
+
+    times_s: Array
+    positions_m: Array
+    poses: int
+    pieces: Places
+
+    def thinned(self, most: int) -> Track:
+        """At most ``most`` poses, evenly chosen, the first and the last among them."""
+        kept = np.unique(np.linspace(0, len(self.times_s) - 1, min(len(self.times_s), most)).astype(np.int64))
+        return Track(self.times_s[kept], self.positions_m[kept], self.poses, self.pieces[kept])
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Values over time: ``times_s`` (n,) since the start of what is shown, ``values`` (n,).
+
+    ``count`` is their number before thinning; ``pieces`` (n,) numbers the stretches between gaps.
+    """
+
+    times_s: Array
+    values: Array
+    count: int
+    pieces: Places
+
+    def thinned(self, most: int) -> Samples:
+        """At most ``most`` samples, every peak among them."""
+        kept = thin_keeping_extremes(self.values, most)
+        return Samples(self.times_s[kept], self.values[kept], self.count, self.pieces[kept])
+
+
+@dataclass(frozen=True, slots=True)
+class RunSeries:
+    """All figure data of one run. What is None is explained in ``reasons`` under the same name.
+
+    ``estimate`` lies in the ground truth's frame where ``aligned``, in the algorithm's own otherwise. ``cpu`` is in
+    cores, ``memory`` in bytes, ``error`` in m, ``latency`` in s. A pause of the estimate longer than ``gap_s`` is a
+    gap; infinite where no protocol says how long that is.
+    """
+
+    estimate: Track | None
+    groundtruth: Track | None
+    aligned: bool
+    gap_s: float
+    error: Samples | None
+    cpu: Samples | None
+    memory: Samples | None
+    latency: Samples | None
+    reasons: dict[str, str]
+
+
+def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
+    """Read everything that can be drawn of ``run``, the evaluation being the one whose figures it shows."""
+    estimate = groundtruth = error = None
+    gap_s = math.inf
+    if run.protocol is not None:
+        evaluation = folder.evaluation(run.protocol.fingerprint)
+        gap_s = gap_of(evaluation)
+        estimate = read_track(evaluation / "traj.tum", gap_s)
+        groundtruth = read_track(evaluation / "groundtruth.tum")
+        error = _columns(evaluation / "errors.csv", ("timestamp", "ape_m"))
+    aligned = estimate is not None
+    usage = _columns(folder.profiling, ("time", "cpu_usage", "memory_usage"))
+    found: dict[str, Any] = {
+        "estimate": estimate or read_track(folder.trajectory, gap_s),
+        "groundtruth": groundtruth,
+        "error": None if error is None else _samples(error[:, 0] - error[0, 0], error[:, 1], gap_s),
+        "cpu": None if usage is None else _samples(usage[:, 0], usage[:, 1]),
+        "memory": None if usage is None else _samples(usage[:, 0], usage[:, 2]),
+        "latency": _latency(folder.frames),
+    }
+    explanations = _explanations(run)
+    reasons = {name: explanations[name] for name, data in found.items() if data is None}
+    return RunSeries(**found, aligned=aligned, gap_s=gap_s, reasons=reasons)
+
+
+def gap_of(evaluation: Path) -> float:
+    """How long a pause of the estimate is a gap under the protocol of an evaluation, in s; infinite if unknown."""
+    try:
+        return protocol_from_content(read_record(evaluation / PROTOCOL_FILE)).gap_threshold_s
+    except SlamHiveError:
+        return math.inf
+
+
+def _explanations(run: RunRecord) -> dict[str, str]:
+    """Why each kind of data is not there, if it is not."""
+    if run.protocol is None:
+        evaluation = "The run has not been evaluated."
+    elif run.metrics is not None and "ate.rmse" not in run.metrics:
+        evaluation = "The dataset has relations and no ground-truth trajectory."
+    else:
+        evaluation = "The evaluation left no files to draw; evaluate again."
+    sampled = "CPU and memory were not sampled." if run.state.ended else "CPU and memory have not been sampled yet."
+    if run.state.ended:
+        estimate = "The run has left no trajectory that can be read."
+        latency = "The algorithm does not report when it takes and finishes a frame."
+    else:
+        estimate = "The trajectory is written at the end of the run."
+        latency = "Frame times are written at the end of the run."
+    return {
+        "estimate": estimate,
+        "groundtruth": evaluation,
+        "error": evaluation,
+        "cpu": sampled,
+        "memory": sampled,
+        "latency": latency,
+    }
+
+
+def read_dataset_path(dataset: Dataset) -> Track | None:
+    """The ground-truth path of a dataset, None if it has none that can be read."""
+    path = dataset.groundtruth_path
+    return None if path is None else read_track(path)
+
+
+def read_track(path: Path, gap_s: float = math.inf) -> Track | None:
+    """The TUM trajectory at ``path``, thinned for drawing; None if there is none or it is malformed.
+
+    A pause longer than ``gap_s`` begins another piece.
+    """
+    data = read_untrusted_lines(path, LIMIT_BYTES)
+    if not data:
+        return None
+    lines = [line for line in data.decode(errors="replace").splitlines() if line.strip() and not line.startswith("#")]
+    if not lines:
+        return None
+    try:
+        rows = np.loadtxt(lines, ndmin=2, usecols=(0, 1, 2, 3), dtype=np.float64)
+    except ValueError:
+        return None
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if len(rows) == 0:
+        return None
+    return Track(rows[:, 0], rows[:, 1:], len(rows), _pieces(rows[:, 0], gap_s)).thinned(MAX_POINTS)
+
+
+def thin_keeping_extremes(values: Array, most: int = MAX_POINTS) -> Places:
+    """Which to keep, at most ``most``: each stretch's smallest and largest value, so that no peak disappears."""
+    if len(values) <= most:
+        return np.arange(len(values))
+    edges = np.linspace(0, len(values), most // 2 + 1).astype(int)
+    chosen: list[int] = []
+    for start, end in pairwise(edges.tolist()):
+        stretch = values[start:end]
+        chosen.extend(sorted({start + int(stretch.argmin()), start + int(stretch.argmax())}))
+    return np.asarray(chosen)
+
+
+def _samples(times_s: Array, values: Array, gap_s: float = math.inf) -> Samples:
+    return Samples(times_s, values, len(values), _pieces(times_s, gap_s)).thinned(MAX_POINTS)
+
+
+def _pieces(times_s: Array, gap_s: float) -> Places:
+    return np.concatenate([[0], np.cumsum(np.diff(times_s) > gap_s)])
+
+
+def _columns(path: Path, names: tuple[str, ...]) -> Array | None:
+    """The named columns of a CSV file as (n, len(names)), rows with a missing value left out; None if unreadable."""
+    rows = read_numeric_columns(path, names, LIMIT_BYTES)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    return rows if len(rows) else None
+
+
+def _latency(path: Path) -> Samples | None:
+    """From a frame's arrival to its result, over the recording's time; dropped frames have none."""
+    rows = _columns(path, ("timestamp", "received", "done"))
+    if rows is None:
+        return None
+    rows = rows[rows[:, 2] >= rows[:, 1]]
+    if len(rows) == 0:
+        return None
+    return _samples(rows[:, 0] - rows[0, 0], rows[:, 2] - rows[:, 1])

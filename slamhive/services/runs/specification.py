@@ -1,0 +1,205 @@
+"""From a queued run to everything an executor needs: configuration file, mounts, limits, time limit, provenance."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from slamhive import __version__
+from slamhive.bags.reader import inspect_bag
+from slamhive.catalogue.algorithm_file import package_hash
+from slamhive.catalogue.run_config import build_run_config
+from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
+from slamhive.domain.configuration import Configuration
+from slamhive.domain.dataset import Dataset
+from slamhive.errors import InvalidInput, Unavailable
+from slamhive.executors.base import Executor, ImageMissing, Limits, Mount, RunSpec
+from slamhive.files import write_aside
+from slamhive.runs.folder import RunFolder
+from slamhive.runtime.config import to_yaml
+from slamhive.runtime.paths import ORB_VOCABULARY_VARIABLE
+from slamhive.services.datasets.variants import IDENTITY, UsedVariant
+from slamhive.settings import Settings
+
+CONTAINER_ROOT = "/slamhive"
+COMMAND = ("python3", f"{CONTAINER_ROOT}/mapping.py")
+CONTAINER_VOCABULARY = "/slamhive-vocabulary.txt"
+
+
+@dataclass(frozen=True, slots=True)
+class RunLimits:
+    """Limits asked for with the run; None means the defaults of settings and package."""
+
+    cpu_cores: float | None = None
+    memory_mb: int | None = None
+    timeout_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run with its algorithm and dataset resolved, ready to be prepared.
+
+    ``used`` is the variant of the dataset that the run sees, None for the dataset as it is.
+    """
+
+    run_id: int
+    key: str
+    algorithm: Algorithm
+    dataset: Dataset
+    configuration: Configuration
+    seed: int
+    limits: RunLimits
+    used: UsedVariant | None = None
+
+    @property
+    def seen(self) -> Dataset:
+        """The dataset that the run gets to see; figures are taken against the ground truth of ``dataset``."""
+        return self.dataset if self.used is None else self.used.dataset
+
+
+def check_disk(settings: Settings) -> None:
+    """Raise Unavailable if the data root has less free space than the settings ask for."""
+    free_mb = shutil.disk_usage(settings.data).free // 1_000_000
+    if free_mb < settings.min_free_disk_mb:
+        raise Unavailable(
+            f"{settings.data} has {free_mb} MB free, {settings.min_free_disk_mb} MB are wanted",
+            "make room, or lower MIN_FREE_DISK_MB",
+        )
+
+
+def check_dataset_files(dataset: Dataset) -> None:
+    """Raise InvalidInput if the recording itself is not there."""
+    if not dataset.bag_path.exists():
+        raise InvalidInput(f"dataset {dataset.name} lacks its recording {dataset.bag_path}", "import it again")
+
+
+def recorded_topics(dataset: Dataset) -> dict[str, int]:
+    """{topic: messages} of the recording; raises InvalidInput if it is missing or damaged. Only its index is read."""
+    check_dataset_files(dataset)
+    return {entry.topic: entry.count for entry in inspect_bag(dataset.bag_path).topics}
+
+
+def check_recorded(dataset: Dataset, algorithm: Algorithm, recorded: Mapping[str, int]) -> None:
+    """Raise InvalidInput if the recording lacks a topic that ``algorithm`` needs; see :func:`recorded_topics`."""
+    for role, sensor in algorithm.assign(dataset).items():
+        if not recorded.get(sensor.topic):
+            raise InvalidInput(
+                f"{dataset.bag_path} holds no messages on {sensor.topic}, which {algorithm.name} needs as {role}",
+                f"correct the topic of {sensor.name} in dataset.yaml; recorded: {', '.join(sorted(recorded))}",
+            )
+
+
+def check_package(executor: str, executors: Callable[[str], Executor], package: AlgorithmPackage) -> None:
+    """Raise InvalidInput if the package can never run on ``executor``: it has no environment, only an image."""
+    if executor != "process":
+        return
+    try:
+        executors(executor).identity(package)
+    except ImageMissing as error:
+        raise InvalidInput(error.message, error.remedy) from None
+
+
+def write_config(job: Job, folder: RunFolder) -> None:
+    """Write ``config.yaml``: the exact bytes that are mounted."""
+    config = build_run_config(job.algorithm, job.seen, job.configuration, job.run_id, job.seed, job.dataset)
+    write_aside(folder.config, to_yaml(config))
+
+
+def build_spec(
+    job: Job, folder: RunFolder, settings: Settings, identity: str, cores: tuple[int, ...] | None
+) -> RunSpec:
+    """The frozen specification of the run.
+
+    Args:
+        job: What to run.
+        folder: Its run folder; ``config.yaml`` has been written.
+        settings: Limits and time limits come from here where the run asks for none.
+        identity: Image digest or environment hash that will be used.
+        cores: Core numbers of the worker's slot, None for all cores.
+    """
+    return RunSpec(
+        key=job.key,
+        run_id=job.run_id,
+        package=job.algorithm.package.name,
+        package_folder=job.algorithm.package.folder,
+        image=job.algorithm.package.image,
+        identity=identity,
+        command=COMMAND,
+        mounts=_mounts(job, folder, settings),
+        environment={ORB_VOCABULARY_VARIABLE: CONTAINER_VOCABULARY} if settings.orb_vocabulary else {},
+        limits=_limits(job, settings, cores),
+        timeout_s=time_limit_s(job, settings),
+        log_path=folder.log,
+    )
+
+
+def time_limit_s(job: Job, settings: Settings) -> float:
+    """The wall-clock limit: as asked for, or derived from the recording's duration and the playback rate."""
+    if job.limits.timeout_s is not None:
+        return job.limits.timeout_s
+    duration_s = job.dataset.duration_s / min(job.configuration.playback.rate, 1.0)
+    return settings.run_timeout_factor * duration_s + settings.run_timeout_slack_s
+
+
+def provenance(job: Job, identity: str) -> dict[str, Any]:
+    """What ``run.json`` says about where the run's parts come from."""
+    package = job.algorithm.package
+    return {
+        "software": f"slamhive {__version__}",
+        "algorithm": {
+            "package": package.name,
+            "mode": job.algorithm.mode,
+            "version": package.version,
+            "package_hash": package_hash(package.folder),
+            "image": package.image,
+            "identity": identity,
+        },
+        "dataset": {
+            "checksum": job.dataset.checksum,
+            "duration_s": job.dataset.duration_s,
+            "variant": IDENTITY if job.used is None else job.used.key,
+            "variant_checksum": job.seen.checksum,
+        },
+    }
+
+
+def _mounts(job: Job, folder: RunFolder, settings: Settings) -> tuple[Mount, ...]:
+    dataset = job.seen
+    inside = f"{CONTAINER_ROOT}/dataset"
+    mounts = [
+        Mount(folder.config, f"{CONTAINER_ROOT}/config.yaml"),
+        Mount(dataset.bag_path, f"{inside}/{dataset.bag}"),
+        Mount(folder.result, f"{CONTAINER_ROOT}/result", read_only=False),
+    ]
+    companions = (name for name in ("dataset.yaml", "rosbag_play.py") if (dataset.folder / name).is_file())
+    mounts.extend(Mount(dataset.folder / name, f"{inside}/{name}") for name in companions)
+    if settings.orb_vocabulary:
+        mounts.append(Mount(Path(settings.orb_vocabulary), CONTAINER_VOCABULARY))
+    scripts = job.algorithm.package.folder / "slamhive"
+    if not (job.algorithm.package.folder / "Dockerfile").is_file():
+        # An image made for the published SLAM Hive: its scripts are not baked in, it gets a copy of its own.
+        copy = folder.work / "slamhive"
+        shutil.copytree(scripts, copy, dirs_exist_ok=True)
+        mounts.insert(0, Mount(copy, CONTAINER_ROOT, read_only=False))
+    return tuple(mounts)
+
+
+def _limits(job: Job, settings: Settings, cores: tuple[int, ...] | None) -> Limits:
+    memory_mb = job.limits.memory_mb or settings.run_memory_mb or job.algorithm.package.memory_mb
+    return Limits(
+        cpu_cores=job.limits.cpu_cores or settings.run_cpu_cores or None,
+        memory_bytes=memory_mb * 1_000_000,
+        pids=settings.run_pids,
+        cpuset=cores,
+        disk_bytes=disk_limit_bytes(settings),
+        files=settings.run_files,
+    )
+
+
+def disk_limit_bytes(settings: Settings) -> int:
+    """What the run may write: as set, but never so much that other runs and the database are left without room."""
+    spared_bytes = settings.min_free_disk_mb * 500_000
+    return max(0, min(settings.run_disk_mb * 1_000_000, shutil.disk_usage(settings.data).free - spared_bytes))

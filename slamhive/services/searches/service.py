@@ -1,0 +1,166 @@
+"""Searching runs: the names a filter may use, what was left out, groups, saved searches."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from slamhive.domain.names import check_name
+from slamhive.domain.parameters import Parameter, ParameterType
+from slamhive.search.binding import Search, read_search
+from slamhive.search.fields import Kind, ParameterKind, Vocabulary, vocabulary_of
+from slamhive.services.clock import utc_now
+from slamhive.services.datasets.catalogue import Catalogue, check_writable
+from slamhive.services.datasets.external import imported_algorithms
+from slamhive.settings import Settings
+from slamhive.store.records import Count, GroupPage, RunSort, SavedSearchRecord
+from slamhive.store.store import Store
+
+_KINDS = {
+    ParameterType.INT: Kind.NUMBER,
+    ParameterType.FLOAT: Kind.NUMBER,
+    ParameterType.BOOL: Kind.FLAG,
+    ParameterType.STRING: Kind.TEXT,
+    ParameterType.ENUM: Kind.CHOICE,
+    ParameterType.MATRIX: Kind.TEXT,
+}
+
+
+KEPT_FROM = 50_000
+"""From so many runs on what is left out is not counted for every page."""
+
+KEPT_S = 10.0
+_Key = tuple[tuple[str, ...], str | None]
+_Having = tuple[int, dict[str, int]]
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """What a page of a search does not show: of ``total`` runs, those without a metric that the search compares."""
+
+    total: int
+    without: dict[str, int]
+
+
+class Searches:
+    """Every way in (pages, command line, API, analysis files) reads the same language here.
+
+    Args:
+        settings: In force.
+        store: The database.
+        catalogue: Algorithms, which tell parameters and sensors.
+        clock: Monotonic seconds.
+    """
+
+    def __init__(
+        self, settings: Settings, store: Store, catalogue: Catalogue, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._settings = settings
+        self._store = store
+        self._catalogue = catalogue
+        self._clock = clock
+        self._counts: dict[_Key, tuple[float, _Having]] = {}
+
+    def metrics(self) -> list[str]:
+        """The metrics that any run has a value of."""
+        return self._store.read(lambda t: t.searches.metrics())
+
+    def unevaluated(self) -> int:
+        """How many runs succeeded and have no evaluation, done or waiting."""
+        return self._store.read(lambda t: t.searches.unevaluated())
+
+    def names(self) -> tuple[list[str], list[str]]:
+        """The algorithms and the datasets that anything was stored for; their folders may be gone."""
+        return self._store.read(lambda t: t.searches.names())
+
+    def vocabulary(self) -> Vocabulary:
+        """The names that a filter may use: those of the catalogue, and those that runs were stored with."""
+        algorithms = self._catalogue.algorithms()
+        sensors: dict[str, tuple[str, ...]] = {}
+        for algorithm in (*algorithms, *imported_algorithms(self._store)):
+            sensors[algorithm.setup.value] = (*sensors.get(algorithm.setup.value, ()), algorithm.name)
+        packages = {algorithm.package.name: algorithm.parameters for algorithm in algorithms}
+        defined = [kind for parameters in packages.values() for entry in parameters for kind in _kinds(entry)]
+        stored, protocols = self._store.read(lambda t: (t.searches.parameters(), t.searches.protocols()))
+        own_keys: dict[str, tuple[str, ...]] = {}
+        for entry in (entry for parameters in packages.values() for entry in parameters if entry.general):
+            name = str(entry.general)
+            own_keys[name] = tuple(dict.fromkeys((*own_keys.get(name, ()), entry.key)))
+        return vocabulary_of([*defined, *stored], sensors=sensors, protocols=protocols, own_keys=own_keys)
+
+    def read(self, text: str) -> Search:
+        """The search that ``text`` states; raises FilterError pointing at what is not understood."""
+        return read_search(text, self.vocabulary())
+
+    def find(self, text: str) -> list[int]:
+        """The ids of all runs that the filter ``text`` finds, in order."""
+        return self.run_ids(self.read(text))
+
+    def run_ids(self, search: Search) -> list[int]:
+        """All runs that match, in order."""
+        return self._store.read(lambda t: t.searches.run_ids(search))
+
+    def exact_count(self, search: Search) -> int:
+        """How many match, however long counting takes."""
+        return self._store.read(lambda t: t.searches.exact_count(search))
+
+    def left_out(self, search: Search, found: Count) -> LeftOut:
+        """How many runs there are, and how many have no value of each metric that ``search`` compares.
+
+        ``found``: how many it finds, which without a filter is the number of all.
+        """
+        if search.tree is None:
+            return LeftOut(found.number, {})
+        names = tuple(field.name for field in search.metrics)
+        total, having = self._kept(
+            (names, search.protocol),
+            lambda: self._store.read(lambda t: (t.searches.total(), t.searches.with_metrics(search))),
+        )
+        return LeftOut(total, {key: total - number for key, number in having.items() if number < total})
+
+    def _kept(self, key: _Key, count: Callable[[], _Having]) -> _Having:
+        """What ``count`` returns, or returned within the last seconds if there are very many runs."""
+        until_s, kept = self._counts.get(key, (0.0, (0, {})))
+        if self._clock() < until_s:
+            return kept
+        found = count()
+        if found[0] >= KEPT_FROM:
+            now_s = self._clock()
+            self._counts = {k: entry for k, entry in self._counts.items() if entry[0] > now_s}
+            self._counts[key] = (now_s + KEPT_S, found)
+        return found
+
+    def groups(self, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
+        """The configurations of the matching runs, with mean and spread of ``metrics`` over the repeats."""
+        return self._store.read(lambda t: t.searches.groups(search, sort, after, limit, metrics))
+
+    # -- saved searches --------------------------------------------------------------------------------------------
+
+    def save(self, record: SavedSearchRecord) -> bool:
+        """Save under its name, over what has it; whether it is new. The filter must be understood today."""
+        check_writable(self._settings)
+        check_name("saved search", record.name)
+        self.read(record.filter_text)
+        now = utc_now()
+        return self._store.write(lambda t: t.searches.save(record, now))
+
+    def saved(self) -> list[SavedSearchRecord]:
+        """All saved searches by name."""
+        return self._store.read(lambda t: t.searches.saved())
+
+    def saved_named(self, name: str) -> SavedSearchRecord:
+        """One saved search; raises NotFound."""
+        return self._store.read(lambda t: t.searches.saved_named(name))
+
+    def delete(self, name: str) -> None:
+        """Delete a saved search; raises NotFound."""
+        check_writable(self._settings)
+        self._store.write(lambda t: t.searches.delete_saved(name))
+
+
+def _kinds(parameter: Parameter) -> list[ParameterKind]:
+    """The parameter under its key and under its general name."""
+    names = dict.fromkeys((parameter.key, parameter.general or parameter.key))
+    kind = _KINDS[parameter.type]
+    return [ParameterKind(name, kind, parameter.unit, parameter.choices) for name in names]

@@ -1,0 +1,1 @@
+"""The worker: claims runs, drives each to its end, and evaluates them."""

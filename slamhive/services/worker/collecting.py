@@ -1,0 +1,111 @@
+"""The last step of a run: its evidence is judged, its folder sealed, its figures stored."""
+
+from __future__ import annotations
+
+import logging
+from datetime import datetime
+
+from slamhive.domain.disturbance import Disturbance, disturbance_to_json
+from slamhive.domain.protocol import Protocol
+from slamhive.errors import SlamHiveError
+from slamhive.executors.base import Exited
+from slamhive.runs.outcome import Evidence, Outcome, decide
+from slamhive.runs.profiling import measure_run, write_plots
+from slamhive.services.json_values import exact
+from slamhive.services.runs.retrying import repeat_if_disturbed
+from slamhive.services.worker.disk import remove_scratch, settle_result
+from slamhive.services.worker.disturbance import judge_run
+from slamhive.services.worker.evidence import gather_evidence, read_about
+from slamhive.services.worker.run_in_hand import RunInHand
+from slamhive.store.store import Transaction
+
+logger = logging.getLogger(__name__)
+
+
+class Collecting:
+    """Collects what one run has left."""
+
+    def __init__(self, hand: RunInHand) -> None:
+        self._hand = hand
+
+    def collect(self) -> None:
+        """To ``succeeded`` or ``failed``."""
+        hand = self._hand
+        hand.check_owner()
+        status = hand.executor.poll(hand.handle)
+        hand.executor.save_log(hand.handle, hand.folder.log)
+        settle_result(hand)
+        saved = hand.saved()
+        evidence = gather_evidence(hand.folder, status, saved, hand.run.stop_when)
+        outcome = decide(evidence)
+        ended_at = (status.ended_at if isinstance(status, Exited) else None) or hand.context.now()
+        metrics = measure_run(hand.folder, hand.started_at, ended_at, saved.get("peak_memory_bytes"), evidence)
+        disturbance = judge_run(hand.folder, metrics, hand.context.settings)
+        self._seal(outcome, evidence, ended_at, metrics, disturbance)
+        self._tidy_up()
+
+    def _tidy_up(self) -> None:
+        """What is left to do once the outcome is safe; none of it can change the outcome."""
+        try:
+            self._hand.executor.remove(self._hand.handle)
+            remove_scratch(self._hand)
+            write_plots(self._hand.folder)
+        except (SlamHiveError, OSError) as error:
+            logger.warning("run %d has ended, but: %s", self._hand.run.id, str(error))
+
+    def _seal(
+        self,
+        outcome: Outcome,
+        evidence: Evidence,
+        ended_at: datetime,
+        metrics: dict[str, float],
+        disturbance: Disturbance,
+    ) -> None:
+        """The folder first, since it is the truth; then its index."""
+        hand = self._hand
+        poses = evidence.trajectory.poses
+        ending = {
+            "state": outcome.state.value,
+            "reason": None if outcome.reason is None else outcome.reason.value,
+            "detail": outcome.detail or None,
+            "ended_at": exact(ended_at),
+            "exit_code": evidence.exit_code,
+            "poses": poses,
+            "metrics": metrics,
+            "disturbance": disturbance_to_json(disturbance),
+            "about": read_about(hand.folder),
+        }
+        now = hand.context.now()
+        why = outcome.detail or outcome.state.value
+        hand.save(ending, hand.moving(now, outcome.state, why))
+
+        protocol = self._evaluation_protocol() if outcome.succeeded and hand.run.evaluate else None
+
+        def work(transaction: Transaction) -> None:
+            transaction.runs.move(
+                hand.run.id,
+                outcome.state,
+                why=why,
+                now=now,
+                owner=hand.context.owner,
+                reason=outcome.reason,
+                detail=outcome.detail or None,
+                ended_at=ended_at,
+                exit_code=evidence.exit_code,
+                poses=poses,
+                disturbance=disturbance,
+            )
+            transaction.metrics.put(hand.run.id, None, metrics)
+            if protocol is not None:
+                transaction.evaluations.queue([hand.run.id], protocol, now)
+            repeat_if_disturbed(transaction, transaction.runs.get(hand.run.id), now)
+
+        hand.context.store.write(work)
+        hand.reload()
+
+    def _evaluation_protocol(self) -> Protocol | None:
+        try:
+            return self._hand.context.protocol_of(self._hand.run)
+        except SlamHiveError as error:
+            logger.warning("run %d will not be evaluated: %s", self._hand.run.id, error)
+            return None

@@ -1,0 +1,142 @@
+"""One run from state to state. Each step can be done again by another worker if this one dies in the middle of it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import asdict
+from datetime import datetime
+
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.errors import SlamHiveError
+from slamhive.executors.base import EngineUnavailable, ImageMissing, RunHandle, StartFailed
+from slamhive.services.datasets.variants import variant_key
+from slamhive.services.json_values import exact, timestamp
+from slamhive.services.runs.record import handle_to_json, spec_from_json
+from slamhive.services.worker.collecting import Collecting
+from slamhive.services.worker.context import DriverContext
+from slamhive.services.worker.disk import remove_scratch, settle_result
+from slamhive.services.worker.evidence import ENGINE_AWAY
+from slamhive.services.worker.preparing import Preparing
+from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
+from slamhive.services.worker.watching import Watch
+from slamhive.store.records import RunRecord
+
+logger = logging.getLogger(__name__)
+
+
+class RunDriver:
+    """Takes one claimed run to its end.
+
+    Args:
+        context: What the worker's drivers share.
+        run: The run, in whatever active state its last worker left it.
+        cores: Core numbers of the slot, None for all.
+    """
+
+    def __init__(self, context: DriverContext, run: RunRecord, cores: tuple[int, ...] | None) -> None:
+        self._context = context
+        self._hand = RunInHand(context, run, cores)
+
+    def drive(self) -> RunRecord:
+        """Step until the run has ended (or went back to the queue); the run as it is then.
+
+        Raises LeaseLost, WorkerStopping, EngineUnavailable or Unavailable: the run stays in its state, another call
+        of a fresh driver goes on from there.
+        """
+        hand = self._hand
+        with ExitStack() as held:
+            self._keep_variant(held)
+            steps: dict[RunState, Callable[[], None]] = {
+                RunState.PREPARING: Preparing(hand, held).prepare,
+                RunState.STARTING: self._start,
+                RunState.RUNNING: Watch(hand).watch,
+                RunState.COLLECTING: Collecting(hand).collect,
+                RunState.CANCELLING: self._cancel,
+            }
+            while hand.run.state.active:
+                try:
+                    steps[hand.run.state]()
+                except EngineUnavailable:
+                    if hand.run.state in (RunState.RUNNING, RunState.COLLECTING):
+                        hand.save({ENGINE_AWAY: timestamp(self._context.now())})
+                    raise
+        return hand.run
+
+    def give_up(self, why: str) -> None:
+        """End the run as failed because the controller cannot go on with it; its record may be unreadable."""
+        hand = self._hand
+        try:
+            self._end_what_runs()
+        except (SlamHiveError, OSError) as error:
+            logger.warning("run %d is given up, but may go on in its engine: %s", hand.run.id, str(error))
+        if hand.run.state is RunState.CANCELLING:
+            hand.move(RunState.CANCELLED, why)
+            return
+        if not hand.keeper.readable():
+            hand.keeper.begin(hand.run)
+        reasons = {
+            RunState.PREPARING: FailureReason.PREPROCESS_ERROR,
+            RunState.STARTING: FailureReason.START_ERROR,
+        }
+        hand.fail(reasons.get(hand.run.state, FailureReason.LOST), why)
+
+    def _keep_variant(self, held: ExitStack) -> None:
+        """Hold the variant of a run that another worker has prepared."""
+        hand = self._hand
+        if hand.run.variant and hand.run.state is not RunState.PREPARING and hand.keeper.readable():
+            key = variant_key(hand.saved())
+            if key is not None:
+                held.enter_context(self._context.variants.hold_made(key))
+
+    def _start(self) -> None:
+        hand = self._hand
+        if hand.cancel_requested():
+            hand.move(RunState.CANCELLING, CANCELLED_BY_USER)
+            return
+        spec = spec_from_json(hand.saved()["spec"])
+        try:
+            handle = hand.executor.start(spec)
+        except ImageMissing as error:
+            hand.fail(FailureReason.IMAGE_MISSING, str(error))
+            return
+        except StartFailed as error:
+            hand.executor.discard(spec)
+            hand.fail(FailureReason.START_ERROR, str(error))
+            return
+        stored = handle_to_json(handle)
+        started_at = _start_time(handle, self._context.now())
+        protections = {} if handle.protections is None else {"protections": asdict(handle.protections)}
+        started = {"handle": stored, "started_at": exact(started_at)}
+        hand.save({**started, **protections})
+        hand.move(RunState.RUNNING, "started", started_at=started_at, handle=stored)
+
+    def _cancel(self) -> None:
+        hand = self._hand
+        self._end_what_runs()
+        now = self._context.now()
+        if hand.folder.record.exists():
+            ending = {"state": RunState.CANCELLED.value, "ended_at": exact(now)}
+            hand.save(ending, hand.moving(now, RunState.CANCELLED, CANCELLED_BY_USER))
+        hand.move(RunState.CANCELLED, CANCELLED_BY_USER, now=now)
+
+    def _end_what_runs(self) -> None:
+        """Stop and remove what was started for the run, known or not."""
+        hand = self._hand
+        if hand.run.handle is not None:
+            hand.executor.stop(hand.handle, self._context.settings.stop_grace_s)
+            hand.executor.save_log(hand.handle, hand.folder.log)
+            hand.executor.remove(hand.handle)
+            settle_result(hand)
+            remove_scratch(hand)
+        elif hand.keeper.readable() and "spec" in hand.saved():
+            # A start whose answer was lost may have started something all the same.
+            hand.executor.discard(spec_from_json(hand.saved()["spec"]))
+            remove_scratch(hand)
+
+
+def _start_time(handle: RunHandle, now: datetime) -> datetime:
+    """When the engine started the run, if it says so: a worker that adopts it comes later. Never after ``now``."""
+    known = handle.data.get("started_at")
+    return now if known is None else min(now, datetime.fromisoformat(known))

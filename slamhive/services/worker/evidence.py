@@ -1,0 +1,115 @@
+"""What is known of a run that has ended, from the engine, the record and the (untrusted) result folder."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from slamhive.domain.run import FailureReason
+from slamhive.domain.stop_when import StopWhen
+from slamhive.executors.base import Exited, Gone, RunStatus
+from slamhive.runs.early_end import EarlyEnd
+from slamhive.runs.folder import RunFolder
+from slamhive.runs.leftovers import Survey, removed_in_words
+from slamhive.runs.log_line import last_error_line, read_tail
+from slamhive.runs.outcome import Evidence, TrajectoryCheck, inspect_trajectory, is_finished
+from slamhive.runs.untrusted import read_untrusted_json
+from slamhive.services.runs.progress import untracked_s
+
+MAX_ABOUT_BYTES = 64_000
+
+STOPPED_BECAUSE = "stopped_because"
+"""Key of the record: why the controller ended the run: one of the endings of ``watching``."""
+
+DISK_LIMIT = "disk_limit"
+"""Key of the record: in words the disk limit for which the controller ended the run."""
+
+LEFT = "left"
+"""Key of the record: what the run had left when it ended, before anything was removed of it."""
+
+STOP_RULE = "stop_rule"
+"""Key of the record: reason and detail of the stop rule that was broken."""
+
+STARTED_BY = "started_by_attempt"
+"""Key of the record: which attempt of a worker was the first to start the run, or to try."""
+
+_KILLED = 137
+"""The exit code of what got SIGKILL."""
+
+ENGINE_AWAY = "engine_away_at"
+"""Key of the record: since when the engine has not answered, while it does not."""
+
+
+def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any], rules: StopWhen) -> Evidence:
+    """Put the evidence together.
+
+    Args:
+        folder: The run's folder.
+        status: How the engine says that the run stands.
+        saved: The record so far: limits, what the run has left (:func:`look_at`), and why the controller ended the
+            run, if it did.
+        rules: The stop rules of the run.
+    """
+    cause = saved.get(STOPPED_BECAUSE)
+    return Evidence(
+        exit_code=status.exit_code if isinstance(status, Exited) else None,
+        out_of_memory=isinstance(status, Exited) and status.out_of_memory,
+        process_limit=cause == "process_limit" or (isinstance(status, Exited) and status.process_limit),
+        refused_processes=isinstance(status, Exited) and status.refused_processes,
+        most_processes=saved["spec"]["limits"]["pids"],
+        timed_out=cause == "timeout",
+        timeout_s=float(saved["spec"]["timeout_s"]),
+        disk_exceeded=saved.get(DISK_LIMIT) or saved[LEFT]["exceeded"],
+        removed=removed_in_words(saved[LEFT]["removed"]),
+        memory_limit_bytes=saved["spec"]["limits"]["memory_bytes"],
+        lingered=cause == "linger",
+        ended_early=_ended_early(saved) if cause == "stop_when" else None,
+        tracking_unseen=rules.lost_tracking_s is not None and untracked_s(folder) is None,
+        finished=is_finished(folder.finished),
+        gone_because=_gone_because(status, saved),
+        trajectory=_trajectory(saved[LEFT]["trajectory"]),
+        error_line=last_error_line(read_tail(folder.log)),
+    )
+
+
+def look_at(folder: RunFolder, found: Survey) -> dict[str, Any]:
+    """What a run has left, for its record: written down before anything is removed, so that it can be done twice."""
+    trajectory = inspect_trajectory(folder.trajectory)
+    return {
+        "files": found.files,
+        "bytes": found.size_bytes,
+        "exceeded": found.exceeded,
+        "removed": {} if found.exceeded else dict(found.strange),
+        "trajectory": {"poses": trajectory.poses, "problem": trajectory.problem, "detail": trajectory.detail},
+    }
+
+
+def _trajectory(content: dict[str, Any]) -> TrajectoryCheck:
+    problem = content["problem"]
+    return TrajectoryCheck(content["poses"], None if problem is None else FailureReason(problem), content["detail"])
+
+
+def read_about(folder: RunFolder) -> dict[str, Any] | None:
+    """What the algorithm says of itself (its version, the vocabulary it used); None if it says nothing."""
+    return read_untrusted_json(folder.about, MAX_ABOUT_BYTES)
+
+
+def _ended_early(saved: dict[str, Any]) -> EarlyEnd:
+    rule = saved[STOP_RULE]
+    return EarlyEnd(FailureReason(rule["reason"]), rule["detail"])
+
+
+def _gone_because(status: RunStatus, saved: dict[str, Any]) -> str | None:
+    """Why the way the run ended says nothing of the algorithm; None if it does."""
+    if isinstance(status, Gone):
+        return status.why
+    engine_away_at = saved.get(ENGINE_AWAY)
+    if isinstance(status, Exited) and status.exit_code != 0 and engine_away_at is not None:
+        return f"the engine went away at {engine_away_at} and took the run with it (exit code {status.exit_code})"
+    if isinstance(status, Exited) and status.exit_code == _KILLED and _unwatched(saved):
+        return f"it was killed while no worker watched, as when a machine goes down (exit code {_KILLED})"
+    return None
+
+
+def _unwatched(saved: dict[str, Any]) -> bool:
+    """Whether another worker than the first that tried to start the run finds it ended, and none has stopped it."""
+    return STOPPED_BECAUSE not in saved and saved.get(STARTED_BY, saved.get("attempt")) != saved.get("attempt")

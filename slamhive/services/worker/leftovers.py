@@ -1,0 +1,86 @@
+"""What killed processes leave behind is removed when a worker starts: half-written files and folders, scratch space.
+
+What a live process works on is locked by it and stays.
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from slamhive.bags.staging import sweep_partial_folders
+from slamhive.bags.variants.locks import Busy, exclusive
+from slamhive.domain.run import RunState
+from slamhive.errors import SlamHiveError
+from slamhive.executors.base import Executor
+from slamhive.executors.environment import Environments
+from slamhive.files import sweep_asides, sweep_folder, sweep_temporary
+from slamhive.runs.folder import RunFolder
+from slamhive.services.archive.importing import ASIDE as UNPACKED
+from slamhive.services.datasets.variants import Variants
+from slamhive.services.evaluations.scratch import sweep_scratch
+from slamhive.services.imports.service import ASIDE as IMPORTED
+from slamhive.services.imports.service import LOCK as IMPORT_LOCK
+from slamhive.services.runs.record import handle_from_json
+from slamhive.services.worker.disk import sweep_scratch as sweep_run_scratch
+from slamhive.settings import Settings
+from slamhive.store.records import RunRecord
+from slamhive.store.store import Store
+
+logger = logging.getLogger(__name__)
+
+LATEST = 1000
+"""So many runs and evaluations that ended last are looked at: a worker that dies is at few."""
+
+
+def sweep_leftovers(settings: Settings, store: Store, variants: Variants, executors: Callable[[str], Executor]) -> None:
+    """Remove what killed processes have left in the data root, and where the system keeps temporary files."""
+    data = settings.data
+    sweep_scratch(data)
+    sweep_temporary()
+    for folder in (
+        data,
+        settings.ledger_folder,
+        *_folders(settings.experiments_folder),
+        *_folders(settings.analyses_folder),
+    ):
+        sweep_asides(folder)
+    for aside in settings.analyses_folder.glob(".*"):
+        sweep_folder(aside)
+    sweep_partial_folders(settings.datasets_folder)
+    variants.sweep()
+    Environments(data).sweep()
+    _sweep_imports(settings.runs_folder)
+    for run in store.read(lambda t: t.runs.get_many(t.queue.lately(LATEST))):
+        _sweep_run(run, RunFolder(settings.runs_folder / str(run.id)), executors)
+    sweep_run_scratch(settings.runs_folder, store)
+
+
+def _sweep_imports(runs: Path) -> None:
+    asides = [*runs.glob(f"{IMPORTED}*"), *runs.glob(UNPACKED)]
+    if not asides:
+        return
+    try:
+        with exclusive(runs / IMPORT_LOCK):
+            for aside in asides:
+                shutil.rmtree(aside, ignore_errors=True)
+    except Busy:
+        logger.info("an import is under way; what killed ones have left stays until the next")
+
+
+def _sweep_run(run: RunRecord, folder: RunFolder, executors: Callable[[str], Executor]) -> None:
+    for place in (folder.root, folder.root / "evaluations", *_folders(folder.root / "evaluations")):
+        sweep_asides(place)
+    if not RunState(run.state).ended or not folder.work.exists():
+        return
+    try:
+        if run.handle is not None:
+            executors(run.executor).remove(handle_from_json(run.handle))
+    except SlamHiveError as error:
+        logger.info("what run %d has left may still be there: %s", run.id, error)
+
+
+def _folders(root: Path) -> Iterable[Path]:
+    return [entry for entry in root.iterdir() if entry.is_dir() and not entry.is_symlink()] if root.is_dir() else []

@@ -1,0 +1,140 @@
+"""The first step of a run: everything is made and written down that the start needs."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from contextlib import ExitStack
+from dataclasses import replace
+
+from slamhive.catalogue.algorithm_file import package_hash
+from slamhive.domain.parameters import check_stored
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.errors import InvalidInput, NotFound, SlamHiveError
+from slamhive.executors.base import ImageMissing
+from slamhive.runs.early_end import EarlyEnd, skipped
+from slamhive.services.runs.record import spec_to_json
+from slamhive.services.runs.specification import (
+    Job,
+    RunLimits,
+    build_spec,
+    check_dataset_files,
+    check_disk,
+    provenance,
+    write_config,
+)
+from slamhive.services.worker.evidence import STARTED_BY
+from slamhive.services.worker.host import describe_host
+from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
+from slamhive.store.records import AlgorithmVersion
+from slamhive.store.store import Transaction
+
+logger = logging.getLogger(__name__)
+
+MOST_OF_A_LINE = 200
+
+
+class PreparationCancelled(SlamHiveError):
+    """The user has cancelled the run while its variant was being made."""
+
+
+class Preparing:
+    """Prepares one run.
+
+    Args:
+        hand: The run.
+        held: Keeps the variant until the driver lets go of the run.
+    """
+
+    def __init__(self, hand: RunInHand, held: ExitStack) -> None:
+        self._hand = hand
+        self._held = held
+
+    def prepare(self) -> None:
+        """To ``starting``; or to an end if the run is not to be tried, cannot be made, or is cancelled."""
+        hand = self._hand
+        if hand.cancel_requested():
+            hand.move(RunState.CANCELLING, CANCELLED_BY_USER)
+            return
+        reason_to_skip = self._skipped()
+        if reason_to_skip is not None:
+            hand.fail(reason_to_skip.reason, reason_to_skip.detail)
+            return
+        check_disk(hand.context.settings)
+        try:
+            self._make()
+        except PreparationCancelled:
+            hand.move(RunState.CANCELLING, CANCELLED_BY_USER)
+        except (InvalidInput, NotFound) as error:
+            hand.fail(FailureReason.PREPROCESS_ERROR, str(error))
+        except ImageMissing as error:
+            hand.fail(FailureReason.IMAGE_MISSING, str(error))
+
+    def _skipped(self) -> EarlyEnd | None:
+        run = self._hand.run
+        if run.stop_when.failures_of_configuration is None:
+            return None
+        return skipped(run.stop_when, self._hand.context.store.read(lambda t: t.queue.failures_since_asked(run)))
+
+    def _make(self) -> None:
+        hand = self._hand
+        job = self._job()
+        check_dataset_files(job.dataset)
+        hand.folder.create()
+        hand.keeper.begin(hand.run)
+        job = self._with_variant(job)
+        identity = hand.executor.build(job.algorithm.package, self._show_build_line)
+        write_config(job, hand.folder)
+        spec = build_spec(job, hand.folder, hand.context.settings, identity, hand.cores)
+        # The attempt is written down before the start: a worker that dies in the start may have started the run.
+        hand.save({**provenance(job, identity), "spec": spec_to_json(spec), STARTED_BY: hand.run.attempt})
+        self._register_version(job, identity)
+        hand.move(RunState.STARTING, f"prepared with {identity[:19]}", timeout_s=spec.timeout_s)
+
+    def _job(self) -> Job:
+        context, run = self._hand.context, self._hand.run
+        algorithm = context.catalogue.algorithm(run.algorithm)
+        dataset = context.catalogue.dataset(run.dataset)
+        algorithm.assign(dataset)
+        configuration = context.store.read(lambda t: t.configurations.get(run.configuration_id))
+        check_stored(algorithm.name, algorithm.parameters, configuration.parameters)
+        limits = RunLimits(run.cpu_cores, run.memory_mb, run.timeout_s)
+        return Job(run.id, run.uid, algorithm, dataset, configuration, run.seed, limits)
+
+    def _with_variant(self, job: Job) -> Job:
+        """The variant that the run uses, made if need be; it is held until the driver lets go of the run."""
+        hand = self._hand
+
+        def progress(fraction: float, text: str) -> None:
+            if hand.cancel_requested():
+                raise PreparationCancelled(CANCELLED_BY_USER)
+            hand.check_still_ours()
+            logger.debug("run %d: %s (%.0f %%)", hand.run.id, text, 100 * fraction)
+
+        holding = hand.context.variants.hold(job.dataset, job.configuration.variant, progress)
+        return replace(job, used=self._held.enter_context(holding))
+
+    def _register_version(self, job: Job, identity: str) -> None:
+        hand = self._hand
+        package = job.algorithm.package
+        version = AlgorithmVersion(identity, package_hash(package.folder), package.version)
+        host = describe_host()
+        now = hand.context.now()
+
+        def work(transaction: Transaction) -> None:
+            algorithm_id = transaction.catalogue.put_algorithm(job.algorithm)
+            transaction.runs.update(
+                hand.run.id,
+                hand.context.owner,
+                algorithm_version_id=transaction.catalogue.put_version(algorithm_id, version, now),
+                host_id=transaction.catalogue.put_host(host),
+                dataset_checksum=job.dataset.checksum,
+            )
+
+        hand.context.store.write(work)
+        hand.save({"host": {name: getattr(host, name) for name in host.__slots__}})
+
+    def _show_build_line(self, line: str) -> None:
+        logger.info("run %d: %s", self._hand.run.id, line)
+        with contextlib.suppress(OSError):
+            self._hand.folder.preparation.write_text(line[:MOST_OF_A_LINE], encoding="utf-8")

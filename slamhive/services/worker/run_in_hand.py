@@ -1,0 +1,120 @@
+"""A run in the hands of its driver: row, folder and record, changed together."""
+
+from __future__ import annotations
+
+import logging
+from datetime import datetime
+from functools import cached_property
+from typing import Any
+
+from slamhive.domain.run import FailureReason, RunEvent, RunState
+from slamhive.errors import InvalidInput
+from slamhive.executors.base import Executor, RunHandle
+from slamhive.runs.folder import RunFolder
+from slamhive.services.json_values import exact
+from slamhive.services.runs.record import handle_from_json
+from slamhive.services.runs.record_keeper import RecordKeeper
+from slamhive.services.worker.context import DriverContext, WorkerStopping
+from slamhive.store.records import LeaseLost, RunRecord
+
+logger = logging.getLogger(__name__)
+
+CANCELLED_BY_USER = "cancelled by the user"
+
+
+class RunInHand:
+    """One claimed run.
+
+    Args:
+        context: What the worker's drivers share.
+        run: The row as it is now.
+        cores: Core numbers of the slot, None for all.
+    """
+
+    def __init__(self, context: DriverContext, run: RunRecord, cores: tuple[int, ...] | None) -> None:
+        self.context = context
+        self.cores = cores
+        self.run = run
+        self.folder = RunFolder(context.settings.runs_folder / str(run.id))
+        self.keeper = RecordKeeper(self.folder, context.store, run.id)
+
+    @cached_property
+    def executor(self) -> Executor:
+        """The one that the run was asked for."""
+        return self.context.executors(self.run.executor)
+
+    @property
+    def handle(self) -> RunHandle:
+        """What was started; raises InvalidInput if nothing was."""
+        if self.run.handle is None:
+            raise InvalidInput(f"run {self.run.id} is {self.run.state} without a handle")
+        return handle_from_json(self.run.handle)
+
+    @property
+    def started_at(self) -> datetime:
+        """When the algorithm was started."""
+        return self.run.started_at or self.run.created_at
+
+    def elapsed_s(self) -> float:
+        """Wall-clock time since then."""
+        return (self.context.now() - self.started_at).total_seconds()
+
+    def saved(self) -> dict[str, Any]:
+        """The record as it was last written."""
+        return self.keeper.read()
+
+    def save(self, changes: dict[str, Any], final: RunEvent | None = None, *, without: str | None = None) -> None:
+        """Add to the record; see :meth:`RecordKeeper.save`."""
+        self.keeper.save({"attempt": self.run.attempt, **changes}, final, without=without)
+
+    def move(self, target: RunState, why: str, *, now: datetime | None = None, **fields: Any) -> None:
+        """Move the row, then note the state in the record."""
+        moment = now or self.context.now()
+        owner = self.context.owner
+        self.context.store.write(lambda t: t.runs.move(self.run.id, target, why=why, now=moment, owner=owner, **fields))
+        self.reload()
+        if self.folder.record.exists():
+            ending = {"ended_at": exact(self.run.ended_at)} if target.ended else {}
+            self.save({"state": target.value, **ending})
+
+    def moving(self, now: datetime, target: RunState, why: str) -> RunEvent:
+        """The move that is about to be made, for the record that is written before it."""
+        return RunEvent(now, self.run.state, target, why)
+
+    def fail(self, reason: FailureReason, detail: str) -> None:
+        """End the run as failed: the folder first, since it is the truth; then its index."""
+        logger.warning("run %d failed: %s: %s", self.run.id, reason, detail)
+        now = self.context.now()
+        self.folder.create()
+        if not self.folder.record.exists():
+            self.keeper.begin(self.run)
+        ending = {
+            "state": RunState.FAILED.value,
+            "reason": reason.value,
+            "detail": detail,
+            "ended_at": exact(now),
+        }
+        self.save(ending, self.moving(now, RunState.FAILED, detail))
+        self.move(RunState.FAILED, detail, now=now, reason=reason, detail=detail)
+
+    def reload(self) -> None:
+        """Read the row again."""
+        self.run = self.context.store.read(lambda t: t.runs.get(self.run.id))
+
+    def cancel_requested(self) -> bool:
+        """Whether somebody wants the run to end."""
+        return self.context.cancel_requested(self.run.id)
+
+    def check_owner(self) -> None:
+        """Ask the database, before the folder is written: after a long sleep another worker may have the run."""
+        now = self.context.now()
+        owner, lease_s = self.context.owner, self.context.settings.lease_s
+        if not self.context.store.write(lambda t: t.queue.heartbeat([self.run.id], owner, now, lease_s)):
+            raise LeaseLost(f"run {self.run.id} is held by another worker now")
+
+    def check_still_ours(self) -> None:
+        """Raise WorkerStopping if this worker ends, or has let go of the run."""
+        if not self.context.still_held(self.run.id):
+            raise WorkerStopping(f"run {self.run.id} is held by another worker now")
+        if self.context.stopping.is_set():
+            raise WorkerStopping(f"run {self.run.id} goes on without this worker")

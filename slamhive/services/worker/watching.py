@@ -1,0 +1,142 @@
+"""While a run goes on: sample it, look at it, and end it where its limits, its stop rules or the user say so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from typing import Any
+
+from slamhive.domain.run import RunState
+from slamhive.executors.base import Gone, Running, UsageSource
+from slamhive.executors.energy import EnergyLog
+from slamhive.executors.host_counters import HostCounters, HostLog
+from slamhive.executors.sampler import MachineLogs, Sampler
+from slamhive.runs.early_end import Observation, broken_rule
+from slamhive.runs.outcome import is_finished
+from slamhive.services.runs.progress import untracked_s
+from slamhive.services.worker.disk import DiskWatch, disk_limits
+from slamhive.services.worker.evidence import DISK_LIMIT, ENGINE_AWAY, STOP_RULE, STOPPED_BECAUSE
+from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
+
+LINGER_S = 10.0
+"""An algorithm that has said ``finished`` may take this long to end before it is stopped; its result stands."""
+
+_ENDINGS = {
+    "timeout": "time limit reached",
+    "disk_limit": "disk limit reached",
+    "process_limit": "limit of processes reached",
+    "linger": "finished",
+    "stop_when": "ended early",
+}
+
+_AT_ONCE = frozenset({"disk_limit", "process_limit"})
+"""Endings that leave no time to be asked politely."""
+
+
+class Watch:
+    """Watches one run until it has ended, or is to be ended by the user."""
+
+    def __init__(self, hand: RunInHand) -> None:
+        self._hand = hand
+        self._sampler: Sampler | None = None
+        self._finished_at: datetime | None = None
+
+    def watch(self) -> None:
+        """To ``collecting``, or to ``cancelling``."""
+        with self._sampled():
+            cause = self._wait_for_end()
+        if cause == "cancelled":
+            self._hand.move(RunState.CANCELLING, CANCELLED_BY_USER)
+            return
+        stopped_because = self._hand.saved().get(STOPPED_BECAUSE, cause)
+        self._hand.move(RunState.COLLECTING, _ENDINGS.get(stopped_because, stopped_because))
+
+    @contextmanager
+    def _sampled(self) -> Iterator[None]:
+        hand = self._hand
+        source = hand.executor.usage_source(hand.handle)
+        if source is None:
+            yield
+            return
+        interval_s = hand.context.settings.sample_interval_s
+        offset_s, machine = max(0.0, hand.elapsed_s()), self._machine_logs(source)
+        self._sampler = Sampler(source, hand.folder.profiling, interval_s, offset_s=offset_s, machine=machine)
+        self._sampler.start()
+        try:
+            yield
+        finally:
+            peak_bytes = self._sampler.stop()
+            if peak_bytes is not None:
+                hand.save({"peak_memory_bytes": peak_bytes})
+
+    def _machine_logs(self, source: UsageSource) -> MachineLogs:
+        hand = self._hand
+        cores = hand.saved()["spec"]["limits"]["cpuset"]
+        counters = HostCounters(cores) if source.on_this_machine else None
+        return MachineLogs(EnergyLog(hand.folder.energy), HostLog(hand.folder.host, counters))
+
+    def _wait_for_end(self) -> str:
+        """Why the run has ended: ``exited``, ``gone``, ``cancelled``, or what :data:`STOPPED_BECAUSE` says."""
+        hand = self._hand
+        saved = hand.saved()
+        timeout_s = float(saved["spec"]["timeout_s"])
+        disk = DiskWatch(hand, disk_limits(saved))
+        engine_was_away = ENGINE_AWAY in saved
+        while True:
+            status = hand.executor.poll(hand.handle)
+            if not isinstance(status, Running):
+                return "gone" if isinstance(status, Gone) else "exited"
+            if engine_was_away:
+                # The run has outlived it: what it ends with from now on is its own doing.
+                hand.save({}, without=ENGINE_AWAY)
+                engine_was_away = False
+            if hand.cancel_requested():
+                return "cancelled"
+            if STOPPED_BECAUSE in saved:
+                # A worker died between writing down why and stopping; what it had seen may have passed by now.
+                return self._stop(saved[STOPPED_BECAUSE])
+            cause = {STOPPED_BECAUSE: "process_limit"} if status.process_limit else self._cause_to_stop(timeout_s, disk)
+            if cause is not None:
+                return self._stop_because(cause)
+            hand.check_still_ours()
+            hand.context.stopping.wait(hand.context.settings.poll_interval_s)
+
+    def _cause_to_stop(self, timeout_s: float, disk: DiskWatch) -> dict[str, Any] | None:
+        """What the record has to say of why the run is stopped now, None while it may go on."""
+        hand = self._hand
+        if hand.elapsed_s() > timeout_s:
+            return {STOPPED_BECAUSE: "timeout"}
+        exceeded = disk.exceeded()
+        if exceeded is not None:
+            return {STOPPED_BECAUSE: "disk_limit", DISK_LIMIT: exceeded}
+        if self._finished_at is None and is_finished(hand.folder.finished):
+            self._finished_at = hand.context.now()
+        if self._finished_at is not None:
+            # Its result is complete, there is nothing left to end early.
+            lingered_s = (hand.context.now() - self._finished_at).total_seconds()
+            return {STOPPED_BECAUSE: "linger"} if lingered_s > LINGER_S else None
+        broken = broken_rule(hand.run.stop_when, self._observation())
+        if broken is None:
+            return None
+        return {STOPPED_BECAUSE: "stop_when", STOP_RULE: {"reason": broken.reason.value, "detail": broken.detail}}
+
+    def _observation(self) -> Observation:
+        watched = self._hand.run.stop_when.lost_tracking_s is not None
+        return Observation(
+            elapsed_s=self._hand.elapsed_s(),
+            memory_bytes=None if self._sampler is None else self._sampler.most_bytes,
+            untracked_s=untracked_s(self._hand.folder) if watched else None,
+        )
+
+    def _stop_because(self, cause: dict[str, Any]) -> str:
+        """Stop the run; why is written down first, so that the exit code is not taken for the algorithm's."""
+        self._hand.check_owner()
+        self._hand.save(cause)
+        return self._stop(cause[STOPPED_BECAUSE])
+
+    def _stop(self, cause: str) -> str:
+        # What fills the disk, or multiplies, would go on for as long.
+        grace_s = 0.0 if cause in _AT_ONCE else self._hand.context.settings.stop_grace_s
+        self._hand.executor.stop(self._hand.handle, grace_s)
+        return cause

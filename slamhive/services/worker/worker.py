@@ -1,0 +1,323 @@
+"""The worker: claims queued runs, drives each to its end in a slot of its own, evaluates what has succeeded.
+
+The database is the queue. Whatever kills this process, the runs go on in their containers; the next worker claims
+them when the lease has run out (at once if it can see that the old worker's process is gone) and carries on.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable, Collection, Iterable
+
+from slamhive.domain.run import RunEvent, RunState
+from slamhive.errors import SlamHiveError, Unavailable
+from slamhive.executors.base import EngineUnavailable, Executor
+from slamhive.executors.registry import AUTO
+from slamhive.runs.folder import RunFolder
+from slamhive.search.build import matching
+from slamhive.services.analyses.jobs import AnalysisJobs
+from slamhive.services.clock import utc_now
+from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.services.datasets.variants import Variants
+from slamhive.services.evaluations.service import Evaluations
+from slamhive.services.identity import owner_is_dead, worker_identity
+from slamhive.services.runs.record_keeper import RecordKeeper
+from slamhive.services.worker.context import DriverContext, WorkerStopping
+from slamhive.services.worker.driver import RunDriver
+from slamhive.services.worker.held_runs import HeldRuns
+from slamhive.services.worker.leftovers import sweep_leftovers
+from slamhive.services.worker.lock import WorkerLock
+from slamhive.services.worker.slots import share_cores
+from slamhive.services.worker.turns import AbsentExecutors, Turns
+from slamhive.settings import Settings
+from slamhive.store.records import LeaseLost, RunRecord
+from slamhive.store.store import Store, Transaction
+
+logger = logging.getLogger(__name__)
+
+IDLE_PAUSE_S = 0.25
+TROUBLE_PAUSE_S = 5.0
+MOST_ACTIVE = 1000
+CANCEL_CHECK_S = 0.5
+EVALUATION_INTERVAL_S = 30.0
+
+
+class Worker:
+    """Runs slots until told to stop, or until nothing is left to do.
+
+    Args:
+        settings: Slots, intervals, lease.
+        store: The queue.
+        catalogue: Algorithms and datasets.
+        executors: The executor for a name.
+        evaluations: Evaluates what has succeeded.
+        only: Work on these runs alone, None for all.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        store: Store,
+        catalogue: Catalogue,
+        executors: Callable[[str], Executor],
+        evaluations: Evaluations,
+        only: Iterable[int] | None = None,
+    ) -> None:
+        self._settings = settings
+        self._store = store
+        self._catalogue = catalogue
+        self._evaluations = evaluations
+        self._analyses = AnalysisJobs(settings, store, catalogue.project_root)
+        self._only = None if only is None else frozenset(only)
+        self._held = HeldRuns()
+        self._stopping = threading.Event()
+        self._next_evaluation_s = 0.0
+        self.owner = worker_identity()
+        self._absent = AbsentExecutors(executors, TROUBLE_PAUSE_S)
+        self._context = DriverContext(
+            settings=settings,
+            store=store,
+            catalogue=catalogue,
+            executors=executors,
+            owner=self.owner,
+            stopping=self._stopping,
+            still_held=lambda run_id: run_id in self._held.runs,
+            cancel_requested=lambda run_id: run_id in self._held.cancel,
+            protocol_of=evaluations.protocol_of,
+            variants=Variants(settings, store),
+        )
+
+    def stop(self) -> None:
+        """Ask the worker to end; runs in progress go on without it."""
+        self._stopping.set()
+
+    def run(self, *, until_idle: bool = False) -> None:
+        """Work until :meth:`stop`, or, with ``until_idle``, until there is nothing left to do.
+
+        Raises Conflict if a worker of this data root runs on this machine already.
+        """
+        slots = self._settings.worker_slots
+        cores = share_cores(slots)
+        with WorkerLock(self._settings.data):
+            self._take_over_from_the_dead()
+            self._store.recheck()
+            self._sweep()
+            threads = [
+                threading.Thread(target=self._slot, args=(cores[slot], until_idle), name=f"slot-{slot}")
+                for slot in range(slots)
+            ]
+            heartbeat_ends = threading.Event()
+            heartbeat = threading.Thread(target=self._heartbeat, args=(heartbeat_ends,), name="heartbeat", daemon=True)
+            heartbeat.start()
+            for thread in threads:
+                thread.start()
+            try:
+                for thread in threads:
+                    thread.join()
+            finally:
+                self._stopping.set()
+                for thread in threads:
+                    thread.join()
+                heartbeat_ends.set()
+                heartbeat.join()
+                self._let_go()
+
+    def _slot(self, cores: tuple[int, ...] | None, until_idle: bool) -> None:
+        if cores is not None:
+            # What the slot does itself (a variant, an evaluation) disturbs the others as little as its runs do.
+            os.sched_setaffinity(0, cores)
+        turns = Turns()
+        while not self._stopping.is_set():
+            try:
+                away = self._absent.names()
+                busy = self._work_once(cores, turns, away)
+            except (SlamHiveError, OSError) as error:
+                logger.warning("%s; trying again in %.0f s", error, TROUBLE_PAUSE_S)
+                self._stopping.wait(TROUBLE_PAUSE_S)
+                continue
+            except Exception:
+                logger.exception("a fault of the worker; it goes on in %.0f s", TROUBLE_PAUSE_S)
+                self._stopping.wait(TROUBLE_PAUSE_S)
+                continue
+            if busy:
+                continue
+            if until_idle and not self._held.snapshot() and not self._waits_for_engine(away):
+                return
+            self._stopping.wait(IDLE_PAUSE_S)
+
+    def _work_once(self, cores: tuple[int, ...] | None, turns: Turns, away: Collection[str]) -> bool:
+        """One run whose executor is not ``away``, or one batch of evaluations; whether there was anything to do."""
+        now, near = self._context.now(), turns.near
+        run = self._store.write(
+            lambda t: t.queue.claim(self.owner, now, self._settings.lease_s, self._only, near, away)
+        )
+        if run is not None:
+            turns.took(run)
+            self._drive(run, cores)
+            if time.monotonic() < self._next_evaluation_s:
+                return True
+        # Between runs, not beside them; not after each one either: a start of the engine serves many runs.
+        self._next_evaluation_s = time.monotonic() + EVALUATION_INTERVAL_S
+        evaluated = self._evaluations.work_once(self.owner, self._stopping, self._only, cores=cores)
+        # In the turn of a run as well, on the cores of this slot: no run of another slot is measured wrongly by it.
+        analysed = self._only is None and self._analyses.work_once(self.owner, self._stopping)
+        return run is not None or evaluated > 0 or analysed
+
+    def _waits_for_engine(self, away: Collection[str]) -> bool:
+        """Whether runs were left out because their engine was ``away``; it may have come back since."""
+        return bool(away) and self._store.read(lambda t: t.queue.waits(self._only))
+
+    def _drive(self, run: RunRecord, cores: tuple[int, ...] | None) -> None:
+        self._held.add(run.id)
+        logger.info("run %d: %s on %s, %s", run.id, run.algorithm, run.dataset, run.state)
+        try:
+            ended = self._drive_through_trouble(run, cores)
+        except (LeaseLost, WorkerStopping) as error:
+            logger.info("%s", error)
+            return
+        finally:
+            self._held.discard(run.id)
+        logger.info("run %d: %s%s", ended.id, ended.state, f" ({ended.detail})" if ended.detail else "")
+
+    def _drive_through_trouble(self, run: RunRecord, cores: tuple[int, ...] | None) -> RunRecord:
+        """Drive, and go on from the stored state each time the engine, database or disk was away."""
+        said = ""
+        while True:
+            driver = RunDriver(self._context, run, cores)
+            try:
+                return driver.drive()
+            except (LeaseLost, WorkerStopping):
+                raise
+            except (Unavailable, OSError) as error:
+                if said != str(error):
+                    said = str(error)
+                    logger.warning("run %d waits: %s", run.id, said)
+                if isinstance(error, EngineUnavailable) and self._put_back(run, said):
+                    return self._record(run.id)
+                self._stopping.wait(TROUBLE_PAUSE_S)
+                if self._stopping.is_set():
+                    raise WorkerStopping(f"run {run.id} waits for the next worker") from None
+            except SlamHiveError as error:
+                driver.give_up(str(error))
+            except Exception as error:
+                logger.exception("run %d ends by a fault of the worker", run.id)
+                driver.give_up(f"internal error: {type(error).__name__}: {error}")
+            run = self._reloaded(run)
+            if run.state.ended:
+                return run
+
+    def _put_back(self, run: RunRecord, why: str) -> bool:
+        """Let a run of which nothing has been started wait in the queue for its engine, not in the slot."""
+        now, waits = self._context.now(), f"waits: {why}"
+
+        def work(transaction: Transaction) -> bool:
+            current = transaction.runs.get(run.id)
+            if current.state is not RunState.PREPARING or current.cancel_requested:
+                return False
+            transaction.runs.move(run.id, RunState.QUEUED, why=waits, now=now, owner=self.owner)
+            return True
+
+        keeper = RecordKeeper(RunFolder(self._settings.runs_folder / str(run.id)), self._store, run.id)
+        if keeper.readable():
+            # Before the move: after it another slot may have the run, and its record.
+            moving = RunEvent(now, RunState.PREPARING, RunState.QUEUED, waits)
+            keeper.save({"state": RunState.QUEUED.value}, moving)
+        if not self._store.write(work):
+            return False
+        self._absent.note(run.executor)
+        return True
+
+    def _record(self, run_id: int) -> RunRecord:
+        return self._store.read(lambda t: t.runs.get(run_id))
+
+    def _reloaded(self, run: RunRecord) -> RunRecord:
+        now = self._context.now()
+
+        def work_held() -> bool:
+            return bool(
+                self._store.write(lambda t: t.queue.heartbeat([run.id], self.owner, now, self._settings.lease_s))
+            )
+
+        try:
+            current = self._record(run.id)
+            if current.state.active and not work_held():
+                raise LeaseLost(f"run {run.id} was taken over by another worker")
+        except Unavailable:
+            return run
+        return current
+
+    def _heartbeat(self, ends: threading.Event) -> None:
+        """Extend the leases, and learn of runs that were cancelled."""
+        next_beat = 0.0
+        while not ends.wait(CANCEL_CHECK_S):
+            held = self._held.snapshot()
+            if not held:
+                continue
+            try:
+                if time.monotonic() >= next_beat:
+                    next_beat = time.monotonic() + self._settings.lease_s / 3
+                    self._beat(held)
+                self._held.cancel |= self._store.read(lambda t, held=held: t.queue.cancel_requested(held))  # type: ignore[misc]
+            except SlamHiveError as error:
+                logger.warning("heartbeat: %s", str(error))
+            except Exception:
+                # Without a heartbeat another worker would take over what this one goes on with.
+                logger.exception("a fault of the heartbeat; it goes on")
+
+    def _beat(self, held: set[int]) -> None:
+        now = utc_now()
+        still = self._store.write(lambda t: t.queue.heartbeat(held, self.owner, now, self._settings.lease_s))
+        lost = held - still
+        if lost:
+            ended = {
+                run.id for run in self._store.read(lambda t: t.runs.get_many(lost)) if run.lease_owner != self.owner
+            }
+            for run_id in ended:
+                self._held.discard(run_id)
+
+    def _take_over_from_the_dead(self) -> None:
+        """Free what a killed worker of this machine held, so that nobody waits for its lease to run out."""
+        owners = self._store.read(lambda t: t.queue.owners() | t.evaluations.owners() | t.analyses.owners())
+        for owner in owners:
+            if owner != self.owner and owner_is_dead(owner):
+                logger.info("worker %s is gone, its runs are taken over", owner)
+                self._store.write(lambda t, owner=owner: _release(t, owner))  # type: ignore[misc]
+
+    def _sweep(self) -> None:
+        """Remove what killed workers have left behind."""
+        self._sweep_containers()
+        try:
+            sweep_leftovers(self._settings, self._store, self._context.variants, self._context.executors)
+        except (SlamHiveError, OSError) as error:
+            logger.warning("what killed workers have left may still be there: %s", error)
+
+    def _sweep_containers(self) -> None:
+        """Remove containers and control groups whose runs have ended."""
+        active = matching(states=tuple(state for state in RunState if state.active))
+        records = self._store.read(lambda t: t.runs.page(active, limit=MOST_ACTIVE)).records
+        names = {record.executor for record in records}
+        names.update(("docker", "process") if self._settings.executor == AUTO else (self._settings.executor,))
+        for name in sorted(names):
+            try:
+                removed = self._context.executors(name).sweep({record.uid for record in records})
+            except SlamHiveError as error:
+                logger.info("left-over containers are not looked for: %s", str(error))
+            else:
+                if removed:
+                    logger.info("removed %s, whose runs have ended", ", ".join(removed))
+
+    def _let_go(self) -> None:
+        try:
+            self._store.write(lambda t: t.queue.release_all(self.owner))
+        except SlamHiveError as error:
+            logger.warning("leases run out by themselves: %s", error)
+
+
+def _release(transaction: Transaction, owner: str) -> None:
+    """Put back whatever ``owner``, known to be dead, holds."""
+    transaction.queue.release_all(owner)
+    transaction.evaluations.release_all(owner)
+    transaction.analyses.release_all(owner)
