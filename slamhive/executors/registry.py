@@ -42,13 +42,13 @@ EXECUTORS: Registry[ExecutorFactory] = Registry("executor", "slamhive.executors"
 
 
 def _docker(context: ExecutorContext) -> Executor:
-    from slamhive.executors.docker import DockerExecutor  # noqa: PLC0415 - the SDK takes 0.2 s to import
+    from slamhive.executors.docker.executor import DockerExecutor  # noqa: PLC0415 - the SDK takes 0.2 s to import
 
     return DockerExecutor(context)
 
 
 def _process(context: ExecutorContext) -> Executor:
-    from slamhive.executors.process import ProcessExecutor  # noqa: PLC0415 - as above, kept alike
+    from slamhive.executors.process.executor import ProcessExecutor  # noqa: PLC0415 - as above, kept alike
 
     return ProcessExecutor(context)
 

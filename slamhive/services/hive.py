@@ -330,7 +330,7 @@ class Hive:
         """Evaluation runs where the runs themselves run: in a container if Docker is in use, else in a process."""
         name, _ = self.executor_choice()
         if name == "docker":
-            from slamhive.executors.docker_batch import DockerStarter  # noqa: PLC0415 - the SDK takes 0.2 s to import
+            from slamhive.executors.docker.batch import DockerStarter  # noqa: PLC0415 - the SDK takes 0.2 s to import
 
             return EvaluationRunner(DockerStarter(self._executor_context()))
         return EvaluationRunner(ProcessStarter(self.catalogue.project_root))

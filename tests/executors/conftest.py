@@ -11,8 +11,8 @@ import pytest
 
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import Executor, Exited, Limits, Mount, RunHandle, Running, RunSpec
-from slamhive.executors.containment import KINDS, choose_containment
-from slamhive.executors.containment_base import ContainmentRequest, DoesNotHold
+from slamhive.executors.process.containment import KINDS, choose_containment
+from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold
 from slamhive.executors.registry import ExecutorContext, open_executor
 from slamhive.runs.folder import RunFolder
 from tests.waiting import eventually

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from slamhive.executors.containment_base import DoesNotHold
+from slamhive.executors.process.containment_base import DoesNotHold
 
 _NOBODY = 65_534
 

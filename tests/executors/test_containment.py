@@ -10,17 +10,17 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.executors import containment
 from slamhive.executors.base import Gone, Limits, Running
-from slamhive.executors.containment import choose_containment, found_again
-from slamhive.executors.containment_base import ContainmentRequest, DoesNotHold
-from slamhive.executors.exit_file import EXIT_FILE
-from slamhive.executors.process_table import all_processes, living, processes_of_user
-from slamhive.executors.process_tree import ProcessTreeSource
-from slamhive.executors.shim import IDENTITY_FILE, main
-from slamhive.executors.shim_spec import ShimSpec
-from slamhive.executors.survey import survey
-from slamhive.executors.user_limit import FIRST_UID, USERS
+from slamhive.executors.process import containment
+from slamhive.executors.process.containment import choose_containment, found_again
+from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold
+from slamhive.executors.process.exit_file import EXIT_FILE
+from slamhive.executors.process.shim import IDENTITY_FILE, main
+from slamhive.executors.process.shim_spec import ShimSpec
+from slamhive.executors.process.survey import survey
+from slamhive.executors.process.table import all_processes, living, processes_of_user
+from slamhive.executors.process.tree_usage import ProcessTreeSource
+from slamhive.executors.process.user_limit import FIRST_UID, USERS
 from tests.executors.conftest import EVERYWHERE, HOLDING, REFUSING, open_to_other_users, wait_for_end
 from tests.executors.processes import processes_of
 from tests.executors.strangers import as_nobody

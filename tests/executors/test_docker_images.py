@@ -14,11 +14,11 @@ import docker.errors
 import pytest
 
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.executors import docker_build
 from slamhive.executors.base import ImageMissing
 from slamhive.executors.cgroup import cgroup_of
-from slamhive.executors.docker_build import choose_base, follow_build
-from slamhive.executors.docker_image import find_image, make_image
+from slamhive.executors.docker import build as docker_build
+from slamhive.executors.docker.build import choose_base, follow_build
+from slamhive.executors.docker.image import find_image, make_image
 
 pytestmark = pytest.mark.integration
 

@@ -10,12 +10,12 @@ import requests
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import NotFound, Unavailable
 from slamhive.executors.base import EngineUnavailable, ImageMissing, Limits, Mount, RunSpec, StartFailed
-from slamhive.executors.capped_log import CappedLog, assemble
-from slamhive.executors.docker import container_options
-from slamhive.executors.docker_build import follow_build
-from slamhive.executors.docker_engine import connect, container_name, engine_errors
-from slamhive.executors.docker_stats import parse_stats
-from slamhive.executors.environment import Environments
+from slamhive.executors.docker.build import follow_build
+from slamhive.executors.docker.engine import connect, container_name, engine_errors
+from slamhive.executors.docker.executor import container_options
+from slamhive.executors.docker.stats import parse_stats
+from slamhive.executors.process.capped_log import CappedLog, assemble
+from slamhive.executors.process.environment import Environments
 from slamhive.executors.registry import ExecutorContext, choose_executor, installation_id, open_executor
 from slamhive.executors.sampler import HEADER, Sampler
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.executors import landlock, namespaces
 from slamhive.executors.base import Limits
-from slamhive.executors.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
+from slamhive.executors.process import landlock, namespaces
+from slamhive.executors.process.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
+from slamhive.executors.process.shim import OUTPUT_FOLDER
 from slamhive.executors.registry import installation_id
-from slamhive.executors.shim import OUTPUT_FOLDER
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.log_line import last_error_line
 from tests.executors.conftest import wait_for_end

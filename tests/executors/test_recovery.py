@@ -16,12 +16,12 @@ import docker.errors
 import psutil
 import pytest
 
-from slamhive.executors import docker as docker_executor
 from slamhive.executors.base import Gone, Limits, Running
-from slamhive.executors.docker import DockerExecutor
-from slamhive.executors.docker_engine import EVALUATION_KEY, INSTALLATION_LABEL, KEY_LABEL
-from slamhive.executors.process_paths import KEY_VARIABLE
-from slamhive.executors.process_tree import ProcessTreeSource
+from slamhive.executors.docker import executor as docker_executor
+from slamhive.executors.docker.engine import EVALUATION_KEY, INSTALLATION_LABEL, KEY_LABEL
+from slamhive.executors.docker.executor import DockerExecutor
+from slamhive.executors.process.paths import KEY_VARIABLE
+from slamhive.executors.process.tree_usage import ProcessTreeSource
 from slamhive.runs.folder import RunFolder
 from tests.executors.conftest import wait_for_end
 from tests.waiting import eventually
@@ -65,7 +65,7 @@ def test_start_that_was_killed_before_it_knew_the_supervisor(bench):
     work = RunFolder(spec.log_path.parent).work
     environment = bench.executor._environments.find(spec.package, spec.identity)
     bench.executor._shim_spec(spec, environment, work).save(work)
-    orphan = [sys.executable, "-m", "slamhive.executors.shim", str(work)]
+    orphan = [sys.executable, "-m", "slamhive.executors.process.shim", str(work)]
     with subprocess.Popen(orphan, cwd=PROJECT_ROOT), subprocess.Popen(orphan, cwd=PROJECT_ROOT):
         handle = bench.executor.start(spec)
     bench.handles.append(handle)

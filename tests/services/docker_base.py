@@ -9,7 +9,7 @@ from pathlib import Path
 import docker
 import pytest
 
-from slamhive.executors.docker_build import choose_base
+from slamhive.executors.docker.build import choose_base
 
 TEST_IMAGE = "slam-hive-test:base"
 PROJECT_ROOT = Path(__file__).resolve().parents[2]

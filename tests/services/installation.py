@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.executors.docker_engine import INSTALLATION_LABEL
+from slamhive.executors.docker.engine import INSTALLATION_LABEL
 from slamhive.executors.registry import installation_id
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.runs.submission import Submission

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from slamhive.executors.process import ProcessExecutor
+from slamhive.executors.process.executor import ProcessExecutor
 from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluations.service import Evaluations
 from slamhive.services.hive import open_hive

@@ -23,7 +23,7 @@ import sys, tempfile, time
 from pathlib import Path
 from slamhive import files
 from slamhive.bags.staging import new_dataset_folder
-from slamhive.executors.environment import Environments
+from slamhive.executors.process.environment import Environments
 from slamhive.services.evaluations.scratch import scratch_folder
 
 data = Path(sys.argv[1])

@@ -15,7 +15,7 @@ from slamhive.bags.variants.locks import Busy, exclusive
 from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Executor
-from slamhive.executors.environment import Environments
+from slamhive.executors.process.environment import Environments
 from slamhive.files import sweep_asides, sweep_folder, sweep_temporary
 from slamhive.runs.folder import RunFolder
 from slamhive.services.archive.importing import ASIDE as UNPACKED

@@ -1,4 +1,4 @@
-"""The supervisor of one algorithm process: ``python -m slamhive.executors.shim <work folder>``.
+"""The supervisor of one algorithm process: ``python -m slamhive.executors.process.shim <work folder>``.
 
 It outlives the worker that started it, so that a restarted worker finds out how the algorithm ended. Files in the work
 folder are the whole interface: ``shim-spec.json`` in, ``shim.lock`` held while it lives, ``shim.json`` (who
@@ -29,18 +29,18 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from slamhive.executors import namespaces
 from slamhive.executors.base import Protections
-from slamhive.executors.capped_log import CappedLog
-from slamhive.executors.containment import choose_containment
-from slamhive.executors.containment_base import DoesNotHold, ProcessTree
-from slamhive.executors.exit_file import LostOutput, reserve, write_exit
-from slamhive.executors.landlock import confine_writes
-from slamhive.executors.linux import PR_SET_CHILD_SUBREAPER, PR_SET_NO_NEW_PRIVS, PR_SET_PDEATHSIG, prctl
-from slamhive.executors.priority import raise_supervisor, urgent
+from slamhive.executors.process import namespaces
+from slamhive.executors.process.capped_log import CappedLog
+from slamhive.executors.process.containment import choose_containment
+from slamhive.executors.process.containment_base import DoesNotHold, ProcessTree
+from slamhive.executors.process.exit_file import LostOutput, reserve, write_exit
+from slamhive.executors.process.landlock import confine_writes
+from slamhive.executors.process.linux import PR_SET_CHILD_SUBREAPER, PR_SET_NO_NEW_PRIVS, PR_SET_PDEATHSIG, prctl
+from slamhive.executors.process.priority import raise_supervisor, urgent
+from slamhive.executors.process.shim_spec import ShimSpec
+from slamhive.executors.process.table import end_all, send, send_to_group
 from slamhive.executors.process_limit import RefusalWatch
-from slamhive.executors.process_table import end_all, send, send_to_group
-from slamhive.executors.shim_spec import ShimSpec
 from slamhive.files import write_aside
 
 LOCK_FILE = "shim.lock"

@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from slamhive.executors.containment_base import ContainmentRequest
+from slamhive.executors.process.containment_base import ContainmentRequest
 from slamhive.files import write_aside
 
 SPEC_FILE = "shim-spec.json"

@@ -13,7 +13,7 @@ import docker.errors
 
 from slamhive.catalogue.image_context import BuildContext
 from slamhive.executors.base import ImageMissing, ProgressCallback
-from slamhive.executors.docker_engine import engine_errors
+from slamhive.executors.docker.engine import engine_errors
 from slamhive.files import temporary_folder
 
 CONTENT_LABEL = "slamhive.content"

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from slamhive.executors.containment_base import Containment, ContainmentRequest, DoesNotHold
-from slamhive.executors.run_cgroup import RunCgroup, find_parents
-from slamhive.executors.tree_limit import TreeLimit
+from slamhive.executors.process.containment_base import Containment, ContainmentRequest, DoesNotHold
+from slamhive.executors.process.run_cgroup import RunCgroup, find_parents
+from slamhive.executors.process.tree_limit import TreeLimit
 
 
 def _make_cgroup(request: ContainmentRequest) -> Containment:
@@ -16,7 +16,7 @@ def _make_cgroup(request: ContainmentRequest) -> Containment:
 
 
 def _make_user(request: ContainmentRequest) -> Containment:
-    from slamhive.executors.user_limit import UserLimit  # noqa: PLC0415 - most supervisors start sooner without
+    from slamhive.executors.process.user_limit import UserLimit  # noqa: PLC0415 - most supervisors start sooner without
 
     return UserLimit.make(request)
 
@@ -60,7 +60,7 @@ def found_again(description: dict[str, Any]) -> Containment | None:
     if description.get("kind") == RunCgroup.kind:
         return RunCgroup.found_again(description)
     if description.get("kind") == "user":
-        from slamhive.executors.user_limit import UserLimit  # noqa: PLC0415 - as above
+        from slamhive.executors.process.user_limit import UserLimit  # noqa: PLC0415 - as above
 
         return UserLimit.found_again(description)
     return None

@@ -10,8 +10,8 @@ import os
 import resource
 from typing import Any
 
-from slamhive.executors.containment_base import ContainmentRequest, Look, ProcessTree
-from slamhive.executors.process_table import ProcessEntry, descendants, end_all, living, processes_of_user
+from slamhive.executors.process.containment_base import ContainmentRequest, Look, ProcessTree
+from slamhive.executors.process.table import ProcessEntry, descendants, end_all, living, processes_of_user
 
 _ROOM_FOR_OTHERS = 512
 

@@ -1,6 +1,6 @@
 """Runs algorithms as processes of this machine, where no container engine answers.
 
-Each run has a supervisor of its own (:mod:`slamhive.executors.shim`) that outlives the worker. What isolation a
+Each run has a supervisor of its own (:mod:`slamhive.executors.process.shim`) that outlives the worker. What isolation a
 container gives is missing here: the algorithm sees the file system and the network with the rights of this user.
 """
 
@@ -36,19 +36,19 @@ from slamhive.executors.base import (
     StartFailed,
     UsageSource,
 )
-from slamhive.executors.capped_log import assemble
-from slamhive.executors.containment import found_again
-from slamhive.executors.containment_base import Containment
-from slamhive.executors.environment import Environment, Environments, pip_problem
-from slamhive.executors.exit_file import EXIT_FILE
-from slamhive.executors.process_paths import INHERITED, KEY_VARIABLE, shim_spec_of
-from slamhive.executors.process_table import ProcessEntry, all_processes, end_all, living
-from slamhive.executors.process_tree import ProcessTreeSource
+from slamhive.executors.process.capped_log import assemble
+from slamhive.executors.process.containment import found_again
+from slamhive.executors.process.containment_base import Containment
+from slamhive.executors.process.environment import Environment, Environments, pip_problem
+from slamhive.executors.process.exit_file import EXIT_FILE
+from slamhive.executors.process.paths import INHERITED, KEY_VARIABLE, shim_spec_of
+from slamhive.executors.process.run_cgroup import group_name, left_over_groups
+from slamhive.executors.process.shim import IDENTITY_FILE, LOCK_FILE, OUTPUT_FOLDER, process_birth
+from slamhive.executors.process.shim_spec import ShimSpec
+from slamhive.executors.process.survey import survey
+from slamhive.executors.process.table import ProcessEntry, all_processes, end_all, living
+from slamhive.executors.process.tree_usage import ProcessTreeSource
 from slamhive.executors.registry import ExecutorContext
-from slamhive.executors.run_cgroup import group_name, left_over_groups
-from slamhive.executors.shim import IDENTITY_FILE, LOCK_FILE, OUTPUT_FOLDER, process_birth
-from slamhive.executors.shim_spec import ShimSpec
-from slamhive.executors.survey import survey
 from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.tree import remove_tree
@@ -222,7 +222,7 @@ def _launch(work: Path) -> dict[str, Any]:
     environment = {key: os.environ[key] for key in INHERITED if key in os.environ}
     with errors.open("ab") as stream:
         subprocess.run(
-            [sys.executable, "-m", "slamhive.executors.shim", str(work)],
+            [sys.executable, "-m", "slamhive.executors.process.shim", str(work)],
             env={**environment, "PYTHONPATH": package_root},
             stdin=subprocess.DEVNULL,
             stdout=stream,

@@ -22,8 +22,8 @@ from slamhive.evaluation.batch import IMAGE, Batch, LineCallback
 from slamhive.evaluation.image_context import evaluation_context_hash, stage_evaluation_context
 from slamhive.evaluation.line_feed import LineFeed
 from slamhive.executors.base import EngineUnavailable
-from slamhive.executors.docker_build import build_image, content_of, get_image, name_image
-from slamhive.executors.docker_engine import (
+from slamhive.executors.docker.build import build_image, content_of, get_image, name_image
+from slamhive.executors.docker.engine import (
     EVALUATION_KEY,
     HARDENING,
     INSTALLATION_LABEL,

@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 
 from slamhive.executors.base import RunSpec
-from slamhive.executors.environment import Environment
+from slamhive.executors.process.environment import Environment
+from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.registry import ExecutorContext
-from slamhive.executors.shim_spec import ShimSpec
 
 CONTAINER_ROOT = "/slamhive"
 KEY_VARIABLE = "SLAMHIVE_RUN_KEY"

@@ -10,7 +10,7 @@ import docker.errors
 
 from slamhive.executors.base import EngineUnavailable, Protections
 from slamhive.executors.cgroup import task_counter_of
-from slamhive.executors.docker_engine import engine_errors
+from slamhive.executors.docker.engine import engine_errors
 from slamhive.executors.process_limit import RefusalWatch
 
 _ASK_EVERY_S = 1.0

@@ -16,8 +16,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from slamhive.executors.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
-from slamhive.executors.linux import (
+from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
+from slamhive.executors.process.linux import (
     CAP_DAC_OVERRIDE,
     CAP_DAC_READ_SEARCH,
     PR_SET_KEEPCAPS,
@@ -25,8 +25,8 @@ from slamhive.executors.linux import (
     keep_only,
     prctl,
 )
+from slamhive.executors.process.table import ProcessEntry, end_all, living, processes_of_user
 from slamhive.executors.process_limit import REFUSAL_PATIENCE_S
-from slamhive.executors.process_table import ProcessEntry, end_all, living, processes_of_user
 
 FIRST_UID = 200_000
 USERS = 64

@@ -7,7 +7,7 @@ from typing import Any
 import docker.errors
 
 from slamhive.executors.base import EngineUnavailable
-from slamhive.executors.docker_engine import engine_errors
+from slamhive.executors.docker.engine import engine_errors
 
 _NS = 1e-9
 

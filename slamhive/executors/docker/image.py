@@ -11,8 +11,8 @@ import docker.errors
 from slamhive.catalogue.image_context import context_hash, stage_context
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import ImageMissing, ProgressCallback
-from slamhive.executors.docker_build import build_image, content_of, get_image, name_image
-from slamhive.executors.docker_engine import engine_errors
+from slamhive.executors.docker.build import build_image, content_of, get_image, name_image
+from slamhive.executors.docker.engine import engine_errors
 from slamhive.files import temporary_folder
 
 MAPPING_SCRIPT = "/slamhive/mapping.py"

@@ -35,7 +35,7 @@ from slamhive.executors.base import (
     UsageSource,
 )
 from slamhive.executors.cgroup import cgroup_of
-from slamhive.executors.docker_engine import (
+from slamhive.executors.docker.engine import (
     EVALUATION_KEY,
     HARDENING,
     INSTALLATION_LABEL,
@@ -45,9 +45,9 @@ from slamhive.executors.docker_engine import (
     container_name,
     engine_errors,
 )
-from slamhive.executors.docker_image import find_image, make_image
-from slamhive.executors.docker_processes import RefusedProcesses, engine_protections
-from slamhive.executors.docker_stats import DockerStatsSource
+from slamhive.executors.docker.image import find_image, make_image
+from slamhive.executors.docker.refusals import RefusedProcesses, engine_protections
+from slamhive.executors.docker.stats import DockerStatsSource
 from slamhive.executors.registry import ExecutorContext
 from slamhive.files import remedy_of, write_aside
 from slamhive.runs.folder import RunFolder

@@ -1,0 +1,1 @@
+"""Runs as supervised processes of this machine, where no container engine answers."""
