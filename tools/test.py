@@ -28,6 +28,7 @@ UNIT_LIMIT_S = 15.0
 MAY_BE_ABSENT = "shared/data"
 """A skipped test whose reason names this is fine everywhere: the recorded data is not part of the repository."""
 
+RUFF = (("check", "."), ("format", "--check", "."))
 ORB_SLAM3_LIBRARIES = ("libgl1", "libegl1", "libopengl0", "libsm6", "libice6", "libx11-6", "libxext6")
 ENGINE_PACKAGES = ("docker.io", "iptables", "debootstrap")
 COMPOSE_PACKAGES = ("docker-compose-v2", "docker-compose-plugin", "docker-compose")
@@ -98,7 +99,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
     """Every tier, fast ones first."""
     with_site = (str(BIN / "mkdocs"), "build", "--strict", "--quiet", "--site-dir", str(ROOT / "site"))
     return [
-        Tier("lint", ((str(BIN / "ruff"), "check", "."), (str(BIN / "ruff"), "format", "--check", "."))),
+        Tier("lint", (*((str(BIN / "ruff"), *rest) for rest in RUFF), (sys.executable, "tools/prose.py"))),
         Tier("types", ((str(BIN / "mypy"),),)),
         Tier("imports", ((str(BIN / "lint-imports"),),)),
         Tier("unit", marks="not integration and not docker and not mysql", workers=2, limit_s=UNIT_LIMIT_S),
