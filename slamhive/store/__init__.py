@@ -10,6 +10,7 @@ from slamhive.store.configuration_records import (
     ParameterCondition,
     StoredParameter,
 )
+from slamhive.store.leases import Lease
 from slamhive.store.records import (
     AlgorithmRecord,
     AlgorithmVersion,
@@ -44,6 +45,7 @@ __all__ = [
     "EvaluationRecord",
     "EvaluationState",
     "Host",
+    "Lease",
     "LeaseLost",
     "Page",
     "ParameterCondition",

@@ -4,43 +4,41 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, delete, func, insert, or_, select, update
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, Row, delete, func, insert, select, update
 
 from slamhive.errors import NotFound
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
+from slamhive.store.leases import NO_LEASE, Lease, LeaseQueue
 from slamhive.store.models import Analysis, Evaluation, Run
 from slamhive.store.records import LeaseLost
-from slamhive.store.rows import changed, chunks, cut, lease
+from slamhive.store.rows import changed, chunks, cut
 
 REASON_LENGTH = 10_000
 _TABLE = Analysis.__table__
-_FREE: dict[str, Any] = {"lease_owner": None, "lease_expires_at": None}
 
 
-class AnalysisRepository:
+class AnalysisRepository(LeaseQueue[str]):
     """One worker computes an analysis at a time; one that dies leaves it to the next."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
+    table = _TABLE
+    key = "token"
+    queued = AnalysisState.QUEUED
+    working = (AnalysisState.RUNNING,)
+    released = AnalysisState.QUEUED
+    refunds_attempts = True
 
     def put(self, record: AnalysisRecord) -> None:
         """File an analysis as its folder tells it; the same call again is fine. Whoever computes it has lost it."""
         values = {
             "name": record.name,
-            "state": record.state,
             "listed": record.listed,
             "visitor": record.visitor,
             "created_at": record.created_at,
-            "content_hash": record.content_hash,
-            "reason": cut(record.reason, REASON_LENGTH),
-            "size_bytes": record.size_bytes,
-            "ended_at": record.ended_at,
+            **_ending(record),
             "attempt": 0,
-            **_FREE,
+            **NO_LEASE,
         }
         if not changed(self._session, update(_TABLE).where(_TABLE.c.token == record.token).values(values)):
             self._session.execute(insert(_TABLE).values(token=record.token, **values))
@@ -84,54 +82,15 @@ class AnalysisRepository:
 
     # -- the queue -------------------------------------------------------------------------------------------------
 
-    def claim(self, owner: str, now: datetime, lease_s: float) -> AnalysisRecord | None:
+    def claim(self, lease: Lease) -> AnalysisRecord | None:
         """Take the oldest that waits, or whose worker went silent; None if there is none."""
-        free = or_(
-            _TABLE.c.state == AnalysisState.QUEUED,
-            (_TABLE.c.state == AnalysisState.RUNNING)
-            & (_TABLE.c.lease_owner.is_(None) | (_TABLE.c.lease_expires_at < now)),
-        )
-        values = {"state": AnalysisState.RUNNING, "attempt": _TABLE.c.attempt + 1, **lease(owner, now, lease_s)}
-        for found in self._session.execute(select(_TABLE.c.id).where(free).order_by(_TABLE.c.id).limit(5)).scalars():
-            if changed(self._session, update(_TABLE).where(_TABLE.c.id == found, free).values(values)) == 1:
-                return self._records(_TABLE.c.id == found)[0]
-        return None
-
-    def heartbeat(self, token: str, owner: str, now: datetime, lease_s: float) -> bool:
-        """Extend the lease; whether ``owner`` still holds it. False once it is deleted or queued anew."""
-        held = [_TABLE.c.token == token, _TABLE.c.lease_owner == owner]
-        self._session.execute(update(_TABLE).where(*held).values(lease(owner, now, lease_s)))
-        return self._session.execute(select(_TABLE.c.id).where(*held)).first() is not None
+        taken = self._take_oldest(self._waiting(lease.now), lease, 1, state=AnalysisState.RUNNING)
+        return self._records(_TABLE.c.token == taken[0])[0] if taken else None
 
     def finish(self, record: AnalysisRecord, owner: str) -> None:
         """File the end of an analysis that ``owner`` computes; raises LeaseLost if it holds it no more."""
-        values = {
-            "state": record.state,
-            "content_hash": record.content_hash,
-            "reason": cut(record.reason, REASON_LENGTH),
-            "size_bytes": record.size_bytes,
-            "ended_at": record.ended_at,
-            **_FREE,
-        }
-        held = [_TABLE.c.token == record.token, _TABLE.c.lease_owner == owner]
-        if changed(self._session, update(_TABLE).where(*held).values(values)) != 1:
+        if not self._end(record.token, owner, **_ending(record)):
             raise LeaseLost(f"analysis {record.token} was deleted, or taken over by another worker")
-
-    def release(self, token: str, owner: str) -> None:
-        """Put back what ``owner`` holds and did not end; that it tried does not count."""
-        held = [_TABLE.c.token == token, _TABLE.c.lease_owner == owner, _TABLE.c.state == AnalysisState.RUNNING]
-        values = {"state": AnalysisState.QUEUED, "attempt": _TABLE.c.attempt - 1, **_FREE}
-        self._session.execute(update(_TABLE).where(*held).values(values))
-
-    def release_all(self, owner: str) -> None:
-        """Put back what ``owner``, known to be dead, still holds."""
-        held = [_TABLE.c.lease_owner == owner, _TABLE.c.state == AnalysisState.RUNNING]
-        self._session.execute(update(_TABLE).where(*held).values(state=AnalysisState.QUEUED, **_FREE))
-
-    def owners(self) -> set[str]:
-        """Everyone who holds an analysis."""
-        held = select(_TABLE.c.lease_owner).where(_TABLE.c.lease_owner.is_not(None)).distinct()
-        return {str(owner) for owner in self._session.execute(held).scalars()}
 
     # -- what an analysis shows ------------------------------------------------------------------------------------
 
@@ -156,6 +115,16 @@ class AnalysisRepository:
     def _records(self, condition: ColumnElement[bool]) -> list[AnalysisRecord]:
         query = select(_TABLE).where(condition).order_by(_TABLE.c.id)
         return [_record(row) for row in self._session.execute(query)]
+
+
+def _ending(record: AnalysisRecord) -> dict[str, Any]:
+    return {
+        "state": record.state,
+        "content_hash": record.content_hash,
+        "reason": cut(record.reason, REASON_LENGTH),
+        "size_bytes": record.size_bytes,
+        "ended_at": record.ended_at,
+    }
 
 
 def _record(row: Row[Any]) -> AnalysisRecord:

@@ -6,9 +6,8 @@ from collections.abc import Collection, Iterable, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, exists, func, insert, or_, select, update
+from sqlalchemy import ColumnElement, Row, Select, exists, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
-from sqlalchemy.orm import Session
 
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunState
@@ -16,10 +15,11 @@ from slamhive.errors import Conflict, NotFound
 from slamhive.evaluation.job import Artefacts, EvaluationResult
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.changes import AskedEvaluations, changes_of
+from slamhive.store.leases import Lease, LeaseQueue
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, Protocol, Run
 from slamhive.store.records import EvaluationRecord, EvaluationState, LeaseLost
-from slamhive.store.rows import changed, chunks, cut, get_or_insert, lease
+from slamhive.store.rows import changed, chunks, cut, get_or_insert
 from slamhive.store.verdicts import VerdictRepository
 
 REASON_LENGTH = 10_000
@@ -27,11 +27,13 @@ _TABLE = Evaluation.__table__
 _OPEN = (EvaluationState.QUEUED, EvaluationState.RUNNING)
 
 
-class EvaluationRepository:
+class EvaluationRepository(LeaseQueue[int]):
     """History is kept: evaluating again adds a row. At most one of a run and protocol waits or works at a time."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
+    table = _TABLE
+    queued = EvaluationState.QUEUED
+    working = (EvaluationState.RUNNING,)
+    released = EvaluationState.QUEUED
 
     def queue(
         self, run_ids: Iterable[int], protocol: domain.Protocol, now: datetime, artefacts: Artefacts = Artefacts.FILES
@@ -65,56 +67,16 @@ class EvaluationRepository:
         )
         return {row.run_id: row.id for row in self._session.execute(query)}
 
-    def claim(
-        self, owner: str, now: datetime, lease_s: float, limit: int = 100, runs: Collection[int] | None = None
-    ) -> list[EvaluationRecord]:
+    def claim(self, lease: Lease, limit: int = 100, runs: Collection[int] | None = None) -> list[EvaluationRecord]:
         """Take up to ``limit`` evaluations, oldest first: queued ones, and those whose worker went silent.
 
         ``runs`` restricts the choice to evaluations of these runs.
         """
-        free = or_(
-            _TABLE.c.state == EvaluationState.QUEUED,
-            (_TABLE.c.state == EvaluationState.RUNNING)
-            & (_TABLE.c.lease_owner.is_(None) | (_TABLE.c.lease_expires_at < now)),
-        )
+        free = self._waiting(lease.now)
         if runs is not None:
             free &= _TABLE.c.run_id.in_(sorted(runs))
-        candidates = self._session.execute(select(_TABLE.c.id).where(free).order_by(_TABLE.c.id).limit(limit)).scalars()
-        values = {
-            "state": EvaluationState.RUNNING,
-            "started_at": now,
-            "attempt": _TABLE.c.attempt + 1,
-            **lease(owner, now, lease_s),
-        }
-        taken = [
-            evaluation_id
-            for evaluation_id in candidates.all()
-            if changed(self._session, update(_TABLE).where(_TABLE.c.id == evaluation_id, free).values(values)) == 1
-        ]
+        taken = self._take_oldest(free, lease, limit, state=EvaluationState.RUNNING, started_at=lease.at)
         return self._records(_TABLE.c.id.in_(taken))
-
-    def heartbeat(self, evaluation_ids: Iterable[int], owner: str, now: datetime, lease_s: float) -> set[int]:
-        """Extend the leases; the evaluations that ``owner`` still holds."""
-        held = [_TABLE.c.id.in_(list(evaluation_ids)), _TABLE.c.lease_owner == owner]
-        self._session.execute(update(_TABLE).where(*held).values(lease(owner, now, lease_s)))
-        return set(self._session.execute(select(_TABLE.c.id).where(*held)).scalars())
-
-    def release(self, evaluation_ids: Iterable[int], owner: str) -> None:
-        """Put evaluations back into the queue."""
-        held = [_TABLE.c.id.in_(list(evaluation_ids)), _TABLE.c.lease_owner == owner]
-        values = {"state": EvaluationState.QUEUED, "lease_owner": None, "lease_expires_at": None}
-        self._session.execute(update(_TABLE).where(*held).values(values))
-
-    def owners(self) -> set[str]:
-        """Everyone who holds an evaluation."""
-        held = select(_TABLE.c.lease_owner).where(_TABLE.c.lease_owner.is_not(None)).distinct()
-        return {str(owner) for owner in self._session.execute(held).scalars()}
-
-    def release_all(self, owner: str) -> None:
-        """Put back what ``owner``, known to be dead, still holds."""
-        values = {"state": EvaluationState.QUEUED, "lease_owner": None, "lease_expires_at": None}
-        held = [_TABLE.c.lease_owner == owner, _TABLE.c.state == EvaluationState.RUNNING]
-        self._session.execute(update(_TABLE).where(*held).values(values))
 
     def finish(self, evaluation_id: int, owner: str, result: EvaluationResult, now: datetime) -> bool:
         """File what came out; success stores the figures. The run and its repeats are judged anew.
@@ -128,8 +90,7 @@ class EvaluationRepository:
             raise NotFound(f"unknown evaluation {evaluation_id}")
         if row.ended_at == now and row.open is None:
             return False
-        held = [_TABLE.c.id == evaluation_id, _TABLE.c.state == EvaluationState.RUNNING, _TABLE.c.lease_owner == owner]
-        if changed(self._session, update(_TABLE).where(*held).values(_ending(result, now))) != 1:
+        if not self._end(evaluation_id, owner, **_ending(result, now)):
             raise LeaseLost(f"evaluation {evaluation_id} is {row.state}, held by {row.lease_owner or 'nobody'}")
         became_current = result.succeeded and self._store_figures(row.run_id, row.protocol_id, result)
         VerdictRepository(self._session).renew([row.run_id], row.protocol_id)
@@ -281,6 +242,4 @@ def _ending(result: EvaluationResult, now: datetime) -> dict[str, Any]:
         "reason": cut(result.reason, REASON_LENGTH),
         "engine": cut(result.engine, 190),
         "ended_at": now,
-        "lease_owner": None,
-        "lease_expires_at": None,
     }

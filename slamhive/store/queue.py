@@ -1,21 +1,18 @@
-"""Who works on which run. The database is the queue; a lease per run says who holds it and until when."""
+"""The queue of runs: which run comes next, and what workers ask about it."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Iterable, Sequence
-from datetime import datetime
-from typing import Any
+from collections.abc import Collection, Iterable
 
-from sqlalchemy import ColumnElement, and_, false, func, insert, or_, select, union_all, update
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, and_, false, func, insert, select, union_all
 
 from slamhive.domain.affinity import same_data
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.store.leases import Lease, LeaseQueue
 from slamhive.store.models import Evaluation, Run
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.records import RunRecord
-from slamhive.store.rows import changed, lease
 from slamhive.store.runs import RunRepository
 
 logger = logging.getLogger(__name__)
@@ -24,58 +21,55 @@ _RUNS = Run.__table__
 ACTIVE = tuple(state for state in RunState if state.active)
 
 
-class QueueRepository:
-    """Claims are compare-and-set: of any number of workers that try, one gets the run.
+class RunQueue(LeaseQueue[int]):
+    """Runs that wait, and active runs. A run that its worker gives back stays in its state; the next worker adopts it."""
 
-    Leases are compared with the ``now`` that each worker passes in, so clocks of worker hosts must agree to within
-    a fraction of the lease.
-    """
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
+    table = _RUNS
+    queued = RunState.QUEUED
+    working = ACTIVE
 
     def claim(
-        self,
-        owner: str,
-        now: datetime,
-        lease_s: float,
-        only: Collection[int] | None = None,
-        near: str = "",
-        away: Collection[str] = (),
+        self, lease: Lease, only: Collection[int] | None = None, near: str = "", away: Collection[str] = ()
     ) -> RunRecord | None:
         """The next run to work on: an orphan if there is one, else the first of the queue; None if there is none.
 
         Args:
-            owner: Who asks.
-            now: When.
-            lease_s: For how long the run is the owner's unless it renews the lease.
+            lease: Who asks, and for how long the run is the owner's.
             only: Restricts the choice to these runs.
             near: The affinity of the run that the owner did last, see :meth:`claim_queued`.
-            away: Executors that do not answer; queued runs of theirs are left where they are.
+            away: Executors that do not answer; their queued runs stay where they are.
         """
-        return self.adopt(owner, now, lease_s, only) or self.claim_queued(owner, now, lease_s, only, near, away)
+        return self.adopt(lease, only) or self.claim_queued(lease, only, near, away)
 
     def claim_queued(
-        self,
-        owner: str,
-        now: datetime,
-        lease_s: float,
-        only: Collection[int] | None = None,
-        near: str = "",
-        away: Collection[str] = (),
+        self, lease: Lease, only: Collection[int] | None = None, near: str = "", away: Collection[str] = ()
     ) -> RunRecord | None:
-        """Take a queued run that is not held; it is ``preparing`` then.
+        """Take a queued run that is not held back, and move it to ``preparing``.
 
-        Of those with the highest priority it is the first that there is of: the oldest with the affinity ``near``, the
-        oldest on the same data, the oldest.
+        Among the runs of the highest priority it takes the oldest with the affinity ``near``; if there is none, the
+        oldest on the same data; if there is none, the oldest.
         """
         queued = and_(_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), *_among(only), *_not_on(away))
         while (run_id := self._first(queued, near)) is not None:
-            taken = {**lease(owner, now, lease_s), "state": RunState.PREPARING}
-            if self._take(run_id, taken, [queued]):
-                event = {"from_state": RunState.QUEUED, "to_state": RunState.PREPARING, "why": f"claimed by {owner}"}
-                self._session.execute(insert(EventRow.__table__).values(run_id=run_id, at=now, **event))
+            if self._take(run_id, lease, queued, state=RunState.PREPARING):
+                event = {"from_state": RunState.QUEUED, "to_state": RunState.PREPARING}
+                why = f"claimed by {lease.owner}"
+                self._session.execute(insert(EventRow.__table__).values(run_id=run_id, at=lease.at, why=why, **event))
                 return RunRepository(self._session).get(run_id)
+        return None
+
+    def adopt(self, lease: Lease, only: Collection[int] | None = None) -> RunRecord | None:
+        """Take over an active run whose worker gave it back or went silent, in the state it is in."""
+        # One state at a time: asked for five at once, SQLite may read the whole table once it has statistics.
+        each = [select(_RUNS.c.id).where(_RUNS.c.state == state) for state in ACTIVE]
+        active = list(self._session.execute(union_all(*each)).scalars())
+        orphaned = and_(_RUNS.c.id.in_(active), self._orphaned(lease.now), *_among(only))
+        first = select(_RUNS.c.id).where(orphaned).order_by(_RUNS.c.priority.desc(), _RUNS.c.id).limit(1)
+        while (run_id := self._session.execute(first).scalar_one_or_none()) is not None:
+            if self._take(run_id, lease, orphaned):
+                record = RunRepository(self._session).get(run_id)
+                logger.info("run %d (%s) is taken over by %s", run_id, record.state, lease.owner)
+                return record
         return None
 
     def waits(self, only: Collection[int] | None = None) -> bool:
@@ -128,56 +122,10 @@ class QueueRepository:
         oldest = self._session.execute(first).scalar_one()
         return None if oldest is None else int(oldest)
 
-    def adopt(self, owner: str, now: datetime, lease_s: float, only: Collection[int] | None = None) -> RunRecord | None:
-        """Take over an active run whose worker let go of it or went silent, in the state it is in."""
-        # One state at a time: asked for five at once, SQLite may rather read the whole table once it has statistics.
-        each = [select(_RUNS.c.id).where(_RUNS.c.state == state) for state in ACTIVE]
-        active = list(self._session.execute(union_all(*each)).scalars())
-        orphaned = [
-            _RUNS.c.id.in_(active),
-            _RUNS.c.state.in_(ACTIVE),
-            or_(_RUNS.c.lease_owner.is_(None), _RUNS.c.lease_expires_at < now),
-            *_among(only),
-        ]
-        first = select(_RUNS.c.id).where(*orphaned).order_by(_RUNS.c.priority.desc(), _RUNS.c.id).limit(1)
-        while (run_id := self._session.execute(first).scalar_one_or_none()) is not None:
-            if self._take(run_id, lease(owner, now, lease_s), orphaned):
-                record = RunRepository(self._session).get(run_id)
-                logger.info("run %d, %s, is taken over by %s", run_id, record.state, owner)
-                return record
-        return None
-
-    def heartbeat(self, run_ids: Iterable[int], owner: str, now: datetime, lease_s: float) -> set[int]:
-        """Extend the leases; the runs that ``owner`` still holds. Let go of all others at once."""
-        wanted = list(run_ids)
-        held = [_RUNS.c.id.in_(wanted), _RUNS.c.lease_owner == owner, _RUNS.c.state.in_(ACTIVE)]
-        self._session.execute(update(_RUNS).where(*held).values(lease(owner, now, lease_s)))
-        return set(self._session.execute(select(_RUNS.c.id).where(*held)).scalars())
-
     def cancel_requested(self, run_ids: Iterable[int]) -> set[int]:
         """Which of these runs somebody wants to end."""
         wanted = select(_RUNS.c.id).where(_RUNS.c.id.in_(list(run_ids)), _RUNS.c.cancel_requested)
         return set(self._session.execute(wanted).scalars())
-
-    def release(self, run_ids: Iterable[int], owner: str) -> None:
-        """Let go of runs without a move, so that the next worker need not wait for the lease to end."""
-        held = [_RUNS.c.id.in_(list(run_ids)), _RUNS.c.lease_owner == owner]
-        self._session.execute(update(_RUNS).where(*held).values(lease_owner=None, lease_expires_at=None))
-
-    def owners(self) -> set[str]:
-        """Everyone who holds a run."""
-        held = select(_RUNS.c.lease_owner).where(_RUNS.c.lease_owner.is_not(None), _RUNS.c.state.in_(ACTIVE))
-        return {str(owner) for owner in self._session.execute(held.distinct()).scalars()}
-
-    def release_all(self, owner: str) -> None:
-        """Let go of everything that ``owner``, known to be dead, still holds."""
-        held = [_RUNS.c.lease_owner == owner]
-        self._session.execute(update(_RUNS).where(*held).values(lease_owner=None, lease_expires_at=None))
-
-    def _take(self, run_id: int, lease: dict[str, Any], still: Sequence[ColumnElement[bool]]) -> bool:
-        """Write the lease if the run is still as it was when it was looked for."""
-        values = {**lease, "attempt": _RUNS.c.attempt + 1}
-        return changed(self._session, update(_RUNS).where(_RUNS.c.id == run_id, *still).values(values)) == 1
 
 
 def _not_on(away: Collection[str]) -> list[ColumnElement[bool]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime, timedelta
 from typing import Any, TypeVar, cast
 
 from sqlalchemy import CursorResult, Executable, insert, select
@@ -46,11 +45,6 @@ def get_or_insert(
     except IntegrityError:
         return int(session.execute(lookup).scalar_one()), False
     return int((result.inserted_primary_key or [None])[0]), True
-
-
-def lease(owner: str, now: datetime, lease_s: float) -> dict[str, Any]:
-    """The columns of a lease that ends ``lease_s`` seconds after ``now``."""
-    return {"lease_owner": owner, "lease_expires_at": now + timedelta(seconds=lease_s)}
 
 
 def cut(text: str | None, length: int) -> str | None:

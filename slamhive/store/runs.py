@@ -16,6 +16,7 @@ from slamhive.domain.stop_when import stop_when_to_json
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.search.binding import EVERYTHING, Search
 from slamhive.store.changes import NewRow, changes_of
+from slamhive.store.leases import NO_LEASE
 from slamhive.store.models import WHY_LENGTH, Run
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.records import (
@@ -248,8 +249,8 @@ def _defaults(row: Any, target: RunState, now: datetime) -> dict[str, Any]:
     if target is RunState.RUNNING and row.started_at is None:
         return {"started_at": now}
     if target is RunState.QUEUED:
-        return {"lease_owner": None, "lease_expires_at": None, "handle": None}
+        return {**NO_LEASE, "handle": None}
     if target.ended:
         ended = {"ended_at": now} if row.ended_at is None else {}
-        return {**ended, "lease_owner": None, "lease_expires_at": None}
+        return {**ended, **NO_LEASE}
     return {}

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cached_property
 from typing import TypeVar
 
-from sqlalchemy import Engine, create_engine
+from sqlalchemy import Engine, create_engine, text
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
+from slamhive.clock import SYSTEM_CLOCK, Clock
 from slamhive.errors import NotFound, SlamHiveError
 from slamhive.store import migrate, statistics
 from slamhive.store.analyses import AnalysisRepository
@@ -28,8 +29,9 @@ from slamhive.store.experiment_counts import ExperimentCounts
 from slamhive.store.experiments import ExperimentRepository
 from slamhive.store.failures import explained, gave_up, is_transient, short
 from slamhive.store.filed_runs import FiledRunRepository
+from slamhive.store.leases import Lease
 from slamhive.store.metrics import MetricRepository
-from slamhive.store.queue import QueueRepository
+from slamhive.store.queue import RunQueue
 from slamhive.store.run_table import RunTableRepository
 from slamhive.store.runs import RunRepository
 from slamhive.store.searches import SearchRepository
@@ -48,6 +50,21 @@ class Transaction:
     """The repositories, all on the same transaction."""
 
     session: Session
+    clock: Clock = SYSTEM_CLOCK
+
+    def lease(self, owner: str, lasts_s: float) -> Lease:
+        """A lease for ``owner`` from now on, by the clock that all workers of this database share.
+
+        Workers on several machines share a MySQL server, so its clock decides; one machine has an SQLite file open, so
+        its own does. A clock that was handed in decides everything.
+        """
+        now = self.clock.utc_now()
+        shared = self.clock is SYSTEM_CLOCK and self.session.get_bind().dialect.name == "mysql"
+        return Lease(owner, self._server_time() if shared else now, lasts_s, recorded_at=now)
+
+    def _server_time(self) -> datetime:
+        told: datetime = self.session.execute(text("SELECT UTC_TIMESTAMP(6)")).scalar_one()
+        return told.replace(tzinfo=UTC)
 
     @cached_property
     def catalogue(self) -> CatalogueRepository:
@@ -80,9 +97,9 @@ class Transaction:
         return SearchRepository(self.session)
 
     @cached_property
-    def queue(self) -> QueueRepository:
+    def queue(self) -> RunQueue:
         """Who works on which run: claims, leases, heartbeats."""
-        return QueueRepository(self.session)
+        return RunQueue(self.session)
 
     @cached_property
     def experiments(self) -> ExperimentRepository:
@@ -96,7 +113,7 @@ class Transaction:
 
     @cached_property
     def analyses(self) -> AnalysisRepository:
-        """Analyses and their own little queue."""
+        """Analyses and their queue."""
         return AnalysisRepository(self.session)
 
     @cached_property
@@ -106,7 +123,7 @@ class Transaction:
 
     @cached_property
     def evaluations(self) -> EvaluationRepository:
-        """Evaluations and their own little queue."""
+        """Evaluations and their queue."""
         return EvaluationRepository(self.session)
 
     @cached_property
@@ -129,22 +146,14 @@ class Store:
     Args:
         engine: From :func:`slamhive.store.engine.make_engine`.
         retry_s: How long to go on trying before Unavailable is raised.
-        clock: Monotonic seconds.
-        sleep: Waits for a number of seconds.
+        clock: The time; a test may hand in its own.
     """
 
-    def __init__(
-        self,
-        engine: Engine,
-        retry_s: float = 60.0,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
+    def __init__(self, engine: Engine, retry_s: float = 60.0, clock: Clock = SYSTEM_CLOCK) -> None:
         self.engine = engine
         self._writing = engine.execution_options(**{WRITES: True})
         self._retry_s = retry_s
         self._clock = clock
-        self._sleep = sleep
         self._written = 0
         self.listener: Listener | None = None
         """Called after each transaction that stored what no folder tells, with what that was."""
@@ -216,20 +225,20 @@ class Store:
     def _attempt(self, engine: Engine, work: Callable[[Transaction], T], changes: Changes | None = None) -> T:
         noted = {CHANGES_KEY: Changes() if changes is None else changes}
         with Session(engine, expire_on_commit=False, info=noted) as session, session.begin():
-            return work(Transaction(session))
+            return work(Transaction(session, self._clock))
 
     def retried(self, attempt: Callable[[], T]) -> T:
         """What ``attempt`` returns; it is called again while the database is locked or away."""
-        began = self._clock()
+        began = self._clock.monotonic_s()
         pause_s = FIRST_PAUSE_S
         while True:
             try:
                 result = attempt()
             except DBAPIError as error:
-                self._raise_unless_worth_waiting(error, self._clock() - began)
+                self._raise_unless_worth_waiting(error, self._clock.monotonic_s() - began)
                 if pause_s == FIRST_PAUSE_S:
                     logger.warning("database %s: %s; trying again", self.label, short(error))
-                self._sleep(pause_s)
+                self._clock.sleep(pause_s)
                 pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
             else:
                 return result

@@ -12,6 +12,7 @@ import pytest
 from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError, OperationalError
 
+from slamhive.clock import Clock
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.store import Store, open_store
 from slamhive.store.engine import database_label, make_engine
@@ -21,7 +22,7 @@ pytestmark = pytest.mark.integration
 SECRET = "hunter2!"
 
 
-class Clock:
+class ManualClock:
     """Time that passes only while somebody sleeps."""
 
     def __init__(self) -> None:
@@ -29,8 +30,8 @@ class Clock:
         self.pauses: list[float] = []
         self.while_asleep: Callable[[], None] = lambda: None
 
-    def __call__(self) -> float:
-        return self.now_s
+    def as_clock(self) -> Clock:
+        return Clock(monotonic_s=lambda: self.now_s, sleep=self.sleep)
 
     def sleep(self, seconds: float) -> None:
         self.now_s += seconds
@@ -39,8 +40,8 @@ class Clock:
 
 
 @pytest.fixture
-def clock() -> Clock:
-    return Clock()
+def clock() -> ManualClock:
+    return ManualClock()
 
 
 @pytest.fixture
@@ -50,9 +51,9 @@ def sqlite_path(sqlite_template: Path, tmp_path: Path) -> Path:
     return path
 
 
-def impatient(path: Path, clock: Clock, retry_s: float = 60.0) -> Store:
+def impatient(path: Path, clock: ManualClock, retry_s: float = 60.0) -> Store:
     """A store whose SQLite waits for no lock itself."""
-    store = Store(make_engine(f"sqlite:///{path}?timeout=0"), retry_s, clock, clock.sleep)
+    store = Store(make_engine(f"sqlite:///{path}?timeout=0"), retry_s, clock.as_clock())
     store.write(lambda tx: tx.session.execute(text("DELETE FROM metrics")))
     return store
 
@@ -116,7 +117,7 @@ def test_sqlite_is_durable_and_checks_references(sqlite_path: Path) -> None:
     store.close()
 
 
-def test_a_reader_does_not_wait_for_a_writer(sqlite_path: Path, clock: Clock) -> None:
+def test_a_reader_does_not_wait_for_a_writer(sqlite_path: Path, clock: ManualClock) -> None:
     store = impatient(sqlite_path, clock)
     writer = sqlite3.connect(sqlite_path, isolation_level=None)
     writer.execute("BEGIN IMMEDIATE")
@@ -127,7 +128,7 @@ def test_a_reader_does_not_wait_for_a_writer(sqlite_path: Path, clock: Clock) ->
 
 
 def test_a_locked_database_is_tried_again_and_one_line_is_logged(
-    sqlite_path: Path, clock: Clock, caplog: pytest.LogCaptureFixture
+    sqlite_path: Path, clock: ManualClock, caplog: pytest.LogCaptureFixture
 ) -> None:
     store = impatient(sqlite_path, clock)
     other = sqlite3.connect(sqlite_path, isolation_level=None)
@@ -149,7 +150,7 @@ def test_a_locked_database_is_tried_again_and_one_line_is_logged(
     store.close()
 
 
-def test_a_database_locked_for_too_long_is_one_line(sqlite_path: Path, clock: Clock) -> None:
+def test_a_database_locked_for_too_long_is_one_line(sqlite_path: Path, clock: ManualClock) -> None:
     store = impatient(sqlite_path, clock)
     other = sqlite3.connect(sqlite_path, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
@@ -162,7 +163,7 @@ def test_a_database_locked_for_too_long_is_one_line(sqlite_path: Path, clock: Cl
     store.close()
 
 
-def test_a_full_disk_is_one_line_and_loses_nothing(sqlite_path: Path, clock: Clock) -> None:
+def test_a_full_disk_is_one_line_and_loses_nothing(sqlite_path: Path, clock: ManualClock) -> None:
     store = impatient(sqlite_path, clock)
     store.write(lambda tx: tx.catalogue.put_algorithm_named("kept", "kept", "mono"))
 
@@ -181,7 +182,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(sqlite_path: Path, clock: Clo
 
 @pytest.mark.parametrize("code", [sqlite3.SQLITE_IOERR_SHMSIZE, sqlite3.SQLITE_CANTOPEN])
 def test_an_io_error_on_a_full_disk_is_said_to_be_one_at_once(
-    sqlite_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch, code: int
+    sqlite_path: Path, clock: ManualClock, monkeypatch: pytest.MonkeyPatch, code: int
 ) -> None:
     store = impatient(sqlite_path, clock)
 
@@ -211,7 +212,7 @@ def test_files_that_are_no_database(sqlite_path: Path, content: bytes | None, me
         open_store(f"sqlite:///{sqlite_path}")
 
 
-def test_a_bug_keeps_its_traceback(sqlite_path: Path, clock: Clock) -> None:
+def test_a_bug_keeps_its_traceback(sqlite_path: Path, clock: ManualClock) -> None:
     store = impatient(sqlite_path, clock)
     with pytest.raises(OperationalError, match="no such table"):
         store.read(lambda tx: tx.session.execute(text("SELECT * FROM absent")))
@@ -219,7 +220,7 @@ def test_a_bug_keeps_its_traceback(sqlite_path: Path, clock: Clock) -> None:
     store.close()
 
 
-def test_errors_of_the_project_pass_through(sqlite_path: Path, clock: Clock) -> None:
+def test_errors_of_the_project_pass_through(sqlite_path: Path, clock: ManualClock) -> None:
     store = impatient(sqlite_path, clock)
 
     def refuse(_tx) -> None:
@@ -231,9 +232,9 @@ def test_errors_of_the_project_pass_through(sqlite_path: Path, clock: Clock) -> 
     store.close()
 
 
-def test_a_server_that_is_not_there_is_one_line_without_the_password(clock: Clock) -> None:
+def test_a_server_that_is_not_there_is_one_line_without_the_password(clock: ManualClock) -> None:
     engine = make_engine(f"mysql+pymysql://u:{SECRET}@127.0.0.1:1/slamhive")
-    store = Store(engine, 3.0, clock, clock.sleep)
+    store = Store(engine, 3.0, clock.as_clock())
     with pytest.raises(
         Unavailable, match=r"database mysql 127\.0\.0\.1:1/slamhive does not answer since \d s"
     ) as caught:
