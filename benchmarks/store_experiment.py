@@ -31,7 +31,7 @@ from slamhive.services.experiments.service import Experiments
 from slamhive.services.experiments.storing import fill, put_experiment
 from slamhive.services.ledger.keeping import Ledger
 from slamhive.settings import Settings
-from slamhive.store import Store, open_store
+from slamhive.store import Lease, Store, open_store
 from slamhive.store.experiment_records import ExperimentState
 from slamhive.sweep.expand import expand
 from slamhive.sweep.experiment_file import parse_experiment
@@ -90,7 +90,7 @@ def measure(store: Store, text: str, folder: Path) -> dict[str, float]:
         return store.read(lambda t: t.experiments.get(experiment.name)).runs
 
     stored = _timed(storing)
-    claim = _timed(lambda: store.write(lambda t: t.queue.claim("benchmark", now, 60.0)))
+    claim = _timed(lambda: store.write(lambda t: t.queue.claim(Lease("benchmark", now, 60.0))))
     page = _timed(lambda: store.read(lambda t: statuses.cell_page(t, experiment.name, 50_000, 50)))
     experiments = Experiments(context)
     first_status = _timed(lambda: experiments.status(experiment.name))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +13,7 @@ from slamhive.bags.room import RoomOptions
 from slamhive.cli.experiment_tables import print_report
 from slamhive.cli.output import messages, progress_bar
 from slamhive.cli.waiting import experiment_to_end
+from slamhive.clock import monotonic_s
 from slamhive.domain.sensors import SensorKind
 from slamhive.errors import NotFound, SlamHiveError
 from slamhive.executors.base import ImageMissing
@@ -34,7 +34,7 @@ def run_demo(hive: Hive, seconds: float) -> None:
     Raises SlamHiveError if nothing at all could be run.
     """
     hive.check_writable()
-    began = time.monotonic()
+    began = monotonic_s()
     executor, reason = hive.executor_choice()
     messages.print(f"executor: {executor} ({reason})", markup=False, soft_wrap=True)
     text = (hive.catalogue.project_root / FILE).read_text(encoding="utf-8")
@@ -49,7 +49,7 @@ def run_demo(hive: Hive, seconds: float) -> None:
     experiment_to_end(hive, status.name, on_end=_announce)
     status = hive.experiments.status(status.name)
     print_report(status, list(hive.experiments.report(status.name)), varying(hive.experiments.axes(status.name)))
-    messages.print(f"demo done in {time.monotonic() - began:.0f} s; data in {hive.settings.data}", markup=False)
+    messages.print(f"demo done in {monotonic_s() - began:.0f} s; data in {hive.settings.data}", markup=False)
     if not status.counts[Phase.GOOD]:
         raise click.exceptions.Exit(1)
 

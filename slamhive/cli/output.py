@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal
@@ -15,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from slamhive.clock import monotonic_s
 from slamhive.errors import InvalidInput, SlamHiveError, one_line
 from slamhive.input_bounds import check_text
 from slamhive.search.reader import FilterError
@@ -176,11 +176,11 @@ def counting_bar(title: str, total: int, *, tells_left: bool = True) -> Iterator
 
 
 def _plain_progress(title: str, *, tells_left: bool = True) -> Callable[[float, str], None]:
-    started = time.monotonic()
+    started = monotonic_s()
     last = [started - _PLAIN_INTERVAL_S, -1.0]
 
     def show(fraction: float, text: str) -> None:
-        now = time.monotonic()
+        now = monotonic_s()
         finished = fraction >= 1.0 > last[1]
         if now - last[0] < _PLAIN_INTERVAL_S and not finished:
             return

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from slamhive.cli.output import counting_bar, messages
+from slamhive.clock import monotonic_s
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, SlamHiveError
 from slamhive.services.experiments.views import Phase, Standing
@@ -129,7 +130,7 @@ def _show_experiment(
     total = len(waiting)
     with counting_bar("runs", total, tells_left=False) as show:
         while waiting and not failure:
-            began = time.monotonic()
+            began = monotonic_s()
             left = hive.experiments.unfinished(name)
             if on_end is not None:
                 for run_id in sorted(set(waiting).difference(left)):
@@ -143,7 +144,7 @@ def _show_experiment(
             show(max(0, total - len(waiting)), f"{status.counts[Phase.FAILED]} failed{time_left}")
             if waiting:
                 # Looking at a large experiment takes a while: most of the time is left to what is looked at.
-                time.sleep(max(PAUSE_S, 5 * (time.monotonic() - began)))
+                time.sleep(max(PAUSE_S, 5 * (monotonic_s() - began)))
 
 
 def _is_complete(hive: Hive, record: RunRecord, evaluate: bool) -> bool:
@@ -170,8 +171,8 @@ def _cancel_all(hive: Hive, run_ids: Sequence[int]) -> None:
             hive.cancel(run_id)
         except SlamHiveError:
             continue  # it has ended already
-    deadline = time.monotonic() + 30
-    while time.monotonic() < deadline:
+    deadline = monotonic_s() + 30
+    while monotonic_s() < deadline:
         if all(record.state.ended for record in hive.store.read(lambda t: t.runs.get_many(run_ids))):
             return
         time.sleep(PAUSE_S)

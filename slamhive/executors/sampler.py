@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from slamhive.clock import monotonic_s
 from slamhive.executors.base import EngineUnavailable, UsageSource
 from slamhive.executors.energy import EnergyLog
 from slamhive.executors.host_counters import HostLog
@@ -51,7 +51,7 @@ class Sampler:
         path: Path,
         interval_s: float = 0.1,
         offset_s: float = 0.0,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = monotonic_s,
         machine: MachineLogs | None = None,
     ) -> None:
         self._source = source

@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from slamhive.clock import utc_now
 from slamhive.domain.affinity import run_affinity
 from slamhive.domain.run import RunEvent, RunState
 from slamhive.errors import Conflict, SlamHiveError, Unavailable
@@ -24,7 +25,6 @@ from slamhive.runs.log_line import read_tail
 from slamhive.search.binding import Search
 from slamhive.services.analyses.jobs import AnalysisJobs
 from slamhive.services.analyses.stored import StoredAnalyses
-from slamhive.services.clock import utc_now
 from slamhive.services.configurations.service import Configurations
 from slamhive.services.data_root import DataRoot, open_data_root
 from slamhive.services.datasets.catalogue import Catalogue, check_writable

@@ -22,7 +22,7 @@ ACTIVE = tuple(state for state in RunState if state.active)
 
 
 class RunQueue(LeaseQueue[int]):
-    """Runs that wait, and active runs. A run that its worker gives back stays in its state; the next worker adopts it."""
+    """Runs that wait, and active runs. The next worker adopts what a worker gives back, in the state it is in."""
 
     table = _RUNS
     queued = RunState.QUEUED

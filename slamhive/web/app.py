@@ -11,6 +11,7 @@ from flask_wtf.csrf import CSRFProtect
 from markupsafe import Markup
 
 from slamhive import __version__
+from slamhive.clock import utc_now
 from slamhive.domain.run import RunState
 from slamhive.services.analyses.stored import may_analyse
 from slamhive.services.hive import Hive
@@ -140,4 +141,4 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
 
     @app.context_processor
     def request_words() -> dict[str, Any]:
-        return {"now": context.now()}
+        return {"now": utc_now()}

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from flask import Flask, Response, g, request, session
+
+from slamhive.clock import monotonic_s
 
 YEAR_S = 365 * 86_400
 KEPT_S = 5.0
@@ -36,7 +37,7 @@ class PageCache:
         clock: Monotonic seconds.
     """
 
-    def __init__(self, kept_s: float = KEPT_S, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, kept_s: float = KEPT_S, clock: Callable[[], float] = monotonic_s) -> None:
         self._kept_s = kept_s
         self._clock = clock
         self._lock = threading.Lock()

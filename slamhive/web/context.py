@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING, cast
 
 from flask import current_app
@@ -51,8 +50,3 @@ def analysis_files() -> AnalysisFiles:
 def rate_limit(name: str) -> RateLimit:
     """How often visitors may ask for something."""
     return cast("dict[str, RateLimit]", current_app.extensions[RATES_EXTENSION])[name]
-
-
-def now() -> datetime:
-    """The current time in UTC."""
-    return datetime.now(UTC)

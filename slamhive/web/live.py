@@ -6,10 +6,10 @@ import hashlib
 import json
 import logging
 import threading
-import time
 from collections.abc import Iterator
 from typing import Any
 
+from slamhive.clock import monotonic_s
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.services.hive import Hive
 from slamhive.web.presenters.live import snapshot
@@ -93,7 +93,7 @@ class LiveHub:
 
     def _poll_while_needed(self) -> None:
         while True:
-            began = time.monotonic()
+            began = monotonic_s()
             message = self._look()
             with self._changed:
                 if self._closed or self._streams == 0:
@@ -103,7 +103,7 @@ class LiveHub:
                     self._tick += 1
                     self._message = message
                     self._changed.notify_all()
-                left_s = max(0.05, self._interval_s - (time.monotonic() - began))
+                left_s = max(0.05, self._interval_s - (monotonic_s() - began))
                 self._changed.wait_for(lambda: self._closed, timeout=left_s)
 
     def _look(self) -> str | None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import OrderedDict, deque
 from collections.abc import Callable
 
+from slamhive.clock import monotonic_s
 from slamhive.errors import Unavailable
 
 MOST_ADDRESSES = 10_000
@@ -25,7 +25,7 @@ class RateLimit:
         clock: Monotonic seconds.
     """
 
-    def __init__(self, most: int, window_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, most: int, window_s: float, clock: Callable[[], float] = monotonic_s) -> None:
         self._most = most
         self._window_s = window_s
         self._clock = clock

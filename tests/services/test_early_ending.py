@@ -16,6 +16,7 @@ from slamhive.executors.base import Exited, Running, RunSpec
 from slamhive.runs.outcome import UNSEEN
 from slamhive.services.runs.submission import Submission, unwatchable
 from slamhive.services.worker.evidence import STOP_RULE, STOPPED_BECAUSE
+from slamhive.store import Lease
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit
 from tests.services.test_worker_recovery import processes_of, started_times, work
@@ -120,7 +121,7 @@ def drive(hive, run_id):
     worker._held.add(run_id)
     context = worker._context
     object.__setattr__(context, "owner", "worker")
-    run = hive.store.write(lambda t: t.queue.claim("worker", context.now(), 60, only=[run_id]))
+    run = hive.store.write(lambda t: t.queue.claim(Lease("worker", context.now(), 60), only=[run_id]))
     RunDriver(context, run, None).drive()
 
 

@@ -15,7 +15,7 @@ from slamhive.services.experiments import checks
 from slamhive.services.experiments.views import ExperimentSource, Phase, Standing
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
-from slamhive.store import RunRecord
+from slamhive.store import Lease, RunRecord
 
 pytestmark = pytest.mark.integration
 
@@ -235,20 +235,20 @@ def test_paused_runs_are_not_taken_and_resumed_ones_are(hive: Hive) -> None:
 def test_pausing_lets_the_running_one_end(hive: Hive) -> None:
     hive.experiments.start(source())
     now = hive.run(1).created_at
-    claimed = hive.store.write(lambda t: t.queue.claim("someone", now, 1e6))
+    claimed = hive.store.write(lambda t: t.queue.claim(Lease("someone", now, 1e6)))
     assert claimed is not None
     hive.experiments.pause("six")
     run = hive.run(claimed.id)
     assert (run.state, run.cancel_requested) == (RunState.PREPARING, False)
     assert counts(hive) == {"queued": 5, "running": 1}
     hive.store.write(lambda t: t.runs.move(run.id, RunState.QUEUED, why="given back", now=now))
-    assert hive.store.write(lambda t: t.queue.claim("other", now, 1.0)) is None, "given back, it is on hold"
+    assert hive.store.write(lambda t: t.queue.claim(Lease("other", now, 1.0))) is None, "given back, it is on hold"
 
 
 def test_cancelling_ends_what_waits_and_asks_what_runs(hive: Hive) -> None:
     hive.experiments.start(source())
     now = hive.run(1).created_at
-    claimed = hive.store.write(lambda t: t.queue.claim("someone", now, 1e6))
+    claimed = hive.store.write(lambda t: t.queue.claim(Lease("someone", now, 1e6)))
     assert claimed is not None
     status = hive.experiments.cancel("six")
     assert status.standing is Standing.CANCELLED

@@ -15,6 +15,7 @@ import pytest
 from slamhive.services.hive import Hive
 from slamhive.services.runs.submission import Submission
 from slamhive.services.worker.leftovers import sweep_leftovers
+from slamhive.store import Lease
 
 pytestmark = pytest.mark.integration
 
@@ -55,7 +56,7 @@ def holding(hive: Hive, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iter
     monkeypatch.setattr(tempfile, "tempdir", None)
     hive.submit(Submission("tiny", "track"))
     hive.submit(Submission("tiny", "track"))
-    hive.store.write(lambda t: t.queue.claim("nobody", hive.run(1).created_at, 1.0, [1]))
+    hive.store.write(lambda t: t.queue.claim(Lease("nobody", hive.run(1).created_at, 1.0), [1]))
     command = [sys.executable, "-c", HOLDING, str(hive.settings.data)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=dict(os.environ)) as process:
         assert process.stdout is not None

@@ -17,7 +17,7 @@ from slamhive.services.analyses.table import TableRequest, load_table
 from slamhive.services.experiments.views import Phase
 from slamhive.services.hive import Hive
 from slamhive.services.runs.as_json import run_to_json
-from slamhive.store import RunSort
+from slamhive.store import Lease, RunSort
 from slamhive.store.experiment_records import ExperimentState, NewCell
 from tests.store.store_samples import SE3, WORKER, Samples
 
@@ -32,7 +32,7 @@ ERRORS_M = {1: 0.1, 2: 0.12, 3: 0.11, 4: 1.4, 5: 1.41, 6: 0.13, 7: 0.01}
 def evaluate(hive: Hive, run_id: int, metrics: dict[str, float], reason: str | None = None) -> None:
     """File what an evaluation found."""
     (number,) = hive.store.write(lambda t: t.evaluations.queue([run_id], SE3, NOW))
-    hive.store.write(lambda t: t.evaluations.claim(WORKER, NOW, 30.0))
+    hive.store.write(lambda t: t.evaluations.claim(Lease(WORKER, NOW, 30.0)))
     result = EvaluationResult(str(number), SE3.fingerprint, reason, metrics, 50, 50, "evo")
     hive.store.write(lambda t: t.evaluations.finish(number, WORKER, result, NOW))
 

@@ -14,7 +14,7 @@ from slamhive.errors import Unavailable
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.base import EngineUnavailable, Exited, ImageMissing, RunHandle, Running
 from slamhive.services.runs.submission import Submission
-from slamhive.store import EvaluationState
+from slamhive.store import EvaluationState, Lease
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit
 from tests.waiting import PATIENCE_S, eventually
@@ -163,7 +163,7 @@ def test_a_worker_that_lost_its_lease_leaves_the_folder_alone(hive):
     eventually(lambda: hive.record(run_id).get("state") == "running", "the run")
     hive.store.write(lambda t: t.queue.release_all(worker.owner))
     now = datetime.now(UTC)
-    hive.store.write(lambda t: t.queue.claim("another", now, 60))
+    hive.store.write(lambda t: t.queue.claim(Lease("another", now, 60)))
     before = hive.folder(run_id).record.read_text()
     executor.statuses = [Exited(1)]
     threading.Event().wait(0.3)

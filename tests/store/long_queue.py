@@ -12,7 +12,7 @@ from sqlalchemy import insert, text
 from slamhive.domain.affinity import run_affinity
 from slamhive.domain.run import RunState
 from slamhive.domain.variant import VariantStep
-from slamhive.store import Store, Transaction
+from slamhive.store import Lease, Store, Transaction
 from slamhive.store.models import Run
 
 NOW = datetime(2026, 5, 4, 3, 2, 1, tzinfo=UTC)
@@ -49,7 +49,7 @@ def claim_s(store: Store, near: str, times: int = 25) -> float:
     times_s = []
     for _ in range(times):
         began_s = time.perf_counter()
-        run = store.write(lambda tx: tx.queue.claim("worker-1", NOW, 30.0, near=near))
+        run = store.write(lambda tx: tx.queue.claim(Lease("worker-1", NOW, 30.0), near=near))
         times_s.append(time.perf_counter() - began_s)
         assert run is not None
         assert not run.held
@@ -62,13 +62,13 @@ def claim_steps(store: Store, near: str) -> int:
     def work(tx: Transaction) -> int:
         if tx.session.get_bind().dialect.name == "mysql":
             before = _rows_read(tx)
-            assert tx.queue.claim("worker-1", NOW, 30.0, near=near) is not None
+            assert tx.queue.claim(Lease("worker-1", NOW, 30.0), near=near) is not None
             return _rows_read(tx) - before
         steps: list[None] = []
         connection: Any = tx.session.connection().connection.driver_connection
         connection.set_progress_handler(lambda: steps.append(None), 1)
         try:
-            assert tx.queue.claim("worker-1", NOW, 30.0, near=near) is not None
+            assert tx.queue.claim(Lease("worker-1", NOW, 30.0), near=near) is not None
         finally:
             connection.set_progress_handler(None, 1)
         return len(steps)

@@ -13,7 +13,7 @@ from slamhive.domain.disturbance import Disturbance, DisturbanceKind, Disturbanc
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.search.fields import Kind, ParameterKind, Vocabulary, vocabulary_of
-from slamhive.store import Store
+from slamhive.store import Lease, Store
 from slamhive.store.models import Evaluation
 from tests.store.store_samples import SE3, SIM3, WORKER, Samples, result
 
@@ -106,7 +106,7 @@ def _one(store: Store, samples: Samples, chance: random.Random, place: int) -> K
 
 def _evaluate(store: Store, run_id: int, protocol: Any, error: float, now: datetime) -> None:
     (evaluation_id,) = store.write(lambda tx: tx.evaluations.queue([run_id], protocol, now))
-    store.write(lambda tx: tx.evaluations.claim(WORKER, now, 30.0))
+    store.write(lambda tx: tx.evaluations.claim(Lease(WORKER, now, 30.0)))
     store.write(lambda tx: tx.evaluations.finish(evaluation_id, WORKER, result(protocol, ate_rmse=error), now))
     assert Evaluation.__tablename__ == "evaluations"
 

@@ -14,7 +14,7 @@ from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.evaluation.job import EvaluationResult
-from slamhive.store import RunRequest, Store
+from slamhive.store import Lease, RunRequest, Store
 
 SE3 = Protocol(Alignment.SE3)
 SIM3 = Protocol(Alignment.SIM3)
@@ -83,7 +83,7 @@ class Samples:
         (run_id,) = self.queued(**fields)
         if state is RunState.QUEUED:
             return run_id
-        claimed = self.store.write(lambda tx: tx.queue.claim_queued(WORKER, self.now, 30.0))
+        claimed = self.store.write(lambda tx: tx.queue.claim_queued(Lease(WORKER, self.now, 30.0)))
         assert claimed is not None
         assert claimed.id == run_id
         for target in PATHS[state]:

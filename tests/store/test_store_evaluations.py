@@ -10,7 +10,7 @@ import pytest
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.evaluation.job import Artefacts
-from slamhive.store import EvaluationState, LeaseLost, Store, UsageSummary
+from slamhive.store import EvaluationState, Lease, LeaseLost, Store, UsageSummary
 from tests.store.store_samples import SE3, SIM3, WORKER, Samples, result
 
 pytestmark = pytest.mark.integration
@@ -24,7 +24,7 @@ def queue(store: Store, run_id: int, protocol=SE3) -> int:
 
 
 def claim(store: Store, owner: str = WORKER, now: datetime = NOW, limit: int = 100):
-    return store.write(lambda tx: tx.evaluations.claim(owner, now, 30.0, limit))
+    return store.write(lambda tx: tx.evaluations.claim(Lease(owner, now, 30.0), limit))
 
 
 def evaluate(store: Store, run_id: int, outcome, protocol=SE3) -> int:
@@ -127,13 +127,15 @@ def test_claims_take_the_oldest_first_and_each_once(store: Store, samples: Sampl
 def test_a_silent_workers_evaluation_is_taken_over(store: Store, samples: Samples) -> None:
     evaluation_id = queue(store, samples.run_in(RunState.SUCCEEDED))
     claim(store)
-    assert store.write(lambda tx: tx.evaluations.heartbeat([evaluation_id], WORKER, NOW, 30.0)) == {evaluation_id}
+    assert store.write(lambda tx: tx.evaluations.heartbeat([evaluation_id], Lease(WORKER, NOW, 30.0))) == {
+        evaluation_id
+    }
     assert claim(store, "worker-2") == []
     (record,) = claim(store, "worker-2", LATER)
     assert (record.id, record.attempt, record.lease_owner) == (evaluation_id, 2, "worker-2")
     with pytest.raises(LeaseLost, match="held by worker-2"):
         store.write(lambda tx: tx.evaluations.finish(evaluation_id, WORKER, result(ate_rmse=1.0), LATER))
-    assert store.write(lambda tx: tx.evaluations.heartbeat([evaluation_id], WORKER, NOW, 30.0)) == set()
+    assert store.write(lambda tx: tx.evaluations.heartbeat([evaluation_id], Lease(WORKER, NOW, 30.0))) == set()
 
 
 def test_a_released_evaluation_is_queued_again(store: Store, samples: Samples) -> None:

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import pytest
 
 from slamhive.domain.run import RunState
-from slamhive.store import Store
+from slamhive.store import Lease, Store
 from slamhive.store.imports import ImportedRun, ImportRepository
 from tests.store.store_samples import SE3, SIM3, Samples
 
@@ -38,7 +38,7 @@ def test_they_have_ended_and_no_worker_sees_them(store: Store, filed: list[int])
     )
     (event,) = store.read(lambda t: t.runs.events(filed[3]))
     assert (event.from_state, event.to_state, event.why) == (None, RunState.SUCCEEDED, "imported from 3.txt")
-    assert store.write(lambda t: t.queue.claim("worker", NOW, 30.0)) is None
+    assert store.write(lambda t: t.queue.claim(Lease("worker", NOW, 30.0))) is None
 
 
 def test_they_are_found_by_the_beginning_of_their_uid(store: Store, samples: Samples, filed: list[int]) -> None:

@@ -11,7 +11,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.search.binding import Search
 from slamhive.search.build import matching
-from slamhive.store import RunSort, Store
+from slamhive.store import Lease, RunSort, Store
 from slamhive.store.run_order import SORT_KEYS
 from tests.store.store_samples import SE3, WORKER, Samples, result
 
@@ -37,7 +37,7 @@ def paged(store: Store, sort: RunSort, limit: int) -> list[int]:
 
 def evaluated(store: Store, run_id: int, ate_rmse: float) -> None:
     (evaluation_id,) = store.write(lambda tx: tx.evaluations.queue([run_id], SE3, NOW))
-    store.write(lambda tx: tx.evaluations.claim(WORKER, NOW, 30.0))
+    store.write(lambda tx: tx.evaluations.claim(Lease(WORKER, NOW, 30.0)))
     store.write(lambda tx: tx.evaluations.finish(evaluation_id, WORKER, result(ate_rmse=ate_rmse), NOW))
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from slamhive.domain.affinity import run_affinity
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.store import Store, open_store
+from slamhive.store import Lease, Store, open_store
 from tests.store.store_samples import WORKER, Samples
 
 pytestmark = pytest.mark.integration
@@ -22,7 +22,7 @@ LATER = NOW + timedelta(seconds=LEASE_S + 1)
 
 
 def claim(store: Store, owner: str = WORKER, now: datetime = NOW):
-    return store.write(lambda tx: tx.queue.claim(owner, now, LEASE_S))
+    return store.write(lambda tx: tx.queue.claim(Lease(owner, now, LEASE_S)))
 
 
 def test_claims_go_by_priority_and_then_by_age(store: Store, samples: Samples) -> None:
@@ -33,7 +33,7 @@ def test_claims_go_by_priority_and_then_by_age(store: Store, samples: Samples) -
 
 
 def claim_near(store: Store, near: str, **options: Any) -> int | None:
-    run = store.write(lambda tx: tx.queue.claim(WORKER, NOW, LEASE_S, near=near, **options))
+    run = store.write(lambda tx: tx.queue.claim(Lease(WORKER, NOW, LEASE_S), near=near, **options))
     return None if run is None else run.id
 
 
@@ -126,9 +126,11 @@ def test_what_has_ended_is_never_claimed(store: Store, samples: Samples, state: 
 
 def test_a_worker_bound_to_some_runs_takes_no_others(store: Store, samples: Samples) -> None:
     first, second, third = samples.queued(3)
-    claimed = [store.write(lambda tx: tx.queue.claim(WORKER, NOW, LEASE_S, only=(third, second))) for _ in range(3)]
+    claimed = [
+        store.write(lambda tx: tx.queue.claim(Lease(WORKER, NOW, LEASE_S), only=(third, second))) for _ in range(3)
+    ]
     assert [None if run is None else run.id for run in claimed] == [second, third, None]
-    assert store.write(lambda tx: tx.queue.claim("worker-2", LATER, LEASE_S, only=())) is None
+    assert store.write(lambda tx: tx.queue.claim(Lease("worker-2", LATER, LEASE_S), only=())) is None
     assert claim(store, "worker-2", LATER).id == second, "an orphan goes first"
     assert store.read(lambda tx: tx.runs.get(first)).state is RunState.QUEUED
 
@@ -145,10 +147,10 @@ def test_heartbeats_extend_what_is_held_and_tell_what_is_lost(store: Store, samp
     first, second = samples.queued(2)
     for _ in range(2):
         claim(store)
-    assert store.write(lambda tx: tx.queue.heartbeat([first], WORKER, LATER, LEASE_S)) == {first}
+    assert store.write(lambda tx: tx.queue.heartbeat([first], Lease(WORKER, LATER, LEASE_S))) == {first}
     assert claim(store, "worker-2", LATER).id == second
-    assert store.write(lambda tx: tx.queue.heartbeat([first, second], WORKER, LATER, LEASE_S)) == {first}
-    assert store.write(lambda tx: tx.queue.heartbeat([], WORKER, LATER, LEASE_S)) == set()
+    assert store.write(lambda tx: tx.queue.heartbeat([first, second], Lease(WORKER, LATER, LEASE_S))) == {first}
+    assert store.write(lambda tx: tx.queue.heartbeat([], Lease(WORKER, LATER, LEASE_S))) == set()
 
 
 def test_the_worker_sees_which_runs_shall_end(store: Store, samples: Samples) -> None:

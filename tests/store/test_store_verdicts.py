@@ -13,7 +13,7 @@ from slamhive.evaluation.job import EvaluationResult
 from slamhive.search.binding import Search, read_search
 from slamhive.search.fields import Vocabulary
 from slamhive.search.words import in_words
-from slamhive.store import RunSort, Store, migrate
+from slamhive.store import Lease, RunSort, Store, migrate
 from slamhive.store.metrics import VERDICT
 from slamhive.store.verdicts import CODES, kind_of
 from tests.store.store_samples import SE3, SIM3, WORKER, Samples
@@ -35,7 +35,7 @@ def outcome(error_m: float | None, protocol=SE3, tracked: float | None = 0.95) -
 
 def evaluate(store: Store, run_id: int, result: EvaluationResult, protocol=SE3) -> None:
     evaluation_id = store.write(lambda tx: tx.evaluations.queue([run_id], protocol, NOW))[0]
-    store.write(lambda tx: tx.evaluations.claim(WORKER, NOW, 30.0))
+    store.write(lambda tx: tx.evaluations.claim(Lease(WORKER, NOW, 30.0)))
     store.write(lambda tx: tx.evaluations.finish(evaluation_id, WORKER, result, NOW))
 
 

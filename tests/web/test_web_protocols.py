@@ -9,6 +9,7 @@ import pytest
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation.job import RESULT_FILE, EvaluationResult, result_to_json
 from slamhive.evaluation.presets import PRESETS
+from slamhive.store import Lease
 from slamhive.store.store import Transaction
 from tests.web.test_web_actions import send
 from tests.web.web_world import NOW, PROTOCOL, Web
@@ -27,7 +28,7 @@ def twice(web: Web) -> int:
 
     def work(transaction: Transaction) -> None:
         (evaluation_id,) = transaction.evaluations.queue([run_id], OTHER, NOW)
-        transaction.evaluations.claim("test", NOW, 30.0, runs=[run_id])
+        transaction.evaluations.claim(Lease("test", NOW, 30.0), runs=[run_id])
         transaction.evaluations.finish(evaluation_id, "test", result, NOW + timedelta(seconds=9))
 
     web.hive.store.write(work)

@@ -26,7 +26,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode, Settings
-from slamhive.store import RunRequest, Transaction, open_store
+from slamhive.store import Lease, RunRequest, Transaction, open_store
 from slamhive.web.app import create_app
 from tests.services.tiny_project import write_bag
 
@@ -203,7 +203,7 @@ def evaluate_run(hive: Hive, run_id: int, ate_m: float = 0.04567, *, reason: str
 
     def work(transaction: Transaction) -> None:
         (evaluation_id,) = transaction.evaluations.queue([run_id], PROTOCOL, NOW)
-        transaction.evaluations.claim("test", NOW, 30.0, runs=[run_id])
+        transaction.evaluations.claim(Lease("test", NOW, 30.0), runs=[run_id])
         transaction.evaluations.finish(evaluation_id, "test", result, NOW + timedelta(seconds=9))
 
     hive.store.write(work)

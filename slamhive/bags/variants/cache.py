@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 import os
 import shutil
-import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -31,6 +30,7 @@ from slamhive.bags.variants.manifest import (
     write_manifest,
 )
 from slamhive.catalogue.dataset_file import load_dataset
+from slamhive.clock import monotonic_s
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import Conflict, InvalidInput, Unavailable, unknown
 from slamhive.tree import folder_bytes
@@ -162,9 +162,9 @@ class VariantCache:
         try:
             self._remove(plan.key)
             self._reserve(plan)
-            began_s = time.monotonic()
+            began_s = monotonic_s()
             dataset = build(aside, progress)
-            write_manifest(aside, plan, dataset, time.monotonic() - began_s)
+            write_manifest(aside, plan, dataset, monotonic_s() - began_s)
             flush(aside)
             aside.rename(self._folder(plan.key))
         except BaseException as error:

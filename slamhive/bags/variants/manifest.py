@@ -6,12 +6,13 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from slamhive.bags.staging import checksum
 from slamhive.catalogue.dataset_file import load_dataset
+from slamhive.clock import utc_now
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.files import write_aside
@@ -66,7 +67,7 @@ def write_manifest(folder: Path, plan: VariantPlan, dataset: Dataset, took_s: fl
     content = {
         "dataset": plan.dataset,
         "steps": list(plan.steps),
-        "made_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "made_at": utc_now().isoformat(timespec="seconds"),
         "bytes_per_s": plan.source_bytes / took_s if took_s > 0 else None,
         "files": files,
     }

@@ -18,6 +18,7 @@ import docker
 import docker.errors
 from docker.types import LogConfig, Mount, Ulimit
 
+from slamhive.clock import utc_now
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import Unavailable
 from slamhive.executors.base import (
@@ -67,7 +68,7 @@ def _is_live(container: Any, live_keys: Collection[str]) -> bool:
         return bool(container.status == "running")
     # Whoever made it is about to start it, unless that was long ago.
     created_at = _time(container.attrs.get("Created"))
-    return created_at is not None and datetime.now(UTC) - created_at < _START_PATIENCE
+    return created_at is not None and utc_now() - created_at < _START_PATIENCE
 
 
 class DockerExecutor:

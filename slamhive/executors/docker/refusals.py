@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 from typing import Any, Protocol
 
 import docker.errors
 
+from slamhive.clock import monotonic_s
 from slamhive.executors.base import EngineUnavailable, Protections
 from slamhive.executors.cgroup import task_counter_of
 from slamhive.executors.docker.engine import engine_errors
@@ -31,8 +31,8 @@ class _EngineCounter:
 
     def refused(self) -> bool:
         """Whether the container is at its limit, as of the last second."""
-        if time.monotonic() - self._asked_at_s >= _ASK_EVERY_S:
-            self._asked_at_s = time.monotonic()
+        if monotonic_s() - self._asked_at_s >= _ASK_EVERY_S:
+            self._asked_at_s = monotonic_s()
             with engine_errors("reading statistics", EngineUnavailable):
                 try:
                     self._full = is_full(self._container.stats(stream=False, one_shot=True))
@@ -52,7 +52,7 @@ class RefusedProcesses:
         """Look at a running container: whether it has been refused processes for too long."""
         with self._lock:
             counter, watch = self._watched.get(container.id) or self._begin(container)
-            return watch.see(refused=counter.refused(), now_s=time.monotonic())
+            return watch.see(refused=counter.refused(), now_s=monotonic_s())
 
     def were_refused(self, container_id: str) -> bool:
         """Whether the container was seen to be refused a process."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from slamhive.clock import monotonic_s
 from slamhive.executors.base import UsageSource
 from slamhive.executors.process.priority import urgent
 from slamhive.executors.process.table import ProcessEntry, descendants, living, read_process, tasks_on_machine
@@ -66,7 +66,7 @@ class ProcessTree:
 
     def refresh(self) -> None:
         """List the processes if it is time to."""
-        now_s, tasks = time.monotonic(), tasks_on_machine()
+        now_s, tasks = monotonic_s(), tasks_on_machine()
         sudden = tasks - self._tasks_then >= self.sudden_tasks
         if sudden or now_s - self._listed_at_s >= _RESCAN_S:
             with urgent() if sudden else nullcontext():

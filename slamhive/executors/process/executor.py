@@ -22,6 +22,7 @@ from typing import Any
 import psutil
 
 import slamhive
+from slamhive.clock import monotonic_s
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import (
     Exited,
@@ -305,9 +306,9 @@ def _send(process: psutil.Process, number: signal.Signals) -> None:
 
 def _wait_until(condition: Callable[[], bool], patience_s: float) -> bool:
     """Whether ``condition`` came true within ``patience_s``."""
-    deadline_s = time.monotonic() + patience_s
+    deadline_s = monotonic_s() + patience_s
     while not condition():
-        if time.monotonic() >= deadline_s:
+        if monotonic_s() >= deadline_s:
             return False
         time.sleep(_STEP_S)
     return True

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from slamhive.clock import monotonic_s
 from slamhive.executors.base import UsageSource
 from slamhive.executors.cgroup import CGROUP_ROOT, CgroupV1, CgroupV2, TaskCounter, parse_flat, parse_memberships
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
@@ -205,9 +206,9 @@ class RunCgroup:
 
     def remove(self) -> None:
         """See :class:`Containment`. A group that still holds processes stays."""
-        deadline_s = time.monotonic() + _FREEZE_PATIENCE_S
+        deadline_s = monotonic_s() + _FREEZE_PATIENCE_S
         for folder in set(self._folders.values()):
-            while not _remove_tree(folder) and time.monotonic() < deadline_s:
+            while not _remove_tree(folder) and monotonic_s() < deadline_s:
                 time.sleep(_PAUSE_S)
 
     def usage(self) -> UsageSource | None:
@@ -249,9 +250,9 @@ class RunCgroup:
         file = self._freezer()
         if file is None:
             return False
-        deadline_s = time.monotonic() + _FREEZE_PATIENCE_S
+        deadline_s = monotonic_s() + _FREEZE_PATIENCE_S
         try:
-            while time.monotonic() < deadline_s:
+            while monotonic_s() < deadline_s:
                 file.write_text("FROZEN" if self._version == 1 else "1", encoding="ascii")
                 if self._is_frozen(file):
                     return True

@@ -24,11 +24,12 @@ import signal
 import sys
 import time
 from dataclasses import asdict
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from slamhive.clock import monotonic_s, utc_now
 from slamhive.executors.base import Protections
 from slamhive.executors.process import namespaces
 from slamhive.executors.process.capped_log import CappedLog
@@ -99,7 +100,7 @@ class Supervisor:
         reader = self._spawn()
         while self._status is None:
             self._tick(reader)
-        ended_at = datetime.now(UTC)
+        ended_at = utc_now()
         self._last_look()
         self._end_descendants()
         self._containment.remove()
@@ -207,7 +208,7 @@ class Supervisor:
                 self._status = status
 
     def _check_limits(self) -> None:
-        now_s = time.monotonic()
+        now_s = monotonic_s()
         if now_s - self._checked_at_s < _TICK_S:
             return
         self._checked_at_s = now_s
@@ -229,7 +230,7 @@ class Supervisor:
         """What the kernel has counted up to the end, before the run's processes and counters go."""
         look = self._containment.look(self._tree)
         self._out_of_memory |= look.out_of_memory
-        self._refusals.see(refused=look.refused, now_s=time.monotonic())
+        self._refusals.see(refused=look.refused, now_s=monotonic_s())
 
     def _kill_at(self, limit: str) -> None:
         self._write_log(f"[killed at {limit}]\n".encode())
@@ -307,7 +308,7 @@ def main(work: Path) -> None:
     except DoesNotHold as reason:
         sys.exit(str(reason))
     supervisor.listen()
-    started_at = datetime.now(UTC)
+    started_at = utc_now()
     write_aside(work / IDENTITY_FILE, json.dumps(supervisor.introduction(started_at)))
     supervisor.run(started_at)
 

@@ -10,6 +10,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from slamhive.clock import monotonic_s
+
 _PROC = Path("/proc")
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 _STOP_PATIENCE_S = 2.0
@@ -103,8 +105,8 @@ def stop_and_kill(listed: Callable[[], list[ProcessEntry]]) -> None:
         listed: Lists the living processes as they are now.
     """
     known: dict[int, ProcessEntry] = {}
-    deadline_s = time.monotonic() + _STOP_PATIENCE_S
-    while time.monotonic() < deadline_s:
+    deadline_s = monotonic_s() + _STOP_PATIENCE_S
+    while monotonic_s() < deadline_s:
         fresh = [entry for entry in listed() if entry.pid not in known]
         if not fresh:
             break
@@ -115,9 +117,9 @@ def stop_and_kill(listed: Callable[[], list[ProcessEntry]]) -> None:
 
 def end_all(listed: Callable[[], list[ProcessEntry]], patience_s: float) -> bool:
     """:func:`stop_and_kill` until nothing is listed any more; whether that came true in time."""
-    deadline_s = time.monotonic() + patience_s
+    deadline_s = monotonic_s() + patience_s
     while listed():
-        if time.monotonic() >= deadline_s:
+        if monotonic_s() >= deadline_s:
             return False
         stop_and_kill(listed)
         time.sleep(_PAUSE_S)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
-
 import psutil
+
+from slamhive.clock import monotonic_s
 
 _RESCAN_S = 1.0
 
@@ -31,7 +31,7 @@ class ProcessTreeSource:
     def read(self) -> tuple[float, int] | None:
         """CPU time (s) and resident memory (bytes); None once the shim or all below it is gone."""
         try:
-            if time.monotonic() - self._scanned_at_s >= _RESCAN_S:
+            if monotonic_s() - self._scanned_at_s >= _RESCAN_S:
                 self._scan()
             cpu_s, memory_bytes, complete = self._sum()
             if not complete:
@@ -58,7 +58,7 @@ class ProcessTreeSource:
     def _scan(self) -> None:
         found = {process.pid: process for process in self._shim.children(recursive=True)}
         self._members = {pid: self._members.get(pid, process) for pid, process in found.items()}
-        self._scanned_at_s = time.monotonic()
+        self._scanned_at_s = monotonic_s()
 
     def _sum(self) -> tuple[float, int, bool]:
         """CPU time (s), memory (bytes), and whether every known member was still there."""

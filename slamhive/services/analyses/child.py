@@ -12,9 +12,10 @@ import os
 import resource
 import sys
 import threading
-import time
 from pathlib import Path
 from typing import Any
+
+from slamhive.clock import monotonic_s
 
 MAX_FILE_BYTES = 1_000_000_000
 PROGRESS_INTERVAL_S = 0.3
@@ -99,8 +100,8 @@ class _Teller:
         self._next_s = 0.0
 
     def __call__(self, share: float, doing: str) -> None:
-        if time.monotonic() >= self._next_s:
-            self._next_s = time.monotonic() + PROGRESS_INTERVAL_S
+        if monotonic_s() >= self._next_s:
+            self._next_s = monotonic_s() + PROGRESS_INTERVAL_S
             self._folder.write_progress(share, doing)
 
 

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -17,9 +16,9 @@ from pathlib import Path
 from typing import IO, Any
 
 import slamhive
+from slamhive.clock import monotonic_s, utc_now
 from slamhive.errors import Conflict, SlamHiveError
 from slamhive.services.analyses.folder import AnalysisFolder
-from slamhive.services.clock import utc_now
 from slamhive.settings import Settings
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.records import LeaseLost
@@ -53,7 +52,7 @@ class AnalysisJobs:
         """Compute one analysis, if one waits; whether one did. It goes back into the queue if ``stopping`` is set."""
         if not self._store.read(lambda t: t.analyses.waiting()):  # an idle worker asks often, and need not write
             return False
-        record = self._store.write(lambda t: t.analyses.claim(owner, utc_now(), self._settings.lease_s))
+        record = self._store.write(lambda t: t.analyses.claim(t.lease(owner, self._settings.lease_s)))
         if record is None:
             return False
         folder = AnalysisFolder(self._settings.analyses_folder / record.token)
@@ -67,7 +66,7 @@ class AnalysisJobs:
                 said = self._computed(record, folder, owner, stopping)
         except (LeaseLost, _Stopping) as error:
             logger.info("%s", error)
-            self._store.write(lambda t: t.analyses.release(record.token, owner))
+            self._store.write(lambda t: t.analyses.release([record.token], owner))
             return True
         self._end(record, folder, owner, said)
         return True
@@ -89,7 +88,7 @@ class AnalysisJobs:
             self._store.write(lambda t: t.analyses.finish(ended, owner))
         except (LeaseLost, SlamHiveError) as error:
             logger.info("analysis %s: %s", record.token, error)
-            self._store.write(lambda t: t.analyses.release(record.token, owner))
+            self._store.write(lambda t: t.analyses.release([record.token], owner))
             return
         logger.info("analysis %s: %s%s", record.token, ended.state, f" ({ended.reason})" if ended.reason else "")
 
@@ -99,7 +98,7 @@ class AnalysisJobs:
         """What the process said at its end, or what became of it; raises LeaseLost or _Stopping after ending it."""
         folder.clear_results()
         limit_s = self._settings.analysis_time_limit_s
-        deadline_s = time.monotonic() + limit_s
+        deadline_s = monotonic_s() + limit_s
         next_beat_s = 0.0
         with (
             tempfile.TemporaryFile() as output,
@@ -109,16 +108,16 @@ class AnalysisJobs:
             while child.poll() is None:
                 if stopping.wait(LOOK_S):
                     raise _Stopping(f"analysis {record.token} waits for the next worker")
-                if time.monotonic() > deadline_s:
+                if monotonic_s() > deadline_s:
                     return {"error": f"the analysis takes longer than {limit_s:g} s; select fewer runs"}
-                if time.monotonic() >= next_beat_s:
-                    next_beat_s = time.monotonic() + BEAT_S
+                if monotonic_s() >= next_beat_s:
+                    next_beat_s = monotonic_s() + BEAT_S
                     self._beat(record, owner)
             return _said(child.returncode, _tail(output), _tail(errors))
 
     def _beat(self, record: AnalysisRecord, owner: str) -> None:
-        now = utc_now()
-        if not self._store.write(lambda t: t.analyses.heartbeat(record.token, owner, now, self._settings.lease_s)):
+        lease_s = self._settings.lease_s
+        if not self._store.write(lambda t: t.analyses.heartbeat([record.token], t.lease(owner, lease_s))):
             raise LeaseLost(f"analysis {record.token} was deleted, or is to be computed anew")
 
     @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -10,6 +9,7 @@ from slamhive.analysis.analysis_file import PROTOCOL, Analysis, FormRequest
 from slamhive.analysis.forms import FormData, one_value
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.table import RunTable
+from slamhive.clock import monotonic_s
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.services.analyses.files import StoredRunFiles
 from slamhive.services.analyses.selection import Find, select_runs
@@ -81,7 +81,7 @@ def run_analysis(
     Raises:
         InvalidInput, NotFound: for a selection that is empty, too large or names what does not exist.
     """
-    deadline_s = time.monotonic() + limits.time_s
+    deadline_s = monotonic_s() + limits.time_s
     progress(0.0, "selecting runs")
     run_ids = select_runs(analysis, sources.store, sources.find, sources.saved_search)
     check_size(run_ids, limits.runs)
@@ -104,7 +104,7 @@ def run_analysis(
         share = 0.9 / len(analysis.forms)
 
         def tell(fraction: float, place: int = place, request: FormRequest = request, share: float = share) -> None:
-            if time.monotonic() > deadline_s:
+            if monotonic_s() > deadline_s:
                 raise InvalidInput(f"the analysis takes longer than {limits.time_s:g} s", "select fewer runs")
             progress(0.1 + share * (place + fraction), request.form.title)
 

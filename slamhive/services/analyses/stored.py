@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from slamhive.clock import utc_now
 from slamhive.errors import Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.services.analyses.folder import AnalysisFolder
-from slamhive.services.clock import utc_now
 from slamhive.services.datasets.catalogue import check_writable
 from slamhive.settings import Mode, Settings
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState

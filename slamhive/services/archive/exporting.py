@@ -11,13 +11,13 @@ from typing import Any
 
 from slamhive import __version__
 from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
+from slamhive.clock import utc_now
 from slamhive.domain.run import RunEvent
 from slamhive.errors import Conflict, InvalidInput, SlamHiveError
 from slamhive.runs.folder import RunFolder
 from slamhive.services.analyses.folder import AnalysisFolder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.writing import ArchiveWriter, archive_writer
-from slamhive.services.clock import utc_now
 from slamhive.services.experiments.folder import RECORD, SOURCE
 from slamhive.settings import Settings
 from slamhive.store.archives import ArchiveRepository

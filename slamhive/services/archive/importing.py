@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.bags.variants.locks import Busy, exclusive
+from slamhive.clock import utc_now
 from slamhive.errors import Conflict, InvalidInput, Unavailable
 from slamhive.runs.folder import RunFolder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.checking import Contents, Progress, check_archive
 from slamhive.services.archive.reading import ArchiveReader, open_archive
 from slamhive.services.archive.surroundings import Surroundings
-from slamhive.services.clock import utc_now
 from slamhive.services.datasets.catalogue import Catalogue, check_writable
 from slamhive.services.runs.filing import (
     FolderRun,

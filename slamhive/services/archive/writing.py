@@ -15,6 +15,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any
 
+from slamhive.clock import utc_now
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.runs.untrusted import open_regular_file
 from slamhive.services.archive.layout import CHECKSUMS, LARGEST_DIRECTORY_BYTES, MANIFEST, ROWS, Manifest
@@ -54,7 +55,7 @@ class ArchiveWriter:
 
     def add_bytes(self, name: str, data: bytes, modified_s: float | None = None) -> None:
         """Add a member with this content."""
-        self._add(name, io.BytesIO(data), len(data), time.time() if modified_s is None else modified_s)
+        self._add(name, io.BytesIO(data), len(data), utc_now().timestamp() if modified_s is None else modified_s)
 
     def add_line(self, name: str, content: dict[str, Any]) -> None:
         """Add one JSON line to a member of :data:`ROWS`."""
@@ -65,7 +66,7 @@ class ArchiveWriter:
         for name, spool in self._spool.items():
             length = spool.tell()
             spool.seek(0)
-            self._add(name, spool, length, time.time())
+            self._add(name, spool, length, utc_now().timestamp())
         sums = "".join(self._sums).encode()
         self.add_bytes(CHECKSUMS, sums)
         whole = Manifest(**manifest, checksums=hashlib.sha256(sums).hexdigest())

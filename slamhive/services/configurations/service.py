@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from slamhive.bags.variants.rules import RegisteredSteps
+from slamhive.clock import utc_now
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import check_stored, find_parameter
 from slamhive.errors import NotFound, unknown
-from slamhive.services.clock import utc_now
 from slamhive.services.configurations.changes import NO_LABEL, Changes, Label, Stored
 from slamhive.services.configurations.words import check_label
 from slamhive.services.datasets.catalogue import Catalogue, check_writable

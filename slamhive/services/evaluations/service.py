@@ -9,6 +9,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 
+from slamhive.clock import utc_now
 from slamhive.domain.external import IMPORTED
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
@@ -18,7 +19,6 @@ from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask,
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
-from slamhive.services.clock import utc_now
 from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.datasets.external import algorithm_here_or_elsewhere
 from slamhive.services.evaluations.files import evaluation_files
@@ -141,8 +141,8 @@ class Evaluations:
         ``only`` restricts the choice to evaluations of these runs; ``cores`` are the numbers of those to evaluate on,
         None for all.
         """
-        now = utc_now()
-        claimed = self._store.write(lambda t: t.evaluations.claim(owner, now, self._settings.lease_s, BATCH_SIZE, only))
+        lease_s = self._settings.lease_s
+        claimed = self._store.write(lambda t: t.evaluations.claim(t.lease(owner, lease_s), BATCH_SIZE, only))
         if not claimed:
             return 0
         heartbeat_ends = threading.Event()
@@ -270,12 +270,10 @@ class Evaluations:
         return fitting_protocol(algorithm, self._catalogue.dataset(run.dataset), self._settings, asked)
 
     def _heartbeat(self, owner: str, evaluation_ids: list[int], ends: threading.Event) -> None:
-        while not ends.wait(self._settings.lease_s / 3):
-            now = utc_now()
+        lease_s = self._settings.lease_s
+        while not ends.wait(lease_s / 3):
             try:
-                self._store.write(
-                    lambda t, now=now: t.evaluations.heartbeat(evaluation_ids, owner, now, self._settings.lease_s)  # type: ignore[misc]
-                )
+                self._store.write(lambda t: t.evaluations.heartbeat(evaluation_ids, t.lease(owner, lease_s)))
             except SlamHiveError as error:
                 logger.warning("heartbeat of evaluations: %s", error)
 

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
 
+from slamhive.clock import utc_now
 from slamhive.errors import Conflict
-from slamhive.services.clock import utc_now
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.folder import ExperimentStamp
 from slamhive.services.runs.retrying import retry_request

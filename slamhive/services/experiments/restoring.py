@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from slamhive.clock import utc_now
 from slamhive.errors import SlamHiveError
-from slamhive.services.clock import utc_now
 from slamhive.services.experiments.changing import WHY_CANCELLED
 from slamhive.services.experiments.context import ExperimentContext, silent
 from slamhive.services.experiments.folder import ExperimentFolder, experiment_folders

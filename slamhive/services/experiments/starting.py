@@ -5,8 +5,8 @@ from __future__ import annotations
 import uuid
 from dataclasses import replace
 
+from slamhive.clock import utc_now
 from slamhive.errors import Conflict, InvalidInput
-from slamhive.services.clock import utc_now
 from slamhive.services.experiments.changing import changing, stamp_of, write_stamp
 from slamhive.services.experiments.checks import disk_space_problems, find_disk_space, pair_problems
 from slamhive.services.experiments.context import ExperimentContext, Progress

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
+from slamhive.clock import utc_now
 from slamhive.domain.affinity import run_affinity
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.protocol import Protocol
 from slamhive.errors import Conflict
-from slamhive.services.clock import utc_now
 from slamhive.services.experiments.checks import Pair, protocol_of_pair
 from slamhive.services.experiments.context import ExperimentContext, Progress
 from slamhive.services.experiments.folder import ExperimentStamp

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from slamhive.clock import monotonic_s
 from slamhive.services.experiments.context import guessed_duration_s
 from slamhive.store.durations import Pairing
 from slamhive.store.experiment_records import ExperimentRecord
@@ -33,7 +33,7 @@ class TimeLeft:
         clock: Monotonic seconds.
     """
 
-    def __init__(self, slots: int, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, slots: int, clock: Callable[[], float] = monotonic_s) -> None:
         self._slots = slots
         self._clock = clock
         self._lock = threading.Lock()

@@ -14,6 +14,7 @@ from datetime import datetime
 from typing import Any
 
 from slamhive.bags.variants.locks import Busy, exclusive
+from slamhive.clock import utc_now
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.numbers import plural
@@ -21,7 +22,6 @@ from slamhive.domain.protocol import Duplicates, Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.errors import Conflict, InvalidInput, SlamHiveError, Unavailable
 from slamhive.runs.folder import RunFolder
-from slamhive.services.clock import utc_now
 from slamhive.services.datasets.catalogue import Catalogue, check_writable
 from slamhive.services.datasets.external import choose_algorithm
 from slamhive.services.evaluations.protocols import fitting_protocol

@@ -9,11 +9,11 @@ from functools import cached_property
 from itertools import islice
 from typing import Any
 
+from slamhive.clock import utc_now
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.run import RunEvent, RunState
 from slamhive.errors import SlamHiveError
 from slamhive.services.archive.lines import dataset_from_line, search_from_line
-from slamhive.services.clock import utc_now
 from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.ledger.book import Book, Line
 from slamhive.services.ledger.evaluation_lines import LedgerEvaluations, read_evaluations

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from slamhive.clock import utc_now
 from slamhive.domain.affinity import run_affinity
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
@@ -19,7 +20,6 @@ from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.job import RESULT_FILE, Artefacts, EvaluationResult, result_from_json
 from slamhive.input_bounds import MOST_RECORD_BYTES, read_record, read_text
 from slamhive.runs.folder import RunFolder
-from slamhive.services.clock import utc_now
 from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.evaluations.service import PROTOCOL_FILE
 from slamhive.services.runs.record import check_types, configuration_from_record, snapshot_from_record

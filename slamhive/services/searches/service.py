@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from slamhive.clock import monotonic_s, utc_now
 from slamhive.domain.names import check_name
 from slamhive.domain.parameters import Parameter, ParameterType
 from slamhive.search.binding import Search, read_search
 from slamhive.search.fields import Kind, ParameterKind, Vocabulary, vocabulary_of
-from slamhive.services.clock import utc_now
 from slamhive.services.datasets.catalogue import Catalogue, check_writable
 from slamhive.services.datasets.external import imported_algorithms
 from slamhive.settings import Settings
@@ -54,7 +53,7 @@ class Searches:
     """
 
     def __init__(
-        self, settings: Settings, store: Store, catalogue: Catalogue, clock: Callable[[], float] = time.monotonic
+        self, settings: Settings, store: Store, catalogue: Catalogue, clock: Callable[[], float] = monotonic_s
     ) -> None:
         self._settings = settings
         self._store = store

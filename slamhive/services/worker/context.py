@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 
+from slamhive.clock import utc_now
 from slamhive.domain.protocol import Protocol
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Executor
-from slamhive.services.clock import utc_now
 from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.datasets.variants import Variants
 from slamhive.settings import Settings

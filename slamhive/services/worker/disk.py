@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from slamhive.clock import monotonic_s
 from slamhive.runs.leftovers import DiskLimits, settle, survey
 from slamhive.services.worker.evidence import LEFT, look_at
 from slamhive.services.worker.run_in_hand import RunInHand
@@ -32,21 +33,21 @@ class DiskWatch:
     def __init__(self, hand: RunInHand, limits: DiskLimits) -> None:
         self._hand = hand
         self._limits = limits
-        self._folders_due_s = self._hidden_due_s = time.monotonic()
+        self._folders_due_s = self._hidden_due_s = monotonic_s()
 
     def exceeded(self) -> str | None:
         """In words the limit that is exceeded; None if none is, as far as was looked at."""
         limit_bytes = self._limits.size_bytes
-        if limit_bytes is not None and time.monotonic() >= self._hidden_due_s:
+        if limit_bytes is not None and monotonic_s() >= self._hidden_due_s:
             hidden_bytes = self._hand.executor.hidden_bytes(self._hand.handle)
-            self._hidden_due_s = time.monotonic() + _HIDDEN_INTERVAL_S
+            self._hidden_due_s = monotonic_s() + _HIDDEN_INTERVAL_S
             if hidden_bytes > limit_bytes:
                 return f"more than {limit_bytes / 1e6:.0f} MB into its container"
-        if self._limits == DiskLimits() or time.monotonic() < self._folders_due_s:
+        if self._limits == DiskLimits() or monotonic_s() < self._folders_due_s:
             return None
         began_s = time.thread_time()
         found = survey(self._hand.folder, self._limits)
-        self._folders_due_s = time.monotonic() + _SHARE * (time.thread_time() - began_s)
+        self._folders_due_s = monotonic_s() + _SHARE * (time.thread_time() - began_s)
         return found.exceeded
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from slamhive.clock import monotonic_s
 from slamhive.errors import Conflict, Unavailable
 
 _PATIENCE_S = 1.0
@@ -75,12 +76,12 @@ class WorkerLock:
 
 def _lock_patiently(descriptor: int) -> bool:
     """Whether the lock could be taken; whoever only asks for it holds it for a moment, which is waited for."""
-    deadline_s = time.monotonic() + _PATIENCE_S
+    deadline_s = monotonic_s() + _PATIENCE_S
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            if time.monotonic() >= deadline_s:
+            if monotonic_s() >= deadline_s:
                 return False
             time.sleep(_STEP_S)
         else:

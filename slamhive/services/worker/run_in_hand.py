@@ -107,9 +107,8 @@ class RunInHand:
 
     def check_owner(self) -> None:
         """Ask the database, before the folder is written: after a long sleep another worker may have the run."""
-        now = self.context.now()
         owner, lease_s = self.context.owner, self.context.settings.lease_s
-        if not self.context.store.write(lambda t: t.queue.heartbeat([self.run.id], owner, now, lease_s)):
+        if not self.context.store.write(lambda t: t.queue.heartbeat([self.run.id], t.lease(owner, lease_s))):
             raise LeaseLost(f"run {self.run.id} is held by another worker now")
 
     def check_still_ours(self) -> None:

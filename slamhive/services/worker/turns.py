@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 
+from slamhive.clock import monotonic_s
 from slamhive.domain.affinity import same_data
 from slamhive.executors.base import Executor
 from slamhive.store.records import RunRecord
@@ -44,7 +44,7 @@ class AbsentExecutors:
     """
 
     def __init__(
-        self, executors: Callable[[str], Executor], pause_s: float, clock: Callable[[], float] = time.monotonic
+        self, executors: Callable[[str], Executor], pause_s: float, clock: Callable[[], float] = monotonic_s
     ) -> None:
         self._executors = executors
         self._pause_s = pause_s

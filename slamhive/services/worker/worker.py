@@ -9,9 +9,9 @@ from __future__ import annotations
 import logging
 import os
 import threading
-import time
 from collections.abc import Callable, Collection, Iterable
 
+from slamhive.clock import monotonic_s
 from slamhive.domain.run import RunEvent, RunState
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.executors.base import EngineUnavailable, Executor
@@ -19,7 +19,6 @@ from slamhive.executors.registry import AUTO
 from slamhive.runs.folder import RunFolder
 from slamhive.search.build import matching
 from slamhive.services.analyses.jobs import AnalysisJobs
-from slamhive.services.clock import utc_now
 from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.datasets.variants import Variants
 from slamhive.services.evaluations.service import Evaluations
@@ -150,17 +149,15 @@ class Worker:
 
     def _work_once(self, cores: tuple[int, ...] | None, turns: Turns, away: Collection[str]) -> bool:
         """One run whose executor is not ``away``, or one batch of evaluations; whether there was anything to do."""
-        now, near = self._context.now(), turns.near
-        run = self._store.write(
-            lambda t: t.queue.claim(self.owner, now, self._settings.lease_s, self._only, near, away)
-        )
+        near, lease_s = turns.near, self._settings.lease_s
+        run = self._store.write(lambda t: t.queue.claim(t.lease(self.owner, lease_s), self._only, near, away))
         if run is not None:
             turns.took(run)
             self._drive(run, cores)
-            if time.monotonic() < self._next_evaluation_s:
+            if monotonic_s() < self._next_evaluation_s:
                 return True
         # Between runs, not beside them; not after each one either: a start of the engine serves many runs.
-        self._next_evaluation_s = time.monotonic() + EVALUATION_INTERVAL_S
+        self._next_evaluation_s = monotonic_s() + EVALUATION_INTERVAL_S
         evaluated = self._evaluations.work_once(self.owner, self._stopping, self._only, cores=cores)
         # In the turn of a run as well, on the cores of this slot: no run of another slot is measured wrongly by it.
         analysed = self._only is None and self._analyses.work_once(self.owner, self._stopping)
@@ -234,12 +231,10 @@ class Worker:
         return self._store.read(lambda t: t.runs.get(run_id))
 
     def _reloaded(self, run: RunRecord) -> RunRecord:
-        now = self._context.now()
+        lease_s = self._settings.lease_s
 
         def work_held() -> bool:
-            return bool(
-                self._store.write(lambda t: t.queue.heartbeat([run.id], self.owner, now, self._settings.lease_s))
-            )
+            return bool(self._store.write(lambda t: t.queue.heartbeat([run.id], t.lease(self.owner, lease_s))))
 
         try:
             current = self._record(run.id)
@@ -257,8 +252,8 @@ class Worker:
             if not held:
                 continue
             try:
-                if time.monotonic() >= next_beat:
-                    next_beat = time.monotonic() + self._settings.lease_s / 3
+                if monotonic_s() >= next_beat:
+                    next_beat = monotonic_s() + self._settings.lease_s / 3
                     self._beat(held)
                 self._held.cancel |= self._store.read(lambda t, held=held: t.queue.cancel_requested(held))  # type: ignore[misc]
             except SlamHiveError as error:
@@ -268,8 +263,7 @@ class Worker:
                 logger.exception("a fault of the heartbeat; it goes on")
 
     def _beat(self, held: set[int]) -> None:
-        now = utc_now()
-        still = self._store.write(lambda t: t.queue.heartbeat(held, self.owner, now, self._settings.lease_s))
+        still = self._store.write(lambda t: t.queue.heartbeat(held, t.lease(self.owner, self._settings.lease_s)))
         lost = held - still
         if lost:
             ended = {

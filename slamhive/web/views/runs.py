@@ -22,6 +22,7 @@ from flask import (
 from flask import url_for as address
 
 from slamhive.analysis.colours import colour_of
+from slamhive.clock import utc_now
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.errors import InvalidInput, NotFound
@@ -33,7 +34,7 @@ from slamhive.services.hive import Hive
 from slamhive.services.runs.downloads import list_downloads, open_download
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.web.columns import Column, all_columns, column
-from slamhive.web.context import hive, now
+from slamhive.web.context import hive
 from slamhive.web.errors import status_of, wants_json
 from slamhive.web.figures import best_plane, captions, figure_table, run_figures
 from slamhive.web.formatting import plural
@@ -147,7 +148,7 @@ def show(run_id: int) -> str:
         rule=DEFAULT_RULE.words,
         disturbed=presenter.disturbed(run),
         machine=presenter.machine(run),
-        wall_time_s=presenter.wall_time_s(run, now()),
+        wall_time_s=presenter.wall_time_s(run, utc_now()),
         progress=progress_json(services.progress(run_id)) if run.state.active else None,
         parameters=presenter.parameter_rows(run, algorithm),
         protocols=choices,

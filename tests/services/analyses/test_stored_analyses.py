@@ -27,7 +27,7 @@ from slamhive.services.analyses.stored import StoredAnalyses
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
 from slamhive.settings import Mode
-from slamhive.store import AnalysisRecord, AnalysisState, open_store
+from slamhive.store import AnalysisRecord, AnalysisState, Lease, open_store
 from tests.web import web_world as world
 
 pytestmark = pytest.mark.integration
@@ -192,7 +192,7 @@ def test_a_killed_worker_leaves_the_analysis_to_the_next_and_no_process(hive: Hi
 
 def test_a_lease_that_ran_out_is_taken_over(hive: Hive):
     token = hive.stored_analyses.create(TEXT).token
-    hive.store.write(lambda t: t.analyses.claim("dead", world.NOW, 0.0))
+    hive.store.write(lambda t: t.analyses.claim(Lease("dead", world.NOW, 0.0)))
     assert work(hive)
     found = hive.stored_analyses.get(token)
     assert (found.state, found.attempt) == (AnalysisState.DONE, 2)
@@ -202,7 +202,7 @@ def test_one_that_kills_every_worker_is_given_up(hive: Hive):
     token = hive.stored_analyses.create(TEXT).token
     for second in range(jobs.MOST_ATTEMPTS):
         at = world.NOW + timedelta(seconds=second)
-        assert hive.store.write(lambda t, at=at: t.analyses.claim("dead", at, 0.0))  # type: ignore[misc]
+        assert hive.store.write(lambda t, at=at: t.analyses.claim(Lease("dead", at, 0.0)))  # type: ignore[misc]
     assert work(hive)
     assert "3 workers ended" in str(hive.stored_analyses.get(token).reason)
 
@@ -262,12 +262,12 @@ def test_the_queue_works_on_mysql(database_server):
         record = hive_record()
         store.write(lambda t: t.analyses.put(record))
         assert store.read(lambda t: t.analyses.waiting()) == 1
-        claimed = store.write(lambda t: t.analyses.claim("a", world.NOW, 30.0))
+        claimed = store.write(lambda t: t.analyses.claim(Lease("a", world.NOW, 30.0)))
         assert claimed is not None
         assert claimed.attempt == 1
-        assert store.write(lambda t: t.analyses.claim("b", world.NOW, 30.0)) is None
-        assert store.write(lambda t: t.analyses.heartbeat(record.token, "a", world.NOW, 30.0))
-        assert not store.write(lambda t: t.analyses.heartbeat(record.token, "b", world.NOW, 30.0))
+        assert store.write(lambda t: t.analyses.claim(Lease("b", world.NOW, 30.0))) is None
+        assert store.write(lambda t: t.analyses.heartbeat([record.token], Lease("a", world.NOW, 30.0)))
+        assert not store.write(lambda t: t.analyses.heartbeat([record.token], Lease("b", world.NOW, 30.0)))
         done = replace(record, state=AnalysisState.DONE, content_hash="1" * 64, size_bytes=3_000_000_000)
         store.write(lambda t: t.analyses.finish(done, "a"))
         assert store.read(lambda t: t.analyses.same("1" * 64)) == [record.token]
