@@ -54,7 +54,7 @@ def main() -> None:
 def measure(hive: Hive, source: Path, *, evaluate: bool) -> None:
     """Each step with its times."""
     request = ImportRequest(source, sensors={"": SensorSetup.STEREO})
-    service = hive.evaluations_service
+    service = hive.evaluations
     report = timed("import", lambda: hive.imports.carry_out(request, lambda _done, _total: None))
     timed("import again, all known", lambda: hive.imports.carry_out(request, lambda _done, _total: None))
     wanted = timed("find the runs without evaluation", service.unevaluated)

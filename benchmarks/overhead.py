@@ -27,9 +27,9 @@ import docker
 
 from slamhive.bags.room import RoomOptions
 from slamhive.errors import NotFound
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.runs.record import spec_from_json
-from slamhive.services.runs.submission import Submission
 from slamhive.store import RunRecord
 
 RATIO_BOUND = 1.05
@@ -63,7 +63,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="slamhive-overhead-") as scratch:
         hive = open_hive({"data": (arguments.data or Path(scratch)).absolute(), "executor": "docker"})
         dataset = _dataset(hive, arguments.seconds)
-        hive.executor("docker").build(hive.catalogue.package(arguments.algorithm), lambda _line: None)
+        hive.executors.get("docker").build(hive.catalogue.package(arguments.algorithm), lambda _line: None)
         pairs = _measure(hive, arguments.algorithm, dataset, arguments.pairs)
         hive.close()
     if arguments.json:
@@ -105,10 +105,10 @@ def _measure(hive: Hive, algorithm: str, dataset: str, count: int) -> list[Pair]
 def _through_the_queue(hive: Hive, algorithm: str, dataset: str) -> tuple[RunRecord, float]:
     """Submit, wait until stored; the run and the wall time (s)."""
     began = time.perf_counter()
-    (run,) = hive.submit(Submission(algorithm, dataset, executor="docker", evaluate=False))
-    while not hive.run(run.id).state.ended:
+    (run,) = hive.runs.submit(Submission(algorithm, dataset, executor="docker", evaluate=False))
+    while not hive.runs.get(run.id).state.ended:
         time.sleep(0.01)
-    ended = hive.run(run.id)
+    ended = hive.runs.get(run.id)
     if ended.poses is None:
         raise SystemExit(f"run {run.id} is {ended.state}: {ended.detail}")
     return ended, time.perf_counter() - began
@@ -116,7 +116,7 @@ def _through_the_queue(hive: Hive, algorithm: str, dataset: str) -> tuple[RunRec
 
 def _bare(hive: Hive, model: RunRecord) -> float:
     """The same image, command and mounts, started without SLAM Hive; wall time (s)."""
-    spec = spec_from_json(hive.record(model.id)["spec"])
+    spec = spec_from_json(hive.runs.record(model.id)["spec"])
     client = docker.from_env()
     with tempfile.TemporaryDirectory(prefix="slamhive-bare-") as result:
         volumes = {
@@ -148,7 +148,7 @@ def _bare(hive: Hive, model: RunRecord) -> float:
 
 
 def _pair(hive: Hive, run: RunRecord, queue_s: float, bare_s: float) -> Pair:
-    events = {event.to_state.value: event.at for event in hive.events(run.id)}
+    events = {event.to_state.value: event.at for event in hive.runs.events(run.id)}
     started, ended = run.started_at or datetime.now(UTC), run.ended_at or datetime.now(UTC)
     return Pair(
         queue_s=queue_s,

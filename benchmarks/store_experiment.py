@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.expand import EXPERIMENT, PER_VALUE, catalogue
-from slamhive.executors.base import Executor
 from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.datasets.variants import Variants
+from slamhive.services.executors import Executors
 from slamhive.services.experiments import status as statuses
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.folder import ExperimentStamp
@@ -71,8 +71,7 @@ def measure(store: Store, text: str, folder: Path) -> dict[str, float]:
         store,
         Catalogue(settings, folder),
         Variants(settings, store),
-        _no_executor,
-        lambda name: name or "docker",
+        Executors(settings, folder, lambda: False),
     )
     store.listener = Ledger(settings, store).note
     experiment = parse_experiment(text)
@@ -139,10 +138,6 @@ def _store(name: str, folder: Path) -> Iterator[Store]:
         store.close()
         if server is not None:
             server.stop()
-
-
-def _no_executor(_name: str) -> Executor:
-    raise AssertionError("nothing is run here")
 
 
 def _peak_bytes() -> int:

@@ -23,7 +23,7 @@ def algorithm() -> None:
 def list_(cli: CliContext, as_json: bool) -> None:
     """List all algorithms and whether they are built."""
     hive = cli.hive(indexed=False)
-    executor = hive.executor(hive.executor_name())
+    executor = hive.executors.get(hive.executors.choose())
     identities: dict[str, str | None] = {}
     problems: dict[str, str] = {}
     for package in hive.catalogue.packages():
@@ -79,7 +79,7 @@ def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | N
     hive = cli.hive(indexed=False)
     hive.check_writable()
     packages = hive.catalogue.packages() if all_ else {hive.catalogue.package(name) for name in names}
-    chosen = hive.executor(hive.executor_name(executor))
+    chosen = hive.executors.get(hive.executors.choose(executor))
     failures: list[SlamHiveError] = []
     for package in sorted(packages, key=lambda entry: entry.name):
         messages.print(f"building {package.name} for {chosen.name}", style="bold")

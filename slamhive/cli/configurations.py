@@ -19,8 +19,8 @@ from slamhive.domain.parameters import Value
 from slamhive.errors import InvalidInput
 from slamhive.files import write_aside
 from slamhive.services.configurations.changes import Changes, Label, Stored
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.configurations.words import configuration_to_json, parse_conditions
-from slamhive.services.runs.submission import Submission
 from slamhive.store import ConfigurationFilter, ConfigurationRecord
 
 RUNS_SHOWN = 10
@@ -249,7 +249,7 @@ def run(cli: CliContext, reference: str, as_json: bool, **options: Any) -> None:
     """Queue runs of CONFIGURATION."""
     hive = cli.hive()
     record = hive.configurations.find(reference)
-    print_runs(list(hive.run_configuration(record.id, **options)), as_json)
+    print_runs(list(hive.runs.submit_configuration(record.id, **options)), as_json)
 
 
 @configuration.command("groups")

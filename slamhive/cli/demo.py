@@ -35,7 +35,7 @@ def run_demo(hive: Hive, seconds: float) -> None:
     """
     hive.check_writable()
     began = monotonic_s()
-    executor, reason = hive.executor_choice()
+    executor, reason = hive.executors.default()
     messages.print(f"executor: {executor} ({reason})", markup=False, soft_wrap=True)
     text = (hive.catalogue.project_root / FILE).read_text(encoding="utf-8")
     asked = [str(name) for name in parse_experiment(text, FILE).algorithms.values]
@@ -66,7 +66,7 @@ def _source(hive: Hive, content: dict[str, Any], algorithms: Sequence[str], exec
 
 def _buildable(hive: Hive, executor: str, algorithms: Sequence[str]) -> list[str]:
     """The algorithms whose image or environment is there or can be made; says what is skipped and how to get it."""
-    chosen = hive.executor(executor)
+    chosen = hive.executors.get(executor)
     problems: dict[str, SlamHiveError | None] = {}
     packages = {algorithm: hive.catalogue.algorithm(algorithm).package.name for algorithm in algorithms}
     names = list(dict.fromkeys(packages.values()))
@@ -92,7 +92,7 @@ def _buildable(hive: Hive, executor: str, algorithms: Sequence[str]) -> list[str
 def _prepare_evaluation(hive: Hive) -> None:
     """Build what evaluations need now, where it is seen, and not between the first run and its result."""
     with progress_bar("building the evaluation") as show:
-        hive.evaluations_service.prepare(lambda line: show(0.0, line[:60]))
+        hive.evaluations.prepare(lambda line: show(0.0, line[:60]))
         show(1.0, "ready")
 
 

@@ -53,7 +53,7 @@ def evaluate(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **opti
     hive = cli.hive()
     hive.check_writable()
     asked = _asked(hive, options["protocol"], options["align"], options["duplicates"])
-    service = hive.evaluations_service
+    service = hive.evaluations
     waiting: list[int] = []
     if options["all_unevaluated"]:
         wanted, waiting = service.unevaluated(), [record.id for record in service.waiting()]

@@ -21,7 +21,7 @@ def hint_in_words(hint: Hint) -> str:
 def hints_of(hive: Hive, ended: Iterable[EvaluationRecord]) -> dict[int, tuple[Hint, ...]]:
     """{run: hints} of evaluations that succeeded, those without left out."""
     found = {
-        entry.run_id: evaluation_notes(hive.folder(entry.run_id), entry.protocol.fingerprint).hints
+        entry.run_id: evaluation_notes(hive.runs.folder(entry.run_id), entry.protocol.fingerprint).hints
         for entry in ended
         if entry.reason is None
     }

@@ -85,8 +85,8 @@ def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, 
         report = hive.imports.carry_out(
             request, lambda done, total: show(done / total, f"{done}/{total} trajectories"), dry_run=dry_run
         )
-    wanted = hive.evaluations_service.unsettled(report.run_ids) if options["evaluate"] else []
-    ended = evaluate_to_end(hive.evaluations_service, hive.evaluations_service.queue(wanted))
+    wanted = hive.evaluations.unsettled(report.run_ids) if options["evaluate"] else []
+    ended = evaluate_to_end(hive.evaluations, hive.evaluations.queue(wanted))
     failures = {record.run_id: record.reason for record in ended if record.reason is not None}
     evaluated = len(ended) - len(failures)
     hints = hints_of(hive, ended)

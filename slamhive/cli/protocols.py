@@ -85,12 +85,12 @@ def use(cli: CliContext, name: str, run_ids: tuple[int, ...]) -> None:
 def compare(cli: CliContext, run_id: int, as_json: bool) -> None:
     """Evaluate run RUN_ID the way each published tool counts, and show the figures side by side."""
     hive = cli.hive()
-    if not hive.run(run_id).state.ended:
+    if not hive.runs.get(run_id).state.ended:
         raise Conflict(f"run {run_id} has not ended", "wait for it")
     if hive.settings.mode is not Mode.VIEW_ONLY:
         evaluation_ids = hive.comparisons.queue(run_id)
         if evaluation_ids:
-            evaluate_to_end(hive.evaluations_service, evaluation_ids)
+            evaluate_to_end(hive.evaluations, evaluation_ids)
     rows = hive.comparisons.of(run_id)
     if as_json:
         print_json([_tool_json(row) for row in rows])

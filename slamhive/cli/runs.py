@@ -21,12 +21,12 @@ from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.stop_when import RULES, parse_stop_when
 from slamhive.errors import InvalidInput
+from slamhive.services.configurations.submission import Submission, unwatchable
 from slamhive.services.evaluations.notes import evaluation_notes
 from slamhive.services.exports.runs import disturbed_text
 from slamhive.services.hive import Hive
 from slamhive.services.json_values import timestamp
 from slamhive.services.runs.as_json import evaluation_to_json, run_to_json
-from slamhive.services.runs.submission import Submission, unwatchable
 from slamhive.store import RunRecord, RunSort
 
 SPARE = ("time s", "RAM MB", "CPU cores", "tracked", "poses", "dataset", "reason", "disturbed")
@@ -74,7 +74,7 @@ def run(cli: CliContext, algorithm: str, dataset: str, settings: tuple[str, ...]
     """Run ALGORITHM on DATASET."""
     hive = cli.hive()
     rules = parse_stop_when(options["rules"])
-    submitted = hive.submit(
+    submitted = hive.runs.submit(
         Submission(
             algorithm=algorithm,
             dataset=dataset,
@@ -105,7 +105,7 @@ def run(cli: CliContext, algorithm: str, dataset: str, settings: tuple[str, ...]
             "no worker runs on this machine; `slamhive worker` (or `slamhive serve`) takes the queued runs",
             soft_wrap=True,
         )
-    ended = [hive.run(run_id) for run_id in run_ids]
+    ended = [hive.runs.get(run_id) for run_id in run_ids]
     print_runs(ended, options["as_json"])
     if options["wait"] and any(entry.state is not RunState.SUCCEEDED for entry in ended):
         raise click.exceptions.Exit(1)
@@ -179,7 +179,7 @@ def list_runs(hive: Hive, options: dict[str, Any], *, as_json: bool) -> None:
 
 
 def _print_page(listing: Listing, *, as_json: bool) -> None:
-    page = listing.hive.runs(listing.search, listing.sort, limit=listing.size)
+    page = listing.hive.runs.page(listing.search, listing.sort, limit=listing.size)
     if as_json:
         print_runs(list(page.records), as_json)
         return
@@ -198,15 +198,16 @@ def _print_page(listing: Listing, *, as_json: bool) -> None:
 def show(cli: CliContext, run_id: int, as_json: bool) -> None:
     """Show one run: configuration, outcome, figures, events, evaluations."""
     hive = cli.hive()
-    entry = hive.run(run_id)
+    entry = hive.runs.get(run_id)
     content = {
         **run_to_json(entry),
-        "folder": str(hive.folder(run_id).root),
+        "folder": str(hive.runs.folder(run_id).root),
         "events": [
-            {"at": timestamp(e.at), "from": e.from_state, "to": e.to_state, "why": e.why} for e in hive.events(run_id)
+            {"at": timestamp(e.at), "from": e.from_state, "to": e.to_state, "why": e.why}
+            for e in hive.runs.events(run_id)
         ],
-        "evaluations": [evaluation_to_json(e, hive.folder(run_id)) for e in hive.evaluations(run_id)],
-        "provenance": {key: hive.record(run_id).get(key) for key in ("software", "algorithm", "dataset", "host")},
+        "evaluations": [evaluation_to_json(e, hive.runs.folder(run_id)) for e in hive.evaluations.of_run(run_id)],
+        "provenance": {key: hive.runs.record(run_id).get(key) for key in ("software", "algorithm", "dataset", "host")},
     }
     if as_json:
         print_json(content)
@@ -225,7 +226,7 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
     if entry.protocol is not None:
         click.echo(f"protocol {entry.protocol.fingerprint}: {entry.protocol.label}")
     if entry.protocol is not None:
-        for hint in evaluation_notes(hive.folder(run_id), entry.protocol.fingerprint).hints:
+        for hint in evaluation_notes(hive.runs.folder(run_id), entry.protocol.fingerprint).hints:
             click.echo(f"hint: {hint_in_words(hint)}")
     for evaluation in content["evaluations"]:
         if evaluation["reason"]:
@@ -240,7 +241,7 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
 @pass_cli
 def log(cli: CliContext, run_id: int, max_bytes: int) -> None:
     """Print what the run has printed so far."""
-    click.echo(cli.hive().log(run_id, max_bytes), nl=False)
+    click.echo(cli.hive().runs.log(run_id, max_bytes), nl=False)
 
 
 @runs.command("cancel")
@@ -249,7 +250,7 @@ def log(cli: CliContext, run_id: int, max_bytes: int) -> None:
 def cancel(cli: CliContext, run_ids: tuple[int, ...]) -> None:
     """Cancel runs: queued ones at once, active ones as soon as their worker has ended them."""
     for run_id in run_ids:
-        entry = cli.hive().cancel(run_id)
+        entry = cli.hive().runs.cancel(run_id)
         click.echo(f"run {entry.id}: {entry.state if entry.state.ended else 'is being cancelled'}")
 
 
@@ -260,7 +261,7 @@ def cancel(cli: CliContext, run_ids: tuple[int, ...]) -> None:
 def retry(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
     """Queue new runs with the configurations of ended ones."""
     hive = cli.hive()
-    new = [hive.retry(run_id) for run_id in run_ids]
+    new = [hive.runs.retry(run_id) for run_id in run_ids]
     print_runs(new, as_json)
 
 

@@ -87,7 +87,7 @@ class Listing:
         """All runs, for a file."""
 
         def fetch(after: str | None, size: int) -> tuple[Sequence[RunRecord], str | None]:
-            page = self.hive.runs(self.search, self.sort, after, size)
+            page = self.hive.runs.page(self.search, self.sort, after, size)
             return page.records, page.next_key
 
         return RunExport(self.columns or FILE_COLUMNS, self.hive.searches.vocabulary()), Pages(fetch, self.limit)

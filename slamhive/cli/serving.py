@@ -38,7 +38,7 @@ def worker_command(cli: CliContext, slots: int | None, until_idle: bool, patient
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    name, reason = hive.executor_choice()
+    name, reason = hive.executors.default()
     messages.print(
         f"worker {worker.owner}: {hive.settings.worker_slots} slot(s), executor {name} ({reason})", soft_wrap=True
     )

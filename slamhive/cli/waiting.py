@@ -134,7 +134,7 @@ def _show_experiment(
             left = hive.experiments.unfinished(name)
             if on_end is not None:
                 for run_id in sorted(set(waiting).difference(left)):
-                    on_end(hive.run(run_id))
+                    on_end(hive.runs.get(run_id))
             waiting = left
             status = hive.experiments.status(name)
             if status.standing is Standing.PAUSED and not status.counts[Phase.RUNNING]:
@@ -153,11 +153,11 @@ def _is_complete(hive: Hive, record: RunRecord, evaluate: bool) -> bool:
     if not evaluate or record.state is not RunState.SUCCEEDED:
         return True
     open_states = {EvaluationState.QUEUED, EvaluationState.RUNNING}
-    return all(evaluation.state not in open_states for evaluation in hive.evaluations(record.id))
+    return all(evaluation.state not in open_states for evaluation in hive.evaluations.of_run(record.id))
 
 
 def _activity(hive: Hive, record: RunRecord) -> str:
-    progress = hive.progress(record.id)
+    progress = hive.runs.progress(record.id)
     text = f"run {record.id} {record.algorithm} on {record.dataset}: "
     if progress is None:
         return text + record.state.value
@@ -168,7 +168,7 @@ def _activity(hive: Hive, record: RunRecord) -> str:
 def _cancel_all(hive: Hive, run_ids: Sequence[int]) -> None:
     for run_id in run_ids:
         try:
-            hive.cancel(run_id)
+            hive.runs.cancel(run_id)
         except SlamHiveError:
             continue  # it has ended already
     deadline = monotonic_s() + 30

@@ -69,7 +69,7 @@ def _data_root(hive: Hive) -> list[Check]:
 
 def _database(hive: Hive) -> list[Check]:
     try:
-        counts = hive.counts()
+        counts = hive.runs.counts()
     except NotFound as error:
         return [Check("database", Verdict.WARNING, error.message, error.remedy)]
     text = ", ".join(f"{count} {state}" for state, count in counts.items() if count) or "no runs yet"
@@ -79,10 +79,10 @@ def _database(hive: Hive) -> list[Check]:
 def _executor(hive: Hive) -> list[Check]:
     checks = []
     for name in ("docker", "process"):
-        problem = hive.executor(name).unavailable_because()
+        problem = hive.executors.get(name).unavailable_because()
         verdict = Verdict.OK if problem is None else Verdict.WARNING
         checks.append(Check(f"executor {name}", verdict, problem or "can be used"))
-    chosen, reason = hive.executor_choice()
+    chosen, reason = hive.executors.default()
     return [*checks, Check("executor in force", Verdict.OK, f"{chosen} ({reason})")]
 
 
@@ -90,7 +90,7 @@ def _protections(hive: Hive) -> list[Check]:
     """By what runs are held within their limits, for each executor that can be used."""
     checks = []
     for name in ("docker", "process"):
-        executor = hive.executor(name)
+        executor = hive.executors.get(name)
         if executor.unavailable_because() is None:
             held = executor.protections()
             reasons = "; ".join(f"no {way}: {reason}" for way, reason in held.does_not_hold.items())
@@ -123,7 +123,7 @@ def _disturbance(_: Hive) -> list[Check]:
 
 
 def _algorithms(hive: Hive) -> list[Check]:
-    executor = hive.executor(hive.executor_name())
+    executor = hive.executors.get(hive.executors.choose())
     checks = []
     for package in hive.catalogue.packages():
         try:

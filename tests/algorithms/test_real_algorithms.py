@@ -8,8 +8,8 @@ import pytest
 
 from slamhive.bags.room import RoomOptions
 from slamhive.domain.run import RunState
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.runs.submission import Submission
 
 pytestmark = pytest.mark.integration
 
@@ -28,15 +28,15 @@ def hive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
 )
 def test_each_system_follows_the_room_within_ten_centimetres(hive: Hive, algorithm: str, poses: int) -> None:
     # Sequential: what is tested here is that the system is right, not how fast this machine is at the moment.
-    (queued,) = hive.submit(Submission(algorithm, "room", playback_mode="sequential"))
+    (queued,) = hive.runs.submit(Submission(algorithm, "room", playback_mode="sequential"))
     hive.worker(only=[queued.id]).run(until_idle=True)
-    run = hive.run(queued.id)
-    assert run.state is RunState.SUCCEEDED, f"{run.detail}: {hive.log(run.id)[-2000:]}"
+    run = hive.runs.get(queued.id)
+    assert run.state is RunState.SUCCEEDED, f"{run.detail}: {hive.runs.log(run.id)[-2000:]}"
     assert run.poses is not None
     assert run.poses >= poses
     assert run.metrics is not None
     assert run.metrics["ate.rmse"] < 0.10
-    about = hive.record(run.id)["about"]
+    about = hive.runs.record(run.id)["about"]
     assert about["version"] == run.version.version if run.version else False
     if algorithm.startswith("orb"):
         assert about["vocabulary"]["words"] > 5000
@@ -47,9 +47,9 @@ def test_kiss_icp_leaves_its_map_if_asked(hive: Hive) -> None:
     asked = Submission(
         "kiss-icp", "room", parameters={"save_map": True}, playback_mode="sequential", alignment="first_pose"
     )
-    (queued,) = hive.submit(asked)
+    (queued,) = hive.runs.submit(asked)
     hive.worker(only=[queued.id]).run(until_idle=True)
-    metrics = hive.run(queued.id).metrics
+    metrics = hive.runs.get(queued.id).metrics
     assert metrics is not None
     assert metrics["map.points"] > 10_000
     assert metrics["map.accuracy.20cm"] > 0.9

@@ -158,7 +158,7 @@ def test_a_server_that_only_shows_makes_nothing(project: Path, monkeypatch: pyte
         hive = open_hive(data_root=expected)
         assert isinstance(hive.store, AbsentStore)
         with pytest.raises(NotFound, match="does not exist"):
-            hive.counts()
+            hive.runs.counts()
         hive.close()
     else:
         with pytest.raises(SlamHiveError, match="does not exist"):

@@ -126,7 +126,7 @@ def test_act(bench: Bench, act: str, executor: str) -> None:
     row = bench.perform(act, executor, expected.timeout_s, evaluate=expected.evaluate)
     assert (row.run.reason or GOOD) == expected.ending, row.run.detail
     assert expected.detail in (row.run.detail or "")
-    assert expected.log in bench.hive.log(row.run.id)
+    assert expected.log in bench.hive.runs.log(row.run.id)
     assert row.processes_left == []
     assert row.containers_left == []
     assert row.left_bytes <= expected.most_bytes
@@ -144,7 +144,7 @@ def test_act(bench: Bench, act: str, executor: str) -> None:
 
 def test_no_server_of_its_host_is_reached(bench: Bench, executor: str) -> None:
     row = bench.perform("sockets", executor)
-    assert json.loads(bench.hive.folder(row.run.id).about.read_text()) == {"reached": False}
+    assert json.loads(bench.hive.runs.folder(row.run.id).about.read_text()) == {"reached": False}
 
 
 def test_all_of_it_can_be_exported_imported_and_filed_again(
@@ -172,7 +172,7 @@ def test_all_of_it_can_be_exported_imported_and_filed_again(
 
 
 def endings(hive: Hive) -> dict[str, tuple[RunState, FailureReason | None]]:
-    return {run.uid: (run.state, run.reason) for run in hive.runs(limit=1000).records}
+    return {run.uid: (run.state, run.reason) for run in hive.runs.page(limit=1000).records}
 
 
 def test_table(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:

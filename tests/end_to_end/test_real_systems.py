@@ -9,8 +9,8 @@ import pytest
 
 from slamhive.bags.room import RoomOptions
 from slamhive.domain.run import RunState
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.runs.submission import Submission
 from slamhive.store import RunRecord
 
 pytestmark = [pytest.mark.integration, pytest.mark.docker]
@@ -40,11 +40,11 @@ def room(hive: Hive) -> str:
 
 
 def run(hive: Hive, *submissions: Submission) -> list[RunRecord]:
-    run_ids = [entry.id for submission in submissions for entry in hive.submit(submission)]
+    run_ids = [entry.id for submission in submissions for entry in hive.runs.submit(submission)]
     hive.worker(only=run_ids).run(until_idle=True)
-    ended = [hive.run(run_id) for run_id in run_ids]
+    ended = [hive.runs.get(run_id) for run_id in run_ids]
     for entry in ended:
-        assert entry.state is RunState.SUCCEEDED, f"{entry.detail}: {hive.log(entry.id)[-2000:]}"
+        assert entry.state is RunState.SUCCEEDED, f"{entry.detail}: {hive.runs.log(entry.id)[-2000:]}"
     return ended
 
 
@@ -61,7 +61,7 @@ def test_orb_slam3_stereo_on_kitti_06(hive, kitti_06):
         assert figure(entry, "ate.rmse") < 0.10
         assert entry.protocol is not None
         assert entry.protocol.label.startswith("SE(3)")
-        vocabulary = hive.record(entry.id)["about"]["vocabulary"]
+        vocabulary = hive.runs.record(entry.id)["about"]["vocabulary"]
         assert vocabulary["words"] > 5000
 
 
@@ -82,6 +82,6 @@ def test_lidar_systems_on_the_room(hive, room):
         assert 0 < figure(entry, "cpu.player_mean") < figure(entry, "cpu.mean") < 2
         assert 20e6 < figure(entry, "ram.max") < 1e9
         assert figure(entry, "latency.median") > 0
-        folder = hive.folder(entry.id)
+        folder = hive.runs.folder(entry.id)
         for path in (folder.profiling, folder.profiling_cpu_plot, folder.profiling_ram_plot, folder.log, folder.config):
             assert path.stat().st_size > 0, path

@@ -15,8 +15,8 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.run import RunState
 from slamhive.domain.variant import Variant, VariantStep, parse_step
 from slamhive.runtime import config as run_config
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.runs.submission import Submission
 from slamhive.store import RunRecord
 
 pytestmark = [pytest.mark.integration, pytest.mark.docker]
@@ -44,7 +44,7 @@ def half_size_run(hive: Hive) -> RunRecord:
         pytest.skip("the recorded data in ../shared/data is not here")
     hive.catalogue.import_dataset("kitti-odometry", KITTI_06, "kitti_06", silent)
     entry = run(hive, ORB, "kitti_06", HALF_SIZE)
-    assert entry.state is RunState.SUCCEEDED, hive.log(entry.id)[-2000:]
+    assert entry.state is RunState.SUCCEEDED, hive.runs.log(entry.id)[-2000:]
     return entry
 
 
@@ -52,9 +52,9 @@ def run(hive: Hive, algorithm: str, dataset: str, variant: Variant = ()) -> RunR
     """Message by message: frames that a busy machine loses are not what is asked about here."""
     parameters = {"nFeatures": 2000} if algorithm == ORB else {}
     wanted = Submission(algorithm, dataset, parameters, playback_mode="sequential", variant=variant)
-    (queued,) = hive.submit(wanted)
+    (queued,) = hive.runs.submit(wanted)
     hive.worker(only=[queued.id]).run(until_idle=True)
-    return hive.run(queued.id)
+    return hive.runs.get(queued.id)
 
 
 def ate_m(entry: RunRecord) -> float:
@@ -67,7 +67,7 @@ def test_half_size_images_are_tracked_with_their_own_calibration(hive, half_size
     assert half_size_run.poses is not None
     assert half_size_run.poses >= 48
     assert ate_m(half_size_run) < 0.25
-    config = run_config.load(hive.folder(half_size_run.id).config)
+    config = run_config.load(hive.runs.folder(half_size_run.id).config)
     assert config.dataset_resolution == {"/cam0/image_raw": 0.5, "/cam1/image_raw": 0.5}
     seen = config.dataset_parameters
     source = hive.catalogue.dataset("kitti_06").sensor("cam0").calibration
@@ -79,7 +79,7 @@ def test_half_size_images_are_tracked_with_their_own_calibration(hive, half_size
 @pytest.mark.shared_data
 def test_the_run_is_measured_against_the_original_ground_truth(hive, half_size_run):
     (entry,) = hive.variants.entries("kitti_06")
-    record = hive.record(half_size_run.id)["dataset"]
+    record = hive.runs.record(half_size_run.id)["dataset"]
     assert record["variant"] == entry.key
     assert record["checksum"] == hive.catalogue.dataset("kitti_06").checksum
     assert half_size_run.metrics is not None

@@ -65,7 +65,7 @@ class Accounts:
 def settle_accounts(hive: Hive) -> Accounts:
     """Look at every run and at every file of the data root."""
     found = Accounts()
-    page = hive.runs(limit=1000)
+    page = hive.runs.page(limit=1000)
     for run in page.records:
         _account_for(hive, run, found)
     found.strange += list(_strange(hive, {run.id for run in page.records}))
@@ -75,7 +75,7 @@ def settle_accounts(hive: Hive) -> Accounts:
 def _account_for(hive: Hive, run: RunRecord, found: Accounts) -> None:
     found.runs += 1
     found.states[run.state.value if run.reason is None else f"{run.state.value} ({run.reason.value})"] += 1
-    marker = hive.folder(run.id).result / "starts.txt"  # each execution of the test algorithm adds a line
+    marker = hive.runs.folder(run.id).result / "starts.txt"  # each execution of the test algorithm adds a line
     executions = len(marker.read_text().splitlines()) if marker.exists() else 0
     found.executions += executions
     if not run.state.ended:
@@ -85,13 +85,13 @@ def _account_for(hive: Hive, run: RunRecord, found: Accounts) -> None:
         found.twice.append(run.id)
     if executions == 0 and run.reason is not FailureReason.LOST:
         found.never.append(run.id)
-    record = hive.record(run.id)
+    record = hive.runs.record(run.id)
     last = (record.get("events") or [{}])[-1]
     if (record.get("state"), last.get("to")) != (run.state.value, run.state.value):
         found.unsealed.append(run.id)
     if run.state is RunState.SUCCEEDED:
-        states = [entry.state for entry in hive.evaluations(run.id)]
-        if states == [EvaluationState.SUCCEEDED] and "ate.rmse" in (hive.run(run.id).metrics or {}):
+        states = [entry.state for entry in hive.evaluations.of_run(run.id)]
+        if states == [EvaluationState.SUCCEEDED] and "ate.rmse" in (hive.runs.get(run.id).metrics or {}):
             found.evaluated += 1
         else:
             found.unevaluated.append(run.id)
@@ -115,7 +115,7 @@ def _strange(hive: Hive, run_ids: set[int]) -> list[str]:
 
 def _strange_of_run(hive: Hive, folder: RunFolder) -> list[Path]:
     strange = [entry for entry in folder.root.iterdir() if entry.name not in IN_RUN_FOLDER]
-    known = {entry.protocol.fingerprint for entry in hive.evaluations(int(folder.root.name))} | {"current"}
+    known = {entry.protocol.fingerprint for entry in hive.evaluations.of_run(int(folder.root.name))} | {"current"}
     evaluations = folder.root / "evaluations"
     if evaluations.is_dir():
         strange += [entry for entry in evaluations.iterdir() if entry.name not in known]

@@ -35,7 +35,7 @@ def make_runs(hive: Hive, count: int, *, first: int = 1, poses: int = 30, salt: 
 def write_run(hive: Hive, number: int, *, salt: int, poses: int) -> None:
     """The folder of one run."""
     failed = number % 10 == 0
-    folder = hive.folder(number)
+    folder = hive.runs.folder(number)
     folder.create()
     folder.work.rmdir()
     created = START + timedelta(seconds=60 * number)
@@ -168,10 +168,10 @@ def all_files(hive: Hive) -> Iterator[tuple[str, bytes]]:
     """The files of run folders by uid and name; numbers in ``run.json`` are replaced by uids."""
     uids = {run.id: run.uid for run in hive.store.read(lambda t: t.runs.get_many(_numbers(hive)))}
     for number, uid in uids.items():
-        root = hive.folder(number).root
+        root = hive.runs.folder(number).root
         for path in (path for path in root.rglob("*") if path.is_file()):
             content = path.read_bytes()
-            if path == hive.folder(number).record:
+            if path == hive.runs.folder(number).record:
                 record = json.loads(content)
                 record["id"] = uids[record["id"]]
                 record["request"]["retry_of"] = uids.get(record["request"]["retry_of"])

@@ -10,10 +10,10 @@ from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.variant import VariantStep
 from slamhive.evaluation.job import Artefacts
 from slamhive.services.configurations.changes import Changes, Label
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.services.imports.request import ImportRequest
-from slamhive.services.runs.submission import Submission
 from slamhive.store.records import RunSort, SavedSearchRecord
 from tests.services.imports.world import make_source
 from tests.waiting import eventually
@@ -64,14 +64,14 @@ def _describe_configurations(hive: Hive) -> None:
 
 def _end_runs(hive: Hive) -> None:
     """Runs that succeed and fail, one again; an experiment with repeats that were added and failures tried again."""
-    hive.submit(Submission("tiny", "track", {"seconds": 0.01}, repeat=2, priority=3, cpu_cores=1))
-    (bad,) = hive.submit(Submission("tiny", "track", {"behaviour": "crash", "seconds": 0.01}))
-    hive.submit(Submission("tiny", "bare", {"seconds": 0.01}))
+    hive.runs.submit(Submission("tiny", "track", {"seconds": 0.01}, repeat=2, priority=3, cpu_cores=1))
+    (bad,) = hive.runs.submit(Submission("tiny", "track", {"behaviour": "crash", "seconds": 0.01}))
+    hive.runs.submit(Submission("tiny", "bare", {"seconds": 0.01}))
     hive.experiments.start(ExperimentSource(EXPERIMENT.format(name="done", seconds=0.01), "done.yaml"))
     hive.worker().run(until_idle=True)
     hive.experiments.add_repeats("done", 1)
     hive.experiments.retry_failed("done")
-    hive.retry(bad.id)
+    hive.runs.retry(bad.id)
     hive.worker().run(until_idle=True)
 
 
@@ -82,22 +82,22 @@ def _import_runs(hive: Hive, folder: Path) -> None:
 
 def _evaluate_otherwise(hive: Hive) -> None:
     """A second protocol for some, which is the current one of one; the evaluations of others still wait."""
-    evaluations = hive.evaluations_service
+    evaluations = hive.evaluations
     evaluations.queue([1, 2], hive.protocols.named("sim3"), Artefacts.METRICS)
     hive.worker().run(until_idle=True)
     fingerprints = set(hive.current_protocols.figures(1))
-    (shown,) = {hive.run(1).protocol.fingerprint}  # type: ignore[union-attr]
+    (shown,) = {hive.runs.get(1).protocol.fingerprint}  # type: ignore[union-attr]
     hive.current_protocols.use([1], (fingerprints - {shown}).pop())
     evaluations.queue([1, 2], hive.protocols.named("none"))
 
 
 def _cancel_one_that_runs(hive: Hive) -> None:
-    (run,) = hive.submit(Submission("tiny", "track", {"seconds": 30}, priority=9))
+    (run,) = hive.runs.submit(Submission("tiny", "track", {"seconds": 30}, priority=9))
     worker = hive.worker([run.id])
     thread = threading.Thread(target=worker.run, kwargs={"until_idle": True})
     thread.start()
-    eventually(lambda: hive.run(run.id).state is RunState.RUNNING, "the run that is cancelled")
-    hive.cancel(run.id)
+    eventually(lambda: hive.runs.get(run.id).state is RunState.RUNNING, "the run that is cancelled")
+    hive.runs.cancel(run.id)
     thread.join()
 
 
@@ -125,12 +125,12 @@ def _edit_definition(hive: Hive) -> None:
 
 def _leave_waiting(hive: Hive) -> None:
     """Runs and experiments of which no worker has begun anything."""
-    waiting = hive.submit(Submission("tiny", "track", {"seconds": 0.02}, repeat=3, seed=5, alignment="se3"))
-    hive.cancel(waiting[1].id)
+    waiting = hive.runs.submit(Submission("tiny", "track", {"seconds": 0.02}, repeat=3, seed=5, alignment="se3"))
+    hive.runs.cancel(waiting[1].id)
     for name, seconds in (("waits", 0.03), ("paused", 0.04), ("cancelled", 0.05)):
         hive.experiments.start(ExperimentSource(EXPERIMENT.format(name=name, seconds=seconds), f"{name}.yaml"))
     hive.experiments.pause("paused")
     hive.experiments.cancel("cancelled")
     again = hive.experiments.run_ids("cancelled")[0]
-    hive.retry(hive.experiments.run_ids("done")[0])
-    assert hive.run(again).state is RunState.CANCELLED
+    hive.runs.retry(hive.experiments.run_ids("done")[0])
+    assert hive.runs.get(again).state is RunState.CANCELLED

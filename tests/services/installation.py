@@ -12,8 +12,8 @@ import pytest
 
 from slamhive.executors.docker.engine import INSTALLATION_LABEL
 from slamhive.executors.registry import installation_id
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.runs.submission import Submission
 from tests.services.accounts import Accounts, settle_accounts
 from tests.services.docker_base import run_docker
 from tests.services.machine import Machine
@@ -37,11 +37,11 @@ class Installation:
         """Queue runs that last so long each, one after the other."""
         for number in range(count):
             parameters = {"seconds": seconds[number % len(seconds)]}
-            self.hive.submit(Submission("tiny", "track", parameters, seed=number, executor=self.executor))
+            self.hive.runs.submit(Submission("tiny", "track", parameters, seed=number, executor=self.executor))
 
     def build(self) -> None:
         """Make the environment, or find the image, of the algorithm: no moment is spent on it."""
-        self.hive.executor(self.executor).build(self.hive.catalogue.algorithm("tiny").package, lambda _line: None)
+        self.hive.executors.get(self.executor).build(self.hive.catalogue.algorithm("tiny").package, lambda _line: None)
 
     def accounts(self) -> Accounts:
         """Everything that is there now."""

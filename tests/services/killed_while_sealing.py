@@ -43,7 +43,7 @@ def main(when: str) -> None:
     vars(collecting)["repeat_if_disturbed"] = repeat
     Store.write = write_and_die  # type: ignore[method-assign]
     hive = open_hive()
-    hive._executors["process"] = beside(*BUSY)
+    hive.executors.opened["process"] = beside(*BUSY)
     hive.worker().run(until_idle=True)
 
 

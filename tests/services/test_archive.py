@@ -23,10 +23,10 @@ from slamhive.services.archive.exporting import ExportReport, ExportRequest, Par
 from slamhive.services.archive.importing import ArchiveImport, ArchiveReport
 from slamhive.services.archive.layout import MANIFEST
 from slamhive.services.archive.writing import archive_writer
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
-from slamhive.services.runs.submission import Submission
 from slamhive.store import RunSort
 from slamhive.store.metrics import VERDICT
 from slamhive.store.records import SavedSearchRecord
@@ -92,8 +92,8 @@ def first(use_database: Callable[[str], None]) -> None:
 def world(first: None, hive: Hive) -> Hive:
     """Runs that succeeded, failed and were repeated, one of them cancelled before it began, with all that is said."""
     make_runs(hive, 30)
-    (run,) = hive.submit(Submission("tiny", "track"))
-    hive.cancel(run.id)
+    (run,) = hive.runs.submit(Submission("tiny", "track"))
+    hive.runs.cancel(run.id)
     hive.store.write(lambda t: t.configuration_book.describe(1, "the first", "a <note>"))
     hive.store.write(lambda t: t.configuration_book.add_to_group("mine", [1, 2]))
     hive.searches.save(SavedSearchRecord("good", "ate.rmse < 1", ("id",), RunSort(), False))
@@ -220,14 +220,14 @@ def test_a_part_goes_out_with_what_it_needs(world: Hive, other: Hive, tmp_path: 
         names = file.namelist()
     assert not any(name.endswith(("traj.txt", ".tum", "log.txt")) for name in names)
     import_archive(other, tmp_path / "a.zip")
-    assert [run.id for run in other.runs(sort=RunSort("id", False)).records] == [3, 11, 12]
-    assert other.run(12).retry_of == 11
-    assert of_itself(other.run(3).metrics) == of_itself(world.run(3).metrics)
+    assert [run.id for run in other.runs.page(sort=RunSort("id", False)).records] == [3, 11, 12]
+    assert other.runs.get(12).retry_of == 11
+    assert of_itself(other.runs.get(3).metrics) == of_itself(world.runs.get(3).metrics)
 
 
 def test_a_part_of_an_experiment_queues_nothing(hive: Hive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hive.experiments.start(ExperimentSource(SOME))
-    hive.cancel(1)
+    hive.runs.cancel(1)
     report = export(hive, tmp_path / "a.zip")
     assert (report.counts["runs"], dict(report.left_out)) == (1, {"had not ended": 3})
     for key, value in environment(tmp_path / "project", tmp_path / "other").items():

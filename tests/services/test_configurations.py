@@ -14,9 +14,9 @@ from slamhive.domain.variant import parse_step
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError
 from slamhive.runtime import config as run_config
 from slamhive.services.configurations.changes import Changes, Label
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.configurations.words import configuration_to_json, parse_conditions
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.runs.submission import Submission
 from slamhive.services.worker import worker as worker_module
 from slamhive.settings import Mode
 from slamhive.store import ConfigurationFilter
@@ -62,7 +62,7 @@ def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_template: Path)
     for name in ("TROUBLE_PAUSE_S", "IDLE_PAUSE_S", "CANCEL_CHECK_S"):
         monkeypatch.setattr(worker_module, name, 0.01)
     opened = open_hive()
-    opened._executors["process"] = FakeExecutor(on_start=write_trajectory())
+    opened.executors.opened["process"] = FakeExecutor(on_start=write_trajectory())
     yield opened
     opened.close()
 
@@ -80,7 +80,7 @@ def edit(hive: Hive, old: str, new: str) -> None:
 
 
 def run(hive: Hive, submission: Submission) -> int:
-    return hive.submit(replace(submission, evaluate=False))[0].id
+    return hive.runs.submit(replace(submission, evaluate=False))[0].id
 
 
 # -- made, found, described --------------------------------------------------------------------------------------------
@@ -106,8 +106,8 @@ def test_every_type_from_definition_to_store_to_config_yaml_to_search(hive: Hive
     assert [type(value) for value in values.values()] == [type(value) for value in EVERY_TYPE.values()]
     run_id = run(hive, Submission("typed", "track", EVERY_TYPE))
     hive.worker().run(until_idle=True)
-    assert hive.run(run_id).configuration_id == stored.record.id
-    config = run_config.load(hive.folder(run_id).config)
+    assert hive.runs.get(run_id).configuration_id == stored.record.id
+    config = run_config.load(hive.runs.folder(run_id).config)
     assert config.algorithm_parameters == {**EVERY_TYPE, "K": [1.0, 2.0]}
     assert config.general_parameter == {"save_map": 0, "features": 5, "seconds": 1.0}
     hive.configurations.create(typed())
@@ -328,8 +328,8 @@ def test_no_edit_of_a_definition_changes_what_is_stored(hive: Hive, kind: str):
     assert {key: (entry.type, entry.unit) for key, entry in after.parameters.items()} == {
         key: (entry.type, entry.unit) for key, entry in before.parameters.items()
     }
-    assert hive.run(run_id).parameters == EVERY_TYPE
-    assert hive.run(run_id).state is RunState.SUCCEEDED
+    assert hive.runs.get(run_id).parameters == EVERY_TYPE
+    assert hive.runs.get(run_id).state is RunState.SUCCEEDED
 
 
 @pytest.mark.parametrize("kind", EDITS)
@@ -337,24 +337,24 @@ def test_what_still_fits_runs_again_with_what_is_stored(hive: Hive, kind: str):
     first = run(hive, Submission("typed", "track", EVERY_TYPE))
     hive.worker().run(until_idle=True)
     edit(hive, *EDITS[kind])
-    again = hive.retry(first)
+    again = hive.runs.retry(first)
     hive.worker().run(until_idle=True)
-    assert hive.run(again.id).state is RunState.SUCCEEDED
-    config = run_config.load(hive.folder(again.id).config)
+    assert hive.runs.get(again.id).state is RunState.SUCCEEDED
+    config = run_config.load(hive.runs.folder(again.id).config)
     assert config.algorithm_parameters == {**EVERY_TYPE, "K": [1.0, 2.0]}
-    assert again.configuration_id == hive.run(first).configuration_id
+    assert again.configuration_id == hive.runs.get(first).configuration_id
 
 
 @pytest.mark.parametrize("kind", OUTDATED)
 def test_what_no_longer_fits_is_named_before_it_is_queued(hive: Hive, kind: str):
     first = run(hive, Submission("typed", "track", EVERY_TYPE))
-    hive.cancel(first)
+    hive.runs.cancel(first)
     old, new, words = OUTDATED[kind]
     edit(hive, old, new)
     with pytest.raises(InvalidInput) as caught:
-        hive.retry(first)
+        hive.runs.retry(first)
     assert words in str(caught.value)
-    assert sum(hive.counts().values()) == 1
+    assert sum(hive.runs.counts().values()) == 1
 
 
 @pytest.mark.parametrize("kind", OUTDATED)
@@ -363,7 +363,7 @@ def test_what_no_longer_fits_fails_a_run_that_waited_in_the_same_words(hive: Hiv
     old, new, words = OUTDATED[kind]
     edit(hive, old, new)
     hive.worker().run(until_idle=True)
-    failed = hive.run(waiting)
+    failed = hive.runs.get(waiting)
     assert (failed.state, failed.reason) == (RunState.FAILED, FailureReason.PREPROCESS_ERROR)
     assert words in (failed.detail or "")
 

@@ -10,10 +10,10 @@ import pytest
 from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.run import RunState
 from slamhive.executors.base import Exited, RunHandle, Running
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.services.runs.as_json import run_to_json
-from slamhive.services.runs.submission import Submission
 from slamhive.store.records import RunRecord
 from tests.burning import busy_machine
 from tests.services.disturbed_machine import beside
@@ -23,10 +23,10 @@ pytestmark = pytest.mark.integration
 
 
 def finish(hive: Hive, executor: FakeExecutor, **changes: Any) -> RunRecord:
-    hive._executors["process"] = executor
-    (run,) = hive.submit(Submission("tiny", "track", evaluate=False, **changes))
+    hive.executors.opened["process"] = executor
+    (run,) = hive.runs.submit(Submission("tiny", "track", evaluate=False, **changes))
     hive.worker().run(until_idle=True)
-    return hive.run(run.id)
+    return hive.runs.get(run.id)
 
 
 def found(hive: Hive, text: str) -> list[int]:
@@ -41,7 +41,7 @@ def test_a_disturbed_run_succeeds_and_says_so_everywhere(hive: Hive) -> None:
     words = "other processes used more than 0.5 of 2 cores for 75 % of the run (1.4 on average)"
     assert run.disturbance.words == words
     shown = run_to_json(run)["disturbance"]
-    assert shown == hive.record(run.id)["disturbance"]
+    assert shown == hive.runs.record(run.id)["disturbance"]
     assert shown == {
         "disturbed": True,
         "reasons": [{"kind": "others", "words": words}],
@@ -120,7 +120,7 @@ def test_reindexing_restores_what_the_folder_says(hive: Hive, tmp_path: Path) ->
 
     again = open_hive()
     reindex(again, lambda _done, _total: None)
-    after = [again.run(run.id) for run in before]
+    after = [again.runs.get(run.id) for run in before]
     assert [run.disturbance for run in after] == [run.disturbance for run in before]
     assert found(again, "disturbed = yes") == [before[0].id]
     again.close()
@@ -128,20 +128,20 @@ def test_reindexing_restores_what_the_folder_says(hive: Hive, tmp_path: Path) ->
 
 def test_a_record_without_it_is_unknown(hive: Hive, tmp_path: Path) -> None:
     run = finish(hive, beside(1.9))
-    folder = hive.folder(run.id)
+    folder = hive.runs.folder(run.id)
     record = folder.read_record()
     del record["disturbance"], record["request"]["repeat_disturbed"]
     folder.write_record(record)
     reindex(hive, lambda _done, _total: None)
-    assert hive.run(run.id).disturbance is None
+    assert hive.runs.get(run.id).disturbance is None
     assert found(hive, "missing disturbed") == [run.id]
 
 
 def test_a_real_run_under_real_load_is_disturbed(hive: Hive) -> None:
     with busy_machine():
-        (run,) = hive.submit(Submission("tiny", "track", parameters={"seconds": 3.5}, evaluate=False))
+        (run,) = hive.runs.submit(Submission("tiny", "track", parameters={"seconds": 3.5}, evaluate=False))
         hive.worker().run(until_idle=True)
-    ended = hive.run(run.id)
+    ended = hive.runs.get(run.id)
     assert ended.state is RunState.SUCCEEDED
     assert ended.disturbance is not None
     assert DisturbanceKind.OTHERS in [reason.kind for reason in ended.disturbance.reasons]

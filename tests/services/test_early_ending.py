@@ -14,7 +14,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.stop_when import StopWhen
 from slamhive.executors.base import Exited, Running, RunSpec
 from slamhive.runs.outcome import UNSEEN
-from slamhive.services.runs.submission import Submission, unwatchable
+from slamhive.services.configurations.submission import Submission, unwatchable
 from slamhive.services.worker.evidence import STOP_RULE, STOPPED_BECAUSE
 from slamhive.store import Lease
 from tests.services.fake_executor import FakeExecutor, write_trajectory
@@ -50,10 +50,10 @@ def test_a_broken_rule_stops_the_run_and_is_written_down(hive, rules, said, reas
     run = finish(hive, executor, stop_when=rules)
     assert (run.state, run.reason, executor.stopped) == (RunState.FAILED, reason, 1)
     assert words in run.detail
-    record = hive.record(run.id)
+    record = hive.runs.record(run.id)
     assert record[STOPPED_BECAUSE] == "stop_when"
     assert record[STOP_RULE] == {"reason": reason.value, "detail": run.detail}
-    assert [event.why for event in hive.events(run.id)][-2:] == ["ended early", run.detail]
+    assert [event.why for event in hive.runs.events(run.id)][-2:] == ["ended early", run.detail]
 
 
 @pytest.mark.parametrize("said", [{"untracked_s": 4.9}, {"untracked_s": -1}, {"untracked_s": None}, {}])
@@ -73,15 +73,15 @@ def test_a_run_that_multiplies_is_killed_without_being_asked(hive):
     run = finish(hive, executor)
     assert (run.state, run.reason, executor.graces_s) == (RunState.FAILED, FailureReason.PROCESS_LIMIT, [0.0])
     assert "limit of 512 processes and threads" in run.detail
-    assert hive.record(run.id)[STOPPED_BECAUSE] == "process_limit"
-    assert [event.why for event in hive.events(run.id)][-2:] == ["limit of processes reached", run.detail]
+    assert hive.runs.record(run.id)[STOPPED_BECAUSE] == "process_limit"
+    assert [event.why for event in hive.runs.events(run.id)][-2:] == ["limit of processes reached", run.detail]
 
 
 def test_a_result_that_is_complete_is_not_ended_early(hive):
     def start(spec: RunSpec) -> None:
         saying(untracked_s=99.0)(spec)
         write_trajectory()(spec)
-        hive.folder(spec.run_id).finished.touch()
+        hive.runs.folder(spec.run_id).finished.touch()
 
     run = finish(hive, FakeExecutor([Running(), Running(), Exited(0)], start), stop_when=LOST)
     assert run.state is RunState.SUCCEEDED
@@ -102,13 +102,13 @@ def test_what_was_written_down_before_the_worker_died_stands(hive):
     with pytest.raises(Killed):
         drive(hive, run_id)
     hive.store.write(lambda t: t.queue.release_all("worker"))
-    assert hive.record(run_id)[STOPPED_BECAUSE] == "stop_when"
-    assert hive.run(run_id).state is RunState.RUNNING
+    assert hive.runs.record(run_id)[STOPPED_BECAUSE] == "stop_when"
+    assert hive.runs.get(run_id).state is RunState.RUNNING
 
     executor.stop = stop
-    (hive.folder(run_id).progress).write_text('{"untracked_s": 0.0}')
+    (hive.runs.folder(run_id).progress).write_text('{"untracked_s": 0.0}')
     hive.worker().run(until_idle=True)
-    run = hive.run(run_id)
+    run = hive.runs.get(run_id)
     assert (run.state, run.reason, executor.stopped) == (RunState.FAILED, FailureReason.LOST_TRACKING, 1)
     assert "no pose for 9.0 s" in run.detail
 
@@ -126,13 +126,13 @@ def drive(hive, run_id):
 
 
 def test_a_memory_budget_ends_a_real_process(hive):
-    (run,) = hive.submit(
+    (run,) = hive.runs.submit(
         Submission(
             "tiny", "track", {"behaviour": "hungry", "seconds": 30}, stop_when=StopWhen(memory_mb=100), evaluate=False
         )
     )
     hive.worker().run(until_idle=True)
-    after = hive.run(run.id)
+    after = hive.runs.get(run.id)
     assert (after.state, after.reason) == (RunState.FAILED, FailureReason.MEMORY_BUDGET)
     (used_mb,) = map(float, re.findall(r"used ([\d.]+) MB", after.detail))
     assert 100 < used_mb < 300
@@ -142,25 +142,25 @@ def test_a_memory_budget_ends_a_real_process(hive):
 
 def test_a_configuration_is_not_tried_again_once_it_has_failed_often_enough(hive):
     executor = FakeExecutor([Exited(3)])
-    hive._executors["process"] = executor
+    hive.executors.opened["process"] = executor
     rules = StopWhen(failures_of_configuration=2)
-    runs = hive.submit(Submission("tiny", "track", repeat=4, evaluate=False, stop_when=rules))
-    other = hive.submit(Submission("tiny", "track", {"seconds": 0.1}, evaluate=False, stop_when=rules))
+    runs = hive.runs.submit(Submission("tiny", "track", repeat=4, evaluate=False, stop_when=rules))
+    other = hive.runs.submit(Submission("tiny", "track", {"seconds": 0.1}, evaluate=False, stop_when=rules))
     hive.worker().run(until_idle=True)
-    reasons = [hive.run(run.id).reason for run in (*runs, *other)]
+    reasons = [hive.runs.get(run.id).reason for run in (*runs, *other)]
     exited, skipped = FailureReason.NONZERO_EXIT, FailureReason.CONFIGURATION_FAILED
     assert reasons == [exited, exited, skipped, skipped, exited]
     assert len(executor.starts) == 3
-    last = hive.run(runs[3].id)
+    last = hive.runs.get(runs[3].id)
     assert last.state is RunState.FAILED
     assert "has failed 2 times, stop_when allows failures_of_configuration 2" in last.detail
-    assert hive.record(last.id)["reason"] == "configuration_failed"
+    assert hive.runs.record(last.id)["reason"] == "configuration_failed"
 
     # Who asks again wants it tried again.
-    again = hive.retry(last.id)
+    again = hive.runs.retry(last.id)
     assert again.stop_when == rules
     hive.worker().run(until_idle=True)
-    assert hive.run(again.id).reason is exited
+    assert hive.runs.get(again.id).reason is exited
 
 
 def test_a_user_is_told_of_rules_that_cannot_be_watched(hive):
@@ -175,27 +175,30 @@ def test_a_user_is_told_of_rules_that_cannot_be_watched(hive):
 def test_the_rules_are_in_the_record_and_back_in_a_new_database(hive):
     rules = StopWhen(lost_tracking_s=0.5, failures_of_configuration=3)
     run_id = finish(hive, FakeExecutor([Exited(0)], write_trajectory()), stop_when=rules).id
-    assert hive.run(run_id).stop_when == rules
-    assert hive.record(run_id)["request"]["stop_when"] == {"lost_tracking_s": 0.5, "failures_of_configuration": 3}
+    assert hive.runs.get(run_id).stop_when == rules
+    assert hive.runs.record(run_id)["request"]["stop_when"] == {
+        "lost_tracking_s": 0.5,
+        "failures_of_configuration": 3,
+    }
 
 
 def test_killed_at_any_step_around_the_stop_the_reason_stays(hive):
     """A real process that stops tracking, a worker killed before and after each of its writes and calls."""
     asked = Submission("tiny", "track", {"behaviour": "lost", "seconds": 20}, evaluate=False, stop_when=LOST)
-    (warm_up,) = hive.submit(asked)
+    (warm_up,) = hive.runs.submit(asked)
     undisturbed = work(10_000)
     assert undisturbed.returncode == 0, undisturbed.stderr
     (steps,) = map(int, re.findall(r"steps (\d+)", undisturbed.stdout))
-    assert hive.run(warm_up.id).reason is FailureReason.LOST_TRACKING
+    assert hive.runs.get(warm_up.id).reason is FailureReason.LOST_TRACKING
     # "After one" and "before the next" are the same moment, so every other step meets all of them.
     for fatal_step in range(steps - 18, steps + 1, 2):
-        (run,) = hive.submit(asked)
+        (run,) = hive.runs.submit(asked)
         killed = work(fatal_step)
         assert killed.returncode in (-signal.SIGKILL, 0), killed.stderr
         hive.worker().run(until_idle=True)
-        after = hive.run(run.id)
+        after = hive.runs.get(run.id)
         assert (after.state, after.reason) == (RunState.FAILED, FailureReason.LOST_TRACKING), f"step {fatal_step}"
         assert "no pose for" in after.detail
-        assert hive.record(run.id)["reason"] == "lost_tracking"
+        assert hive.runs.record(run.id)["reason"] == "lost_tracking"
         assert started_times(hive, run.id) == 1, f"step {fatal_step}"
     assert processes_of(hive) == []

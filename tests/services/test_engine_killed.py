@@ -17,8 +17,8 @@ from pathlib import Path
 import pytest
 
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.runs.submission import Submission
 from slamhive.services.worker import worker as worker_module
 from tests.services.docker_base import run_docker
 from tests.services.tiny_project import environment, make_dataset, make_project
@@ -112,13 +112,13 @@ def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, daemon: PrivateDaemon)
 
 
 def test_a_run_survives_in_the_books_when_its_daemon_is_killed(hive, daemon):
-    (victim, next_one) = hive.submit(Submission("tiny", "track", {"seconds": 20}, repeat=1, evaluate=False)) + (
-        hive.submit(Submission("tiny", "track", {"seconds": 0.2}, evaluate=False))
+    (victim, next_one) = hive.runs.submit(Submission("tiny", "track", {"seconds": 20}, repeat=1, evaluate=False)) + (
+        hive.runs.submit(Submission("tiny", "track", {"seconds": 0.2}, evaluate=False))
     )
     worker = hive.worker()
     thread = threading.Thread(target=worker.run, kwargs={"until_idle": True}, daemon=True)
     thread.start()
-    started = hive.folder(victim.id).result / "starts.txt"
+    started = hive.runs.folder(victim.id).result / "starts.txt"
     deadline = time.monotonic() + START_S
     while not started.exists() and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -127,8 +127,8 @@ def test_a_run_survives_in_the_books_when_its_daemon_is_killed(hive, daemon):
     daemon.start()
     thread.join(120)
     assert not thread.is_alive()
-    lost = hive.run(victim.id)
+    lost = hive.runs.get(victim.id)
     assert (lost.state, lost.reason) in {(RunState.FAILED, FailureReason.LOST), (RunState.SUCCEEDED, None)}
     assert len(started.read_text().splitlines()) == 1
-    assert hive.run(next_one.id).state is RunState.SUCCEEDED
+    assert hive.runs.get(next_one.id).state is RunState.SUCCEEDED
     assert run_docker("--host", daemon.url, "ps", "--all", "--quiet").stdout == ""

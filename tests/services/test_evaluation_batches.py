@@ -42,7 +42,7 @@ def states(hive):
 
 
 def test_all_are_queued_at_once_and_none_twice(hive, runs):
-    service = hive.evaluations_service
+    service = hive.evaluations
     assert service.unevaluated() == runs
     first = service.queue(runs)
     assert service.queue(list(reversed(runs)) + runs[:1]) is not None
@@ -55,16 +55,16 @@ def test_all_are_queued_at_once_and_none_twice(hive, runs):
 
 def test_nothing_is_queued_if_one_run_cannot_be(hive, runs):
     with pytest.raises(NotFound, match="unknown run 999"):
-        hive.evaluations_service.queue([*runs, 999])
+        hive.evaluations.queue([*runs, 999])
     hive.store.write(lambda t: t.session.connection().exec_driver_sql("update runs set state='failed' where id=1"))
     with pytest.raises(Conflict, match="run 1 is failed"):
-        hive.evaluations_service.queue(runs)
+        hive.evaluations.queue(runs)
     assert states(hive) == {}
 
 
 def test_failures_are_told_with_their_reasons_and_the_others_are_evaluated(hive, runs):
-    hive.folder(runs[0]).trajectory.write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n3 0 0 0 0 0 0 1\n")
-    hive.folder(runs[1]).trajectory.unlink()
+    hive.runs.folder(runs[0]).trajectory.write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n3 0 0 0 0 0 0 1\n")
+    hive.runs.folder(runs[1]).trajectory.unlink()
     called = CliRunner().invoke(main, ["evaluate", "--all-unevaluated", "--json"])
     assert called.exit_code == 1
     assert f"run {runs[0]} cannot be evaluated: estimate and ground truth do not overlap in time" in called.stderr
@@ -80,7 +80,7 @@ def test_a_query_chooses_what_is_evaluated(hive, runs):
     shown = json.loads(called.stdout)
     assert {(entry["algorithm"], entry["dataset"]) for entry in shown} == {("alpha", "seq2")}
     assert len(shown) == RUNS // 4
-    assert len(hive.evaluations_service.unevaluated()) == len(runs) - RUNS // 4
+    assert len(hive.evaluations.unevaluated()) == len(runs) - RUNS // 4
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_none_is_lost_when_the_command_is_killed(hive, runs, monkeypatch):
     assert CliRunner().invoke(main, ["evaluate", "--all-unevaluated"]).exit_code == 0
     assert time.monotonic() - began < LEASE_S / 2
     assert states(hive) == {EvaluationState.SUCCEEDED: RUNS}
-    assert all(hive.run(run_id).metrics["ate.rmse"] > 0 for run_id in runs)
+    assert all(hive.runs.get(run_id).metrics["ate.rmse"] > 0 for run_id in runs)
     assert list(hive.settings.data.glob(".evaluation-*")) == []
     again = CliRunner().invoke(main, ["evaluate", "--where", "executor = imported", "--align", "sim3"])
     assert f"of {RUNS} runs; to change that: the same command with --current" in again.stderr, (
@@ -143,7 +143,7 @@ def engines(hive):
 
 def test_more_than_a_part_at_a_time_is_worked_off(hive, runs, monkeypatch):
     monkeypatch.setattr("slamhive.cli.batches.PART", 7)
-    service = hive.evaluations_service
+    service = hive.evaluations
     ended = evaluate_to_end(service, service.queue(runs))
     assert [entry.run_id for entry in ended] == [entry.run_id for entry in service.records([e.id for e in ended])]
     assert all(entry.reason is None for entry in ended)

@@ -20,7 +20,7 @@ def test_cores_reach_the_runner(tmp_path, monkeypatch):
     runner = Mock()
     store = Mock()
     store.write.return_value = [Mock(spec=EvaluationRecord, id=1)]
-    evaluations = Evaluations(Settings(data=tmp_path), store, Mock(), lambda: runner)
+    evaluations = Evaluations(Settings(data=tmp_path), store, Mock(), Mock(), lambda: runner)
     task = Mock(spec=EvaluationTask)
     monkeypatch.setattr(evaluations, "_tasks", lambda claimed, refuse: [task])
     assert evaluations.work_once("me", threading.Event(), cores=(2, 3)) == 1

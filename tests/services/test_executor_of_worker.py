@@ -22,22 +22,22 @@ def hive(tmp_path, monkeypatch):
     def refuse(setting, context):
         raise Unavailable("no Docker engine answers")
 
-    monkeypatch.setattr("slamhive.services.hive.choose_executor", refuse)
+    monkeypatch.setattr("slamhive.services.executors.choose_executor", refuse)
     settings = Settings(data=tmp_path, executor="docker")
     return Hive(settings, Mock(), Catalogue(settings, tmp_path))
 
 
 def test_named_executor_is_left_to_the_worker_that_runs(hive, tmp_path):
     with WorkerLock(tmp_path):
-        assert hive.executor_name() == "docker"
-        assert hive.executor_name("docker") == "docker"
+        assert hive.executors.choose() == "docker"
+        assert hive.executors.choose("docker") == "docker"
 
 
 def test_without_a_worker_it_is_refused_at_once(hive):
     with pytest.raises(Unavailable, match="no Docker engine"):
-        hive.executor_name()
+        hive.executors.choose()
 
 
 def test_another_executor_than_the_worker_uses_is_checked_here(hive, tmp_path):
     with WorkerLock(tmp_path), pytest.raises(Unavailable):
-        hive.executor_name("process")
+        hive.executors.choose("process")

@@ -36,26 +36,26 @@ def worker() -> subprocess.Popen[bytes]:
 
 
 def test_a_killed_worker_costs_an_experiment_nothing(hive):
-    hive.executor("process").build(hive.catalogue.algorithm("tiny").package, lambda _line: None)
+    hive.executors.get("process").build(hive.catalogue.algorithm("tiny").package, lambda _line: None)
     hive.experiments.start(ExperimentSource(EXPERIMENT, "unattended.yaml"))
     ids = hive.experiments.run_ids("unattended")
     assert len(ids) == 6
     first = worker()
     try:
         eventually(lambda: stopped_while_one_runs(first, hive), "a run in the middle of the experiment")
-        (running,) = (run_id for run_id in ids if hive.run(run_id).state is RunState.RUNNING)
+        (running,) = (run_id for run_id in ids if hive.runs.get(run_id).state is RunState.RUNNING)
     finally:
         first.kill()
         first.wait()
     second = worker()
     try:
-        eventually(lambda: all(hive.run(run_id).state.ended for run_id in ids), "the end of all runs")
+        eventually(lambda: all(hive.runs.get(run_id).state.ended for run_id in ids), "the end of all runs")
     finally:
         second.terminate()
         second.wait()
-    assert hive.run(running).attempt == 2
+    assert hive.runs.get(running).attempt == 2
     assert started_times(hive, running) == 1
-    ended = [hive.run(run_id) for run_id in ids]
+    ended = [hive.runs.get(run_id) for run_id in ids]
     assert {(run.parameters["behaviour"], run.reason) for run in ended} == {
         ("good", None),
         ("lost", FailureReason.LOST_TRACKING),
@@ -65,17 +65,17 @@ def test_a_killed_worker_costs_an_experiment_nothing(hive):
     }
     cells = list(hive.experiments.report("unattended"))
     assert [len(cell.runs) for cell in cells] == [2] * 3
-    assert all(hive.record(run.id)["state"] == run.state.value for run in ended)
+    assert all(hive.runs.record(run.id)["state"] == run.state.value for run in ended)
     assert processes_of(hive) == []
 
 
 def stopped_while_one_runs(process: subprocess.Popen[bytes], hive: Hive) -> bool:
     """Whether the worker, who is stopped then and changes nothing any more, has ended a run and is at another."""
-    if hive.counts()[RunState.SUCCEEDED] == 0:
+    if hive.runs.counts()[RunState.SUCCEEDED] == 0:
         return False
     process.send_signal(signal.SIGSTOP)
     os.waitpid(process.pid, os.WUNTRACED)
-    if hive.counts()[RunState.RUNNING] == 1:
+    if hive.runs.counts()[RunState.RUNNING] == 1:
         return True
     process.send_signal(signal.SIGCONT)
     return False

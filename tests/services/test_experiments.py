@@ -125,10 +125,10 @@ def test_figures_of_different_protocols_stay_apart(hive: Hive) -> None:
     hive.experiments.start(source(SIX.replace("good | crash", "good").replace("priority: 3", "repeats: 2")))
     work(hive)
     first = hive.experiments.cells("six", limit=1).cells[0].runs[0]
-    hive.queue_evaluations([first.id], "sim3")
+    hive.evaluations.queue([first.id], "sim3")
     work(hive)
     figures = hive.experiments.cells("six", limit=1).cells[0].figures
-    protocols = {hive.run(run.id).protocol for run in hive.experiments.cells("six", limit=1).cells[0].runs}
+    protocols = {hive.runs.get(run.id).protocol for run in hive.experiments.cells("six", limit=1).cells[0].runs}
     assert len(figures) == len(protocols)
     assert sum(entry.runs for entry in figures) == 2
 
@@ -234,11 +234,11 @@ def test_paused_runs_are_not_taken_and_resumed_ones_are(hive: Hive) -> None:
 
 def test_pausing_lets_the_running_one_end(hive: Hive) -> None:
     hive.experiments.start(source())
-    now = hive.run(1).created_at
+    now = hive.runs.get(1).created_at
     claimed = hive.store.write(lambda t: t.queue.claim(Lease("someone", now, 1e6)))
     assert claimed is not None
     hive.experiments.pause("six")
-    run = hive.run(claimed.id)
+    run = hive.runs.get(claimed.id)
     assert (run.state, run.cancel_requested) == (RunState.PREPARING, False)
     assert counts(hive) == {"queued": 5, "running": 1}
     hive.store.write(lambda t: t.runs.move(run.id, RunState.QUEUED, why="given back", now=now))
@@ -247,15 +247,18 @@ def test_pausing_lets_the_running_one_end(hive: Hive) -> None:
 
 def test_cancelling_ends_what_waits_and_asks_what_runs(hive: Hive) -> None:
     hive.experiments.start(source())
-    now = hive.run(1).created_at
+    now = hive.runs.get(1).created_at
     claimed = hive.store.write(lambda t: t.queue.claim(Lease("someone", now, 1e6)))
     assert claimed is not None
     status = hive.experiments.cancel("six")
     assert status.standing is Standing.CANCELLED
     assert counts(hive) == {"cancelled": 5, "running": 1}
-    assert hive.run(claimed.id).cancel_requested
+    assert hive.runs.get(claimed.id).cancel_requested
     (cancelled,) = {run.id for run in runs_of(hive) if run.cell == 6}
-    assert [event.to_state for event in hive.events(cancelled)] == [RunState.QUEUED, RunState.CANCELLED]
+    assert [event.to_state for event in hive.runs.events(cancelled)] == [
+        RunState.QUEUED,
+        RunState.CANCELLED,
+    ]
     for change in (hive.experiments.cancel, hive.experiments.resume, hive.experiments.retry_failed):
         with pytest.raises(Conflict, match="experiment six was cancelled"):
             change("six")
@@ -272,7 +275,7 @@ def test_failed_runs_are_tried_again_once(hive: Hive) -> None:
     assert (counts(hive), status.retried) == ({"good": 3, "queued": 3}, 3)
     retries = [run for run in runs_of(hive) if run.state is RunState.QUEUED]
     for run in retries:
-        old = hive.run(run.retry_of or 0)
+        old = hive.runs.get(run.retry_of or 0)
         assert (run.cell, run.stop_when, run.affinity, run.seed) == (old.cell, old.stop_when, old.affinity, old.seed)
     work(hive)
     assert hive.experiments.retry_failed("six") == 3, "they have failed again"
@@ -287,7 +290,7 @@ def test_a_retry_in_a_paused_experiment_waits_with_the_others(hive: Hive) -> Non
         hive.worker(only=[first]).run(until_idle=True)
     hive.experiments.pause("six")
     ended = next(run for run in runs_of(hive) if run.state.ended)
-    assert hive.retry(ended.id).held
+    assert hive.runs.retry(ended.id).held
 
 
 def test_more_repeats_are_the_same_as_asked_for_at_once(hive: Hive) -> None:

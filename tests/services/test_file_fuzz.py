@@ -34,6 +34,7 @@ from slamhive.services.archive.importing import ArchiveImport
 from slamhive.services.archive.layout import MANIFEST, ROWS
 from slamhive.services.archive.reading import open_archive
 from slamhive.services.configurations.changes import Label
+from slamhive.services.executors import Executors
 from slamhive.services.experiments.folder import ExperimentFolder
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
@@ -179,12 +180,12 @@ def reindexed(name: str) -> Reader:
     """A file of run 1, which is then filed with all others; a folder that cannot be filed is left out in words."""
 
     def read(hive: Hive, _folder: Path, data: bytes) -> object:
-        path = hive.folder(1).root / name
+        path = hive.runs.folder(1).root / name
         before = path.read_bytes()
         path.write_bytes(data)
         try:
             report = reindex(hive, ignore)
-            run_series(hive.run(1), hive.folder(1))
+            run_series(hive.runs.get(1), hive.runs.folder(1))
         finally:
             path.write_bytes(before)
         for _, reason in report.skipped:
@@ -225,7 +226,7 @@ def read_run_folder(hive: Hive, folder: Path, data: bytes) -> object:
     read_untrusted_json(run.about, 64_000)
     inspect_trajectory(run.trajectory)
     read_profile(run.profiling)
-    return run_series(hive.run(1), run)
+    return run_series(hive.runs.get(1), run)
 
 
 def zip_of(hive: Hive) -> bytes:
@@ -233,7 +234,7 @@ def zip_of(hive: Hive) -> bytes:
 
 
 def in_run(name: str) -> Callable[[Hive], bytes]:
-    return lambda hive: (hive.folder(1).root / name).read_bytes()
+    return lambda hive: (hive.runs.folder(1).root / name).read_bytes()
 
 
 def member(name: str) -> Callable[[Hive], bytes]:
@@ -326,7 +327,7 @@ def hive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
     with pytest.MonkeyPatch.context() as patch:
         for key, value in environment(root / "project", root / "data").items():
             patch.setenv(key, value)
-        patch.setattr(Hive, "executor_name", lambda hive, asked=None: asked or "process")
+        patch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
         hive = open_hive()
         make_runs(hive, 3)
         stored_experiment(hive)

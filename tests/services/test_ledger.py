@@ -10,10 +10,10 @@ import pytest
 
 from slamhive.errors import Conflict, Unavailable
 from slamhive.services.configurations.changes import Label
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, check_indexed, open_hive
 from slamhive.services.ledger.book import Book
 from slamhive.services.reindex import reindex
-from slamhive.services.runs.submission import Submission
 
 pytestmark = pytest.mark.integration
 
@@ -59,7 +59,7 @@ def test_a_book_that_cannot_be_written_is_said_and_no_link_is_followed(tmp_path:
 def test_what_a_kill_kept_from_being_written_is_added(hive: Hive) -> None:
     listener, hive.store.listener = hive.store.listener, None
     stored = hive.configurations.create(Submission("tiny", "track", {"seconds": 3.0}), Label("three", "a note", "all"))
-    (run,) = hive.submit(Submission("tiny", "track", {"seconds": 4.0}))
+    (run,) = hive.runs.submit(Submission("tiny", "track", {"seconds": 4.0}))
     hive.store.listener = listener
     assert list(hive.ledger.files.configurations.read()) == []
     hive.ledger.check()
@@ -70,7 +70,7 @@ def test_what_a_kill_kept_from_being_written_is_added(hive: Hive) -> None:
     try:
         reindex(again, lambda _done, _total: None)
         assert again.configurations.find("three").id == stored.record.id
-        assert again.run(run.id).uid == run.uid
+        assert again.runs.get(run.id).uid == run.uid
     finally:
         again.close()
 
@@ -95,7 +95,7 @@ def test_an_empty_database_beside_a_ledger_is_refused_and_empties_nothing(
 def test_a_store_that_cannot_write_its_ledger_stores_all_the_same(hive: Hive, caplog: pytest.LogCaptureFixture) -> None:
     shutil.rmtree(hive.settings.ledger_folder, ignore_errors=True)
     hive.settings.ledger_folder.write_text("in the way")
-    hive.submit(Submission("tiny", "track"))
+    hive.runs.submit(Submission("tiny", "track"))
     assert "the ledger is completed when a worker starts" in caplog.text
     hive.settings.ledger_folder.unlink()
     hive.ledger.check()

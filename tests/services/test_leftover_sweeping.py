@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive
-from slamhive.services.runs.submission import Submission
 from slamhive.services.worker.leftovers import sweep_leftovers
 from slamhive.store import Lease
 
@@ -54,9 +54,9 @@ def holding(hive: Hive, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iter
     (tmp_path / "temporary").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     monkeypatch.setattr(tempfile, "tempdir", None)
-    hive.submit(Submission("tiny", "track"))
-    hive.submit(Submission("tiny", "track"))
-    hive.store.write(lambda t: t.queue.claim(Lease("nobody", hive.run(1).created_at, 1.0), [1]))
+    hive.runs.submit(Submission("tiny", "track"))
+    hive.runs.submit(Submission("tiny", "track"))
+    hive.store.write(lambda t: t.queue.claim(Lease("nobody", hive.runs.get(1).created_at, 1.0), [1]))
     command = [sys.executable, "-c", HOLDING, str(hive.settings.data)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=dict(os.environ)) as process:
         assert process.stdout is not None
@@ -77,7 +77,7 @@ def test_only_what_nobody_works_on_goes(hive: Hive, holding: subprocess.Popen[st
 
 
 def sweep(hive: Hive) -> None:
-    sweep_leftovers(hive.settings, hive.store, hive.variants, hive.executor)
+    sweep_leftovers(hive.settings, hive.store, hive.variants, hive.executors.get)
 
 
 def left(hive: Hive, tmp_path: Path) -> list[str]:

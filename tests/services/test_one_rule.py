@@ -71,10 +71,10 @@ def test_list_groups_experiment_analysis_and_json_agree(hive: Hive, runs: list[i
     expected = {4: OUTLIER, 5: OUTLIER, 7: LOST, 8: VerdictKind.NOT_EVALUABLE, 9: VerdictKind.ENDED_BADLY}
     failed = {runs[place - 1]: kind for place, kind in expected.items()}
 
-    listed = {run.id: run.verdict for run in hive.runs(limit=100).records}
+    listed = {run.id: run.verdict for run in hive.runs.page(limit=100).records}
     assert {run: verdict.kind for run, verdict in listed.items() if verdict and verdict.failed} == failed
     assert listed[runs[9]] is None
-    shown = {run.id: run_to_json(run)["verdict"] for run in hive.runs(limit=100).records}
+    shown = {run.id: run_to_json(run)["verdict"] for run in hive.runs.page(limit=100).records}
     assert {run: found["kind"] for run, found in shown.items() if found and found["failed"]} == failed
 
     (group,) = hive.searches.groups(hive.searches.read(""), RunSort("failed"), None, 10, ["ate.rmse"]).records

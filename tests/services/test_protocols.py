@@ -13,9 +13,9 @@ from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.evaluation.presets import PRESETS
 from slamhive.executors.base import Exited, RunSpec
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
-from slamhive.services.runs.submission import Submission
 from slamhive.settings import Settings
 from tests.services.fake_executor import FakeExecutor
 
@@ -30,24 +30,24 @@ def run_id(hive: Hive) -> int:
         truth = (hive.settings.datasets_folder / "track" / "groundtruth.txt").read_text()
         rows = [line.split() for line in truth.splitlines() if not line.startswith("#")]
         scaled = [[row[0], *(f"{1.01 * float(value):.9f}" for value in row[1:4]), *row[4:]] for row in rows]
-        folder = hive.folder(number)
+        folder = hive.runs.folder(number)
         folder.trajectory.write_text("".join(" ".join(row) + "\n" for row in scaled))
 
-    hive._executors["process"] = FakeExecutor([Exited(0)], write)
-    number = hive.submit(Submission("tiny", "track", executor="process", evaluate=False))[0].id
+    hive.executors.opened["process"] = FakeExecutor([Exited(0)], write)
+    number = hive.runs.submit(Submission("tiny", "track", executor="process", evaluate=False))[0].id
     hive.worker().run(until_idle=True)
-    hive._executors.clear()
-    assert hive.run(number).state is RunState.SUCCEEDED
+    hive.executors.opened.clear()
+    assert hive.runs.get(number).state is RunState.SUCCEEDED
     return number
 
 
 def evaluate(hive: Hive, run_id: int, name: str | None = None) -> None:
-    hive.queue_evaluations([run_id], name)
+    hive.evaluations.queue([run_id], name)
     hive.worker().run(until_idle=True)
 
 
 def ate_m(hive: Hive, run_id: int) -> float:
-    return (hive.run(run_id).metrics or {})["ate.rmse"]
+    return (hive.runs.get(run_id).metrics or {})["ate.rmse"]
 
 
 def test_names_files_and_fingerprints_lead_to_a_protocol(hive: Hive, tmp_path: Path) -> None:
@@ -89,29 +89,29 @@ def test_another_protocol_leaves_what_is_shown_until_it_is_chosen(hive: Hive, ru
 def test_the_choice_survives_a_lost_database(hive: Hive, run_id: int) -> None:
     for name in ("sim3", "se3"):
         evaluate(hive, run_id, name)
-    before = hive.run(run_id)
+    before = hive.runs.get(run_id)
     assert before.protocol is not None
     assert before.protocol.label.startswith("Sim(3)")
     reindex(hive, lambda _done, _total: None)
-    assert hive.run(run_id).protocol == before.protocol
-    assert hive.run(run_id).metrics == before.metrics
+    assert hive.runs.get(run_id).protocol == before.protocol
+    assert hive.runs.get(run_id).metrics == before.metrics
 
 
 def test_a_failed_evaluation_leaves_the_older_one_alone(hive: Hive, run_id: int) -> None:
     evaluate(hive, run_id, "se3")
-    before, record = hive.run(run_id), hive.record(run_id)
+    before, record = hive.runs.get(run_id), hive.runs.record(run_id)
     evaluate(hive, run_id, "kitti")
-    hive.folder(run_id).trajectory.write_text("nonsense\n")
+    hive.runs.folder(run_id).trajectory.write_text("nonsense\n")
     evaluate(hive, run_id, "sim3")
-    failed = hive.evaluations(run_id)[-1]
+    failed = hive.evaluations.of_run(run_id)[-1]
     assert (failed.reason or "").startswith("estimate traj.txt, line 1: 'nonsense' is not a number")
-    assert hive.run(run_id) == before
-    assert hive.record(run_id) == record
+    assert hive.runs.get(run_id) == before
+    assert hive.runs.record(run_id) == record
 
 
 def test_a_run_as_every_tool_counts(hive: Hive, run_id: int) -> None:
     evaluate(hive, run_id)
-    shown = hive.run(run_id)
+    shown = hive.runs.get(run_id)
     assert {row.note for row in hive.comparisons.of(run_id)} == {"not evaluated"}
     hive.comparisons.queue(run_id)
     hive.worker().run(until_idle=True)
@@ -120,7 +120,7 @@ def test_a_run_as_every_tool_counts(hive: Hive, run_id: int) -> None:
     assert rows["evo"].figures["ate.rmse"] > rows["rpg"].figures["ate.rmse"]
     assert rows["kitti"].note == "the path is 37.43 m, the shortest segment 100 m"
     assert not rows["kitti"].figures
-    assert hive.run(run_id) == shown, "comparing changes nothing of what is shown"
+    assert hive.runs.get(run_id) == shown, "comparing changes nothing of what is shown"
     assert str(rows["eth3d"].note).startswith("no two poses of the ground truth are within 0.0133333 s")
     again = hive.comparisons.queue(run_id)
     assert len(again) == 1, "what is there is not evaluated again, only what failed"
@@ -129,9 +129,9 @@ def test_a_run_as_every_tool_counts(hive: Hive, run_id: int) -> None:
 def test_too_few_poses_for_the_alignment_are_refused_before_anything_is_queued(hive: Hive, run_id: int) -> None:
     asked = ProtocolRequest({"alignment": "sim3", "align_poses": 3}, "mine.yaml")
     with pytest.raises(InvalidInput, match="sim3 needs at least 4 poses, align_poses is 3; use 4 or more"):
-        hive.evaluations_service.queue([run_id], asked)
+        hive.evaluations.queue([run_id], asked)
     for alignment in ("se3", "yaw_position"):
-        hive.evaluations_service.queue([run_id], ProtocolRequest({"alignment": alignment, "align_poses": 1}, "one"))
+        hive.evaluations.queue([run_id], ProtocolRequest({"alignment": alignment, "align_poses": 1}, "one"))
     hive.worker().run(until_idle=True)
     assert len(hive.current_protocols.figures(run_id)) == 2
 
@@ -139,23 +139,23 @@ def test_too_few_poses_for_the_alignment_are_refused_before_anything_is_queued(h
 def test_a_protocol_that_does_not_fit_the_dataset_is_refused(hive: Hive, run_id: int) -> None:
     asked = ProtocolRequest({"reference": "leica.txt"}, "mine.yaml")
     with pytest.raises(InvalidInput, match=r"dataset track has no file 'leica\.txt' to compare with"):
-        hive.evaluations_service.queue([run_id], asked)
+        hive.evaluations.queue([run_id], asked)
     truth = hive.settings.datasets_folder / "track" / "groundtruth.txt"
     (truth.parent / "leica.txt").write_text(truth.read_text())
-    hive.evaluations_service.queue([run_id], asked)
+    hive.evaluations.queue([run_id], asked)
     hive.worker().run(until_idle=True)
     assert ate_m(hive, run_id) > 0
     description = truth.parent / "dataset.yaml"
     description.write_text(description.read_text().replace("gravity_aligned: true", "gravity_aligned: false"))
     with pytest.raises(InvalidInput, match="needs a ground truth whose z axis points up; that of track does not"):
-        hive.queue_evaluations([run_id], "yaw_position")
+        hive.evaluations.queue([run_id], "yaw_position")
     assert "does not fit" in str({row.name: row for row in hive.comparisons.of(run_id)}["ov"].note)
 
 
 def test_the_settings_take_part_unless_a_preset_says_otherwise(hive: Hive, run_id: int) -> None:
-    hive.evaluations_service._settings = Settings(data=hive.settings.data, association_tolerance_s=0.5)
-    of = hive.evaluations_service.protocol_of
-    run = hive.run(run_id)
+    hive.evaluations._settings = Settings(data=hive.settings.data, association_tolerance_s=0.5)
+    of = hive.evaluations.protocol_of
+    run = hive.runs.get(run_id)
     assert of(run).association_tolerance_s == 0.5
     assert of(run, hive.protocols.named("sim3")).association_tolerance_s == 0.5
     assert of(run, hive.protocols.named("evo")).association_tolerance_s == 0.01

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from slamhive.runs.folder import RunFolder
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
 from slamhive.services.runs.record import begin_record
-from slamhive.services.runs.submission import Submission
 
 pytestmark = pytest.mark.integration
 
@@ -23,14 +23,14 @@ ALGORITHM = {"package": "tiny", "mode": "lidar", "identity": "sha256:1", "packag
 @pytest.fixture
 def whole(hive: Hive) -> dict[str, Any]:
     """The record of a run that was cancelled, which is whole."""
-    (run,) = hive.submit(Submission("tiny", "track"))
+    (run,) = hive.runs.submit(Submission("tiny", "track"))
     record = begin_record(run)
     ended = {"state": "cancelled", "ended_at": datetime.now(UTC).isoformat(), "events": []}
     return {**record, **ended, "algorithm": ALGORITHM, "host": HOST, "metrics": {"duration": 1.5}}
 
 
 def write(hive: Hive, record: dict[str, Any], run_id: int) -> RunFolder:
-    folder = hive.folder(run_id)
+    folder = hive.runs.folder(run_id)
     folder.create()
     folder.write_record({**record, "id": run_id, "uid": f"{run_id:032x}"})
     return folder
@@ -75,7 +75,7 @@ def test_records_that_are_not_whole_are_left_out_and_stop_nothing(hive: Hive, wh
     assert report.runs == 1
     assert [folder for folder, _ in report.skipped] == [folder.root for folder in folders]
     assert all("\n" not in reason for _, reason in report.skipped)
-    found = hive.run(last)
+    found = hive.runs.get(last)
     assert found.metrics == {"duration": 1.5}
     assert found.host is not None
 

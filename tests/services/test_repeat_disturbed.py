@@ -35,7 +35,7 @@ def source(text: str = ONE) -> ExperimentSource:
 
 
 def work(hive: Hive, executor: FakeExecutor) -> None:
-    hive._executors["process"] = executor
+    hive.executors.opened["process"] = executor
     hive.worker().run(until_idle=True)
 
 
@@ -88,7 +88,7 @@ def test_without_the_field_nothing_is_repeated_but_all_is_marked(hive: Hive) -> 
 
 def test_a_disturbed_failure_is_repeated_and_stays_among_the_failures_of_its_cell(hive: Hive) -> None:
     hive.experiments.start(source())
-    hive._executors["process"] = beside(*BUSY, exit_code=3)
+    hive.executors.opened["process"] = beside(*BUSY, exit_code=3)
     only = hive.experiments.run_ids("one")
     hive.worker(only=only).run(until_idle=True)
     work(hive, beside(*QUIET))
@@ -138,13 +138,13 @@ def test_the_repetition_waits_while_the_experiment_is_paused(hive: Hive) -> None
 
 def test_a_cancelled_repetition_leaves_the_disturbed_run_in_its_place(hive: Hive) -> None:
     hive.experiments.start(source())
-    hive._executors["process"] = beside(*BUSY)
+    hive.executors.opened["process"] = beside(*BUSY)
     hive.worker(only=hive.experiments.run_ids("one")).run(until_idle=True)
     status = hive.experiments.status("one")
     assert (status.counts[Phase.QUEUED], status.counts[Phase.UNJUDGED], status.retried) == (1, 0, 1)
     (cell,) = hive.experiments.report("one")
     assert cell.figures[0].runs == 1, "it counts until the repetition has ended"
-    hive.cancel(runs_of(hive)[1].id)
+    hive.runs.cancel(runs_of(hive)[1].id)
     status = hive.experiments.status("one")
     assert (status.counts[Phase.CANCELLED], status.counts[Phase.UNJUDGED], status.disturbed) == (1, 1, 1)
 
@@ -185,7 +185,7 @@ def _worker(when: str) -> int:
 
 def test_reindexing_queues_the_repetition_that_had_not_begun(hive: Hive, tmp_path: Path) -> None:
     hive.experiments.start(source())
-    hive._executors["process"] = beside(*BUSY)
+    hive.executors.opened["process"] = beside(*BUSY)
     hive.worker(only=hive.experiments.run_ids("one")).run(until_idle=True)
     before = [(run.uid, run.state, run.retry_of, run.repeat_disturbed) for run in runs_of(hive)]
     assert [state for _, state, _, _ in before] == [RunState.SUCCEEDED, RunState.QUEUED]

@@ -49,8 +49,8 @@ def test_a_worker_killed_after_the_removal_is_followed_by_the_same_outcome(hive,
     assert run.reason is FailureReason.MALFORMED_TRAJECTORY
     assert run.detail.startswith("traj.txt is a link")
     assert run.detail.endswith("; removed from its result: links (1)")
-    assert hive.record(run.id)["left"]["removed"] == {"links": 1}
-    assert not hive.folder(run.id).work.exists()
+    assert hive.runs.record(run.id)["left"]["removed"] == {"links": 1}
+    assert not hive.runs.folder(run.id).work.exists()
 
 
 def test_a_cancelled_run_is_tidied_up(hive):
@@ -64,16 +64,16 @@ def test_a_cancelled_run_is_tidied_up(hive):
     thread = threading.Thread(target=hive.worker().run, kwargs={"until_idle": True})
     thread.start()
     assert started.wait(PATIENCE_S)
-    hive.cancel(run_id)
+    hive.runs.cancel(run_id)
     thread.join(PATIENCE_S)
-    assert hive.run(run_id).state is RunState.CANCELLED
-    assert list(hive.folder(run_id).result.iterdir()) == []
-    assert not hive.folder(run_id).work.exists()
+    assert hive.runs.get(run_id).state is RunState.CANCELLED
+    assert list(hive.runs.folder(run_id).result.iterdir()) == []
+    assert not hive.runs.folder(run_id).work.exists()
 
 
 def test_scratch_space_that_a_killed_worker_left_goes_with_the_next(hive):
     ended = finish(hive, FakeExecutor([Exited(0)], write_trajectory()))
-    left = hive.folder(ended.id)
+    left = hive.runs.folder(ended.id)
     left.create()
     (left.work / "more" / "deep").mkdir(parents=True)
     nobody = RunFolder(left.root.parent / "77")
@@ -113,7 +113,7 @@ def test_files_are_counted_while_the_run_goes_on_and_at_its_end(hive):
         assert run.reason is FailureReason.DISK_LIMIT
         assert "more than 100 files and folders" in run.detail
         assert executor.stopped == (statuses == [Running()])
-        assert list(hive.folder(run.id).result.iterdir()) == []
+        assert list(hive.runs.folder(run.id).result.iterdir()) == []
 
 
 def test_half_of_the_free_space_that_is_wanted_stays(hive, tmp_path: Path):

@@ -13,10 +13,10 @@ from slamhive.bags.variants.build import build_variant
 from slamhive.domain.run import RunState
 from slamhive.domain.variant import VariantStep
 from slamhive.executors.base import EngineUnavailable, Exited, Running, RunSpec
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.datasets import variants as variants_module
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.runs.submission import Submission
 from slamhive.services.worker import turns as turns_module
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_variant_runs import HALF, hive
@@ -38,8 +38,8 @@ executor: process
 
 
 def queue(hive: Hive, executor: FakeExecutor, *variants: Any) -> list[int]:
-    hive._executors["process"] = executor
-    runs = [hive.submit(Submission("tiny", "track", variant=variant, evaluate=False))[0] for variant in variants]
+    hive.executors.opened["process"] = executor
+    runs = [hive.runs.submit(Submission("tiny", "track", variant=variant, evaluate=False))[0] for variant in variants]
     return [run.id for run in runs]
 
 
@@ -85,7 +85,7 @@ def test_two_slots_make_a_variant_once_and_stay_on_their_cores(hive, monkeypatch
     queue(both, FakeExecutor(on_start=start), *[HALF] * 4)
     both.worker().run(until_idle=True)
     both.close()
-    assert both.counts()[RunState.SUCCEEDED] == 4
+    assert both.runs.counts()[RunState.SUCCEEDED] == 4
     assert len(built) == 1
     shares = {cpuset for cpuset, _ in seen}
     assert len(shares) == 2
@@ -101,45 +101,45 @@ def test_a_paused_experiment_lets_the_run_end_that_goes_on(hive):
             hive.experiments.pause("pausing")
 
     executor = FakeExecutor(on_start=start)
-    hive._executors["process"] = executor
+    hive.executors.opened["process"] = executor
     hive.experiments.start(ExperimentSource(EXPERIMENT, "pausing.yaml"))
     hive.worker().run(until_idle=True)
-    counts = hive.counts()
+    counts = hive.runs.counts()
     assert (counts[RunState.SUCCEEDED], counts[RunState.QUEUED]) == (2, 2)
     hive.experiments.resume("pausing")
     hive.worker().run(until_idle=True)
-    assert hive.counts()[RunState.SUCCEEDED] == 4
+    assert hive.runs.counts()[RunState.SUCCEEDED] == 4
 
 
 def test_runs_of_other_executors_go_on_while_an_engine_is_away(hive):
     docker: Any = FakeExecutor([Running(), Exited(0)], write_trajectory(), name="docker")
     process = FakeExecutor([Exited(0)], write_trajectory())
-    hive._executors.update(docker=docker, process=process)
+    hive.executors.opened.update(docker=docker, process=process)
     waiting, going = (
-        hive.submit(Submission("tiny", "track", executor=name, priority=priority, evaluate=False))[0].id
+        hive.runs.submit(Submission("tiny", "track", executor=name, priority=priority, evaluate=False))[0].id
         for name, priority in (("docker", 5), ("process", 0))
     )
     docker.unavailable_because = lambda: "no Docker engine answers"
     docker.build_error = EngineUnavailable("no Docker engine answers")
     thread = threading.Thread(target=hive.worker().run, kwargs={"until_idle": True})
     thread.start()
-    eventually(lambda: hive.run(going).state is RunState.SUCCEEDED, "the run that can go on")
-    assert hive.run(waiting).state is RunState.QUEUED
-    assert [event.why for event in hive.events(waiting)][-1] == "waits: no Docker engine answers"
+    eventually(lambda: hive.runs.get(going).state is RunState.SUCCEEDED, "the run that can go on")
+    assert hive.runs.get(waiting).state is RunState.QUEUED
+    assert [event.why for event in hive.runs.events(waiting)][-1] == "waits: no Docker engine answers"
     assert thread.is_alive(), "it waits for the engine"
 
     docker.build_error = None
     docker.unavailable_because = lambda: None
     thread.join(PATIENCE_S)
-    assert hive.run(waiting).state is RunState.SUCCEEDED
+    assert hive.runs.get(waiting).state is RunState.SUCCEEDED
 
 
 def test_an_engine_that_comes_back_between_two_looks_leaves_no_run_behind(hive, monkeypatch):
     """It was away when the worker looked for a run, and there when the worker asked whether it may end."""
     monkeypatch.setattr("slamhive.services.worker.worker.TROUBLE_PAUSE_S", 0.0)
     docker: Any = FakeExecutor([Running(), Exited(0)], write_trajectory(), name="docker")
-    hive._executors.update(docker=docker)
-    (waiting,) = hive.submit(Submission("tiny", "track", executor="docker", evaluate=False))
+    hive.executors.opened.update(docker=docker)
+    (waiting,) = hive.runs.submit(Submission("tiny", "track", executor="docker", evaluate=False))
     docker.build_error = EngineUnavailable("no Docker engine answers")
     answers = iter(["no Docker engine answers"])
 
@@ -149,19 +149,19 @@ def test_an_engine_that_comes_back_between_two_looks_leaves_no_run_behind(hive, 
 
     docker.unavailable_because = away_once
     hive.worker().run(until_idle=True)
-    assert hive.run(waiting.id).state is RunState.SUCCEEDED
+    assert hive.runs.get(waiting.id).state is RunState.SUCCEEDED
 
 
 def test_a_run_that_waits_for_an_engine_can_be_cancelled(hive):
     docker: Any = FakeExecutor(name="docker")
-    hive._executors["docker"] = docker
-    (run,) = hive.submit(Submission("tiny", "track", executor="docker", evaluate=False))
+    hive.executors.opened["docker"] = docker
+    (run,) = hive.runs.submit(Submission("tiny", "track", executor="docker", evaluate=False))
     docker.unavailable_because = lambda: "no Docker engine answers"
     docker.build_error = EngineUnavailable("no Docker engine answers")
     thread = threading.Thread(target=hive.worker().run, kwargs={"until_idle": True})
     thread.start()
-    eventually(lambda: any(event.why.startswith("waits") for event in hive.events(run.id)), "waiting")
-    hive.cancel(run.id)
+    eventually(lambda: any(event.why.startswith("waits") for event in hive.runs.events(run.id)), "waiting")
+    hive.runs.cancel(run.id)
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
-    assert hive.run(run.id).state is RunState.CANCELLED
+    assert hive.runs.get(run.id).state is RunState.CANCELLED

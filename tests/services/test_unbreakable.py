@@ -117,7 +117,7 @@ def test_everything_dies_at_random_moments(
             killed += made.machine.die()
             made.machine.boot()
         made.machine.work_to_the_end()
-        reasons = [run.reason for run in made.hive.runs(limit=RUNS).records if run.reason is not None]
+        reasons = [run.reason for run in made.hive.runs.page(limit=RUNS).records if run.reason is not None]
         assert set(reasons) <= {FailureReason.LOST}, "a run is blamed for the end of its machine"
         assert len(reasons) <= SLOTS * MOMENTS, "more runs are lost than were executing"
         settled(case, made, submitted=RUNS, moments=MOMENTS, killed_processes=killed)
@@ -135,12 +135,12 @@ def test_the_database_is_away_for_a_minute(
         made.build()
         for host in ("one", "two"):
             made.machine.start_worker(host=host)
-        eventually(lambda: made.hive.counts()[RunState.SUCCEEDED] >= 2, "the first runs")
-        began = made.hive.counts()[RunState.SUCCEEDED]
+        eventually(lambda: made.hive.runs.counts()[RunState.SUCCEEDED] >= 2, "the first runs")
+        began = made.hive.runs.counts()[RunState.SUCCEEDED]
         database.kill()
         wait_s(AWAY_S)
         database.start()
-        eventually(lambda: made.hive.counts()[RunState.SUCCEEDED] > began + 2, "runs after the database is back")
+        eventually(lambda: made.hive.runs.counts()[RunState.SUCCEEDED] > began + 2, "runs after the database is back")
         database.freeze(frozen=True)
         wait_s(2 * LEASE_S)
         database.freeze(frozen=False)
@@ -148,7 +148,7 @@ def test_the_database_is_away_for_a_minute(
         made.machine.die()
         made.machine.boot()
         made.machine.work_to_the_end()
-        assert made.hive.counts()[RunState.SUCCEEDED] == RUNS // 2
+        assert made.hive.runs.counts()[RunState.SUCCEEDED] == RUNS // 2
         settled("database away", made, submitted=RUNS // 2, away_s=AWAY_S)
 
 
@@ -165,7 +165,7 @@ def test_the_disk_is_full_for_a_while(tmp_path: Path, monkeypatch: pytest.Monkey
             made.build()
             made.machine.start_worker()
             for _ in range(FILLINGS):
-                ended = sum(made.hive.counts()[state] for state in RunState if state.ended)
+                ended = sum(made.hive.runs.counts()[state] for state in RunState if state.ended)
                 eventually(lambda: finished(made) or ended_more_than(made, ended), "a run with room")  # noqa: B023
                 filling = data / "runs" / "filling"
                 fill(filling)
@@ -193,7 +193,7 @@ def test_two_workers_are_killed_in_turn(tmp_path: Path, monkeypatch: pytest.Monk
         eventually(lambda: finished(made), "the end of all runs and evaluations", 2 * PATIENCE_S)
         made.machine.die()
         made.machine.work_to_the_end()
-        assert made.hive.counts()[RunState.SUCCEEDED] == RUNS // 2, "what a killed worker had started goes on"
+        assert made.hive.runs.counts()[RunState.SUCCEEDED] == RUNS // 2, "what a killed worker had started goes on"
         settled("two workers", made, submitted=RUNS // 2, killed_workers=TURNS)
 
 
@@ -227,19 +227,19 @@ def test_a_lost_database_comes_back_as_it_was(
 
 def finished(made: Installation) -> bool:
     """Whether all runs have ended and no evaluation waits."""
-    return all(state.ended for state, count in made.hive.counts().items() if count) and not (
-        made.hive.evaluations_service.waiting()
+    return all(state.ended for state, count in made.hive.runs.counts().items() if count) and not (
+        made.hive.evaluations.waiting()
     )
 
 
 def has_run(made: Installation, pid: int) -> bool:
     """Whether the worker with this pid has a run."""
-    return any(f":{pid}:" in (run.lease_owner or "") for run in made.hive.runs(limit=RUNS).records)
+    return any(f":{pid}:" in (run.lease_owner or "") for run in made.hive.runs.page(limit=RUNS).records)
 
 
 def ended_more_than(made: Installation, number: int) -> bool:
     """Whether more runs than so many have ended."""
-    return sum(count for state, count in made.hive.counts().items() if state.ended) > number
+    return sum(count for state, count in made.hive.runs.counts().items() if state.ended) > number
 
 
 def fill(path: Path) -> None:

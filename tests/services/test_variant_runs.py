@@ -18,6 +18,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import VariantStep, parse_step
 from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
 from slamhive.runtime import config as run_config
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.datasets import variants as variants_module
 from slamhive.services.datasets.variants import IDENTITY
 from slamhive.services.experiments.checks import UNMEASURED_BYTES_PER_S
@@ -25,7 +26,6 @@ from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.services.runs.as_json import run_to_json
-from slamhive.services.runs.submission import Submission
 from slamhive.services.worker import worker as worker_module
 from slamhive.tree import folder_bytes
 from tests.services.fake_executor import FakeExecutor, Running, write_trajectory
@@ -63,14 +63,14 @@ def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hive]:
 
 
 def submit(hive: Hive, executor: FakeExecutor | None = None, **changes: Any) -> int:
-    hive._executors["process"] = executor or FakeExecutor(on_start=write_trajectory())
-    return hive.submit(Submission("tiny", "track", evaluate=False, **{"variant": HALF, **changes}))[0].id
+    hive.executors.opened["process"] = executor or FakeExecutor(on_start=write_trajectory())
+    return hive.runs.submit(Submission("tiny", "track", evaluate=False, **{"variant": HALF, **changes}))[0].id
 
 
 def finish(hive: Hive, executor: FakeExecutor | None = None, **changes: Any):
     run_id = submit(hive, executor, **changes)
     hive.worker().run(until_idle=True)
-    return hive.run(run_id)
+    return hive.runs.get(run_id)
 
 
 def mounts(executor: FakeExecutor) -> dict[str, Path]:
@@ -86,7 +86,7 @@ def test_a_run_sees_the_variant_and_its_calibration(hive):
     assert bag == hive.settings.variants_folder / entry.key / "track.bag"
     assert mounts(executor)["/slamhive/dataset/dataset.yaml"].parent == bag.parent
     assert inspect_bag(bag).topics[0].count == SCANS // 2
-    config = run_config.load(hive.folder(run.id).config)
+    config = run_config.load(hive.runs.folder(run.id).config)
     assert config.dataset == "track"
     assert config.dataset_frequency == {"/points": 2}
     assert config.dataset_parameters["points_rate_hz"] == 5.0
@@ -96,7 +96,7 @@ def test_a_run_sees_the_variant_and_its_calibration(hive):
 def test_the_record_says_which_variant_it_was(hive):
     run = finish(hive)
     (entry,) = hive.variants.entries()
-    record = hive.record(run.id)
+    record = hive.runs.record(run.id)
     source = hive.catalogue.dataset("track")
     assert record["dataset"]["variant"] == entry.key
     assert record["dataset"]["checksum"] == source.checksum != record["dataset"]["variant_checksum"]
@@ -110,7 +110,7 @@ def test_the_folder_alone_brings_the_variant_back(hive, tmp_path):
     other = open_hive({"database_url": f"sqlite:///{tmp_path}/other.db"})
     try:
         assert reindex(other, lambda _done, _total: None).skipped == []
-        found = other.run(run.id)
+        found = other.runs.get(run.id)
         assert found.variant == HALF
         assert other.store.read(lambda t: t.configurations.get(found.configuration_id)).variant == HALF
     finally:
@@ -127,19 +127,19 @@ def test_runs_of_one_variant_share_it(hive, monkeypatch):
     monkeypatch.setattr(variants_module, "build_variant", build)
     first, second = submit(hive), submit(hive, repeat=2)
     hive.worker().run(until_idle=True)
-    assert {hive.run(run_id).state for run_id in (first, second, second + 1)} == {RunState.SUCCEEDED}
+    assert {hive.runs.get(run_id).state for run_id in (first, second, second + 1)} == {RunState.SUCCEEDED}
     assert len(built) == 1
-    assert hive.run(first).configuration_id == hive.run(second).configuration_id
+    assert hive.runs.get(first).configuration_id == hive.runs.get(second).configuration_id
 
 
 def test_the_identity_is_the_dataset_itself(hive):
     same = [(), (VariantStep("rate", ("lidar",), {"every": 1}),), (parse_step("rate hz=10"),)]
-    runs = [hive.run(submit(hive, variant=variant)) for variant in same]
+    runs = [hive.runs.get(submit(hive, variant=variant)) for variant in same]
     assert len({run.configuration_id for run in runs}) == 1
     executor = FakeExecutor(on_start=write_trajectory())
     run = finish(hive, executor, variant=same[1])
     assert run.variant == ()
-    assert hive.record(run.id)["dataset"]["variant"] == IDENTITY
+    assert hive.runs.record(run.id)["dataset"]["variant"] == IDENTITY
     assert mounts(executor)["/slamhive/dataset/track.bag"] == hive.catalogue.dataset("track").bag_path
     assert not hive.settings.variants_folder.exists()
     assert hive.store.read(lambda t: t.configurations.get(run.configuration_id)) == Configuration(
@@ -148,8 +148,10 @@ def test_the_identity_is_the_dataset_itself(hive):
 
 
 def test_text_and_typed_options_are_one_configuration(hive):
-    typed = hive.run(submit(hive))
-    text = hive.run(submit(hive, variant=(parse_step("rate@lidar every=2"), parse_step("point_range maximum_m=20"))))
+    typed = hive.runs.get(submit(hive))
+    text = hive.runs.get(
+        submit(hive, variant=(parse_step("rate@lidar every=2"), parse_step("point_range maximum_m=20")))
+    )
     assert typed.configuration_id == text.configuration_id
 
 
@@ -157,7 +159,7 @@ def test_steps_that_cannot_be_are_refused_before_anything_is_stored(hive):
     for step, (kind, message) in REFUSED.items():
         with pytest.raises(kind, match=message):
             submit(hive, variant=(parse_step(step),))
-    assert hive.counts() == dict.fromkeys(hive.counts(), 0)
+    assert hive.runs.counts() == dict.fromkeys(hive.runs.counts(), 0)
 
 
 @pytest.mark.parametrize("text", ["", " ", "@lidar", "rate every", "rate =2", "rate every=2 every=3"])
@@ -181,7 +183,7 @@ def test_a_disk_that_is_too_small_is_said_at_once(hive, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: nearly_full)
     with pytest.raises(Unavailable, match=r"has 0 MB to spare, a variant of track needs about 1 MB"):
         submit(hive)
-    assert sum(hive.counts().values()) == 0
+    assert sum(hive.runs.counts().values()) == 0
 
 
 def test_a_recording_that_cannot_be_treated_fails_the_run(hive):
@@ -189,7 +191,7 @@ def test_a_recording_that_cannot_be_treated_fails_the_run(hive):
     bag = hive.catalogue.dataset("track").bag_path
     bag.write_bytes(bag.read_bytes()[:2000])
     hive.worker().run(until_idle=True)
-    run = hive.run(run_id)
+    run = hive.runs.get(run_id)
     assert (run.state, run.reason) == (RunState.FAILED, FailureReason.PREPROCESS_ERROR)
     assert "track.bag cannot be read" in (run.detail or "")
     assert hive.variants.entries() == ()
@@ -220,7 +222,7 @@ def test_a_run_whose_worker_left_keeps_its_variant(hive):
     worker = hive.worker()
     thread = threading.Thread(target=worker.run)
     thread.start()
-    while hive.run(run_id).state is not RunState.RUNNING:
+    while hive.runs.get(run_id).state is not RunState.RUNNING:
         thread.join(0.01)
     worker.stop()
     thread.join()
@@ -230,7 +232,7 @@ def test_a_run_whose_worker_left_keeps_its_variant(hive):
         hive.variants.drop(entry.key)
     executor.stop(None, 0)  # type: ignore[arg-type]
     hive.worker().run(until_idle=True)
-    assert hive.run(run_id).state.ended
+    assert hive.runs.get(run_id).state.ended
     hive.variants.drop(entry.key)
 
 
@@ -238,13 +240,13 @@ def test_a_run_can_be_cancelled_while_its_variant_is_made(hive, monkeypatch):
     run_id = submit(hive)
 
     def build(dataset, variant, folder, progress):
-        hive.cancel(run_id)
+        hive.runs.cancel(run_id)
         while True:
             progress(0.1, "making")
 
     monkeypatch.setattr(variants_module, "build_variant", build)
     hive.worker().run(until_idle=True)
-    assert hive.run(run_id).state is RunState.CANCELLED
+    assert hive.runs.get(run_id).state is RunState.CANCELLED
     assert list(hive.settings.variants_folder.glob(".*.partial")) == []
 
 

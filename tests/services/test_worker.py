@@ -12,9 +12,9 @@ import pytest
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, Unavailable
 from slamhive.executors.base import EngineUnavailable, Exited, Gone, ImageMissing, Running, StartFailed
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, check_indexed, open_hive
 from slamhive.services.runs.as_json import run_to_json
-from slamhive.services.runs.submission import Submission
 from slamhive.services.worker import worker as worker_module
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.tiny_project import environment, make_dataset, make_project
@@ -39,25 +39,25 @@ def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hive]:
 
 
 def submit(hive: Hive, executor: FakeExecutor, **changes: Any) -> int:
-    hive._executors["process"] = executor
-    return hive.submit(Submission("tiny", "track", evaluate=False, **changes))[0].id
+    hive.executors.opened["process"] = executor
+    return hive.runs.submit(Submission("tiny", "track", evaluate=False, **changes))[0].id
 
 
 def finish(hive: Hive, executor: FakeExecutor, **changes: Any):
     run_id = submit(hive, executor, **changes)
     hive.worker().run(until_idle=True)
-    return hive.run(run_id)
+    return hive.runs.get(run_id)
 
 
 def test_a_good_run_goes_through_all_states(hive):
     executor = FakeExecutor([Running(), Running(), Exited(0)], write_trajectory(3))
     run = finish(hive, executor)
     assert (run.state, run.reason, run.poses) == (RunState.SUCCEEDED, None, 3)
-    moves = [event.to_state for event in hive.events(run.id)]
+    moves = [event.to_state for event in hive.runs.events(run.id)]
     assert moves == ["queued", "preparing", "starting", "running", "collecting", "succeeded"]
     assert executor.removed == 1
-    assert hive.record(run.id)["protections"]["does_not_hold"] == {"cgroup": "it is a fake"}
-    assert hive.log(run.id) == "hello\n"
+    assert hive.runs.record(run.id)["protections"]["does_not_hold"] == {"cgroup": "it is a fake"}
+    assert hive.runs.log(run.id) == "hello\n"
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_each_way_to_fail_has_its_reason(hive, executor, reason, detail):
     run = finish(hive, executor)
     assert (run.state, run.reason) == (RunState.FAILED, reason)
     assert detail in run.detail
-    assert hive.record(run.id)["reason"] == reason.value
+    assert hive.runs.record(run.id)["reason"] == reason.value
     assert run_to_json(run)["metrics"].get("ate.rmse") is None
 
 
@@ -91,7 +91,7 @@ def test_a_dataset_that_vanishes_fails_the_run_with_a_reason(hive):
     run_id = submit(hive, FakeExecutor())
     hive.catalogue.remove_dataset("track")
     hive.worker().run(until_idle=True)
-    run = hive.run(run_id)
+    run = hive.runs.get(run_id)
     assert run.reason is FailureReason.PREPROCESS_ERROR
     assert "unknown dataset 'track'" in run.detail
 
@@ -113,11 +113,11 @@ def test_a_run_that_its_engine_took_along_is_lost_not_blamed(hive):
 
 def test_a_queued_run_is_cancelled_at_once(hive):
     run_id = submit(hive, FakeExecutor())
-    assert hive.cancel(run_id).state is RunState.CANCELLED
+    assert hive.runs.cancel(run_id).state is RunState.CANCELLED
     hive.worker().run(until_idle=True)
-    assert hive.run(run_id).state is RunState.CANCELLED
+    assert hive.runs.get(run_id).state is RunState.CANCELLED
     with pytest.raises(Conflict, match="has ended already"):
-        hive.cancel(run_id)
+        hive.runs.cancel(run_id)
 
 
 def test_an_active_run_is_cancelled_by_its_worker(hive):
@@ -128,9 +128,9 @@ def test_an_active_run_is_cancelled_by_its_worker(hive):
     thread = threading.Thread(target=worker.run, kwargs={"until_idle": True})
     thread.start()
     assert started.wait(PATIENCE_S)
-    hive.cancel(run_id)
+    hive.runs.cancel(run_id)
     thread.join(PATIENCE_S)
-    assert hive.run(run_id).state is RunState.CANCELLED
+    assert hive.runs.get(run_id).state is RunState.CANCELLED
     assert (executor.stopped, executor.removed) == (1, 1)
 
 
@@ -147,16 +147,16 @@ def test_a_stopping_worker_leaves_the_run_to_the_next(hive):
     thread = threading.Thread(target=worker.run)
     thread.start()
     assert started.wait(PATIENCE_S)
-    eventually(lambda: hive.run(run_id).state is RunState.RUNNING, "the run")
+    eventually(lambda: hive.runs.get(run_id).state is RunState.RUNNING, "the run")
     worker.stop()
     thread.join(PATIENCE_S)
-    assert hive.run(run_id).state is RunState.RUNNING
+    assert hive.runs.get(run_id).state is RunState.RUNNING
     assert executor.stopped == 0
-    assert hive.log(run_id) == "hello\n"
-    assert not hive.folder(run_id).log.exists(), "whoever looks at a log writes into no run folder"
+    assert hive.runs.log(run_id) == "hello\n"
+    assert not hive.runs.folder(run_id).log.exists(), "whoever looks at a log writes into no run folder"
     executor.statuses = [Exited(0)]
     hive.worker().run(until_idle=True)
-    assert hive.run(run_id).state is RunState.SUCCEEDED
+    assert hive.runs.get(run_id).state is RunState.SUCCEEDED
     assert len(executor.starts) == 1
 
 
@@ -175,14 +175,14 @@ def test_only_one_worker_runs_on_a_machine(hive, monkeypatch):
 
 def test_retry_makes_a_new_run_of_the_same_configuration(hive):
     failed = finish(hive, FakeExecutor([Exited(1)]))
-    again = hive.retry(failed.id)
+    again = hive.runs.retry(failed.id)
     assert (again.retry_of, again.configuration_id, again.state) == (failed.id, failed.configuration_id, "queued")
     with pytest.raises(Conflict, match="only a run that has ended"):
-        hive.retry(again.id)
+        hive.runs.retry(again.id)
 
 
 def test_repeats_share_a_configuration_and_differ_in_seed(hive):
-    runs = hive.submit(Submission("tiny", "track", repeat=3, seed=5))
+    runs = hive.runs.submit(Submission("tiny", "track", repeat=3, seed=5))
     assert {run.configuration_id for run in runs} == {runs[0].configuration_id}
     assert [run.seed for run in runs] == [5, 6, 7]
 
@@ -207,8 +207,8 @@ def test_repeats_share_a_configuration_and_differ_in_seed(hive):
 def test_a_wrong_request_stores_nothing(hive, changes, error, message):
     request = {"algorithm": "tiny", "dataset": "track", **changes}
     with pytest.raises(error, match=message):
-        hive.submit(Submission(**request))
-    assert sum(hive.counts().values()) == 0
+        hive.runs.submit(Submission(**request))
+    assert sum(hive.runs.counts().values()) == 0
 
 
 def test_view_only_changes_nothing(tmp_path, monkeypatch, hive):
@@ -216,15 +216,15 @@ def test_view_only_changes_nothing(tmp_path, monkeypatch, hive):
     monkeypatch.setenv("SLAMHIVE_MODE", "view-only")
     reader = open_hive()
     for change in (
-        lambda: reader.submit(Submission("tiny", "track")),
-        lambda: reader.cancel(run_id),
-        lambda: reader.retry(run_id),
-        reader.queue_evaluations,
+        lambda: reader.runs.submit(Submission("tiny", "track")),
+        lambda: reader.runs.cancel(run_id),
+        lambda: reader.runs.retry(run_id),
+        lambda: reader.evaluations.queue(None),
         reader.worker,
     ):
         with pytest.raises(Forbidden, match="view-only"):
             change()
-    assert reader.run(run_id).state is RunState.QUEUED
+    assert reader.runs.get(run_id).state is RunState.QUEUED
     reader.close()
 
 
@@ -239,7 +239,7 @@ def test_a_full_disk_starts_nothing(hive, monkeypatch):
     monkeypatch.setenv("SLAMHIVE_MIN_FREE_DISK_MB", "999999999")
     strict = open_hive()
     with pytest.raises(Unavailable, match="MB free, 999999999 MB are wanted"):
-        strict.submit(Submission("tiny", "track"))
+        strict.runs.submit(Submission("tiny", "track"))
     strict.close()
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from slamhive.domain.run import RunState
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.evaluations.service import Evaluations
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.runs.submission import Submission
 from tests.waiting import PATIENCE_S, eventually
 
 # A worker is started, killed and followed by another some forty times; on a busy machine that takes minutes.
@@ -38,7 +38,7 @@ def work(fatal_step: int) -> subprocess.CompletedProcess[str]:
 
 
 def started_times(hive: Hive, run_id: int) -> int:
-    return len((hive.folder(run_id).result / "starts.txt").read_text().splitlines())
+    return len((hive.runs.folder(run_id).result / "starts.txt").read_text().splitlines())
 
 
 def processes_of(hive: Hive) -> list[str]:
@@ -49,49 +49,49 @@ def processes_of(hive: Hive) -> list[str]:
 def test_killed_at_any_step_the_run_ends_once_and_well(hive, monkeypatch):
     # Evaluating takes a second each time and has tests of its own; here it counts that each run is queued for it.
     monkeypatch.setattr(Evaluations, "work_once", lambda *_arguments, **_options: 0)
-    (warm_up,) = hive.submit(Submission("tiny", "track"))
+    (warm_up,) = hive.runs.submit(Submission("tiny", "track"))
     undisturbed = work(MOST_STEPS)
     assert undisturbed.returncode == 0, undisturbed.stderr
     (steps,) = map(int, re.findall(r"steps (\d+)", undisturbed.stdout))
     assert steps > 20
-    assert hive.run(warm_up.id).state is RunState.SUCCEEDED
+    assert hive.runs.get(warm_up.id).state is RunState.SUCCEEDED
     for fatal_step in range(1, steps + 1):
-        (run,) = hive.submit(Submission("tiny", "track", {"seconds": 0.05}))
+        (run,) = hive.runs.submit(Submission("tiny", "track", {"seconds": 0.05}))
         killed = work(fatal_step)
         assert killed.returncode in (-signal.SIGKILL, 0), killed.stderr
         hive.worker().run(until_idle=True)
-        after = hive.run(run.id)
+        after = hive.runs.get(run.id)
         assert after.state is RunState.SUCCEEDED, f"killed at step {fatal_step}: {after.state}, {after.detail}"
         assert after.poses == 30
-        assert len(hive.evaluations(run.id)) == 1, f"killed at step {fatal_step}"
+        assert len(hive.evaluations.of_run(run.id)) == 1, f"killed at step {fatal_step}"
         assert started_times(hive, run.id) == 1, f"killed at step {fatal_step}"
-        record = hive.record(run.id)
+        record = hive.runs.record(run.id)
         assert (record["state"], record["poses"]) == ("succeeded", 30)
-        assert [event.to_state for event in hive.events(run.id)][-1] is RunState.SUCCEEDED
+        assert [event.to_state for event in hive.runs.events(run.id)][-1] is RunState.SUCCEEDED
     assert processes_of(hive) == []
 
 
 def test_a_run_that_goes_on_while_no_worker_lives_is_adopted(hive):
-    hive.executor("process").build(hive.catalogue.algorithm("tiny").package, lambda _line: None)
-    (run,) = hive.submit(Submission("tiny", "track", {"seconds": 4}, evaluate=False))
+    hive.executors.get("process").build(hive.catalogue.algorithm("tiny").package, lambda _line: None)
+    (run,) = hive.runs.submit(Submission("tiny", "track", {"seconds": 4}, evaluate=False))
     worker = subprocess.Popen([sys.executable, "-m", "slamhive", "worker"], cwd=CHECKOUT)
     try:
-        eventually(lambda: hive.run(run.id).state is RunState.RUNNING, "the run")
+        eventually(lambda: hive.runs.get(run.id).state is RunState.RUNNING, "the run")
     finally:
         worker.kill()
         worker.wait()
     hive.worker().run(until_idle=True)
-    after = hive.run(run.id)
+    after = hive.runs.get(run.id)
     assert after.state is RunState.SUCCEEDED
     assert started_times(hive, run.id) == 1
     assert after.metrics["duration"] > 2.5
 
 
 def test_a_lost_database_is_rebuilt_from_the_folders(hive):
-    submitted = hive.submit(Submission("tiny", "track", {"seconds": 0.05}, repeat=2))
-    hive.submit(Submission("tiny", "track", {"behaviour": "crash", "seconds": 0.05}))
+    submitted = hive.runs.submit(Submission("tiny", "track", {"seconds": 0.05}, repeat=2))
+    hive.runs.submit(Submission("tiny", "track", {"behaviour": "crash", "seconds": 0.05}))
     hive.worker().run(until_idle=True)
-    before = [hive.run(run_id) for run_id in (1, 2, 3)]
+    before = [hive.runs.get(run_id) for run_id in (1, 2, 3)]
     assert before[0].metrics["ate.rmse"] is not None
     hive.close()
     for path in hive.settings.data.glob("slamhive.db*"):
@@ -109,22 +109,22 @@ def test_a_lost_database_is_rebuilt_from_the_folders(hive):
 
     again = open_hive()
     for old in before:
-        new = again.run(old.id)
+        new = again.runs.get(old.id)
         assert (new.uid, new.state, new.reason, new.poses) == (old.uid, old.state, old.reason, old.poses)
         assert new.parameters == old.parameters
         assert new.metrics == old.metrics
         assert new.protocol == old.protocol
         assert new.version == old.version
         assert new.host == old.host
-    assert again.submit(Submission("tiny", "track"))[0].id == max(run.id for run in submitted) + 2
+    assert again.runs.submit(Submission("tiny", "track"))[0].id == max(run.id for run in submitted) + 2
     again.close()
 
 
 def test_a_broken_folder_is_left_out_with_its_reason(hive):
-    hive.submit(Submission("tiny", "track", {"seconds": 0.05}, repeat=2, evaluate=False))
+    hive.runs.submit(Submission("tiny", "track", {"seconds": 0.05}, repeat=2, evaluate=False))
     hive.worker().run(until_idle=True)
-    hive.folder(1).record.write_text("{")
-    shutil.copytree(hive.folder(2).root, hive.settings.runs_folder / "9")
+    hive.runs.folder(1).record.write_text("{")
+    shutil.copytree(hive.runs.folder(2).root, hive.settings.runs_folder / "9")
     filed = subprocess.run(
         [sys.executable, "-m", "slamhive", "reindex"], cwd=CHECKOUT, capture_output=True, text=True, check=False
     )

@@ -13,7 +13,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import Unavailable
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.base import EngineUnavailable, Exited, ImageMissing, RunHandle, Running
-from slamhive.services.runs.submission import Submission
+from slamhive.services.configurations.submission import Submission
 from slamhive.store import EvaluationState, Lease
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit
@@ -26,10 +26,10 @@ __all__ = ["hive"]
 
 def test_a_broken_record_ends_the_run_and_not_the_worker(hive):
     executor: Any = FakeExecutor([Running(), Exited(0)])
-    executor.on_start = lambda spec: hive.folder(spec.run_id).record.write_text("{")
+    executor.on_start = lambda spec: hive.runs.folder(spec.run_id).record.write_text("{")
     broken = submit(hive, executor)
     hive.worker().run(until_idle=True)
-    after = hive.run(broken)
+    after = hive.runs.get(broken)
     assert (after.state, after.reason) == (RunState.FAILED, FailureReason.START_ERROR)
     assert "run.json is not JSON that can be used" in after.detail
     assert finish(hive, FakeExecutor([Exited(0)], write_trajectory())).state is RunState.SUCCEEDED
@@ -91,11 +91,11 @@ def test_what_fails_after_the_outcome_cannot_take_the_evaluation(hive, monkeypat
         executor.remove = refuse
     else:
         monkeypatch.setattr("slamhive.services.worker.collecting.write_plots", refuse)
-    hive._executors["process"] = executor
-    (run,) = hive.submit(Submission("tiny", "track"))
+    hive.executors.opened["process"] = executor
+    (run,) = hive.runs.submit(Submission("tiny", "track"))
     hive.worker(only=[run.id]).run(until_idle=True)
-    assert hive.run(run.id).state is RunState.SUCCEEDED
-    (evaluation,) = hive.evaluations(run.id)
+    assert hive.runs.get(run.id).state is RunState.SUCCEEDED
+    (evaluation,) = hive.evaluations.of_run(run.id)
     assert evaluation.state is EvaluationState.SUCCEEDED, evaluation.reason
 
 
@@ -104,13 +104,13 @@ def test_an_evaluation_image_that_does_not_build_fails_the_evaluation_with_the_r
         raise ImageMissing("building slam-hive-evaluation:evo failed at Step 3")
 
     monkeypatch.setattr(EvaluationRunner, "run", refuse)
-    hive._executors["process"] = FakeExecutor([Exited(0)], write_trajectory(30))
-    (run,) = hive.submit(Submission("tiny", "track"))
+    hive.executors.opened["process"] = FakeExecutor([Exited(0)], write_trajectory(30))
+    (run,) = hive.runs.submit(Submission("tiny", "track"))
     hive.worker().run(until_idle=True)
-    (evaluation,) = hive.evaluations(run.id)
+    (evaluation,) = hive.evaluations.of_run(run.id)
     assert evaluation.state is EvaluationState.FAILED
     assert "failed at Step 3" in evaluation.reason
-    assert hive.run(run.id).state is RunState.SUCCEEDED
+    assert hive.runs.get(run.id).state is RunState.SUCCEEDED
 
 
 def test_an_engine_that_came_back_is_not_blamed_later(hive):
@@ -133,10 +133,10 @@ def test_an_unanswered_start_is_discarded_when_the_run_is_cancelled(hive):
     thread = threading.Thread(target=worker.run, kwargs={"until_idle": True})
     thread.start()
     assert asked.wait(PATIENCE_S)
-    hive.cancel(run_id)
+    hive.runs.cancel(run_id)
     thread.join(PATIENCE_S)
-    assert hive.run(run_id).state is RunState.CANCELLED
-    assert executor.discarded == [hive.run(run_id).uid]
+    assert hive.runs.get(run_id).state is RunState.CANCELLED
+    assert executor.discarded == [hive.runs.get(run_id).uid]
 
 
 def test_the_engine_knows_best_when_a_run_started(hive):
@@ -160,15 +160,15 @@ def test_a_worker_that_lost_its_lease_leaves_the_folder_alone(hive):
     worker = hive.worker()
     thread = threading.Thread(target=worker.run)
     thread.start()
-    eventually(lambda: hive.record(run_id).get("state") == "running", "the run")
+    eventually(lambda: hive.runs.record(run_id).get("state") == "running", "the run")
     hive.store.write(lambda t: t.queue.release_all(worker.owner))
     now = datetime.now(UTC)
     hive.store.write(lambda t: t.queue.claim(Lease("another", now, 60)))
-    before = hive.folder(run_id).record.read_text()
+    before = hive.runs.folder(run_id).record.read_text()
     executor.statuses = [Exited(1)]
     threading.Event().wait(0.3)
     worker.stop()
     thread.join(PATIENCE_S)
-    assert hive.run(run_id).state is RunState.RUNNING
-    assert hive.run(run_id).lease_owner == "another"
-    assert hive.folder(run_id).record.read_text() == before
+    assert hive.runs.get(run_id).state is RunState.RUNNING
+    assert hive.runs.get(run_id).lease_owner == "another"
+    assert hive.runs.folder(run_id).record.read_text() == before

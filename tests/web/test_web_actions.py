@@ -9,7 +9,7 @@ import pytest
 
 from slamhive.domain.run import RunState
 from slamhive.errors import Unavailable
-from slamhive.services.hive import Hive
+from slamhive.services.executors import Executors
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
@@ -21,7 +21,7 @@ FORM = {"algorithm": "eye-slam-stereo", "dataset": "room", "executor": "process"
 @pytest.fixture(autouse=True)
 def _process_executor(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether an executor can be used on this machine is no matter of the pages."""
-    monkeypatch.setattr(Hive, "executor_name", lambda hive, asked=None: asked or "process")
+    monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
 
 
 def send(web: Web, path: str, **fields: str):
@@ -38,7 +38,7 @@ def test_the_form_starts_runs_and_redirects(web: Web):
     answer = send(web, "/runs/new", **FORM, **{"parameter.nFeatures": "1234", "parameter.solver": "gn"})
     assert answer.status_code == 303
     assert "configuration=" in answer.location
-    page = web.hive.runs(limit=3)
+    page = web.hive.runs.page(limit=3)
     assert [run.parameters["nFeatures"] for run in page.records] == [1234, 1234, 1234]
     assert {run.state for run in page.records} == {RunState.QUEUED}
     assert page.records[0].parameters["solver"] == "gn"
@@ -57,13 +57,13 @@ def test_the_form_starts_runs_and_redirects(web: Web):
      ("dataset", "nowhere", "unknown dataset"), ("algorithm", "", "nothing is chosen")],
 )  # fmt: skip
 def test_a_wrong_field_is_named_and_everything_typed_is_kept(shown: Web, field: str, typed: str, words: str):
-    before = sum(shown.hive.counts().values())
+    before = sum(shown.hive.runs.counts().values())
     answer = send(shown, "/runs/new", **{**FORM, "parameter.note": 'mine "quoted"', "seed": "7", field: typed})
     assert answer.status_code == 400
     message = re.search(rf"data-error=\"{re.escape(field)}\">([^<]+)<", answer.text)
     assert message is not None, answer.text
     assert words in html.unescape(message[1])
-    assert sum(shown.hive.counts().values()) == before
+    assert sum(shown.hive.runs.counts().values()) == before
     if field not in {"dataset", "algorithm"}:
         assert shown_value(answer.text, "parameter.note") == 'mine "quoted"'
     if field != "seed":
@@ -73,10 +73,10 @@ def test_a_wrong_field_is_named_and_everything_typed_is_kept(shown: Web, field: 
 
 
 def test_what_only_the_services_know_is_said_above_the_form(web: Web, monkeypatch: pytest.MonkeyPatch):
-    def unavailable(hive: Hive, asked: str | None = None) -> str:
+    def unavailable(executors: Executors, asked: str | None = None) -> str:
         raise Unavailable("no Docker engine answers", "start it")
 
-    monkeypatch.setattr(Hive, "executor_name", unavailable)
+    monkeypatch.setattr(Executors, "choose", unavailable)
     answer = send(web, "/runs/new", **FORM)
     assert answer.status_code == 503
     assert "no Docker engine answers; start it" in answer.text
@@ -105,22 +105,22 @@ def test_datasets_without_the_sensors_are_explained(shown: Web):
 def test_cancel_and_retry(web: Web):
     answer = send(web, f"/runs/{web.runs['queued']}/cancel")
     assert answer.status_code == 303
-    assert web.hive.run(web.runs["queued"]).state is RunState.CANCELLED
+    assert web.hive.runs.get(web.runs["queued"]).state is RunState.CANCELLED
     again = send(web, f"/runs/{web.runs['failed']}/retry")
     new = int(again.location.rpartition("/")[2])
-    assert web.hive.run(new).retry_of == web.runs["failed"]
+    assert web.hive.runs.get(new).retry_of == web.runs["failed"]
     assert send(web, f"/runs/{web.runs['queued']}/cancel").status_code == 409
 
 
 def test_evaluate_one_some_and_all(web: Web):
     bare, done = web.runs["bare"], web.runs["done"]
     assert send(web, f"/runs/{done}/evaluate", protocol="sim3").status_code == 303
-    assert [entry.protocol.alignment for entry in web.hive.evaluations(done)][-1] == "sim3"
+    assert [entry.protocol.alignment for entry in web.hive.evaluations.of_run(done)][-1] == "sim3"
     assert send(web, f"/runs/{done}/evaluate", protocol="magic").status_code == 404
     assert send(web, "/runs/evaluate", all="1").status_code == 303
-    assert [entry.state for entry in web.hive.evaluations(bare)] == ["queued"]
+    assert [entry.state for entry in web.hive.evaluations.of_run(bare)] == ["queued"]
     assert "The evaluation is under way." in web.client.get(f"/runs/{bare}").text
-    assert web.hive.unevaluated() == 0
+    assert web.hive.searches.unevaluated() == 0
 
 
 def test_evaluating_the_ticked_needs_ticks(web: Web):

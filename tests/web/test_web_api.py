@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from slamhive.services.hive import Hive
+from slamhive.services.executors import Executors
 from slamhive.web.security import API_HEADER
 from tests.web.web_world import Web
 
@@ -17,7 +17,7 @@ HEADERS = {API_HEADER: "1"}
 
 @pytest.fixture(autouse=True)
 def _process_executor(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Hive, "executor_name", lambda hive, asked=None: asked or "process")
+    monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
 
 
 def test_a_run_has_the_fields_that_everything_shares(shown: Web):
@@ -56,11 +56,11 @@ def test_submit(web: Web):
      ({"algorithm": "eye-slam-stereo", "dataset": "room", "surprise": 1}, 400, "surprise")],
 )  # fmt: skip
 def test_what_cannot_be_submitted(shown: Web, body: Any, status: int, words: str):
-    before = sum(shown.hive.counts().values())
+    before = sum(shown.hive.runs.counts().values())
     answer = shown.client.post("/api/v1/runs", json=body, headers=HEADERS)
     assert answer.status_code == status
     assert words in str(answer.get_json()["error"])
-    assert sum(shown.hive.counts().values()) == before
+    assert sum(shown.hive.runs.counts().values()) == before
 
 
 def test_a_body_that_is_not_json(shown: Web):

@@ -10,8 +10,8 @@ from dataclasses import replace
 import pytest
 
 from slamhive.services.configurations.changes import Label
-from slamhive.services.hive import Hive
-from slamhive.services.runs.submission import Submission
+from slamhive.services.configurations.submission import Submission
+from slamhive.services.executors import Executors
 from tests.web.web_world import HOSTILE, Web
 
 pytestmark = pytest.mark.integration
@@ -27,7 +27,7 @@ FORM = {
 
 @pytest.fixture(autouse=True)
 def _process_executor(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Hive, "executor_name", lambda hive, asked=None: asked or "process")
+    monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
 
 
 def send(web: Web, path: str, **fields: object):

@@ -12,8 +12,8 @@ import pytest
 
 from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.services.executors import Executors
 from slamhive.services.experiments.views import ExperimentSource, Standing
-from slamhive.services.hive import Hive
 from slamhive.settings import Mode
 from slamhive.web.experiment_draft import MOST_TEXT
 from slamhive.web.security import API_HEADER
@@ -42,7 +42,7 @@ ENDS = (RunState.PREPARING, RunState.STARTING, RunState.RUNNING, RunState.COLLEC
 @pytest.fixture(autouse=True)
 def _process_executor(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether an executor can be used on this machine is no matter of the pages."""
-    monkeypatch.setattr(Hive, "executor_name", lambda hive, asked=None: asked or "process")
+    monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
 
 
 @pytest.fixture
@@ -174,13 +174,13 @@ def test_a_file_is_read(web: Web):
 
 
 def test_start_stores_it_and_leads_to_its_page(web: Web):
-    before = sum(web.hive.counts().values())
+    before = sum(web.hive.runs.counts().values())
     data = {"csrf_token": web.token, "from": "text", "do": "start", "yaml": TRIAL.replace("\n", "\r\n")}
     answer = web.client.post("/new-experiment", data=data)
     assert answer.status_code == 303
     assert answer.location == "/experiments/trial"
-    assert web.hive.counts()[RunState.QUEUED] == 12 + 1
-    assert sum(web.hive.counts().values()) == before + 12
+    assert web.hive.runs.counts()[RunState.QUEUED] == 12 + 1
+    assert sum(web.hive.runs.counts().values()) == before + 12
     assert web.hive.experiments.source("trial").text == TRIAL
     assert "trial is started: 12 runs." in words(web.client.get(answer.location).text)
 
@@ -434,7 +434,7 @@ def test_cancelling_asks_first(trial: Web):
     assert "12 runs will not be carried out" in confirmation
     assert act(trial, "cancel").status_code == 303
     assert trial.hive.experiments.status("trial").standing is Standing.CANCELLED
-    assert trial.hive.run(runs_of(trial, 1)[0]).state is RunState.CANCELLED
+    assert trial.hive.runs.get(runs_of(trial, 1)[0]).state is RunState.CANCELLED
     assert 'class="confirm"' not in trial.client.get("/experiments/trial").text
 
 
@@ -446,7 +446,7 @@ def test_disturbed_runs_are_counted_until_another_replaces_them(trial: Web):
     text = trial.client.get("/experiments/trial").text
     assert "Measured on a disturbed machine: 1 run." in text
     assert "<td>1 not evaluated, 1 queued; 1 disturbed</td>" in text
-    trial.hive.retry(first)
+    trial.hive.runs.retry(first)
     text = trial.client.get("/experiments/trial").text
     assert "Not counted: 1 failed or disturbed run that another run replaces." in text
     assert "; 1 disturbed" not in text

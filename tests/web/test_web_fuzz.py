@@ -16,6 +16,7 @@ import pytest
 from werkzeug.test import TestResponse
 
 from slamhive.services.analyses.jobs import AnalysisJobs
+from slamhive.services.executors import Executors
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
@@ -37,7 +38,7 @@ def rich(filled: Path, compiled: Path, tmp_path_factory: pytest.TempPathFactory)
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
     web = make_web(world.make_hive(folder), compiled)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Hive, "executor_name", lambda hive, asked=None: asked or "process")
+        patch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
         web.hive.experiments.start(ExperimentSource(EXPERIMENT.replace("NAME", "trial")))
     saved = {"csrf_token": web.token, "name": "slow-ones", "where": "duration > 1"}
     assert web.client.post("/searches", data=saved).status_code == 303
@@ -62,7 +63,7 @@ def target(
     request: pytest.FixtureRequest, rich: Path, tmp_path: Path, compiled: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Target]:
     """An installation in the mode that the test asks for."""
-    monkeypatch.setattr(Hive, "executor_name", lambda hive, asked=None: asked or "process")
+    monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
     shutil.copytree(rich, tmp_path, symlinks=True, dirs_exist_ok=True)
     owner = make_web(world.make_hive(tmp_path), compiled)
     token = owner.token

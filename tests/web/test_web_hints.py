@@ -22,10 +22,10 @@ def hinted(web: Web) -> Web:
 
 
 def put(web: Web, *hints: Hint) -> None:
-    run = web.hive.run(web.runs["done"])
+    run = web.hive.runs.get(web.runs["done"])
     assert run.protocol is not None
     result = EvaluationResult("1", run.protocol.fingerprint, None, {"ate.rmse": 0.1}, 400, 398, "evo 1.0")
-    path = web.hive.folder(run.id).evaluation(run.protocol.fingerprint) / RESULT_FILE
+    path = web.hive.runs.folder(run.id).evaluation(run.protocol.fingerprint) / RESULT_FILE
     path.write_text(result_to_json(replace(result, hints=hints)))
 
 
@@ -43,9 +43,9 @@ def test_the_api_tells_it_with_the_evaluation(hinted: Web) -> None:
 
 def test_a_run_without_hints_is_told_nothing(web: Web) -> None:
     for text in ("{}", "[]", '{"hints": 3}'):
-        run = web.hive.run(web.runs["done"])
+        run = web.hive.runs.get(web.runs["done"])
         assert run.protocol is not None
-        (web.hive.folder(run.id).evaluation(run.protocol.fingerprint) / RESULT_FILE).write_text(text)
+        (web.hive.runs.folder(run.id).evaluation(run.protocol.fingerprint) / RESULT_FILE).write_text(text)
         assert "<strong>Hint.</strong>" not in web.client.get(f"/runs/{run.id}").text
         (evaluation,) = web.client.get(f"/api/v1/runs/{run.id}").get_json()["evaluations"]
         assert evaluation["hints"] == []

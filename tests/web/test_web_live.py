@@ -15,6 +15,7 @@ import pytest
 from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.services.hive import Hive
+from slamhive.services.runs.service import Runs
 from slamhive.web.live import KEEPALIVE_S, LiveHub, LiveStream, with_version
 from slamhive.web.serve import THREADS, WebServer
 from tests.waiting import PATIENCE_S, eventually
@@ -96,14 +97,14 @@ def test_closing_the_hub_ends_streams_at_once(hub: LiveHub):
 
 def test_a_database_that_is_away_does_not_end_the_stream(hub: LiveHub, monkeypatch: pytest.MonkeyPatch):
     answers = iter([Unavailable("the database is away")])
-    real = Hive.counts
+    real = Runs.counts
 
-    def counts(hive: Hive) -> Any:
+    def counts(runs: Runs) -> Any:
         for error in answers:
             raise error
-        return real(hive)
+        return real(runs)
 
-    monkeypatch.setattr(Hive, "counts", counts)
+    monkeypatch.setattr(Runs, "counts", counts)
     stream = hub.open()
     assert next_state(stream.events())["counts"]
     stream.close()
@@ -113,11 +114,11 @@ def test_a_database_that_is_away_does_not_end_the_stream(hub: LiveHub, monkeypat
 def test_a_broken_poller_ends_its_streams_and_the_next_one_starts_another(
     hub: LiveHub, monkeypatch: pytest.MonkeyPatch
 ):
-    def broken(hive: Hive) -> Any:
+    def broken(runs: Runs) -> Any:
         raise RuntimeError("a mistake in the program")
 
     with monkeypatch.context() as breaking:
-        breaking.setattr(Hive, "counts", broken)
+        breaking.setattr(Runs, "counts", broken)
         stream = hub.open()
         assert not any(event.startswith("event") for event in stream.events())
         stream.close()
@@ -131,7 +132,7 @@ def test_a_broken_poller_ends_its_streams_and_the_next_one_starts_another(
     "text", ["[" * 4000, f'{{"fraction": {"9" * 401}}}', '{"fraction": NaN}', '"x"', '{"fraction": {}}']
 )
 def test_hostile_progress_leaves_pages_and_streams_alone(web: Web, text: str):
-    web.hive.folder(web.runs["running"]).progress.write_text(text)
+    web.hive.runs.folder(web.runs["running"]).progress.write_text(text)
     for page in ("/", f"/runs/{web.runs['running']}"):
         assert web.client.get(page).status_code == 200
     assert LiveHub(web.hive).latest()["active"][0]["percent"] is None

@@ -22,7 +22,7 @@ HELD = {
 
 
 def page(web: Web, told: Any) -> str:
-    folder = web.hive.folder(web.runs["done"])
+    folder = web.hive.runs.folder(web.runs["done"])
     record = folder.read_record()
     folder.write_record({**record, "protections": told} if told is not None else record)
     return " ".join(web.client.get(f"/runs/{web.runs['done']}").text.split())

@@ -53,7 +53,7 @@ def test_the_current_protocol_is_shown_and_another_on_request(web: Web, twice: i
 def test_what_is_missing_for_one_reason_is_told_once(web: Web, twice: int) -> None:
     reason = "the protocol takes a pose for every one of the ground truth"
     missing = {"kitti.translation": reason, "kitti.rotation": reason, "drift.end": "no pause"}
-    folder = web.hive.folder(twice).evaluation(OTHER.fingerprint)
+    folder = web.hive.runs.folder(twice).evaluation(OTHER.fingerprint)
     folder.mkdir(parents=True, exist_ok=True)
     result = EvaluationResult(str(twice), OTHER.fingerprint, None, {"ate.rmse": 7.125}, 4, 4, "evo 1.0", missing)
     (folder / RESULT_FILE).write_text(result_to_json(result))
@@ -65,12 +65,12 @@ def test_what_is_missing_for_one_reason_is_told_once(web: Web, twice: int) -> No
 
 def test_the_current_protocol_is_changed_by_post(web: Web, twice: int) -> None:
     assert send(web, f"/runs/{twice}/protocol", fingerprint=OTHER.fingerprint).status_code == 303
-    assert (web.hive.run(twice).metrics or {})["ate.rmse"] == 7.125
+    assert (web.hive.runs.get(twice).metrics or {})["ate.rmse"] == 7.125
     assert f"({OTHER.fingerprint}, current)" in web.client.get(f"/runs/{twice}").text
     assert web.client.get(f"/runs/{twice}/protocol").status_code == 405
     assert send(web, f"/runs/{twice}/protocol", fingerprint="<b>").status_code == 404
     assert send(web, f"/runs/{web.runs['bare']}/protocol", fingerprint=OTHER.fingerprint).status_code == 409
-    assert (web.hive.run(twice).metrics or {})["ate.rmse"] == 7.125
+    assert (web.hive.runs.get(twice).metrics or {})["ate.rmse"] == 7.125
 
 
 def test_a_run_is_evaluated_as_every_tool_counts(web: Web) -> None:
@@ -80,7 +80,7 @@ def test_a_run_is_evaluated_as_every_tool_counts(web: Web) -> None:
         assert preset.title in text
     assert "Evaluate as 6 tools" in text
     assert send(web, f"/runs/{run_id}/compare").status_code == 303
-    queued = [entry for entry in web.hive.evaluations(run_id) if entry.state == "queued"]
+    queued = [entry for entry in web.hive.evaluations.of_run(run_id) if entry.state == "queued"]
     assert {entry.protocol.fingerprint for entry in queued} == {preset.protocol.fingerprint for _, preset in PRESETS}
     assert "evaluation queued" in web.client.get(f"/runs/{run_id}").text
     assert send(web, f"/runs/{web.runs['failed']}/compare").status_code == 409
@@ -89,11 +89,11 @@ def test_a_run_is_evaluated_as_every_tool_counts(web: Web) -> None:
 def test_evaluation_under_a_named_protocol_by_page_and_api(web: Web) -> None:
     run_id = web.runs["done"]
     assert send(web, f"/runs/{run_id}/evaluate", protocol="tum").status_code == 303
-    assert web.hive.evaluations(run_id)[-1].protocol == PRESETS.get("tum").protocol
+    assert web.hive.evaluations.of_run(run_id)[-1].protocol == PRESETS.get("tum").protocol
     headers = {"X-SLAM-Hive": "1"}
     body = {"runs": [run_id], "protocol": "evo"}
     assert web.client.post("/api/v1/evaluations", json=body, headers=headers).status_code == 202
-    assert web.hive.evaluations(run_id)[-1].protocol == PRESETS.get("evo").protocol
+    assert web.hive.evaluations.of_run(run_id)[-1].protocol == PRESETS.get("evo").protocol
     both = web.client.post("/api/v1/evaluations", json={**body, "alignment": "se3"}, headers=headers)
     assert both.status_code == 400
     unknown = web.client.post("/api/v1/evaluations", json={"runs": [run_id], "protocol": "evvo"}, headers=headers)

@@ -113,10 +113,10 @@ def test_no_text_becomes_a_formula(text: str):
 
 
 def test_a_run_that_waits_is_not_unevaluated(web: Web):
-    before = web.hive.unevaluated()
+    before = web.hive.searches.unevaluated()
     (run_id,) = world.add_runs(web.hive, 1)
     world.advance(web.hive, run_id, RunState.PREPARING)
-    assert web.hive.unevaluated() == before
+    assert web.hive.searches.unevaluated() == before
 
 
 def test_the_server_does_not_load_what_computes_analyses():

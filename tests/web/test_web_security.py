@@ -52,7 +52,7 @@ def viewing(web: Web, tmp_path: Path, compiled: Path) -> Web:
 
 def test_view_only_refuses_every_change_in_the_whole_map(web: Web, viewing: Web):
     token = web.token
-    before = web.hive.counts()
+    before = web.hive.runs.counts()
     changes = every_change(viewing)
     assert len(changes) >= 11
     for method, address in changes:
@@ -60,7 +60,7 @@ def test_view_only_refuses_every_change_in_the_whole_map(web: Web, viewing: Web)
         assert answer.status_code == 403, (method, address)
         assert "only shows results" in answer.text
         assert answer.is_json == address.startswith("/api/")
-    assert web.hive.counts() == before
+    assert web.hive.runs.counts() == before
 
 
 def test_view_only_shows_all_pages_without_buttons(web: Web, viewing: Web):
@@ -80,7 +80,7 @@ def test_changes_need_the_token_of_a_form(web: Web, action: str):
 def test_changes_by_get_are_not_possible(web: Web):
     run_id = web.runs["queued"]
     assert web.client.get(f"/runs/{run_id}/cancel").status_code == 405
-    assert web.hive.run(run_id).state is RunState.QUEUED
+    assert web.hive.runs.get(run_id).state is RunState.QUEUED
 
 
 def test_a_page_of_another_origin_changes_nothing(web: Web):
@@ -89,7 +89,7 @@ def test_a_page_of_another_origin_changes_nothing(web: Web):
         f"/runs/{run_id}/cancel", data={"csrf_token": web.token}, headers={"Origin": "http://evil.example"}
     )
     assert answer.status_code == 403
-    assert web.hive.run(run_id).state is RunState.QUEUED
+    assert web.hive.runs.get(run_id).state is RunState.QUEUED
 
 
 def test_the_api_wants_its_header(web: Web):
@@ -145,7 +145,7 @@ def test_only_known_files_leave_the_run_folder(shown: Web, key: str):
 
 
 def test_links_that_an_algorithm_left_are_not_followed(web: Web):
-    folder = web.hive.folder(web.runs["done"])
+    folder = web.hive.runs.folder(web.runs["done"])
     folder.trajectory.unlink()
     folder.trajectory.symlink_to(web.hive.settings.data / "secret_key")
     page = web.client.get(f"/runs/{web.runs['done']}").text

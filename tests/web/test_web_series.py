@@ -81,7 +81,7 @@ def test_one_pose_is_a_path(tmp_path: Path):
 
 
 def test_a_single_pose_can_be_drawn(web: Web):
-    folder = web.hive.folder(web.runs["bare"])
+    folder = web.hive.runs.folder(web.runs["bare"])
     folder.trajectory.write_text("1 2 3 4 0 0 0 1\n")
     figure = web.client.get(f"/runs/{web.runs['bare']}/figures.json").get_json()["figures"]["path_3d"]
     assert all(math.isfinite(value) for value in figure["layout"]["scene"]["aspectratio"].values())
@@ -96,9 +96,9 @@ FRAMES = "timestamp,received,done,dropped\n1000.0,0.0,0.03,0\n"
 )
 def test_hostile_frame_times_draw_what_can_be_drawn(web: Web, frames: str):
     run_id = web.runs["bare"]
-    web.hive.folder(run_id).frames.write_bytes(frames.encode())
+    web.hive.runs.folder(run_id).frames.write_bytes(frames.encode())
     assert web.client.get(f"/runs/{run_id}/figures.json").status_code == 200
-    latency = web.hive.series(run_id).latency
+    latency = web.hive.runs.series(run_id).latency
     assert latency is not None
     assert latency.values.tolist() == [0.03]
 
@@ -113,7 +113,7 @@ def test_figures_show_what_evo_computed_on_a_real_run(web: Web):
 
     run_id = web.runs["bare"]
     estimate = min((EUROC / "vio_stereo" / "MH_01").glob("*.txt"))
-    folder = web.hive.folder(run_id)
+    folder = web.hive.runs.folder(run_id)
     folder.trajectory.write_bytes(estimate.read_bytes())
     protocol = Protocol(Alignment.SE3)
     world.evaluate_run(web.hive, run_id)
@@ -123,7 +123,7 @@ def test_figures_show_what_evo_computed_on_a_real_run(web: Web):
     assert result.reason is None
     content = web.client.get(f"/runs/{run_id}/figures.json").get_json()
     assert f"{result.matched_poses:,} matched poses" in content["captions"]["error"]
-    series = web.hive.series(run_id)
+    series = web.hive.runs.series(run_id)
     assert series.error is not None
     assert series.error.values.max() == pytest.approx(result.metrics["ate.max"], abs=1e-8)
     assert series.aligned

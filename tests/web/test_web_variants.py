@@ -10,7 +10,8 @@ import pytest
 
 from slamhive.errors import Conflict
 from slamhive.project import project_root
-from slamhive.services.hive import Hive, open_hive
+from slamhive.services.executors import Executors
+from slamhive.services.hive import open_hive
 from slamhive.web.context import VARIANTS_EXTENSION
 from slamhive.web.security import API_HEADER
 from tests.services.recorded_track import make_recorded_track
@@ -31,7 +32,7 @@ def track(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compiled: Path, sqlit
     shutil.copy(sqlite_template, tmp_path / "data" / "slamhive.db")
     for key, value in environment(root, tmp_path / "data").items():
         monkeypatch.setenv(key, value)
-    monkeypatch.setattr(Hive, "executor_name", lambda hive, asked=None: asked or "process")
+    monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
     hive = open_hive()
     yield make_web(hive, compiled)
     hive.close()

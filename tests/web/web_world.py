@@ -154,7 +154,7 @@ def advance(hive: Hive, run_id: int, *states: RunState, **fields: Any) -> None:
 
 def start_run(hive: Hive, run_id: int) -> None:
     """A run in the middle of its work."""
-    folder = hive.folder(run_id)
+    folder = hive.runs.folder(run_id)
     folder.create()
     advance(hive, run_id, RunState.PREPARING, RunState.STARTING, RunState.RUNNING)
     write_usage(folder)
@@ -163,15 +163,15 @@ def start_run(hive: Hive, run_id: int) -> None:
 
 def fail_run(hive: Hive, run_id: int) -> None:
     """A run that ended without a trajectory."""
-    hive.folder(run_id).create()
-    hive.folder(run_id).log.write_text(f"Traceback: {HOSTILE}\n")
+    hive.runs.folder(run_id).create()
+    hive.runs.folder(run_id).log.write_text(f"Traceback: {HOSTILE}\n")
     ends = (RunState.PREPARING, RunState.STARTING, RunState.RUNNING, RunState.COLLECTING, RunState.FAILED)
     advance(hive, run_id, *ends, reason=FailureReason.NO_TRAJECTORY, detail=f"nothing at <{HOSTILE}>", exit_code=1)
 
 
 def finish_run(hive: Hive, run_id: int, metrics: Mapping[str, float] | None = None) -> None:
     """A run that succeeded, with everything its folder holds."""
-    folder = hive.folder(run_id)
+    folder = hive.runs.folder(run_id)
     folder.create()
     ends = (RunState.PREPARING, RunState.STARTING, RunState.RUNNING, RunState.COLLECTING, RunState.SUCCEEDED)
     advance(hive, run_id, *ends, poses=400, exit_code=0)
@@ -207,7 +207,7 @@ def evaluate_run(hive: Hive, run_id: int, ate_m: float = 0.04567, *, reason: str
         transaction.evaluations.finish(evaluation_id, "test", result, NOW + timedelta(seconds=9))
 
     hive.store.write(work)
-    folder = hive.folder(run_id).evaluation(PROTOCOL.fingerprint)
+    folder = hive.runs.folder(run_id).evaluation(PROTOCOL.fingerprint)
     folder.mkdir(parents=True)
     estimate, truth = loop_path(noise_m=0.02), loop_path()
     np.savetxt(folder / "traj.tum", estimate)
@@ -249,5 +249,5 @@ def make_web(hive: Hive, compiled: Path) -> Web:
     """The application on ``hive``, which :func:`fill` may have filled; templates are compiled into a folder once."""
     app = create_app(hive)
     app.jinja_env.bytecode_cache = FileSystemBytecodeCache(str(compiled))
-    runs = RUNS if sum(hive.counts().values()) else {}
+    runs = RUNS if sum(hive.runs.counts().values()) else {}
     return Web(hive, app, app.test_client(), runs)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 
 from slamhive.bags.variants.rules import RegisteredSteps
 from slamhive.clock import utc_now
@@ -13,10 +14,10 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import check_stored, find_parameter
 from slamhive.errors import NotFound, unknown
 from slamhive.services.configurations.changes import NO_LABEL, Changes, Label, Stored
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.configurations.words import check_label
 from slamhive.services.datasets.catalogue import Catalogue, check_writable
 from slamhive.services.datasets.variants import Variants
-from slamhive.services.runs.submission import Submission
 from slamhive.settings import Settings
 from slamhive.store import ConfigurationFilter, ConfigurationPage, ConfigurationRecord, RunRecord, Store, Transaction
 from slamhive.sweep.exchange import Imported, configuration_from_yaml, configuration_to_yaml
@@ -277,14 +278,7 @@ class Configurations:
         return self._store.write(lambda t: self._put_in(t, checked, label))
 
     def _put_in(self, t: Transaction, checked: Checked, label: Label) -> Stored:
-        now = utc_now()
-        configuration_id, created = t.configurations.get_or_create(
-            checked.configuration,
-            t.catalogue.put_algorithm(checked.algorithm),
-            t.catalogue.put_dataset(checked.dataset, now),
-            now,
-            checked.algorithm.parameters,
-        )
+        configuration_id, created = put_configuration(t, checked, utc_now())
         record, notes = t.configuration_book.get(configuration_id), []
         if not created:
             if record.name and label.name and label.name != record.name:
@@ -304,6 +298,17 @@ class Configurations:
 
     def _check_writable(self) -> None:
         check_writable(self._settings)
+
+
+def put_configuration(t: Transaction, checked: Checked, now: datetime) -> tuple[int, bool]:
+    """Store a configuration with its algorithm and dataset; its number, and whether it is new."""
+    return t.configurations.get_or_create(
+        checked.configuration,
+        t.catalogue.put_algorithm(checked.algorithm),
+        t.catalogue.put_dataset(checked.dataset, now),
+        now,
+        checked.algorithm.parameters,
+    )
 
 
 def _inherited(old: ConfigurationRecord, new: ConfigurationRecord, label: Label) -> Label:

@@ -68,6 +68,12 @@ def fitting_protocol(
     return protocol
 
 
+def protocol_for(algorithm: Algorithm, dataset: Dataset, settings: Settings, alignment: str | None) -> Protocol:
+    """The protocol that runs are submitted with: the default, with another alignment if one was asked for."""
+    asked = None if alignment is None else ProtocolRequest({"alignment": alignment})
+    return fitting_protocol(algorithm, dataset, settings, asked)
+
+
 def reference_path(dataset: Dataset, protocol: Protocol) -> Path | None:
     """The trajectory to compare with, None where the dataset has relations instead.
 

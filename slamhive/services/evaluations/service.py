@@ -19,10 +19,10 @@ from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask,
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
-from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.services.datasets.catalogue import Catalogue, check_writable
 from slamhive.services.datasets.external import algorithm_here_or_elsewhere
 from slamhive.services.evaluations.files import evaluation_files
-from slamhive.services.evaluations.protocols import fitting_protocol, reference_path
+from slamhive.services.evaluations.protocols import Protocols, fitting_protocol, reference_path
 from slamhive.services.evaluations.scratch import scratch_folder
 from slamhive.services.identity import owner_is_dead
 from slamhive.settings import Settings
@@ -46,32 +46,43 @@ class Evaluations:
         settings: Association tolerance and gap threshold of the default protocols; where the data lies.
         store: Queue and results.
         catalogue: Sensor setups, extrinsics and ground truths.
+        protocols: Knows protocols by name.
         runner: Starts the evaluation engine, in a container or a process; made when first needed.
     """
 
     def __init__(
-        self, settings: Settings, store: Store, catalogue: Catalogue, runner: Callable[[], EvaluationRunner]
+        self,
+        settings: Settings,
+        store: Store,
+        catalogue: Catalogue,
+        protocols: Protocols,
+        runner: Callable[[], EvaluationRunner],
     ) -> None:
         self._settings = settings
         self._store = store
         self._catalogue = catalogue
+        self._protocols = protocols
         self._make_runner = runner
         self._runner: EvaluationRunner | None = None
         self._runner_lock = threading.Lock()
 
     def queue(
         self,
-        run_ids: Iterable[int],
-        asked: ProtocolRequest | None = None,
+        run_ids: Iterable[int] | None,
+        asked: ProtocolRequest | str | None = None,
         artefacts: Artefacts = Artefacts.FILES,
     ) -> list[int]:
-        """Queue an evaluation of each run; their ids.
+        """Queue an evaluation of each run, or with None of each that has none; returns the ids of the evaluations.
 
-        ``asked`` None means the protocol that the run was submitted with, or else the one its sensors deserve.
-        Raises NotFound for an unknown run or algorithm, Conflict for a run that did not succeed; nothing is queued
-        then.
+        ``asked`` is a protocol or the name of one; None means the one that the run was submitted with, or else the
+        default for its sensors. Raises NotFound for an unknown run, algorithm or protocol, Conflict for a run that
+        did not succeed; nothing is queued then.
         """
-        runs = self._store.read(lambda t: t.runs.get_many(run_ids))
+        check_writable(self._settings)
+        if isinstance(asked, str):
+            asked = self._protocols.named(asked)
+        wanted = self.unevaluated() if run_ids is None else run_ids
+        runs = self._store.read(lambda t: t.runs.get_many(wanted))
         by_protocol: dict[Protocol, list[int]] = defaultdict(list)
         for protocol, members in self._by_protocol(runs, asked):
             by_protocol[protocol] += members
@@ -94,6 +105,10 @@ class Evaluations:
             alike[run.algorithm, run.dataset, own].append(run)
         for members in alike.values():
             yield self.protocol_of(members[0], asked), [run.id for run in members]
+
+    def of_run(self, run_id: int) -> tuple[EvaluationRecord, ...]:
+        """The evaluations of a run, oldest first."""
+        return tuple(self._store.read(lambda t: t.evaluations.for_run(run_id)))
 
     def records(self, evaluation_ids: Iterable[int]) -> list[EvaluationRecord]:
         """The evaluations with these ids, as they stand."""

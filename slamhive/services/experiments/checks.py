@@ -11,10 +11,10 @@ from statistics import median
 from slamhive.bags.variants.cache import VariantEntry
 from slamhive.domain.protocol import Protocol
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.services.evaluations.protocols import protocol_for
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.views import VariantNeed
 from slamhive.services.runs.specification import check_disk, check_package, check_recorded, recorded_topics
-from slamhive.services.runs.submission import protocol_for
 from slamhive.sweep.binding import at
 from slamhive.sweep.expand import Expansion
 from slamhive.sweep.experiment import Experiment
@@ -72,7 +72,7 @@ def pair_problems(
                 check_recorded(dataset, algorithm, topics)
             if algorithm.package.name not in packages:
                 packages.add(algorithm.package.name)
-                check_package(executor, context.executors, algorithm.package)
+                check_package(executor, context.executors.get, algorithm.package)
             protocol_of_pair(context, experiment, expansion, (algorithm.name, dataset.name))
         except SlamHiveError as error:
             yield at(experiment.datasets.place, error)

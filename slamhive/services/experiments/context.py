@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from slamhive.bags.variants.rules import RegisteredSteps
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.errors import InvalidInput
-from slamhive.executors.base import Executor
 from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.datasets.variants import Variants
+from slamhive.services.executors import Executors
 from slamhive.services.experiments.folder import ExperimentFolder
 from slamhive.settings import Settings
 from slamhive.store.durations import Pairing
@@ -36,8 +36,7 @@ class ExperimentContext:
     store: Store
     catalogue: Catalogue
     variants: Variants
-    executors: Callable[[str], Executor]
-    executor_name: Callable[[str | None], str]
+    executors: Executors
 
     def folder(self, name: str) -> ExperimentFolder:
         """Where the experiment called ``name`` is kept."""

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 
+from slamhive.services.configurations.submission import unwatchable
 from slamhive.services.experiments.checks import disk_space_problems, find_disk_space, pair_problems, warnings
 from slamhive.services.experiments.context import ExperimentContext, Progress, guessed_duration_s
 from slamhive.services.experiments.views import ExperimentPreview, PreviewRow, Standing
-from slamhive.services.runs.submission import unwatchable
 from slamhive.store.durations import Pairing
 from slamhive.store.experiment_records import KnownConfiguration
 from slamhive.sweep.expand import Expansion, PlannedRun

@@ -55,7 +55,7 @@ class Experiments:
         standing = None
         usable: str | None = None
         try:
-            usable = context.executor_name(executor or experiment.executor)
+            usable = context.executors.choose(executor or experiment.executor)
             record = context.store.read(lambda t: t.experiments.find(experiment.name))
             if record is not None:
                 check_same(context, record, experiment, executor)

@@ -31,7 +31,7 @@ def start(context: ExperimentContext, source: ExperimentSource, executor: str | 
     folder = context.folder(experiment.name)
     stamp = folder.read() if record is None else stamp_of(record)
     if stamp is None:
-        chosen = context.executor_name(executor or experiment.executor)
+        chosen = context.executors.choose(executor or experiment.executor)
         stamp = _new_stamp(experiment, chosen)
     elif stamp.content_hash != experiment.content_hash:
         raise Conflict(
@@ -59,7 +59,7 @@ def check_same(
         )
     if record.state is ExperimentState.CANCELLED:
         raise Conflict(f"experiment {record.name} was cancelled", "give the file another name to run it again")
-    if executor is not None and context.executor_name(executor) != record.executor:
+    if executor is not None and context.executors.choose(executor) != record.executor:
         raise Conflict(
             f"experiment {record.name} runs with executor {record.executor}, not {executor}",
             "choose another name to run it there",

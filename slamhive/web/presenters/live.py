@@ -17,17 +17,18 @@ MOST_ACTIVE = 50
 
 def active_runs(hive: Hive) -> tuple[RunRecord, ...]:
     """The runs in a worker's hands, oldest first."""
-    return hive.runs(matching(states=ACTIVE_STATES), RunSort("id", descending=False), None, MOST_ACTIVE).records
+    return hive.runs.page(matching(states=ACTIVE_STATES), RunSort("id", descending=False), None, MOST_ACTIVE).records
 
 
 def snapshot(hive: Hive) -> dict[str, Any]:
     """Counts by state, whether a worker lives, and how far the active runs are."""
     return {
-        "counts": {state.value: count for state, count in sorted(hive.counts().items())},
-        "unevaluated": hive.unevaluated(),
+        "counts": {state.value: count for state, count in sorted(hive.runs.counts().items())},
+        "unevaluated": hive.searches.unevaluated(),
         "worker": hive.worker_alive(),
         "active": [
-            {"id": run.id, "state": run.state.value} | progress_json(hive.progress(run.id)) for run in active_runs(hive)
+            {"id": run.id, "state": run.state.value} | progress_json(hive.runs.progress(run.id))
+            for run in active_runs(hive)
         ],
     }
 

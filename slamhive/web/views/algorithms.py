@@ -31,7 +31,7 @@ def show(name: str) -> str:
     """One algorithm: what it needs, what can be set, where it comes from."""
     services = hive()
     algorithm = services.catalogue.algorithm(name)
-    runs = services.runs(matching(algorithms=(name,)), RunSort(), None, 1)
+    runs = services.runs.page(matching(algorithms=(name,)), RunSort(), None, 1)
     return render_template(
         "algorithms/show.html",
         algorithm=algorithm,

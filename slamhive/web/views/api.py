@@ -9,10 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slamhive.domain.variant import variant_from_json
 from slamhive.errors import InvalidInput
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.configurations.words import configuration_to_json
 from slamhive.services.datasets.as_json import algorithm_to_json, dataset_to_json
 from slamhive.services.runs.as_json import evaluation_to_json, run_to_json
-from slamhive.services.runs.submission import Submission
 from slamhive.web.configuration_query import CONFIGURATION_ID, ConfigurationQuery
 from slamhive.web.context import hive
 from slamhive.web.json_exchange import answer, read_body
@@ -69,7 +69,7 @@ def runs() -> Response:
     """A page of runs; the arguments are those of the runs page, ``next`` leads to the page after."""
     services = hive()
     query = RunQuery.from_args(request.args, services.searches.vocabulary(), EXPORT_LIMIT)
-    page = services.runs(query.search, query.sort, query.after, query.limit)
+    page = services.runs.page(query.search, query.sort, query.after, query.limit)
     following = None if page.next_key is None else url_for("api.runs", **query.at(page.next_key).args())
     return answer({"runs": [run_to_json(run) for run in page.records], "total": page.total, "next": following})
 
@@ -78,9 +78,9 @@ def runs() -> Response:
 def run(run_id: int) -> Response:
     """One run with its figures, evaluations and events."""
     services = hive()
-    content = run_to_json(services.run(run_id))
+    content = run_to_json(services.runs.get(run_id))
     content["evaluations"] = [
-        evaluation_to_json(entry, services.folder(run_id)) for entry in services.evaluations(run_id)
+        evaluation_to_json(entry, services.runs.folder(run_id)) for entry in services.evaluations.of_run(run_id)
     ]
     content["events"] = [
         {
@@ -89,7 +89,7 @@ def run(run_id: int) -> Response:
             "to": event.to_state.value,
             "why": event.why,
         }
-        for event in services.events(run_id)
+        for event in services.runs.events(run_id)
     ]
     return answer(content)
 
@@ -99,20 +99,20 @@ def submit() -> Response:
     """Queue runs; answers with them."""
     body = read_body(_SubmitBody)
     fields = body.model_dump()
-    queued = hive().submit(Submission(**{**fields, "variant": variant_from_json(fields["variant"])}))
+    queued = hive().runs.submit(Submission(**{**fields, "variant": variant_from_json(fields["variant"])}))
     return answer({"runs": [run_to_json(run) for run in queued]}, 201)
 
 
 @blueprint.post(f"/runs/{RUN_ID}/cancel")
 def cancel(run_id: int) -> Response:
     """Ask for the run to be ended."""
-    return answer(run_to_json(hive().cancel(run_id)), 202)
+    return answer(run_to_json(hive().runs.cancel(run_id)), 202)
 
 
 @blueprint.post(f"/runs/{RUN_ID}/retry")
 def retry(run_id: int) -> Response:
     """Queue the same again as a new run."""
-    return answer(run_to_json(hive().retry(run_id)), 201)
+    return answer(run_to_json(hive().runs.retry(run_id)), 201)
 
 
 @blueprint.post("/evaluations")
@@ -122,7 +122,7 @@ def evaluate() -> Response:
     if body.alignment is not None and body.protocol is not None:
         raise InvalidInput("alignment and protocol exclude each other", "give one of them")
     name = body.protocol or checked_alignment(body.alignment)
-    return answer({"queued": hive().queue_evaluations(body.runs, name)}, 202)
+    return answer({"queued": len(hive().evaluations.queue(body.runs, name))}, 202)
 
 
 @blueprint.get("/algorithms")

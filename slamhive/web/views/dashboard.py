@@ -38,17 +38,17 @@ def index() -> str:
     """What is queued, what runs, what came out last."""
     services = hive()
     algorithms = services.catalogue.algorithms()
-    ended = services.runs(matching(states=ENDED_STATES), RunSort("ended_at"), None, LIST_LENGTH)
-    queued = services.runs(matching(states=(RunState.QUEUED,)), RunSort("id", descending=False), None, LIST_LENGTH)
-    counts = services.counts()
+    ended = services.runs.page(matching(states=ENDED_STATES), RunSort("ended_at"), None, LIST_LENGTH)
+    queued = services.runs.page(matching(states=(RunState.QUEUED,)), RunSort("id", descending=False), None, LIST_LENGTH)
+    counts = services.runs.counts()
     return render_template(
         "dashboard/index.html",
         counts=counts,
         total=sum(counts.values()),
-        unevaluated=services.unevaluated(),
+        unevaluated=services.searches.unevaluated(),
         worker_alive=services.worker_alive(),
         experiments=with_time_left(entry for entry in services.experiments.list() if entry.standing in GOING_ON),
-        active=[(run, progress_json(services.progress(run.id))) for run in active_runs(services)],
+        active=[(run, progress_json(services.runs.progress(run.id))) for run in active_runs(services)],
         queued=queued,
         queued_rows=rows(queued.records, map(column, QUEUE_COLUMNS), algorithms),
         queue_columns=[column(key) for key in QUEUE_COLUMNS],
@@ -80,5 +80,5 @@ def live() -> Response:
 @blueprint.get("/healthz")
 def health() -> Response:
     """200 while the server and its database answer."""
-    hive().counts()
+    hive().runs.counts()
     return make_response(jsonify(status="ok"))

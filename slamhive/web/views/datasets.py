@@ -35,7 +35,7 @@ def show(name: str) -> str:
     """One dataset: sensors, calibration, ground truth, which algorithms can use it."""
     services = hive()
     dataset = services.catalogue.dataset(name)
-    runs = services.runs(matching(datasets=(name,)), RunSort(), None, 1)
+    runs = services.runs.page(matching(datasets=(name,)), RunSort(), None, 1)
     return render_template(
         "datasets/show.html",
         dataset=dataset,

@@ -135,5 +135,5 @@ def with_time_left(found: Iterable[ExperimentStatus]) -> list[ExperimentStatus]:
 def _protocol_labels(cells: Iterable[Cell]) -> dict[str, str]:
     """What the protocols of these cells are called, by fingerprint; a run of each knows."""
     runs = {run.protocol: run.id for cell in cells for run in cell.runs if run.protocol is not None}
-    protocols = [hive().run(run_id).protocol for run_id in runs.values()]
+    protocols = [hive().runs.get(run_id).protocol for run_id in runs.values()]
     return {protocol.fingerprint: protocol.label for protocol in protocols if protocol is not None}

@@ -65,7 +65,7 @@ def index() -> Response:
     shown = [column(key, vocabulary) for key in query.columns]
     if query.grouped:
         return make_response(_group_page(services, query, shown))
-    page = services.runs(query.search, query.sort, query.after, query.limit)
+    page = services.runs.page(query.search, query.sort, query.after, query.limit)
     left_out = services.searches.left_out(query.search, page.count)
     return make_response(
         _search_page(
@@ -113,7 +113,7 @@ def _search_page(services: Hive, query: RunQuery, **content: Any) -> str:
         rule=DEFAULT_RULE.words,
         all_columns=all_columns(),
         saved=[(entry, search.saved_args(entry)) for entry in services.searches.saved()],
-        unevaluated=services.unevaluated(),
+        unevaluated=services.searches.unevaluated(),
         choices=search.choices(
             query.fields,
             services.catalogue.algorithms(),
@@ -131,14 +131,14 @@ def _search_page(services: Hive, query: RunQuery, **content: Any) -> str:
 def show(run_id: int) -> str:
     """Everything about one run."""
     services = hive()
-    run = services.run(run_id)
-    evaluations = services.evaluations(run_id)
+    run = services.runs.get(run_id)
+    evaluations = services.evaluations.of_run(run_id)
     algorithm = next((entry for entry in services.catalogue.algorithms() if entry.name == run.algorithm), None)
     choices = protocols.protocol_choices(run, evaluations, request.args.get("protocol"))
     chosen = next((entry for entry in choices if entry.chosen), None)
     tools = _tools(services, run)
-    notes = evaluation_notes(services.folder(run_id), None if chosen is None else chosen.fingerprint)
-    record = services.record(run_id)
+    notes = evaluation_notes(services.runs.folder(run_id), None if chosen is None else chosen.fingerprint)
+    record = services.runs.record(run_id)
     return render_template(
         "runs/show.html",
         run=run,
@@ -149,7 +149,7 @@ def show(run_id: int) -> str:
         disturbed=presenter.disturbed(run),
         machine=presenter.machine(run),
         wall_time_s=presenter.wall_time_s(run, utc_now()),
-        progress=progress_json(services.progress(run_id)) if run.state.active else None,
+        progress=progress_json(services.runs.progress(run_id)) if run.state.active else None,
         parameters=presenter.parameter_rows(run, algorithm),
         protocols=choices,
         chosen=chosen,
@@ -161,11 +161,11 @@ def show(run_id: int) -> str:
         measured=presenter.metric_rows(run, needs_protocol=False),
         protections=presenter.protections(record),
         provenance=presenter.flatten(record),
-        events=services.events(run_id),
+        events=services.runs.events(run_id),
         evaluations=evaluations,
         evaluating=any(entry.state in (EvaluationState.QUEUED, EvaluationState.RUNNING) for entry in evaluations),
-        log=services.log(run_id, max_bytes=LOG_TAIL_BYTES),
-        downloads=list_downloads(services.folder(run_id), _fingerprints(evaluations)),
+        log=services.runs.log(run_id, max_bytes=LOG_TAIL_BYTES),
+        downloads=list_downloads(services.runs.folder(run_id), _fingerprints(evaluations)),
         protocol_groups=protocols.protocol_groups(),
     )
 
@@ -174,8 +174,8 @@ def show(run_id: int) -> str:
 def figures(run_id: int) -> Response:
     """All figures of a run, their captions, and why any is missing."""
     services = hive()
-    run = services.run(run_id)
-    series = services.series(run_id)
+    run = services.runs.get(run_id)
+    series = services.runs.series(run_id)
     colour = colour_of(run.algorithm, (entry.name for entry in services.catalogue.algorithms()))
     track = series.groundtruth or series.estimate
     return make_response(
@@ -191,7 +191,7 @@ def figures(run_id: int) -> Response:
 @blueprint.get(f"/{RUN_ID}/figures/<figure>.csv")
 def figure_data(run_id: int, figure: str) -> Response:
     """The data that a figure draws."""
-    table = figure_table(hive().series(run_id), figure)
+    table = figure_table(hive().runs.series(run_id), figure)
     if table is None:
         raise NotFound(f"run {run_id} has no data for a figure {figure!r}")
     header, lines = table
@@ -208,8 +208,12 @@ def figure_data(run_id: int, figure: str) -> Response:
 def download(run_id: int, key: str) -> Response:
     """One known file of the run folder."""
     services = hive()
-    services.run(run_id)
-    found, stream = open_download(services.folder(run_id), _fingerprints(services.evaluations(run_id)), key)
+    services.runs.get(run_id)
+    found, stream = open_download(
+        services.runs.folder(run_id),
+        _fingerprints(services.evaluations.of_run(run_id)),
+        key,
+    )
     return send_file(
         stream, mimetype=found.media_type, as_attachment=True, download_name=f"run-{run_id}-{found.name}", max_age=0
     )
@@ -218,7 +222,7 @@ def download(run_id: int, key: str) -> Response:
 @blueprint.post(f"/{RUN_ID}/cancel")
 def cancel(run_id: int) -> Response:
     """Ask for the run to be ended."""
-    run = hive().cancel(run_id)
+    run = hive().runs.cancel(run_id)
     flash(f"Run {run_id} is {'cancelled' if run.state is RunState.CANCELLED else 'being cancelled'}.", "info")
     return _to_run(run_id)
 
@@ -226,7 +230,7 @@ def cancel(run_id: int) -> Response:
 @blueprint.post(f"/{RUN_ID}/retry")
 def retry(run_id: int) -> Response:
     """Queue the same again as a new run."""
-    again = hive().retry(run_id)
+    again = hive().runs.retry(run_id)
     flash(f"Run {again.id} repeats run {run_id}.", "success")
     return _to_run(again.id)
 
@@ -234,7 +238,7 @@ def retry(run_id: int) -> Response:
 @blueprint.post(f"/{RUN_ID}/evaluate")
 def evaluate(run_id: int) -> Response:
     """Evaluate one run, under the protocol of its sensors or the one that was chosen."""
-    queued = hive().queue_evaluations([run_id], request.form.get("protocol") or None)
+    queued = hive().evaluations.queue([run_id], request.form.get("protocol") or None)
     flash("The evaluation is queued." if queued else "This evaluation is queued or done already.", "info")
     return _to_run(run_id)
 
@@ -263,10 +267,10 @@ def use_protocol(run_id: int) -> Response:
 def evaluate_many() -> Response:
     """Evaluate the runs that were ticked, or all that have not been evaluated."""
     if request.form.get("all"):
-        queued = hive().queue_evaluations(None)
+        queued = hive().evaluations.queue(None)
     else:
-        queued = hive().queue_evaluations(_ticked(request.form.getlist("run")))
-    flash(f"{plural(queued, 'evaluation')} queued." if queued else "There was nothing to evaluate.", "info")
+        queued = hive().evaluations.queue(_ticked(request.form.getlist("run")))
+    flash(f"{plural(len(queued), 'evaluation')} queued." if queued else "There was nothing to evaluate.", "info")
     return make_response(redirect(address("runs.index"), 303))
 
 

@@ -62,7 +62,7 @@ def delete(name: str) -> Response:
 
 def _run_pages(services: Hive, query: RunQuery) -> Page[RunRecord]:
     def page(after: str | None) -> tuple[Sequence[RunRecord], str | None]:
-        found = services.runs(query.search, query.sort, after, EXPORT_LIMIT)
+        found = services.runs.page(query.search, query.sort, after, EXPORT_LIMIT)
         return found.records, found.next_key
 
     return page

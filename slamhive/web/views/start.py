@@ -41,7 +41,7 @@ def submit() -> Response | tuple[str, int]:
     if filled.submission is None:
         return _page(filled), 400
     try:
-        runs = hive().submit(filled.submission)
+        runs = hive().runs.submit(filled.submission)
     except SlamHiveError as error:
         filled.fail(error)
         return _page(filled), status_of(error)
@@ -55,7 +55,7 @@ def submit() -> Response | tuple[str, int]:
 def _preview(filled: RunForm) -> str | None:
     if filled.submission is None or filled.dataset is None:
         return None
-    counts = hive().counts()
+    counts = hive().runs.counts()
     waiting = counts.get(RunState.QUEUED, 0)
     return preview(filled.submission, filled.dataset, hive().settings, waiting)
 

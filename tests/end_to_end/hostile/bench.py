@@ -20,8 +20,8 @@ from pathlib import Path
 
 import psutil
 
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.runs.submission import Submission
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.tree import walk
 from tests.end_to_end.hostile.mapping import ACTS, TRAJECTORIES
@@ -131,14 +131,14 @@ class Bench:
             evaluate=evaluate,
             timeout_s=timeout_s,
         )
-        (asked,) = self.hive.submit(submission)
+        (asked,) = self.hive.runs.submit(submission)
         answers = Answers()
         with self._watched(asked.id, answers):
-            eventually(lambda: self.hive.run(asked.id).state.ended, f"the end of {act} on {executor}", 300)
-            folder = self.hive.folder(asked.id)
+            eventually(lambda: self.hive.runs.get(asked.id).state.ended, f"the end of {act} on {executor}", 300)
+            folder = self.hive.runs.folder(asked.id)
             # The outcome is stored before the rest is tidied up.
             eventually(lambda: not folder.work.exists() and not containers_of(asked.uid), "tidying up", 60)
-        run = self.hive.run(asked.id)
+        run = self.hive.runs.get(asked.id)
         sizes = [(entry.status.st_size, entry.status.st_blocks * 512) for entry in walk(folder.root)]
         row = Row(
             act=act,
@@ -157,7 +157,7 @@ class Bench:
     def _seconds(self, run: RunRecord) -> float:
         """From the start of the algorithm until its outcome was stored."""
         assert run.started_at is not None
-        return (self.hive.events(run.id)[-1].at - run.started_at).total_seconds()
+        return (self.hive.runs.events(run.id)[-1].at - run.started_at).total_seconds()
 
     def get(self, path: str) -> tuple[int, str]:
         """Status and text of a page."""
@@ -171,7 +171,7 @@ class Bench:
         address = f"/runs/{run_id}"
         status, page = self.get(address)
         assert status == OK, page[-2000:]
-        removed = re.search(r"removed from its result: .*", self.hive.run(run_id).detail or "")
+        removed = re.search(r"removed from its result: .*", self.hive.runs.get(run_id).detail or "")
         assert removed is None or removed[0][1:] in outcome_of(page)
         files = sorted(set(re.findall(rf'href="({address}/files/[^"]+)"', page)))
         for path in (f"{address}/figures.json", f"/api/v1{address}", "/runs", *files):
@@ -183,8 +183,8 @@ class Bench:
 
     def evaluation(self, run_id: int) -> EvaluationRecord:
         """The evaluation of a run, once it has ended."""
-        eventually(lambda: all(e.state in ENDED for e in self.hive.evaluations(run_id)), "the evaluation")
-        (found,) = self.hive.evaluations(run_id)
+        eventually(lambda: all(e.state in ENDED for e in self.hive.evaluations.of_run(run_id)), "the evaluation")
+        (found,) = self.hive.evaluations.of_run(run_id)
         return found
 
     def dataset(self) -> dict[str, bytes]:
@@ -199,7 +199,7 @@ class Bench:
             "overview": lambda: self.get("/"),
             "run page": lambda: self.get(f"/runs/{run_id}"),
             "store": self._count_runs,
-            "stat": self.hive.folder(run_id).root.parent.stat,
+            "stat": self.hive.runs.folder(run_id).root.parent.stat,
         }
 
         def ask() -> None:

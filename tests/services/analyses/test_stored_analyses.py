@@ -88,7 +88,7 @@ def test_from_text_to_report_and_the_same_again_is_not_computed_twice(hive: Hive
     assert (hive.stored_analyses.folder(again.token).root / REPORT).samefile(folder.root / REPORT)
     assert [record.token for record in hive.stored_analyses.listed()] == [made.token]
 
-    shutil.rmtree(hive.folder(2).root / "evaluations")
+    shutil.rmtree(hive.runs.folder(2).root / "evaluations")
     world.evaluate_run(hive, 2, 0.2)
     hive.stored_analyses.recompute(again.token)
     assert work(hive)

@@ -66,9 +66,9 @@ def test_every_unit_and_order_is_understood(hive, tmp_path, plain_truth, expecte
     source = source_of(tmp_path, rewritten(ESTIMATE, unit, order), plain_truth)
     report = carry_out(hive, source)
     assert (report.imported, report.problems) == (1, [])
-    folder = hive.folder(report.run_ids[0])
+    folder = hive.runs.folder(report.run_ids[0])
     np.testing.assert_allclose(np.loadtxt(folder.trajectory), expected_rows, atol=1.1e-6)
-    origin = hive.record(report.run_ids[0])["imported"]
+    origin = hive.runs.record(report.run_ids[0])["imported"]
     assert (origin["time_unit"], origin["quaternion_order"], origin["format"]) == (unit, order, "tum")
     assert f"as {unit} do the timestamps fall into the time of the ground truth" in origin["because"]["time_unit"]
     assert f"deg read as {order}, and to " in origin["because"]["quaternion_order"]
@@ -77,7 +77,7 @@ def test_every_unit_and_order_is_understood(hive, tmp_path, plain_truth, expecte
 def test_a_tum_file_is_taken_byte_for_byte_and_said_to_be_one(hive, tmp_path, plain_truth):
     source = source_of(tmp_path, ESTIMATE.read_text(), plain_truth)
     report = carry_out(hive, source)
-    assert hive.folder(report.run_ids[0]).trajectory.read_bytes() == ESTIMATE.read_bytes()
+    assert hive.runs.folder(report.run_ids[0]).trajectory.read_bytes() == ESTIMATE.read_bytes()
     (truth, estimate) = report.readings
     assert (truth.as_it_stands, estimate.as_it_stands) == (True, True)
     assert (estimate.time_unit, estimate.quaternion_order) == ("s", "xyzw")
@@ -92,8 +92,8 @@ def test_an_order_that_contradicts_the_ground_truth_is_asked_for(hive, tmp_path,
     assert problem.text.endswith("say which it is with --quaternion-order (xyzw, wxyz)")
     told = carry_out(hive, source, told=Convention(quaternion_order=QuaternionOrder.WXYZ))
     assert told.imported == 1
-    np.testing.assert_allclose(np.loadtxt(hive.folder(told.run_ids[0]).trajectory), expected_rows, atol=1.1e-6)
-    assert hive.record(told.run_ids[0])["imported"]["because"]["quaternion_order"] == "as told"
+    np.testing.assert_allclose(np.loadtxt(hive.runs.folder(told.run_ids[0]).trajectory), expected_rows, atol=1.1e-6)
+    assert hive.runs.record(told.run_ids[0])["imported"]["because"]["quaternion_order"] == "as told"
 
 
 def test_a_named_format_does_not_overrule_the_ground_truth(hive, tmp_path, plain_truth):
@@ -180,7 +180,7 @@ def test_the_command_says_how_files_were_read_and_why(hive, tmp_path, plain_trut
     readings = {entry["name"]: entry for entry in json.loads(again.stdout)["readings"]}
     assert readings[f"orb/{SEQUENCE}/0.txt"]["time_unit"] == "ns"
     assert readings[f"the ground truth of {SEQUENCE}"]["quaternion_order"] == "xyzw"
-    assert hive.run(1).metrics["ate_rot.rmse"] < 10, "144 deg with the quaternions in the other order"
+    assert hive.runs.get(1).metrics["ate_rot.rmse"] < 10, "144 deg with the quaternions in the other order"
 
 
 def test_duplicate_timestamps_are_refused_or_repaired_as_told(hive, tmp_path, plain_truth):
@@ -192,7 +192,7 @@ def test_duplicate_timestamps_are_refused_or_repaired_as_told(hive, tmp_path, pl
     assert "--duplicates first, mean or keep" in problem.text
     arguments = ["runs", "import", str(source), "--sensors", "stereo", "--duplicates", "mean"]
     assert CliRunner().invoke(main, arguments).exit_code == 0
-    run = hive.run(1)
+    run = hive.runs.get(1)
     assert run.protocol.label.endswith("duplicate timestamps: their mean counts")
     assert run.metrics["ate.rmse"] < 0.5
     assert (hive.catalogue.dataset(SEQUENCE).groundtruth_path).read_text() == "".join(lines), "the file stays as it is"

@@ -32,10 +32,13 @@ def evaluated(source: Path, data: Path, executor: str) -> dict[str, tuple[str | 
     try:
         request = ImportRequest(source, sensors={"": SensorSetup.STEREO})
         run_ids = hive.imports.carry_out(request, lambda _done, _total: None).run_ids
-        service = hive.evaluations_service
+        service = hive.evaluations
         ended = evaluate_to_end(service, service.queue(run_ids))
         return {
-            hive.record(entry.run_id)["imported"]["source"]: (entry.reason, hive.run(entry.run_id).metrics or {})
+            hive.runs.record(entry.run_id)["imported"]["source"]: (
+                entry.reason,
+                hive.runs.get(entry.run_id).metrics or {},
+            )
             for entry in ended
         }
     finally:

@@ -43,10 +43,10 @@ def test_all_runs_are_imported_and_their_errors_are_the_published_ones(hive, exp
     references = {name: Reference(read_tum(hive.catalogue.dataset(name).groundtruth_path)) for name in report.datasets}
     seen = set()
     for run_id in report.run_ids:
-        run, trial = hive.run(run_id), hive.record(run_id)["imported"]["trial"]
-        default = hive.evaluations_service.protocol_of(run)
+        run, trial = hive.runs.get(run_id), hive.runs.record(run_id)["imported"]["trial"]
+        default = hive.evaluations.protocol_of(run)
         assert (default.alignment, default.association_tolerance_s) == (Alignment.YAW_POSITION, 0.01)
-        estimate = read_tum(hive.folder(run_id).trajectory)
+        estimate = read_tum(hive.runs.folder(run_id).trajectory)
         row = expected[run.algorithm, run.dataset, trial]
         seen.add((run.algorithm, run.dataset, trial))
         assert run.poses == int(row["n_est"])
@@ -67,8 +67,8 @@ def test_the_whole_way_gives_the_same_figures(hive, expected, tmp_path):
     report = hive.imports.carry_out(
         ImportRequest(tmp_path / "source", sensors=sensors, gravity_aligned=True), lambda *_: None
     )
-    ended = evaluate_to_end(hive.evaluations_service, hive.evaluations_service.queue(report.run_ids))
+    ended = evaluate_to_end(hive.evaluations, hive.evaluations.queue(report.run_ids))
     assert [entry.reason for entry in ended] == [None] * len(systems)
-    for run in map(hive.run, report.run_ids):
+    for run in map(hive.runs.get, report.run_ids):
         row = expected[run.algorithm, "V2_03", "0"]
         assert run.metrics["ate.rmse"] == pytest.approx(float(row["ate_rmse_posyaw_m"]), abs=AGREEMENT_M)

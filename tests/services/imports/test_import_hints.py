@@ -60,16 +60,16 @@ def test_commands_tell_a_mistake_once_with_its_remedy(hive, source):
 
 def test_a_lost_database_does_not_lose_it(hive, source):
     command("runs", "import", source, "--sensors", "stereo")
-    fingerprint = hive.run(2).protocol.fingerprint
-    before = evaluation_notes(hive.folder(2), fingerprint)
+    fingerprint = hive.runs.get(2).protocol.fingerprint
+    before = evaluation_notes(hive.runs.folder(2), fingerprint)
     assert before.hints
     assert command("reindex")[0] == 0
-    assert evaluation_notes(hive.folder(2), fingerprint) == before
+    assert evaluation_notes(hive.runs.folder(2), fingerprint) == before
 
 
 def test_results_of_before_there_were_hints_are_read(hive, source):
     command("runs", "import", source, "--sensors", "stereo")
-    path = hive.folder(2).evaluation(hive.run(2).protocol.fingerprint) / "result.json"
+    path = hive.runs.folder(2).evaluation(hive.runs.get(2).protocol.fingerprint) / "result.json"
     content = json.loads(path.read_text())
     assert content["hints"] == [
         {"key": "scale", "sentence": content["hints"][0]["sentence"], "remedy": "write positions in metres"}
@@ -81,4 +81,4 @@ def test_results_of_before_there_were_hints_are_read(hive, source):
         (json.dumps({**content, "hints": 7}), ()),
     ):
         path.write_text(text)
-        assert evaluation_notes(hive.folder(2), content["fingerprint"]).hints == hints
+        assert evaluation_notes(hive.runs.folder(2), content["fingerprint"]).hints == hints

@@ -46,15 +46,15 @@ def _check_completed(source: Path) -> None:
         request = ImportRequest(source, sensors={"": SensorSetup.STEREO})
         report = hive.imports.carry_out(request, lambda _done, _total: None)
         assert (report.imported + report.known, report.problems) == (4, [])
-        assert hive.counts()[RunState.SUCCEEDED] == sum(hive.counts().values()) == 4
+        assert hive.runs.counts()[RunState.SUCCEEDED] == sum(hive.runs.counts().values()) == 4
         assert not list(hive.settings.runs_folder.glob(".import-*"))
         for run_id in report.run_ids:
-            record = hive.record(run_id)
-            assert record["uid"] == hive.run(run_id).uid
-            found = hive.folder(run_id).trajectory.read_bytes()
+            record = hive.runs.record(run_id)
+            assert record["uid"] == hive.runs.get(run_id).uid
+            found = hive.runs.folder(run_id).trajectory.read_bytes()
             assert found == (source / record["imported"]["source"]).read_bytes()
         assert reindex(hive, lambda _done, _total: None).skipped == []
-        assert len(hive.evaluations_service.queue(report.run_ids)) == 4
+        assert len(hive.evaluations.queue(report.run_ids)) == 4
     finally:
         hive.close()
 
@@ -63,9 +63,9 @@ def test_a_folder_that_was_lost_is_made_again(hive, tmp_path):
     source = make_source(tmp_path / "source", ("alpha",), trials=1)
     request = ImportRequest(source, sensors={"": SensorSetup.STEREO})
     first = hive.imports.carry_out(request, lambda _done, _total: None).run_ids[0]
-    shutil.rmtree(hive.folder(first).root)
+    shutil.rmtree(hive.runs.folder(first).root)
     write(hive.settings.runs_folder / ".import-rest" / "run.json", "{}")
     hive.imports.carry_out(request, lambda _done, _total: None)
-    assert hive.folder(first).trajectory.exists()
-    assert hive.record(first)["imported"]["trial"] == "0"
+    assert hive.runs.folder(first).trajectory.exists()
+    assert hive.runs.record(first)["imported"]["trial"] == "0"
     assert not (hive.settings.runs_folder / ".import-rest").exists()

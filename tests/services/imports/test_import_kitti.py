@@ -30,12 +30,12 @@ def test_orb_slam_on_kitti_00_counts_as_the_devkit_and_evo_count(hive, tmp_path)
     report = hive.imports.carry_out(request, lambda _done, _total: None)
     assert (report.imported, report.problems) == (1, [])
     (run_id,) = report.run_ids
-    assert hive.folder(run_id).kitti_poses.read_bytes() == (source / "orb/00/0.txt").read_bytes()
+    assert hive.runs.folder(run_id).kitti_poses.read_bytes() == (source / "orb/00/0.txt").read_bytes()
     for protocol in ("evo", "kitti"):
         assert CliRunner().invoke(main, ["evaluate", str(run_id), "--protocol", protocol, "--current"]).exit_code == 0
         if protocol == "evo":
-            assert round(hive.run(run_id).metrics["ate.rmse"], 6) == 1.303450
-    figures = hive.run(run_id).metrics
+            assert round(hive.runs.get(run_id).metrics["ate.rmse"], 6) == 1.303450
+    figures = hive.runs.get(run_id).metrics
     assert round(figures["kitti.translation"], 6) == 0.699734
     assert round(figures["kitti.rotation"], 8) == 0.00253352
     assert figures["kitti.segments"] == 3283

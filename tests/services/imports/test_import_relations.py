@@ -12,8 +12,8 @@ from click.testing import CliRunner
 from slamhive.cli import main
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import InvalidInput
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.imports.request import ImportRequest
-from slamhive.services.runs.submission import Submission
 from tests.services.imports.world import trajectory, write
 
 pytestmark = pytest.mark.integration
@@ -46,7 +46,7 @@ def test_relations_alone_become_a_dataset(hive, source):
     assert (dataset.groundtruth, dataset.relations, dataset.duration_s) == (None, "relations.txt", 2.5)
     assert (dataset.folder / "relations.txt").read_text() == RELATIONS
     with pytest.raises(InvalidInput, match="building is relations without a recording"):
-        hive.submit(Submission(algorithm="tiny", dataset="building"))
+        hive.runs.submit(Submission(algorithm="tiny", dataset="building"))
     again = carry_out(hive, source)
     assert (again.known, again.datasets, again.problems) == (1, [], [])
 
@@ -65,7 +65,7 @@ def test_the_command_imports_evaluates_and_says_what_is_missing(hive, source):
         "relations.matched_fraction",
     }
     assert "ate.rmse" not in run["metrics"], "what is not known is absent"
-    rows = np.loadtxt(hive.folder(run["id"]).trajectory)
+    rows = np.loadtxt(hive.runs.folder(run["id"]).trajectory)
     at = {round(row[0], 6): row[1:4] for row in rows}
     errors_m = [
         np.linalg.norm(at[second] - at[first] - given)
@@ -104,11 +104,11 @@ def test_relations_beside_a_ground_truth(hive, source):
     dataset = hive.catalogue.dataset("building")
     assert dataset.groundtruth is not None
     assert dataset.relations == "relations.txt"
-    service = hive.evaluations_service
+    service = hive.evaluations
     assert [record.id for record in service.waiting()] == []
     code, _, _ = command("evaluate", *report.run_ids)
     assert code == 0
-    assert {"ate.rmse", "relations.translation.mean"} <= hive.run(report.run_ids[0]).metrics.keys()
+    assert {"ate.rmse", "relations.translation.mean"} <= hive.runs.get(report.run_ids[0]).metrics.keys()
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_the_odometry_of_a_recorded_building(hive, tmp_path):
         errors.append((math.hypot(ahead - x, left - y), math.degrees(turn)))
     assert len(errors) == 1279
     (run_id,) = hive.searches.find("dataset = aces")
-    figures = hive.run(run_id).metrics
+    figures = hive.runs.get(run_id).metrics
     assert figures["relations.matched_fraction"] == 1
     for part, found in zip(("translation", "rotation"), np.transpose(errors), strict=True):
         assert figures[f"relations.{part}.mean"] == pytest.approx(found.mean(), rel=1e-7)

@@ -14,10 +14,10 @@ from slamhive.domain.run import RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import Conflict, InvalidInput
 from slamhive.files import write_aside
+from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import open_hive
 from slamhive.services.imports.request import ImportRequest
 from slamhive.services.reindex import reindex
-from slamhive.services.runs.submission import Submission
 from slamhive.trajectory.kitti import format_kitti
 from slamhive.trajectory.tum import parse_tum
 from tests.services.imports.world import POSES, make_source, trajectory, write
@@ -48,7 +48,7 @@ def test_every_trajectory_becomes_a_run_that_says_where_it_comes_from(hive, sour
     report = carry_out(hive, source)
     assert (report.imported, report.known, report.problems) == (EVERY_FILE, 0, [])
     assert report.datasets == ["seq1", "seq2"]
-    first = hive.run(report.run_ids[0])
+    first = hive.runs.get(report.run_ids[0])
     assert (first.algorithm, first.dataset, first.executor, first.state) == (
         "alpha",
         "seq1",
@@ -64,15 +64,15 @@ def test_every_trajectory_becomes_a_run_that_says_where_it_comes_from(hive, sour
     )
     assert first.detail == f"imported from alpha/seq1/0.txt, trial 0: {POSES} poses"
     assert first.metrics == {}, "nothing was measured, and nothing is made up"
-    folder = hive.folder(first.id)
+    folder = hive.runs.folder(first.id)
     assert folder.trajectory.read_bytes() == (source / "alpha/seq1/0.txt").read_bytes()
-    origin = hive.record(first.id)["imported"]
+    origin = hive.runs.record(first.id)["imported"]
     assert (origin["source"], origin["trial"], origin["format"]) == ("alpha/seq1/0.txt", "0", "tum")
     assert str(source) not in folder.record.read_text(), "the way to the source is private"
 
 
 def test_repeats_are_one_configuration(hive, source):
-    runs = [hive.run(run_id) for run_id in carry_out(hive, source).run_ids]
+    runs = [hive.runs.get(run_id) for run_id in carry_out(hive, source).run_ids]
     assert len({run.configuration_id for run in runs}) == 4
     assert runs[0].configuration_id == runs[1].configuration_id
 
@@ -111,7 +111,7 @@ def test_a_dry_run_reads_everything_and_writes_nothing(hive, source):
     after = everything(hive.settings.data)
     after.pop("runs/.import.lock")
     assert after == before
-    assert sum(hive.counts().values()) == 0
+    assert sum(hive.runs.counts().values()) == 0
 
 
 @pytest.mark.parametrize(
@@ -178,10 +178,10 @@ def test_a_ground_truth_of_positions_alone_is_taken(hive, source):
     assert hive.catalogue.dataset("seq1").groundtruth.positions_only
     assert not hive.catalogue.dataset("seq2").groundtruth.positions_only
     (run_id,) = [
-        run_id for run_id in report.run_ids if hive.run(run_id).detail.startswith("imported from alpha/seq1/0")
+        run_id for run_id in report.run_ids if hive.runs.get(run_id).detail.startswith("imported from alpha/seq1/0")
     ]
     assert CliRunner().invoke(main, ["evaluate", str(run_id)]).exit_code == 0
-    figures = hive.run(run_id).metrics
+    figures = hive.runs.get(run_id).metrics
     assert 0 < figures["ate.rmse"] < 0.1
     assert "ate_rot.rmse" not in figures
 
@@ -209,7 +209,7 @@ def test_runs_can_be_imported_onto_a_dataset_with_a_recording(hive, tmp_path):
     report = carry_out(hive, tmp_path / "source")
     assert report.problems == []
     assert report.datasets == []
-    assert hive.run(report.run_ids[0]).dataset == "track"
+    assert hive.runs.get(report.run_ids[0]).dataset == "track"
 
 
 def test_what_an_algorithm_senses_with_has_to_be_known(hive, source):
@@ -227,7 +227,7 @@ def test_what_an_algorithm_senses_with_has_to_be_known(hive, source):
 def test_alignment_follows_the_sensors(hive, source):
     runs = carry_out(hive, source, sensors={"alpha": SensorSetup.MONO, **STEREO}).run_ids
     labels = {
-        hive.run(run_id).algorithm: hive.evaluations_service.protocol_of(hive.run(run_id)).alignment.value
+        hive.runs.get(run_id).algorithm: hive.evaluations.protocol_of(hive.runs.get(run_id)).alignment.value
         for run_id in runs
     }
     assert labels == {"alpha": "sim3", "beta": "se3"}
@@ -236,7 +236,7 @@ def test_alignment_follows_the_sensors(hive, source):
 def test_runs_are_found_by_mark_and_sensors(hive, source):
     runs = carry_out(hive, source, sensors={"alpha": SensorSetup.MONO, **STEREO}).run_ids
     assert hive.searches.find("executor = imported") == runs
-    assert {hive.run(run_id).algorithm for run_id in hive.searches.find("sensor = mono")} == {"alpha"}
+    assert {hive.runs.get(run_id).algorithm for run_id in hive.searches.find("sensor = mono")} == {"alpha"}
 
 
 def test_a_folder_in_which_nothing_matches_is_refused_with_an_example(hive, source):
@@ -259,10 +259,10 @@ def test_kitti_and_euroc_files_are_read(hive, tmp_path):
     report = carry_out(hive, source)
     assert [problem.name for problem in report.problems] == ["kitti/seq2/0.txt"]
     assert "KITTI poses, which have no timestamps" in report.problems[0].text
-    found = {hive.record(run_id)["imported"]["format"]: run_id for run_id in report.run_ids}
+    found = {hive.runs.record(run_id)["imported"]["format"]: run_id for run_id in report.run_ids}
     assert set(found) == {"tum", "kitti", "euroc"}
     for kind in ("kitti", "euroc"):
-        read = parse_tum(hive.folder(found[kind]).trajectory.read_bytes(), kind)
+        read = parse_tum(hive.runs.folder(found[kind]).trajectory.read_bytes(), kind)
         assert abs(read.positions_m - poses.positions_m).max() < 1e-6
         assert abs(read.stamps_s - poses.stamps_s).max() < 1e-6
 
@@ -270,14 +270,14 @@ def test_kitti_and_euroc_files_are_read(hive, tmp_path):
 def test_nothing_can_be_run_on_a_dataset_without_recording_nor_tried_again(hive, source):
     run_id = carry_out(hive, source).run_ids[0]
     with pytest.raises(InvalidInput, match="seq1 is a ground truth without a recording"):
-        hive.submit(Submission(algorithm="tiny", dataset="seq1"))
+        hive.runs.submit(Submission(algorithm="tiny", dataset="seq1"))
     with pytest.raises(Conflict, match=f"run {run_id} was imported"):
-        hive.retry(run_id)
+        hive.runs.retry(run_id)
 
 
 def test_reindex_restores_imported_runs(hive, source):
     report = carry_out(hive, source)
-    before = [hive.run(run_id) for run_id in report.run_ids]
+    before = [hive.runs.get(run_id) for run_id in report.run_ids]
     hive.close()
     for path in hive.settings.data.glob("*.db*"):
         path.unlink()
@@ -286,9 +286,9 @@ def test_reindex_restores_imported_runs(hive, source):
         restored = reindex(again, lambda _done, _total: None)
         assert (restored.runs, restored.skipped) == (EVERY_FILE, [])
         for run_id, run in zip(report.run_ids, before, strict=True):
-            assert asdict(again.run(run_id)) == asdict(run)
+            assert asdict(again.runs.get(run_id)) == asdict(run)
         assert carry_out(again, source).known == EVERY_FILE
-        assert [again.evaluations_service.protocol_of(run).alignment.value for run in before] == ["se3"] * EVERY_FILE
+        assert [again.evaluations.protocol_of(run).alignment.value for run in before] == ["se3"] * EVERY_FILE
     finally:
         again.close()
 
@@ -318,7 +318,7 @@ def test_a_full_disk_leaves_no_half_run(hive, source, monkeypatch):
 
 
 def test_configurations_of_imports_are_listed_as_others(hive, source):
-    run = hive.run(carry_out(hive, source).run_ids[0])
+    run = hive.runs.get(carry_out(hive, source).run_ids[0])
     assert hive.configurations.get(run.configuration_id).configuration == Configuration("alpha", "seq1", {})
 
 

@@ -7,15 +7,11 @@ from dataclasses import dataclass, field
 
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
-from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import parse_settings
-from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.domain.protocol_request import ProtocolRequest
+from slamhive.domain.protocol import Alignment
 from slamhive.domain.stop_when import NEVER, StopWhen
 from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput
-from slamhive.services.evaluations.protocols import fitting_protocol
-from slamhive.settings import Settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +108,3 @@ def unwatchable(rules: StopWhen, algorithms: Iterable[Algorithm]) -> str | None:
         return None
     does = "does" if len(silent) == 1 else "do"
     return f"lost_tracking_s has no effect on {', '.join(silent)}, which {does} not say which frames are tracked"
-
-
-def protocol_for(algorithm: Algorithm, dataset: Dataset, settings: Settings, alignment: str | None) -> Protocol:
-    """The protocol that runs are submitted with: the alignment asked for, or the one that the sensors deserve."""
-    asked = None if alignment is None else ProtocolRequest({"alignment": alignment})
-    return fitting_protocol(algorithm, dataset, settings, asked)

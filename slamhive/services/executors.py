@@ -1,0 +1,81 @@
+"""The executors of one installation: opened once, chosen by name or by the settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
+from slamhive.executors.base import Executor
+from slamhive.executors.registry import AUTO, ExecutorContext, choose_executor, installation_id, open_executor
+from slamhive.settings import Settings
+
+NO_INSTALLATION = "none"
+"""The identifier of a data root that does not exist yet: nothing was ever started for it."""
+
+
+class Executors:
+    """Opens and chooses executors.
+
+    Args:
+        settings: Name the executor to use unless a run asks for another one.
+        project_root: Folder with ``algorithms/`` and ``docker/``.
+        worker_alive: Whether a worker of this data root is running on this machine.
+
+    Attributes:
+        opened: The executors in use, by name.
+    """
+
+    def __init__(self, settings: Settings, project_root: Path, worker_alive: Callable[[], bool]) -> None:
+        self._settings = settings
+        self._project_root = project_root
+        self._worker_alive = worker_alive
+        self.opened: dict[str, Executor] = {}
+
+    def get(self, name: str) -> Executor:
+        """The executor called ``name``, opened on first use; raises NotFound that lists the choices."""
+        if name not in self.opened:
+            self.opened[name] = open_executor(name, self._context())
+        return self.opened[name]
+
+    def choose(self, asked: str | None = None) -> str:
+        """The name of the executor that a run will use: ``asked``, or the one of the settings.
+
+        If the settings name an executor and a worker is running, the name is taken on trust: a web server in a
+        container of its own cannot reach the worker's engine. Otherwise raises Unavailable, with the remedy, if the
+        executor cannot be used on this machine.
+        """
+        wanted = asked or self._settings.executor
+        if wanted == self._settings.executor != AUTO and self._worker_alive():
+            return wanted
+        executor, _ = choose_executor(wanted, self.get)
+        return executor.name
+
+    def default(self) -> tuple[str, str]:
+        """The name of the executor in use and the reason for it in words."""
+        executor, reason = choose_executor(self._settings.executor, self.get)
+        return executor.name, reason
+
+    def evaluation_runner(self) -> EvaluationRunner:
+        """Evaluations run where runs do: in a container if Docker is in use, else in a process."""
+        name, _ = self.default()
+        if name == "docker":
+            from slamhive.executors.docker.batch import DockerStarter  # noqa: PLC0415 - the SDK takes 0.2 s to import
+
+            return EvaluationRunner(DockerStarter(self._context()))
+        return EvaluationRunner(ProcessStarter(self._project_root))
+
+    def close(self) -> None:
+        """Close the connections to engines."""
+        for executor in self.opened.values():
+            executor.close()
+        self.opened.clear()
+
+    def _context(self) -> ExecutorContext:
+        data = self._settings.data
+        return ExecutorContext(
+            data=data,
+            project_root=self._project_root,
+            installation=installation_id(data) if data.is_dir() else NO_INSTALLATION,
+            log_max_bytes=self._settings.log_max_bytes,
+        )

@@ -1,0 +1,181 @@
+"""Runs: submitted, retried, cancelled and looked up."""
+
+from __future__ import annotations
+
+import logging
+import uuid
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from slamhive.clock import utc_now
+from slamhive.domain.affinity import run_affinity
+from slamhive.domain.protocol import Protocol
+from slamhive.domain.run import RunEvent, RunState
+from slamhive.errors import SlamHiveError
+from slamhive.files import temporary_folder
+from slamhive.runs.folder import RunFolder
+from slamhive.runs.log_line import read_tail
+from slamhive.search.binding import Search
+from slamhive.services.configurations.service import Checked, Configurations, put_configuration
+from slamhive.services.configurations.submission import Submission
+from slamhive.services.datasets.catalogue import check_writable
+from slamhive.services.evaluations.protocols import protocol_for
+from slamhive.services.executors import Executors
+from slamhive.services.runs.progress import RunProgress, run_progress
+from slamhive.services.runs.record import handle_from_json
+from slamhive.services.runs.retrying import check_retriable, retry_request
+from slamhive.services.runs.series import RunSeries, run_series
+from slamhive.services.runs.specification import check_disk, check_package, check_recorded, recorded_topics
+from slamhive.settings import Settings
+from slamhive.store import Page, RunRecord, RunRequest, RunSort, Store, Transaction
+
+logger = logging.getLogger(__name__)
+
+LOG_TAIL_BYTES = 200_000
+
+
+class Runs:
+    """The runs of one installation.
+
+    Args:
+        settings: Mode, disk limits and default protocol.
+        store: The database.
+        configurations: Checks what is submitted.
+        executors: What runs are executed by.
+    """
+
+    def __init__(self, settings: Settings, store: Store, configurations: Configurations, executors: Executors) -> None:
+        self._settings = settings
+        self._store = store
+        self._configurations = configurations
+        self._executors = executors
+
+    def submit(self, submission: Submission) -> tuple[RunRecord, ...]:
+        """Check everything that can be checked before a run starts, then queue ``repeat`` runs.
+
+        Repeats get the seeds ``seed``, ``seed + 1``, ... and share one configuration.
+        """
+        check_writable(self._settings)
+        checked = self._configurations.check(submission)
+        algorithm, dataset = checked.algorithm, checked.dataset
+        check_recorded(dataset, algorithm, recorded_topics(dataset))
+        check_disk(self._settings)
+        executor = self._executors.choose(submission.executor)
+        check_package(executor, self._executors.get, algorithm.package)
+        protocol = None
+        if submission.alignment is not None:
+            protocol = protocol_for(algorithm, dataset, self._settings, submission.alignment)
+        now = utc_now()
+
+        def work(t: Transaction) -> list[int]:
+            configuration_id, _ = put_configuration(t, checked, now)
+            return t.runs.add_runs(_requests(submission, checked, configuration_id, executor, protocol), now)
+
+        run_ids = self._store.write(work)
+        return self._store.read(lambda t: t.runs.get_many(run_ids))
+
+    def submit_configuration(self, configuration_id: int, **fields: Any) -> tuple[RunRecord, ...]:
+        """Queue runs of a stored configuration; ``fields`` are those of a :class:`Submission` that say how to run it.
+
+        Raises InvalidInput if the algorithm, as it is defined now, no longer takes the stored values.
+        """
+        self._configurations.check_runnable(configuration_id)
+        submission, _ = self._configurations.submission(configuration_id)
+        return self.submit(replace(submission, **fields))
+
+    def retry(self, run_id: int) -> RunRecord:
+        """Queue a new run with the configuration of one that has ended; raises as :meth:`submit_configuration`."""
+        check_writable(self._settings)
+        old = self.get(run_id)
+        check_retriable(old)
+        self._configurations.check_runnable(old.configuration_id)
+        uid, now = uuid.uuid4().hex, utc_now()
+        (new_id,) = self._store.write(lambda t: t.runs.add_runs([retry_request(t, old, uid)], now))
+        return self.get(new_id)
+
+    def cancel(self, run_id: int) -> RunRecord:
+        """Cancel a queued run at once; ask the worker to end an active one."""
+        check_writable(self._settings)
+        now = utc_now()
+        self._store.write(lambda t: t.runs.request_cancel(run_id, now))
+        return self.get(run_id)
+
+    def page(
+        self, wanted: Search | None = None, sort: RunSort | None = None, after: str | None = None, limit: int = 50
+    ) -> Page:
+        """One page of runs with their metrics."""
+        return self._store.read(lambda t: t.runs.page(wanted, sort, after, limit, with_metrics=True))
+
+    def get(self, run_id: int) -> RunRecord:
+        """One run with its metrics; raises NotFound."""
+        return self._store.read(lambda t: t.runs.get(run_id, with_metrics=True))
+
+    def events(self, run_id: int) -> tuple[RunEvent, ...]:
+        """The changes of state of a run, oldest first."""
+        return tuple(self._store.read(lambda t: t.runs.events(run_id)))
+
+    def counts(self) -> dict[RunState, int]:
+        """How many runs are in each state."""
+        return self._store.read(lambda t: t.runs.counts_by_state())
+
+    def folder(self, run_id: int) -> RunFolder:
+        """The run's folder; it exists once a worker has prepared the run."""
+        return RunFolder(self._settings.runs_folder / str(run_id))
+
+    def record(self, run_id: int) -> dict[str, Any]:
+        """The content of ``run.json``: provenance and outcome; empty until a worker has claimed the run."""
+        folder = self.folder(run_id)
+        return folder.read_record() if folder.record.exists() else {}
+
+    def log(self, run_id: int, max_bytes: int = LOG_TAIL_BYTES) -> str:
+        """The last ``max_bytes`` of the run's output so far."""
+        run = self.get(run_id)
+        folder = self.folder(run_id)
+        if run.state is not RunState.RUNNING or run.handle is None:
+            return read_tail(folder.log, max_bytes)
+        # Fetched into another folder: the worker may store the complete log in the run's folder at the same time.
+        with temporary_folder() as aside:
+            path = aside / folder.log.name
+            self._fetch_log(run, path)
+            return read_tail(path, max_bytes) or read_tail(folder.log, max_bytes)
+
+    def progress(self, run_id: int) -> RunProgress | None:
+        """The progress of an active run; None for one that is queued or has ended."""
+        run = self.get(run_id)
+        record = self.record(run_id) if run.state.active else {}
+        return run_progress(run, self.folder(run_id), utc_now(), record.get("dataset", {}).get("duration_s"))
+
+    def series(self, run_id: int) -> RunSeries:
+        """Trajectory, errors, resources and latencies of a run over time."""
+        return run_series(self.get(run_id), self.folder(run_id))
+
+    def _fetch_log(self, run: RunRecord, path: Path) -> None:
+        try:
+            self._executors.get(run.executor).save_log(handle_from_json(run.handle or {}), path)
+        except SlamHiveError as error:
+            logger.info("log of run %d: %s", run.id, error)
+
+
+def _requests(
+    submission: Submission, checked: Checked, configuration_id: int, executor: str, protocol: Protocol | None
+) -> list[RunRequest]:
+    """One request for each repeat."""
+    affinity = run_affinity(checked.dataset.name, checked.configuration.variant, checked.algorithm.package.name)
+    return [
+        RunRequest(
+            uid=uuid.uuid4().hex,
+            configuration_id=configuration_id,
+            executor=executor,
+            seed=submission.seed + index,
+            priority=submission.priority,
+            evaluate=submission.evaluate,
+            cpu_cores=submission.cpu_cores,
+            memory_mb=submission.memory_mb,
+            timeout_s=submission.timeout_s,
+            protocol=protocol,
+            affinity=affinity,
+            stop_when=submission.stop_when,
+        )
+        for index in range(submission.repeat)
+    ]
