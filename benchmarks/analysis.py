@@ -31,9 +31,9 @@ from slamhive.analysis.forms import FORMS
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.result_json import from_json
 from slamhive.project import project_root
-from slamhive.services.analyses.bundle import report_page
-from slamhive.services.analyses.run import AnalysisLimits
 from slamhive.services.hive import open_hive
+from slamhive.services.reports.bundle import report_page
+from slamhive.services.reports.run import AnalysisLimits
 
 SCATTER = "x: nFeatures, y: ate.rmse"
 OPTIONS = {

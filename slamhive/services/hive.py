@@ -31,7 +31,7 @@ from slamhive.settings import Mode, Settings, load_settings
 from slamhive.store import Store
 
 if TYPE_CHECKING:
-    from slamhive.services.analyses.service import Analyses
+    from slamhive.services.reports.service import Analyses
 
 
 class Hive:
@@ -67,7 +67,7 @@ class Hive:
     @cached_property
     def analyses(self) -> Analyses:
         """Analysis files and reports; loaded on first use, because matplotlib, pandas and scipy take two seconds."""
-        from slamhive.services.analyses.service import Analyses  # noqa: PLC0415
+        from slamhive.services.reports.service import Analyses  # noqa: PLC0415
 
         return Analyses(self.settings, self.store, self.catalogue, self.searches)
 

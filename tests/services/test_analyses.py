@@ -16,10 +16,10 @@ from slamhive.domain.disturbance import Disturbance, DisturbanceKind, Disturbanc
 from slamhive.domain.verdict import FailureRule
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.project import project_root
-from slamhive.services.analyses.bundle import report_page, write_folder, zipped
-from slamhive.services.analyses.run import AnalysisLimits
-from slamhive.services.analyses.table import TableRequest, load_table
-from slamhive.services.analyses.tables import latex, table_csv, table_latex
+from slamhive.services.reports.bundle import report_page, write_folder, zipped
+from slamhive.services.reports.run import AnalysisLimits
+from slamhive.services.reports.table import TableRequest, load_table
+from slamhive.services.reports.tables import latex, table_csv, table_latex
 from tests.web.web_world import add_runs, evaluate_run, fail_run, finish_run, make_hive
 
 pytestmark = pytest.mark.integration
@@ -160,7 +160,7 @@ def test_the_files_of_a_report(world, tmp_path):
 
 
 def test_without_pyarrow_a_report_has_no_parquet(world, monkeypatch):
-    monkeypatch.setattr("slamhive.services.analyses.bundle.parquet_there", lambda: False)
+    monkeypatch.setattr("slamhive.services.reports.bundle.parquet_there", lambda: False)
     report = compute(world, "{all: {where: 'id >= 1'}}")
     with zipfile.ZipFile(BytesIO(zipped(report, world.catalogue.project_root, []))) as archive:
         assert not [name for name in archive.namelist() if name.endswith(".parquet")]

@@ -13,9 +13,9 @@ from slamhive.analysis.table import FAILED
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import DEFAULT_RULE, VerdictKind
 from slamhive.evaluation.job import EvaluationResult
-from slamhive.services.analyses.table import TableRequest, load_table
 from slamhive.services.experiments.views import Phase
 from slamhive.services.hive import Hive
+from slamhive.services.reports.table import TableRequest, load_table
 from slamhive.services.runs.as_json import run_to_json
 from slamhive.store import Lease, RunSort
 from slamhive.store.experiment_records import ExperimentState, NewCell

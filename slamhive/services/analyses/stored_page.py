@@ -9,7 +9,7 @@ from slamhive.analysis.result_json import from_json
 
 
 def page_forms(page: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The forms as templates take them, out of :func:`slamhive.services.analyses.page.page_json`."""
+    """The forms as templates take them, out of :func:`slamhive.services.reports.page.page_json`."""
     forms = []
     for form in page["forms"]:
         tables = []

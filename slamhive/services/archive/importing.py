@@ -16,15 +16,15 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from slamhive.bags.variants.locks import Busy, exclusive
 from slamhive.clock import utc_now
-from slamhive.errors import Conflict, InvalidInput, Unavailable
+from slamhive.errors import InvalidInput, Unavailable
 from slamhive.runs.folder import RunFolder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.checking import Contents, Progress, check_archive
 from slamhive.services.archive.reading import ArchiveReader, open_archive
 from slamhive.services.archive.surroundings import Surroundings
 from slamhive.services.datasets.catalogue import Catalogue, check_writable
+from slamhive.services.imports.exclusive import UNPACKED, one_import
 from slamhive.services.runs.filing import (
     FolderRun,
     FoundEvaluation,
@@ -40,8 +40,6 @@ from slamhive.store.archives import ArchiveRepository
 from slamhive.store.store import Store, Transaction
 
 BATCH = 100
-LOCK = ".import.lock"
-ASIDE = ".archive"
 _CHECKING = 0.7
 """The share of the time that comparing checksums takes, unpacking on the way."""
 _MB = 1_000_000
@@ -143,19 +141,10 @@ class ArchiveImport:
 
     @contextmanager
     def _alone(self) -> Iterator[Path]:
-        """One import at a time, with a folder for what is unpacked; what killed ones have left goes."""
+        """One import at a time; gives the folder for what is unpacked."""
         runs = self._settings.runs_folder
-        lock, aside = runs / LOCK, runs / ASIDE
-        try:
-            with exclusive(lock):
-                shutil.rmtree(aside, ignore_errors=True)
-                try:
-                    yield aside
-                finally:
-                    shutil.rmtree(aside, ignore_errors=True)
-                    lock.unlink(missing_ok=True)
-        except Busy:
-            raise Conflict("another import is under way", "wait for it to end") from None
+        with one_import(runs):
+            yield runs / UNPACKED
 
     # -- runs ------------------------------------------------------------------------------------------------------
 

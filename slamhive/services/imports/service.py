@@ -8,24 +8,23 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
 
-from slamhive.bags.variants.locks import Busy, exclusive
 from slamhive.clock import utc_now
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Duplicates, Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
-from slamhive.errors import Conflict, InvalidInput, SlamHiveError, Unavailable
+from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.runs.folder import RunFolder
 from slamhive.services.datasets.catalogue import Catalogue, check_writable
 from slamhive.services.datasets.external import choose_algorithm
 from slamhive.services.evaluations.protocols import fitting_protocol
 from slamhive.services.imports.conventions import Partner, PoseFile
+from slamhive.services.imports.exclusive import ASIDE, one_import
 from slamhive.services.imports.reading import Loaded, load, read_candidate, trial_digits
 from slamhive.services.imports.request import Candidate, Found, ImportReport, ImportRequest, Problem
 from slamhive.services.imports.sources import find
@@ -39,8 +38,6 @@ from slamhive.store.store import Store, Transaction
 from slamhive.trajectory.layout import UNKNOWN
 
 BATCH = 50
-LOCK = ".import.lock"
-ASIDE = ".import-"
 
 Progress = Callable[[int, int], None]
 """Called with how many files were dealt with, and how many there are."""
@@ -85,7 +82,7 @@ class Imports:
         if not found.candidates and not found.problems:
             raise _nothing(request, found)
         report = ImportReport(dry_run, problems=found.problems, left_out=found.left_out)
-        with self._alone():
+        with one_import(self._settings.runs_folder):
             if not dry_run:
                 check_disk(self._settings)
             homes = self._homes(request, found, report)
@@ -100,18 +97,6 @@ class Imports:
         report.problems.sort(key=lambda problem: problem.name)
         report.datasets.sort()
         return report
-
-    @contextmanager
-    def _alone(self) -> Iterator[None]:
-        """One import at a time; what killed ones have left aside goes."""
-        runs = self._settings.runs_folder
-        try:
-            with exclusive(runs / LOCK):
-                for aside in runs.glob(f"{ASIDE}*"):
-                    shutil.rmtree(aside, ignore_errors=True)
-                yield
-        except Busy:
-            raise Conflict("another import is under way", "wait for it to end") from None
 
     def _homes(self, request: ImportRequest, found: Found, report: ImportReport) -> _Homes:
         """The algorithms of the candidates, those that cannot be used being problems, and no datasets yet."""

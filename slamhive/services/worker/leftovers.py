@@ -6,23 +6,19 @@ What a live process works on is locked by it and stays.
 from __future__ import annotations
 
 import logging
-import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from slamhive.bags.staging import sweep_partial_folders
-from slamhive.bags.variants.locks import Busy, exclusive
 from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Executor
 from slamhive.executors.process.environment import Environments
 from slamhive.files import sweep_asides, sweep_folder, sweep_temporary
 from slamhive.runs.folder import RunFolder
-from slamhive.services.archive.importing import ASIDE as UNPACKED
 from slamhive.services.datasets.variants import Variants
 from slamhive.services.evaluations.scratch import sweep_scratch
-from slamhive.services.imports.service import ASIDE as IMPORTED
-from slamhive.services.imports.service import LOCK as IMPORT_LOCK
+from slamhive.services.imports.exclusive import sweep_imports
 from slamhive.services.runs.record import handle_from_json
 from slamhive.services.worker.disk import sweep_scratch as sweep_run_scratch
 from slamhive.settings import Settings
@@ -52,22 +48,10 @@ def sweep_leftovers(settings: Settings, store: Store, variants: Variants, execut
     sweep_partial_folders(settings.datasets_folder)
     variants.sweep()
     Environments(data).sweep()
-    _sweep_imports(settings.runs_folder)
+    sweep_imports(settings.runs_folder)
     for run in store.read(lambda t: t.runs.get_many(t.queue.lately(LATEST))):
         _sweep_run(run, RunFolder(settings.runs_folder / str(run.id)), executors)
     sweep_run_scratch(settings.runs_folder, store)
-
-
-def _sweep_imports(runs: Path) -> None:
-    asides = [*runs.glob(f"{IMPORTED}*"), *runs.glob(UNPACKED)]
-    if not asides:
-        return
-    try:
-        with exclusive(runs / IMPORT_LOCK):
-            for aside in asides:
-                shutil.rmtree(aside, ignore_errors=True)
-    except Busy:
-        logger.info("an import is under way; what killed ones have left stays until the next")
 
 
 def _sweep_run(run: RunRecord, folder: RunFolder, executors: Callable[[str], Executor]) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from slamhive.errors import InvalidInput
-from slamhive.services.analyses.run import AnalysisLimits
+from slamhive.services.reports.run import AnalysisLimits
 from tests.web.web_world import PROTOCOL, add_runs, evaluate_run, finish_run, make_hive
 
 pytestmark = pytest.mark.integration

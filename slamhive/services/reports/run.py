@@ -11,9 +11,9 @@ from slamhive.analysis.result import FormResult
 from slamhive.analysis.table import RunTable
 from slamhive.clock import monotonic_s
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
-from slamhive.services.analyses.files import StoredRunFiles
-from slamhive.services.analyses.selection import Find, select_runs
-from slamhive.services.analyses.table import TableRequest, check_size, load_every_protocol, load_table
+from slamhive.services.reports.files import StoredRunFiles
+from slamhive.services.reports.selection import Find, select_runs
+from slamhive.services.reports.table import TableRequest, check_size, load_every_protocol, load_table
 from slamhive.settings import Settings
 from slamhive.store.store import Store
 

@@ -10,8 +10,8 @@ from typing import Any
 from slamhive.analysis.analysis_file import set_words
 from slamhive.analysis.result_json import to_json
 from slamhive.analysis.table import FAILED
-from slamhive.services.analyses.run import AnalysisOutcome, FormOutcome
 from slamhive.services.json_values import timestamp
+from slamhive.services.reports.run import AnalysisOutcome, FormOutcome
 
 FORMAT = 1
 SHOWN_ROWS = 200

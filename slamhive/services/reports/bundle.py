@@ -18,9 +18,9 @@ from slamhive.analysis.print_chart import FORMATS, print_chart
 from slamhive.analysis.result import FormResult, ResultTable
 from slamhive.analysis.result_json import from_json
 from slamhive.files import write_aside
-from slamhive.services.analyses.report import SHOWN_ROWS, excluded_words, file_name
-from slamhive.services.analyses.tables import parquet_there, table_csv, table_latex, table_parquet
 from slamhive.services.markdown import markdown_html
+from slamhive.services.reports.report import SHOWN_ROWS, excluded_words, file_name
+from slamhive.services.reports.tables import parquet_there, table_csv, table_latex, table_parquet
 
 PLOTLY_FILE = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
 PAGE = "report.html"
@@ -34,7 +34,7 @@ def report_files(
     """Every file of a report, by its path in the folder, one at a time.
 
     Args:
-        report: From :func:`slamhive.services.analyses.report.report_json`.
+        report: From :func:`slamhive.services.reports.report.report_json`.
         project_root: Where the templates lie.
         figures: The formats of printed figures, of :data:`slamhive.analysis.print_chart.FORMATS`.
         progress: Told the share done and what is written.

@@ -10,10 +10,10 @@ from slamhive.analysis.analysis_file import Analysis, parse_analysis
 from slamhive.analysis.paper_file import PaperNames
 from slamhive.clock import utc_now
 from slamhive.errors import InvalidInput
-from slamhive.services.analyses.report import report_json
-from slamhive.services.analyses.run import AnalysisLimits, AnalysisSources, run_analysis
-from slamhive.services.analyses.selection import select_runs
 from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.services.reports.report import report_json
+from slamhive.services.reports.run import AnalysisLimits, AnalysisSources, run_analysis
+from slamhive.services.reports.selection import select_runs
 from slamhive.services.searches.service import Searches
 from slamhive.settings import Settings
 from slamhive.store.store import Store, Transaction

@@ -9,8 +9,8 @@ from typing import Any
 from slamhive.analysis.print_chart import FORMATS
 from slamhive.analysis.result import FormResult
 from slamhive.analysis.result_json import from_json, to_json
-from slamhive.services.analyses.bundle import shown_form
-from slamhive.services.analyses.report import file_name
+from slamhive.services.reports.bundle import shown_form
+from slamhive.services.reports.report import file_name
 
 
 def page_json(report: Mapping[str, Any]) -> dict[str, Any]:
