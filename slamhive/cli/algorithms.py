@@ -9,7 +9,7 @@ import click
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import messages, print_json, print_table
 from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.services.datasets.as_json import algorithm_to_json
+from slamhive.services.datasets import algorithm_to_json
 
 
 @click.group()

@@ -29,9 +29,14 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
     what could not be shown are printed. Ends with exit code 1 if a form of the analysis does not fit the runs.
     """
     # matplotlib, pandas and scipy take two seconds to load, which no other command should wait for.
-    from slamhive.services.reports.bundle import write_folder, zipped  # noqa: PLC0415
-    from slamhive.services.reports.run import AnalysisLimits  # noqa: PLC0415
-    from slamhive.services.reports.tables import PARQUET_REMEDY, WITHOUT_PARQUET, parquet_there  # noqa: PLC0415
+    from slamhive.services.reports import (  # noqa: PLC0415  # noqa: PLC0415
+        PARQUET_REMEDY,
+        WITHOUT_PARQUET,
+        AnalysisLimits,
+        parquet_there,
+        write_folder,
+        zipped,
+    )
 
     figures = _formats(options["figures"])
     hive = cli.hive()

@@ -10,10 +10,7 @@ import click
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import messages, print_json, progress_bar
 from slamhive.errors import InvalidInput
-from slamhive.services.archive.checking import check_archive
-from slamhive.services.archive.exporting import ExportRequest, Part, export_archive
-from slamhive.services.archive.importing import ArchiveImport
-from slamhive.services.archive.reading import open_archive
+from slamhive.services.archive import ArchiveImport, ExportRequest, Part, check_archive, export_archive, open_archive
 from slamhive.services.hive import Hive
 
 _FILE = click.Path(dir_okay=False, path_type=Path)

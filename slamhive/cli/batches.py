@@ -6,7 +6,7 @@ import threading
 from collections.abc import Sequence
 
 from slamhive.cli.output import counting_bar
-from slamhive.services.evaluations.service import Evaluations
+from slamhive.services.evaluations import Evaluations
 from slamhive.services.identity import worker_identity
 from slamhive.store import EvaluationRecord
 

@@ -18,9 +18,7 @@ from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.parameters import Value
 from slamhive.errors import InvalidInput
 from slamhive.files import write_aside
-from slamhive.services.configurations.changes import Changes, Label, Stored
-from slamhive.services.configurations.submission import Submission
-from slamhive.services.configurations.words import configuration_to_json, parse_conditions
+from slamhive.services.configurations import Changes, Label, Stored, Submission, configuration_to_json, parse_conditions
 from slamhive.store import ConfigurationFilter, ConfigurationRecord
 
 RUNS_SHOWN = 10

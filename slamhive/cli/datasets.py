@@ -11,7 +11,7 @@ from slamhive.bags.room import RoomOptions
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import messages, print_json, print_table, progress_bar
 from slamhive.domain.dataset import Dataset
-from slamhive.services.datasets.as_json import dataset_to_json
+from slamhive.services.datasets import dataset_to_json
 
 
 @click.group()

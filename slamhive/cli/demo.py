@@ -17,8 +17,7 @@ from slamhive.clock import monotonic_s
 from slamhive.domain.sensors import SensorKind
 from slamhive.errors import NotFound, SlamHiveError
 from slamhive.executors.base import ImageMissing
-from slamhive.services.experiments.reporting import varying
-from slamhive.services.experiments.views import ExperimentSource, Phase, Standing
+from slamhive.services.experiments import ExperimentSource, Phase, Standing, varying
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from slamhive.sweep.experiment_file import parse_experiment

@@ -22,7 +22,7 @@ from slamhive.evaluation.job import Artefacts
 from slamhive.search.build import matching
 from slamhive.search.grammar import join
 from slamhive.services.hive import Hive
-from slamhive.services.runs.as_json import run_to_json
+from slamhive.services.runs import run_to_json
 from slamhive.store import EvaluationRecord
 
 _NAMED_RUNS = 20

@@ -11,8 +11,8 @@ from slamhive.cli.output import messages, print_table
 from slamhive.domain.numbers import plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.verdict import DEFAULT_RULE
-from slamhive.services.experiments.reporting import NO_FIGURES, failures_text
-from slamhive.services.experiments.views import (
+from slamhive.services.experiments import (
+    NO_FIGURES,
     Cell,
     CellFigures,
     ExperimentPreview,
@@ -21,6 +21,7 @@ from slamhive.services.experiments.views import (
     Spread,
     Standing,
     failure_words,
+    failures_text,
 )
 
 FIGURES = (

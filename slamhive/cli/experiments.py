@@ -13,10 +13,17 @@ from slamhive.cli.experiment_tables import print_preview, print_report, print_st
 from slamhive.cli.output import messages, print_json, progress_bar
 from slamhive.cli.waiting import experiment_to_end
 from slamhive.files import write_aside
-from slamhive.services.experiments.as_json import cell_to_json, preview_to_json, status_to_json
-from slamhive.services.experiments.context import Progress
-from slamhive.services.experiments.reporting import csv_text, varying
-from slamhive.services.experiments.views import ExperimentSource, Phase, Standing
+from slamhive.services.experiments import (
+    ExperimentSource,
+    Phase,
+    Progress,
+    Standing,
+    cell_to_json,
+    csv_text,
+    preview_to_json,
+    status_to_json,
+    varying,
+)
 from slamhive.services.hive import Hive
 from slamhive.sweep.experiment_file import parse_experiment
 

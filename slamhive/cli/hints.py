@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from slamhive.cli.output import messages
 from slamhive.domain.hint import Hint
-from slamhive.services.evaluations.notes import evaluation_notes
+from slamhive.services.evaluations import evaluation_notes
 from slamhive.services.hive import Hive
 from slamhive.store import EvaluationRecord
 

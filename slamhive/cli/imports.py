@@ -16,7 +16,7 @@ from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Duplicates
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import InvalidInput
-from slamhive.services.imports.request import (
+from slamhive.services.imports import (
     DEFAULT_GROUND_TRUTH,
     DEFAULT_PATTERN,
     DEFAULT_RELATIONS,
@@ -25,8 +25,8 @@ from slamhive.services.imports.request import (
     ImportRequest,
     Reading,
     TrajectoryFormat,
+    parse_setup,
 )
-from slamhive.services.imports.sources import parse_setup
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 
 _SHOWN_LEFT_OUT = 10

@@ -12,8 +12,7 @@ from slamhive.cli.output import print_json, print_table
 from slamhive.domain.metrics import metric
 from slamhive.domain.numbers import plural
 from slamhive.errors import Conflict
-from slamhive.services.evaluations.comparisons import ToolFigures
-from slamhive.services.evaluations.protocols import UsedProtocol, presets
+from slamhive.services.evaluations import ToolFigures, UsedProtocol, presets
 from slamhive.settings import Mode
 from slamhive.strict_yaml import dump
 

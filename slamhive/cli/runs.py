@@ -21,12 +21,12 @@ from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.stop_when import RULES, parse_stop_when
 from slamhive.errors import InvalidInput
-from slamhive.services.configurations.submission import Submission, unwatchable
-from slamhive.services.evaluations.notes import evaluation_notes
-from slamhive.services.exports.runs import disturbed_text
+from slamhive.services.configurations import Submission, unwatchable
+from slamhive.services.evaluations import evaluation_notes
+from slamhive.services.exports import disturbed_text
 from slamhive.services.hive import Hive
 from slamhive.services.json_values import timestamp
-from slamhive.services.runs.as_json import evaluation_to_json, run_to_json
+from slamhive.services.runs import evaluation_to_json, run_to_json
 from slamhive.store import RunRecord, RunSort
 
 SPARE = ("time s", "RAM MB", "CPU cores", "tracked", "poses", "dataset", "reason", "disturbed")

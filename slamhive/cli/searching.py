@@ -18,11 +18,9 @@ from slamhive.search.binding import Search, bind, read_search
 from slamhive.search.grammar import join
 from slamhive.search.syntax import Comparison, Sign, Word, filter_text, parse_filter
 from slamhive.search.words import in_words
-from slamhive.services.exports.groups import GroupExport, by_protocol
-from slamhive.services.exports.runs import RunExport
-from slamhive.services.exports.table import Record, TableExport
+from slamhive.services.exports import GroupExport, Record, RunExport, TableExport, by_protocol
 from slamhive.services.hive import Hive
-from slamhive.services.searches.words import order_in_words, summary
+from slamhive.services.searches import order_in_words, summary
 from slamhive.store import Count, RunRecord, RunSort
 from slamhive.store.records import GroupRecord, SavedSearchRecord, Spread
 

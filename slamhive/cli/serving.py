@@ -12,7 +12,7 @@ import click
 from slamhive.cli.context import CliContext, pass_cli
 from slamhive.cli.demo import run_demo
 from slamhive.cli.output import messages
-from slamhive.services.worker.process import WorkerProcess
+from slamhive.services.worker import WorkerProcess
 from slamhive.settings import Mode
 
 STAND_BY_S = 1.0

@@ -10,9 +10,9 @@ from slamhive.cli.output import counting_bar, messages
 from slamhive.clock import monotonic_s
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, SlamHiveError
-from slamhive.services.experiments.views import Phase, Standing
+from slamhive.services.experiments import Phase, Standing
 from slamhive.services.hive import Hive
-from slamhive.services.worker.worker import Worker
+from slamhive.services.worker import Worker
 from slamhive.store import EvaluationState, RunRecord
 
 PAUSE_S = 0.3

@@ -8,30 +8,23 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.errors import Conflict, Unavailable
 from slamhive.project import project_root
-from slamhive.services.analyses.jobs import AnalysisJobs
-from slamhive.services.analyses.stored import StoredAnalyses
-from slamhive.services.configurations.service import Configurations
+from slamhive.services.analyses import AnalysisJobs, StoredAnalyses
+from slamhive.services.configurations import Configurations
 from slamhive.services.data_root import DataRoot, open_data_root
-from slamhive.services.datasets.catalogue import Catalogue, check_writable
-from slamhive.services.datasets.variants import Variants
-from slamhive.services.evaluations.comparisons import Comparisons
-from slamhive.services.evaluations.current import CurrentProtocols
-from slamhive.services.evaluations.protocols import Protocols
-from slamhive.services.evaluations.service import Evaluations
+from slamhive.services.datasets import Catalogue, Variants, check_writable
+from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, Protocols
 from slamhive.services.executors import Executors
-from slamhive.services.experiments.context import ExperimentContext
-from slamhive.services.experiments.service import Experiments
-from slamhive.services.imports.service import Imports
-from slamhive.services.ledger.keeping import Ledger
-from slamhive.services.runs.service import Runs
-from slamhive.services.searches.service import Searches
-from slamhive.services.worker.lock import WorkerLock
-from slamhive.services.worker.worker import Worker
+from slamhive.services.experiments import ExperimentContext, Experiments
+from slamhive.services.imports import Imports
+from slamhive.services.ledger import Ledger
+from slamhive.services.runs import Runs
+from slamhive.services.searches import Searches
+from slamhive.services.worker import Worker, WorkerLock
 from slamhive.settings import Mode, Settings, load_settings
 from slamhive.store import Store
 
 if TYPE_CHECKING:
-    from slamhive.services.reports.service import Analyses
+    from slamhive.services.reports import Analyses
 
 
 class Hive:
@@ -67,7 +60,7 @@ class Hive:
     @cached_property
     def analyses(self) -> Analyses:
         """Analysis files and reports; loaded on first use, because matplotlib, pandas and scipy take two seconds."""
-        from slamhive.services.reports.service import Analyses  # noqa: PLC0415
+        from slamhive.services.reports import Analyses  # noqa: PLC0415
 
         return Analyses(self.settings, self.store, self.catalogue, self.searches)
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.runs.folder import RunFolder
-from slamhive.services.experiments.restoring import Restored
+from slamhive.services.experiments import Restored
 from slamhive.services.hive import Hive
-from slamhive.services.ledger.restoring import LedgerRestore
-from slamhive.services.runs.filing import FolderRun, current_protocol, file_runs, found_evaluations, read_filed
+from slamhive.services.ledger import LedgerRestore
+from slamhive.services.runs import FolderRun, current_protocol, file_runs, found_evaluations, read_filed
 
 BATCH = 100
 """Folders that are filed in one transaction."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from slamhive.errors import NotFound, Unavailable
-from slamhive.services.analyses.folder import PAGE, REPORT, SOURCE, AnalysisFolder
+from slamhive.services.analyses import PAGE, REPORT, SOURCE, AnalysisFolder
 from slamhive.services.hive import Hive
 
 MOST_WAIT_S = 30.0
@@ -67,8 +67,7 @@ class AnalysisFiles:
         # matplotlib, pandas and plotly take two seconds to load, which no other page should wait for.
         from slamhive.analysis.print_chart import FORMATS, print_chart  # noqa: PLC0415
         from slamhive.analysis.result_json import from_json  # noqa: PLC0415
-        from slamhive.services.reports.bundle import report_page, zipped  # noqa: PLC0415
-        from slamhive.services.reports.tables import table_csv, table_latex, table_parquet  # noqa: PLC0415
+        from slamhive.services.reports import report_page, table_csv, table_latex, table_parquet, zipped  # noqa: PLC0415  # noqa: PLC0415
 
         report = folder.read_result(REPORT)
         root = self._hive.catalogue.project_root

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from slamhive import __version__
 from slamhive.clock import utc_now
 from slamhive.domain.run import RunState
-from slamhive.services.analyses.stored import may_analyse
+from slamhive.services.analyses import may_analyse
 from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
 from slamhive.settings import Mode

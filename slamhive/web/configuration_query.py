@@ -9,7 +9,7 @@ from werkzeug.datastructures import MultiDict
 
 from slamhive.errors import InvalidInput
 from slamhive.input_bounds import whole_number
-from slamhive.services.configurations.words import parse_conditions
+from slamhive.services.configurations import parse_conditions
 from slamhive.store import ConfigurationFilter
 from slamhive.web.formatting import plural, thousands
 

@@ -9,7 +9,7 @@ from werkzeug.datastructures import MultiDict
 
 from slamhive.bags.variants.steps import STEPS
 from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.services.experiments.views import ExperimentPreview, ExperimentSource
+from slamhive.services.experiments import ExperimentPreview, ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.web.experiment_fields import (
     SOURCE,

@@ -11,7 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from slamhive.analysis.plotly_values import THEMED
-from slamhive.services.runs.series import Array, Places, RunSeries, Samples, Track
+from slamhive.services.runs import Array, Places, RunSeries, Samples, Track
 from slamhive.web.formatting import plural, significant
 
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}

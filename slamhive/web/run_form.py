@@ -13,7 +13,7 @@ from slamhive.domain.parameters import ParameterType
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.variant import Variant, parse_step, step_text
 from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.services.configurations.submission import BOUNDS, Submission
+from slamhive.services.configurations import BOUNDS, Submission
 from slamhive.services.hive import Hive
 from slamhive.settings import Settings
 from slamhive.web.formatting import duration, plural, value_text

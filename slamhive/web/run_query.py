@@ -17,9 +17,8 @@ from slamhive.search.grammar import join
 from slamhive.search.reader import FilterError
 from slamhive.search.syntax import Comparison, Filter, Sign, Word, filter_text, parse_filter
 from slamhive.search.words import in_words
-from slamhive.services.searches.service import LeftOut
-from slamhive.services.searches.words import order_in_words
-from slamhive.services.searches.words import summary as summary_in_words
+from slamhive.services.searches import LeftOut, order_in_words
+from slamhive.services.searches import summary as summary_in_words
 from slamhive.store.records import Count, RunSort
 from slamhive.web.columns import DEFAULT_COLUMNS, Column, all_columns, column
 

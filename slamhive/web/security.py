@@ -10,7 +10,7 @@ from pathlib import Path
 from flask import Flask, Response, request
 
 from slamhive.errors import Forbidden, InvalidInput, Unavailable
-from slamhive.services.analyses.stored import may_analyse
+from slamhive.services.analyses import may_analyse
 from slamhive.settings import Mode, Settings
 from slamhive.web.request_input import bound_requests, host_name, origin_host
 

@@ -18,10 +18,10 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import Conflict, InvalidInput, Unavailable
 from slamhive.runs.folder import RunFolder
-from slamhive.services.analyses.folder import REPORT, AnalysisFolder
+from slamhive.services.analyses import REPORT, AnalysisFolder
 from slamhive.services.hive import Hive
-from slamhive.services.reports.bundle import report_content, report_environment, script_json
-from slamhive.services.runs.series import RunSeries, run_series
+from slamhive.services.reports import report_content, report_environment, script_json
+from slamhive.services.runs import RunSeries, run_series
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.archives import ArchiveRepository
 from slamhive.store.records import RunRecord

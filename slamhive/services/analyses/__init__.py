@@ -1,1 +1,21 @@
-"""Analyses: which runs, their table out of the store, their files, and the forms that make results of them."""
+"""Stored analyses: a queue of analysis files and their reports."""
+
+from __future__ import annotations
+
+from slamhive.services.analyses.folder import FIGURES, PAGE, REPORT, SOURCE, AnalysisFolder
+from slamhive.services.analyses.jobs import AnalysisJobs
+from slamhive.services.analyses.stored import MAX_TEXT_BYTES, StoredAnalyses, may_analyse
+from slamhive.services.analyses.stored_page import page_forms
+
+__all__ = [
+    "FIGURES",
+    "MAX_TEXT_BYTES",
+    "PAGE",
+    "REPORT",
+    "SOURCE",
+    "AnalysisFolder",
+    "AnalysisJobs",
+    "StoredAnalyses",
+    "may_analyse",
+    "page_forms",
+]

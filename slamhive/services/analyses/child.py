@@ -57,12 +57,14 @@ def limit_process(memory_bytes: int, time_limit_s: float) -> None:
 
 def _compute(asked: dict[str, Any], root: Path) -> str:
     from slamhive.services.analyses import folder as parts  # noqa: PLC0415
-    from slamhive.services.datasets.catalogue import Catalogue  # noqa: PLC0415
-    from slamhive.services.reports.bundle import figures_json  # noqa: PLC0415
-    from slamhive.services.reports.page import page_json  # noqa: PLC0415
-    from slamhive.services.reports.run import AnalysisLimits  # noqa: PLC0415
-    from slamhive.services.reports.service import Analyses  # noqa: PLC0415
-    from slamhive.services.searches.service import Searches  # noqa: PLC0415
+    from slamhive.services.datasets import Catalogue  # noqa: PLC0415
+    from slamhive.services.reports import (  # noqa: PLC0415
+        Analyses,
+        AnalysisLimits,
+        figures_json,
+        page_json,
+    )
+    from slamhive.services.searches import Searches  # noqa: PLC0415
     from slamhive.settings import load_settings  # noqa: PLC0415
     from slamhive.store.store import open_store  # noqa: PLC0415
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from slamhive.clock import utc_now
 from slamhive.errors import Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.services.analyses.folder import AnalysisFolder
-from slamhive.services.datasets.catalogue import check_writable
+from slamhive.services.datasets import check_writable
 from slamhive.settings import Mode, Settings
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.store import Store

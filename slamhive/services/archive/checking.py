@@ -12,7 +12,7 @@ from slamhive.errors import InvalidInput
 from slamhive.files import temporary_folder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.reading import ArchiveReader, Place, not_unpacked
-from slamhive.services.experiments.folder import RECORD, SOURCE
+from slamhive.services.experiments import RECORD, SOURCE
 from slamhive.store.experiment_records import ExperimentRecord
 from slamhive.sweep.experiment_file import parse_experiment
 

@@ -15,10 +15,10 @@ from slamhive.clock import utc_now
 from slamhive.domain.run import RunEvent
 from slamhive.errors import Conflict, InvalidInput, SlamHiveError
 from slamhive.runs.folder import RunFolder
-from slamhive.services.analyses.folder import AnalysisFolder
+from slamhive.services.analyses import AnalysisFolder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.writing import ArchiveWriter, archive_writer
-from slamhive.services.experiments.folder import RECORD, SOURCE
+from slamhive.services.experiments import RECORD, SOURCE
 from slamhive.settings import Settings
 from slamhive.store.archives import ArchiveRepository
 from slamhive.store.configuration_listing import configuration_records

@@ -23,9 +23,9 @@ from slamhive.services.archive import layout, lines
 from slamhive.services.archive.checking import Contents, Progress, check_archive
 from slamhive.services.archive.reading import ArchiveReader, open_archive
 from slamhive.services.archive.surroundings import Surroundings
-from slamhive.services.datasets.catalogue import Catalogue, check_writable
-from slamhive.services.imports.exclusive import UNPACKED, one_import
-from slamhive.services.runs.filing import (
+from slamhive.services.datasets import Catalogue, check_writable
+from slamhive.services.imports import UNPACKED, one_import
+from slamhive.services.runs import (
     FolderRun,
     FoundEvaluation,
     current_protocol,
@@ -33,8 +33,8 @@ from slamhive.services.runs.filing import (
     found_evaluations,
     put_configurations,
     read_filed,
+    snapshot_from_record,
 )
-from slamhive.services.runs.record import snapshot_from_record
 from slamhive.settings import Settings
 from slamhive.store.archives import ArchiveRepository
 from slamhive.store.store import Store, Transaction

@@ -17,9 +17,9 @@ from slamhive.domain.run import RunEvent, RunState
 from slamhive.domain.variant import variant_to_json
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.job import Artefacts
-from slamhive.services.configurations.words import check_label
+from slamhive.services.configurations import check_label
 from slamhive.services.json_values import plain
-from slamhive.services.runs.record import (
+from slamhive.services.runs import (
     begin_record,
     configuration_from_record,
     events_to_json,

@@ -12,12 +12,12 @@ from slamhive.bags.staging import new_dataset_folder
 from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 from slamhive.domain.parameters import Parameter
 from slamhive.errors import Conflict, SlamHiveError
-from slamhive.services.analyses.folder import AnalysisFolder
+from slamhive.services.analyses import AnalysisFolder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.checking import Contents
 from slamhive.services.archive.reading import ArchiveReader
-from slamhive.services.datasets.catalogue import Catalogue
-from slamhive.services.experiments.folder import ExperimentFolder, ExperimentStamp
+from slamhive.services.datasets import Catalogue
+from slamhive.services.experiments import ExperimentFolder, ExperimentStamp
 from slamhive.settings import Settings
 from slamhive.store.archives import ArchiveRepository
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration

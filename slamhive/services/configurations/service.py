@@ -16,8 +16,7 @@ from slamhive.errors import NotFound, unknown
 from slamhive.services.configurations.changes import NO_LABEL, Changes, Label, Stored
 from slamhive.services.configurations.submission import Submission
 from slamhive.services.configurations.words import check_label
-from slamhive.services.datasets.catalogue import Catalogue, check_writable
-from slamhive.services.datasets.variants import Variants
+from slamhive.services.datasets import Catalogue, Variants, check_writable
 from slamhive.settings import Settings
 from slamhive.store import ConfigurationFilter, ConfigurationPage, ConfigurationRecord, RunRecord, Store, Transaction
 from slamhive.sweep.exchange import Imported, configuration_from_yaml, configuration_to_yaml

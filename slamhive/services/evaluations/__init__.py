@@ -1,1 +1,26 @@
-"""Evaluating runs: protocols, the queue of evaluations, and what they leave behind."""
+"""Evaluations: protocols, the queue, and the metrics of a run under each protocol."""
+
+from __future__ import annotations
+
+from slamhive.services.evaluations.comparisons import NOT_EVALUATED, Comparisons, ToolFigures
+from slamhive.services.evaluations.current import CurrentProtocols
+from slamhive.services.evaluations.notes import evaluation_notes
+from slamhive.services.evaluations.protocols import Protocols, UsedProtocol, fitting_protocol, presets, protocol_for
+from slamhive.services.evaluations.scratch import sweep_scratch
+from slamhive.services.evaluations.service import PROTOCOL_FILE, Evaluations
+
+__all__ = [
+    "NOT_EVALUATED",
+    "PROTOCOL_FILE",
+    "Comparisons",
+    "CurrentProtocols",
+    "Evaluations",
+    "Protocols",
+    "ToolFigures",
+    "UsedProtocol",
+    "evaluation_notes",
+    "fitting_protocol",
+    "presets",
+    "protocol_for",
+    "sweep_scratch",
+]

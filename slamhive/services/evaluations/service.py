@@ -19,8 +19,7 @@ from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask,
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
-from slamhive.services.datasets.catalogue import Catalogue, check_writable
-from slamhive.services.datasets.external import algorithm_here_or_elsewhere
+from slamhive.services.datasets import Catalogue, algorithm_here_or_elsewhere, check_writable
 from slamhive.services.evaluations.files import evaluation_files
 from slamhive.services.evaluations.protocols import Protocols, fitting_protocol, reference_path
 from slamhive.services.evaluations.scratch import scratch_folder

@@ -1,6 +1,59 @@
-"""Experiments: previewed, started, watched, paused, repeated, reported. ``Hive.experiments`` is the way in.
+"""Experiments: many runs from one file; preview, start, status, report."""
 
-``preview(source)``, ``start(source, executor=None, progress=...)``; ``list()``, ``status(name)``, ``source(name)``,
-``axes(name)``, ``cells(name, after=0, limit=50)``, ``grid(name, row_axis, column_axis)``, ``report(name)``;
-``pause(name)``, ``resume(name)``, ``cancel(name)``, ``retry_failed(name)``, ``add_repeats(name, count)``.
-"""
+from __future__ import annotations
+
+from slamhive.services.experiments.as_json import cell_to_json, grid_to_json, preview_to_json, status_to_json
+from slamhive.services.experiments.context import ExperimentContext, Progress
+from slamhive.services.experiments.folder import RECORD, SOURCE, ExperimentFolder, ExperimentStamp
+from slamhive.services.experiments.reporting import NO_FIGURES, csv_text, failures_text, varying
+from slamhive.services.experiments.restoring import Restored
+from slamhive.services.experiments.service import Experiments
+from slamhive.services.experiments.status import METRICS
+from slamhive.services.experiments.views import (
+    ENDED,
+    Cell,
+    CellFigures,
+    ExperimentPreview,
+    ExperimentSource,
+    ExperimentStatus,
+    Failure,
+    Grid,
+    GridCell,
+    Phase,
+    Spread,
+    Standing,
+    failure_words,
+)
+
+__all__ = [
+    "ENDED",
+    "METRICS",
+    "NO_FIGURES",
+    "RECORD",
+    "SOURCE",
+    "Cell",
+    "CellFigures",
+    "ExperimentContext",
+    "ExperimentFolder",
+    "ExperimentPreview",
+    "ExperimentSource",
+    "ExperimentStamp",
+    "ExperimentStatus",
+    "Experiments",
+    "Failure",
+    "Grid",
+    "GridCell",
+    "Phase",
+    "Progress",
+    "Restored",
+    "Spread",
+    "Standing",
+    "cell_to_json",
+    "csv_text",
+    "failure_words",
+    "failures_text",
+    "grid_to_json",
+    "preview_to_json",
+    "status_to_json",
+    "varying",
+]

@@ -11,8 +11,7 @@ from slamhive.clock import utc_now
 from slamhive.errors import Conflict
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.folder import ExperimentStamp
-from slamhive.services.runs.retrying import retry_request
-from slamhive.services.runs.uid import run_uid
+from slamhive.services.runs import retry_request, run_uid
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
 from slamhive.store.store import Transaction
 

@@ -11,10 +11,10 @@ from statistics import median
 from slamhive.bags.variants.cache import VariantEntry
 from slamhive.domain.protocol import Protocol
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
-from slamhive.services.evaluations.protocols import protocol_for
+from slamhive.services.evaluations import protocol_for
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.views import VariantNeed
-from slamhive.services.runs.specification import check_disk, check_package, check_recorded, recorded_topics
+from slamhive.services.runs import check_disk, check_package, check_recorded, recorded_topics
 from slamhive.sweep.binding import at
 from slamhive.sweep.expand import Expansion
 from slamhive.sweep.experiment import Experiment

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from slamhive.bags.variants.rules import RegisteredSteps
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.errors import InvalidInput
-from slamhive.services.datasets.catalogue import Catalogue
-from slamhive.services.datasets.variants import Variants
+from slamhive.services.datasets import Catalogue, Variants
 from slamhive.services.executors import Executors
 from slamhive.services.experiments.folder import ExperimentFolder
 from slamhive.settings import Settings

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 
-from slamhive.services.configurations.submission import unwatchable
+from slamhive.services.configurations import unwatchable
 from slamhive.services.experiments.checks import disk_space_problems, find_disk_space, pair_problems, warnings
 from slamhive.services.experiments.context import ExperimentContext, Progress, guessed_duration_s
 from slamhive.services.experiments.views import ExperimentPreview, PreviewRow, Standing

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from slamhive.domain.parameters import Value
 from slamhive.errors import Conflict, SlamHiveError
-from slamhive.services.datasets.catalogue import check_writable
+from slamhive.services.datasets import check_writable
 from slamhive.services.experiments import status as statuses
 from slamhive.services.experiments.axis_table import AxisTables
 from slamhive.services.experiments.changing import put_state, retry_failed

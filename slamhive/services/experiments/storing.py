@@ -16,7 +16,7 @@ from slamhive.services.experiments.checks import Pair, protocol_of_pair
 from slamhive.services.experiments.context import ExperimentContext, Progress
 from slamhive.services.experiments.folder import ExperimentStamp
 from slamhive.services.experiments.previewing import chunks_of
-from slamhive.services.runs.uid import run_uid
+from slamhive.services.runs import run_uid
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
 from slamhive.store.records import RunRequest
 from slamhive.store.store import Transaction

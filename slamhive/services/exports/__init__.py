@@ -1,1 +1,20 @@
-"""Lists as files: CSV, JSON and Parquet."""
+"""Tables of runs and groups as CSV, JSON and Parquet files."""
+
+from __future__ import annotations
+
+from slamhive.services.exports.cells import safe_cell
+from slamhive.services.exports.groups import GroupExport, by_protocol
+from slamhive.services.exports.runs import RunExport, disturbed_text
+from slamhive.services.exports.table import Format, Page, Record, TableExport
+
+__all__ = [
+    "Format",
+    "GroupExport",
+    "Page",
+    "Record",
+    "RunExport",
+    "TableExport",
+    "by_protocol",
+    "disturbed_text",
+    "safe_cell",
+]

@@ -1,1 +1,33 @@
-"""Runs made elsewhere: trajectories become runs like every other, marked as imported."""
+"""Importing trajectories of runs that were made elsewhere."""
+
+from __future__ import annotations
+
+from slamhive.services.imports.exclusive import UNPACKED, one_import, sweep_imports
+from slamhive.services.imports.request import (
+    DEFAULT_GROUND_TRUTH,
+    DEFAULT_PATTERN,
+    DEFAULT_RELATIONS,
+    DEFAULT_TIMES,
+    ImportReport,
+    ImportRequest,
+    Reading,
+    TrajectoryFormat,
+)
+from slamhive.services.imports.service import Imports
+from slamhive.services.imports.sources import parse_setup
+
+__all__ = [
+    "DEFAULT_GROUND_TRUTH",
+    "DEFAULT_PATTERN",
+    "DEFAULT_RELATIONS",
+    "DEFAULT_TIMES",
+    "UNPACKED",
+    "ImportReport",
+    "ImportRequest",
+    "Imports",
+    "Reading",
+    "TrajectoryFormat",
+    "one_import",
+    "parse_setup",
+    "sweep_imports",
+]

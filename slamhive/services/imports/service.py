@@ -20,17 +20,15 @@ from slamhive.domain.protocol import Duplicates, Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.runs.folder import RunFolder
-from slamhive.services.datasets.catalogue import Catalogue, check_writable
-from slamhive.services.datasets.external import choose_algorithm
-from slamhive.services.evaluations.protocols import fitting_protocol
+from slamhive.services.datasets import Catalogue, check_writable, choose_algorithm
+from slamhive.services.evaluations import fitting_protocol
 from slamhive.services.imports.conventions import Partner, PoseFile
 from slamhive.services.imports.exclusive import ASIDE, one_import
 from slamhive.services.imports.reading import Loaded, load, read_candidate, trial_digits
 from slamhive.services.imports.request import Candidate, Found, ImportReport, ImportRequest, Problem
 from slamhive.services.imports.sources import find
 from slamhive.services.imports.truths import Home, TruthFiles, Truths
-from slamhive.services.runs.record import begin_record, events_to_json
-from slamhive.services.runs.specification import check_disk
+from slamhive.services.runs import begin_record, check_disk, events_to_json
 from slamhive.settings import Settings
 from slamhive.store.imports import ImportedRun, ImportRepository
 from slamhive.store.records import RunRecord

@@ -14,7 +14,7 @@ from slamhive.domain.names import check_name
 from slamhive.domain.protocol import Duplicates
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.evaluators.relations import parse_relations
-from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.services.datasets import Catalogue
 from slamhive.services.imports.conventions import Partner, Truth
 from slamhive.services.imports.reading import LoadedTruth, load_truth, read_truth_here
 from slamhive.services.imports.request import Reading

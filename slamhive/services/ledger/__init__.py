@@ -1,6 +1,11 @@
-"""The ledger: what the database knows and no other folder tells, written down as it is stored.
+"""The ledger: a file copy of what the database alone knows, written after each transaction."""
 
-Run folders, experiments and analyses explain themselves. The ledger has the rest: the numbers of configurations with
-their names, notes and groups, runs that wait, cells of experiments, evaluations, saved searches. Together they restore
-every row (:mod:`slamhive.services.reindex`).
-"""
+from __future__ import annotations
+
+from slamhive.services.ledger.keeping import Ledger
+from slamhive.services.ledger.restoring import LedgerRestore
+
+__all__ = [
+    "Ledger",
+    "LedgerRestore",
+]

@@ -15,7 +15,7 @@ from slamhive.domain.protocol import protocol_from_content
 from slamhive.domain.stop_when import stop_when_from_json, stop_when_to_json
 from slamhive.domain.variant import variant_to_json
 from slamhive.services.ledger.book import Book, Line
-from slamhive.services.runs.record import configuration_from_record
+from slamhive.services.runs import configuration_from_record
 from slamhive.store.changes import NewRow
 from slamhive.store.configuration_records import ConfigurationRecord
 from slamhive.store.experiment_records import NewCell, NewConfiguration

@@ -10,7 +10,7 @@ from datetime import datetime
 from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
 from slamhive.runs.folder import RunFolder
-from slamhive.services.archive.lines import dataset_to_line, search_to_line
+from slamhive.services.archive import dataset_to_line, search_to_line
 from slamhive.services.ledger.book import Line
 from slamhive.services.ledger.evaluation_lines import asked_line, ended_lines, read_evaluations
 from slamhive.services.ledger.files import LedgerFiles

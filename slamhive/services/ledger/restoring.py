@@ -13,8 +13,8 @@ from slamhive.clock import utc_now
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.run import RunEvent, RunState
 from slamhive.errors import SlamHiveError
-from slamhive.services.archive.lines import dataset_from_line, search_from_line
-from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.services.archive import dataset_from_line, search_from_line
+from slamhive.services.datasets import Catalogue
 from slamhive.services.ledger.book import Book, Line
 from slamhive.services.ledger.evaluation_lines import LedgerEvaluations, read_evaluations
 from slamhive.services.ledger.files import LedgerFiles
@@ -28,7 +28,7 @@ from slamhive.services.ledger.lines import (
     moment,
     runs_of,
 )
-from slamhive.services.runs.filing import dataset_of
+from slamhive.services.runs import dataset_of
 from slamhive.store.archives import ArchiveRepository
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import FiledRun

@@ -1,1 +1,43 @@
-"""x"""
+"""Computing an analysis: select runs, build their table, make the report. Loads matplotlib, pandas and scipy."""
+
+from __future__ import annotations
+
+from slamhive.services.reports.bundle import (
+    figures_json,
+    report_content,
+    report_environment,
+    report_page,
+    script_json,
+    write_folder,
+    zipped,
+)
+from slamhive.services.reports.page import page_json
+from slamhive.services.reports.run import AnalysisLimits
+from slamhive.services.reports.service import Analyses
+from slamhive.services.reports.tables import (
+    PARQUET_REMEDY,
+    WITHOUT_PARQUET,
+    parquet_there,
+    table_csv,
+    table_latex,
+    table_parquet,
+)
+
+__all__ = [
+    "PARQUET_REMEDY",
+    "WITHOUT_PARQUET",
+    "Analyses",
+    "AnalysisLimits",
+    "figures_json",
+    "page_json",
+    "parquet_there",
+    "report_content",
+    "report_environment",
+    "report_page",
+    "script_json",
+    "table_csv",
+    "table_latex",
+    "table_parquet",
+    "write_folder",
+    "zipped",
+]

@@ -9,7 +9,7 @@ import numpy as np
 from slamhive.analysis.forms import RunTrack, RunUsage
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.untrusted import read_numeric_columns
-from slamhive.services.runs.series import LIMIT_BYTES, gap_of, read_track
+from slamhive.services.runs import LIMIT_BYTES, gap_of, read_track
 
 
 class StoredRunFiles:

@@ -10,11 +10,11 @@ from slamhive.analysis.analysis_file import Analysis, parse_analysis
 from slamhive.analysis.paper_file import PaperNames
 from slamhive.clock import utc_now
 from slamhive.errors import InvalidInput
-from slamhive.services.datasets.catalogue import Catalogue
+from slamhive.services.datasets import Catalogue
 from slamhive.services.reports.report import report_json
 from slamhive.services.reports.run import AnalysisLimits, AnalysisSources, run_analysis
 from slamhive.services.reports.selection import select_runs
-from slamhive.services.searches.service import Searches
+from slamhive.services.searches import Searches
 from slamhive.settings import Settings
 from slamhive.store.store import Store, Transaction
 from slamhive.strict_yaml import read_text

@@ -10,7 +10,7 @@ import pandas as pd
 
 from slamhive.analysis.result import Cell, ResultTable
 from slamhive.errors import Unavailable
-from slamhive.services.exports.cells import safe_cell
+from slamhive.services.exports import safe_cell
 
 LATEX_ROWS = 500
 """A printed table is not longer; the CSV file has all rows."""

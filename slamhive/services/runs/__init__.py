@@ -1,1 +1,105 @@
-"""Runs: asked for, specified, recorded, and shown."""
+"""Runs: submit, retry and cancel them; their records, progress, series and files."""
+
+from __future__ import annotations
+
+from slamhive.services.runs.as_json import evaluation_to_json, run_to_json
+from slamhive.services.runs.downloads import list_downloads, open_download
+from slamhive.services.runs.filing import (
+    FolderRun,
+    FoundEvaluation,
+    current_protocol,
+    dataset_of,
+    file_runs,
+    found_evaluations,
+    put_configurations,
+    read_filed,
+)
+from slamhive.services.runs.progress import RunProgress, untracked_s
+from slamhive.services.runs.record import (
+    begin_record,
+    configuration_from_record,
+    events_to_json,
+    handle_from_json,
+    handle_to_json,
+    snapshot_from_record,
+    spec_from_json,
+    spec_to_json,
+)
+from slamhive.services.runs.record_keeper import RecordKeeper
+from slamhive.services.runs.retrying import repeat_if_disturbed, retry_request
+from slamhive.services.runs.series import (
+    LIMIT_BYTES,
+    Array,
+    Places,
+    RunSeries,
+    Samples,
+    Track,
+    gap_of,
+    read_dataset_path,
+    read_track,
+    run_series,
+)
+from slamhive.services.runs.service import Runs
+from slamhive.services.runs.specification import (
+    Job,
+    RunLimits,
+    build_spec,
+    check_dataset_files,
+    check_disk,
+    check_package,
+    check_recorded,
+    provenance,
+    recorded_topics,
+    write_config,
+)
+from slamhive.services.runs.uid import run_uid
+
+__all__ = [
+    "LIMIT_BYTES",
+    "Array",
+    "FolderRun",
+    "FoundEvaluation",
+    "Job",
+    "Places",
+    "RecordKeeper",
+    "RunLimits",
+    "RunProgress",
+    "RunSeries",
+    "Runs",
+    "Samples",
+    "Track",
+    "begin_record",
+    "build_spec",
+    "check_dataset_files",
+    "check_disk",
+    "check_package",
+    "check_recorded",
+    "configuration_from_record",
+    "current_protocol",
+    "dataset_of",
+    "evaluation_to_json",
+    "events_to_json",
+    "file_runs",
+    "found_evaluations",
+    "gap_of",
+    "handle_from_json",
+    "handle_to_json",
+    "list_downloads",
+    "open_download",
+    "provenance",
+    "put_configurations",
+    "read_dataset_path",
+    "read_filed",
+    "read_track",
+    "recorded_topics",
+    "repeat_if_disturbed",
+    "retry_request",
+    "run_series",
+    "run_to_json",
+    "run_uid",
+    "snapshot_from_record",
+    "spec_from_json",
+    "spec_to_json",
+    "untracked_s",
+    "write_config",
+]

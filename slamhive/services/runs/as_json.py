@@ -11,7 +11,7 @@ from slamhive.domain.stop_when import stop_when_to_json
 from slamhive.domain.variant import variant_to_json
 from slamhive.domain.verdict import Verdict
 from slamhive.runs.folder import RunFolder
-from slamhive.services.evaluations.notes import evaluation_notes
+from slamhive.services.evaluations import evaluation_notes
 from slamhive.services.json_values import plain, timestamp
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 

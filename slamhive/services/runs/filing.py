@@ -20,8 +20,8 @@ from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.job import RESULT_FILE, Artefacts, EvaluationResult, result_from_json
 from slamhive.input_bounds import MOST_RECORD_BYTES, read_record, read_text
 from slamhive.runs.folder import RunFolder
-from slamhive.services.datasets.catalogue import Catalogue
-from slamhive.services.evaluations.service import PROTOCOL_FILE
+from slamhive.services.datasets import Catalogue
+from slamhive.services.evaluations import PROTOCOL_FILE
 from slamhive.services.runs.record import check_types, configuration_from_record, snapshot_from_record
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import EndedEvaluation, FiledRun

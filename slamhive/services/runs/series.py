@@ -17,7 +17,7 @@ from slamhive.errors import SlamHiveError
 from slamhive.input_bounds import read_record
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.untrusted import read_numeric_columns, read_untrusted_lines
-from slamhive.services.evaluations.service import PROTOCOL_FILE
+from slamhive.services.evaluations import PROTOCOL_FILE
 from slamhive.store.records import RunRecord
 
 Array = NDArray[np.float64]

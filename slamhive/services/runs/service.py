@@ -17,10 +17,9 @@ from slamhive.files import temporary_folder
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.log_line import read_tail
 from slamhive.search.binding import Search
-from slamhive.services.configurations.service import Checked, Configurations, put_configuration
-from slamhive.services.configurations.submission import Submission
-from slamhive.services.datasets.catalogue import check_writable
-from slamhive.services.evaluations.protocols import protocol_for
+from slamhive.services.configurations import Checked, Configurations, Submission, put_configuration
+from slamhive.services.datasets import check_writable
+from slamhive.services.evaluations import protocol_for
 from slamhive.services.executors import Executors
 from slamhive.services.runs.progress import RunProgress, run_progress
 from slamhive.services.runs.record import handle_from_json

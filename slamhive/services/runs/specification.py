@@ -21,7 +21,7 @@ from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.runtime.config import to_yaml
 from slamhive.runtime.paths import ORB_VOCABULARY_VARIABLE
-from slamhive.services.datasets.variants import IDENTITY, UsedVariant
+from slamhive.services.datasets import IDENTITY, UsedVariant
 from slamhive.settings import Settings
 
 CONTAINER_ROOT = "/slamhive"

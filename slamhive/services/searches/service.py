@@ -10,8 +10,7 @@ from slamhive.domain.names import check_name
 from slamhive.domain.parameters import Parameter, ParameterType
 from slamhive.search.binding import Search, read_search
 from slamhive.search.fields import Kind, ParameterKind, Vocabulary, vocabulary_of
-from slamhive.services.datasets.catalogue import Catalogue, check_writable
-from slamhive.services.datasets.external import imported_algorithms
+from slamhive.services.datasets import Catalogue, check_writable, imported_algorithms
 from slamhive.settings import Settings
 from slamhive.store.records import Count, GroupPage, RunSort, SavedSearchRecord
 from slamhive.store.store import Store

@@ -12,7 +12,7 @@ from slamhive.executors.base import Exited
 from slamhive.runs.outcome import Evidence, Outcome, decide
 from slamhive.runs.profiling import measure_run, write_plots
 from slamhive.services.json_values import exact
-from slamhive.services.runs.retrying import repeat_if_disturbed
+from slamhive.services.runs import repeat_if_disturbed
 from slamhive.services.worker.disk import remove_scratch, settle_result
 from slamhive.services.worker.disturbance import judge_run
 from slamhive.services.worker.evidence import gather_evidence, read_about

@@ -11,8 +11,7 @@ from slamhive.clock import utc_now
 from slamhive.domain.protocol import Protocol
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Executor
-from slamhive.services.datasets.catalogue import Catalogue
-from slamhive.services.datasets.variants import Variants
+from slamhive.services.datasets import Catalogue, Variants
 from slamhive.settings import Settings
 from slamhive.store.records import RunRecord
 from slamhive.store.store import Store

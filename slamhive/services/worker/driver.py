@@ -11,9 +11,9 @@ from datetime import datetime
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import EngineUnavailable, ImageMissing, RunHandle, StartFailed
-from slamhive.services.datasets.variants import variant_key
+from slamhive.services.datasets import variant_key
 from slamhive.services.json_values import exact, timestamp
-from slamhive.services.runs.record import handle_to_json, spec_from_json
+from slamhive.services.runs import handle_to_json, spec_from_json
 from slamhive.services.worker.collecting import Collecting
 from slamhive.services.worker.context import DriverContext
 from slamhive.services.worker.disk import remove_scratch, settle_result

@@ -13,7 +13,7 @@ from slamhive.runs.leftovers import Survey, removed_in_words
 from slamhive.runs.log_line import last_error_line, read_tail
 from slamhive.runs.outcome import Evidence, TrajectoryCheck, inspect_trajectory, is_finished
 from slamhive.runs.untrusted import read_untrusted_json
-from slamhive.services.runs.progress import untracked_s
+from slamhive.services.runs import untracked_s
 
 MAX_ABOUT_BYTES = 64_000
 

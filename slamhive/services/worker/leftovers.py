@@ -16,10 +16,10 @@ from slamhive.executors.base import Executor
 from slamhive.executors.process.environment import Environments
 from slamhive.files import sweep_asides, sweep_folder, sweep_temporary
 from slamhive.runs.folder import RunFolder
-from slamhive.services.datasets.variants import Variants
-from slamhive.services.evaluations.scratch import sweep_scratch
-from slamhive.services.imports.exclusive import sweep_imports
-from slamhive.services.runs.record import handle_from_json
+from slamhive.services.datasets import Variants
+from slamhive.services.evaluations import sweep_scratch
+from slamhive.services.imports import sweep_imports
+from slamhive.services.runs import handle_from_json
 from slamhive.services.worker.disk import sweep_scratch as sweep_run_scratch
 from slamhive.settings import Settings
 from slamhive.store.records import RunRecord

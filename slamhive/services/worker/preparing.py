@@ -13,14 +13,14 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.executors.base import ImageMissing
 from slamhive.runs.early_end import EarlyEnd, skipped
-from slamhive.services.runs.record import spec_to_json
-from slamhive.services.runs.specification import (
+from slamhive.services.runs import (
     Job,
     RunLimits,
     build_spec,
     check_dataset_files,
     check_disk,
     provenance,
+    spec_to_json,
     write_config,
 )
 from slamhive.services.worker.evidence import STARTED_BY

@@ -12,8 +12,7 @@ from slamhive.errors import InvalidInput
 from slamhive.executors.base import Executor, RunHandle
 from slamhive.runs.folder import RunFolder
 from slamhive.services.json_values import exact
-from slamhive.services.runs.record import handle_from_json
-from slamhive.services.runs.record_keeper import RecordKeeper
+from slamhive.services.runs import RecordKeeper, handle_from_json
 from slamhive.services.worker.context import DriverContext, WorkerStopping
 from slamhive.store.records import LeaseLost, RunRecord
 

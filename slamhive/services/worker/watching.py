@@ -14,7 +14,7 @@ from slamhive.executors.host_counters import HostCounters, HostLog
 from slamhive.executors.sampler import MachineLogs, Sampler
 from slamhive.runs.early_end import Observation, broken_rule
 from slamhive.runs.outcome import is_finished
-from slamhive.services.runs.progress import untracked_s
+from slamhive.services.runs import untracked_s
 from slamhive.services.worker.disk import DiskWatch, disk_limits
 from slamhive.services.worker.evidence import DISK_LIMIT, ENGINE_AWAY, STOP_RULE, STOPPED_BECAUSE
 from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand

@@ -18,12 +18,11 @@ from slamhive.executors.base import EngineUnavailable, Executor
 from slamhive.executors.registry import AUTO
 from slamhive.runs.folder import RunFolder
 from slamhive.search.build import matching
-from slamhive.services.analyses.jobs import AnalysisJobs
-from slamhive.services.datasets.catalogue import Catalogue
-from slamhive.services.datasets.variants import Variants
-from slamhive.services.evaluations.service import Evaluations
+from slamhive.services.analyses import AnalysisJobs
+from slamhive.services.datasets import Catalogue, Variants
+from slamhive.services.evaluations import Evaluations
 from slamhive.services.identity import owner_is_dead, worker_identity
-from slamhive.services.runs.record_keeper import RecordKeeper
+from slamhive.services.runs import RecordKeeper
 from slamhive.services.worker.context import DriverContext, WorkerStopping
 from slamhive.services.worker.driver import RunDriver
 from slamhive.services.worker.held_runs import HeldRuns

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 from slamhive.domain.metrics import Metric
 from slamhive.domain.parameters import Value
-from slamhive.services.experiments import views
-from slamhive.services.experiments.reporting import NO_FIGURES
-from slamhive.services.experiments.views import (
+from slamhive.services.experiments import (
     ENDED,
+    NO_FIGURES,
     CellFigures,
     ExperimentPreview,
     ExperimentStatus,
@@ -20,6 +19,9 @@ from slamhive.services.experiments.views import (
     Phase,
     Spread,
     failure_words,
+)
+from slamhive.services.experiments import (
+    Cell as ExperimentCell,
 )
 from slamhive.web.formatting import (
     DASH,
@@ -83,7 +85,7 @@ class GridView:
 class CellLine:
     """One line of the table of results: a cell under one protocol (a cell without figures has one line too)."""
 
-    cell: views.Cell
+    cell: ExperimentCell
     first: bool
     values: tuple[str, ...]
     progress: str
@@ -170,7 +172,7 @@ def grid_view(grid: Grid, search: Search) -> GridView:
 
 
 def cell_lines(
-    cells: Iterable[views.Cell], axes: Sequence[str], metrics: Sequence[Metric], labels: Mapping[str, str]
+    cells: Iterable[ExperimentCell], axes: Sequence[str], metrics: Sequence[Metric], labels: Mapping[str, str]
 ) -> list[CellLine]:
     """Table lines, with a value for each of these axes and metrics. ``labels``: {fingerprint: name of a protocol}."""
     lines: list[CellLine] = []
@@ -225,7 +227,7 @@ def phase_count(status: ExperimentStatus, phase: str) -> int:
     return status.counts.get(Phase(phase), 0)
 
 
-def _disturbed(cell: views.Cell) -> str:
+def _disturbed(cell: ExperimentCell) -> str:
     count = sum(bool(run.disturbed) and not run.retried for run in cell.runs)
     return f"; {thousands(count)} disturbed" if count else ""
 

@@ -7,7 +7,7 @@ from typing import Any
 from slamhive.domain.run import RunState
 from slamhive.search.build import matching
 from slamhive.services.hive import Hive
-from slamhive.services.runs.progress import RunProgress
+from slamhive.services.runs import RunProgress
 from slamhive.store.records import RunRecord, RunSort
 from slamhive.web.formatting import DASH, duration, size
 

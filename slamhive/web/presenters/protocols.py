@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 from slamhive.domain.metrics import CATALOGUE, Group
 from slamhive.domain.protocol import ALIGNMENT_LABELS
-from slamhive.services.evaluations.comparisons import NOT_EVALUATED, ToolFigures
-from slamhive.services.evaluations.protocols import presets
+from slamhive.services.evaluations import NOT_EVALUATED, ToolFigures, presets
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.web.formatting import display_unit, metric_cell
 from slamhive.web.presenters.runs import MetricRow, metric_rows

@@ -12,7 +12,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.verdict import GROUPS, VerdictKind
 from slamhive.executors.registry import EXECUTORS
-from slamhive.services.exports.groups import by_protocol
+from slamhive.services.exports import by_protocol
 from slamhive.store.records import GroupRecord, ProtocolLabel, SavedSearchRecord, Spread
 from slamhive.web.formatting import DASH, Cell, display_unit, mean_text, median_text, plural, significant, value_text
 

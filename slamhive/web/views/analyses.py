@@ -9,9 +9,7 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 from flask import url_for as address
 
 from slamhive.errors import Forbidden, InvalidInput, SlamHiveError
-from slamhive.services.analyses.folder import FIGURES, PAGE
-from slamhive.services.analyses.stored import MAX_TEXT_BYTES, may_analyse
-from slamhive.services.analyses.stored_page import page_forms
+from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, PAGE, may_analyse, page_forms
 from slamhive.settings import Mode
 from slamhive.store.analysis_records import AnalysisState
 from slamhive.web import context

@@ -9,10 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slamhive.domain.variant import variant_from_json
 from slamhive.errors import InvalidInput
-from slamhive.services.configurations.submission import Submission
-from slamhive.services.configurations.words import configuration_to_json
-from slamhive.services.datasets.as_json import algorithm_to_json, dataset_to_json
-from slamhive.services.runs.as_json import evaluation_to_json, run_to_json
+from slamhive.services.configurations import Submission, configuration_to_json
+from slamhive.services.datasets import algorithm_to_json, dataset_to_json
+from slamhive.services.runs import evaluation_to_json, run_to_json
 from slamhive.web.configuration_query import CONFIGURATION_ID, ConfigurationQuery
 from slamhive.web.context import hive
 from slamhive.web.json_exchange import answer, read_body

@@ -7,8 +7,7 @@ from typing import Annotated
 from flask import Blueprint, Response, request, url_for
 from pydantic import BaseModel, ConfigDict, Field
 
-from slamhive.services.experiments.as_json import cell_to_json, grid_to_json, preview_to_json, status_to_json
-from slamhive.services.experiments.views import ExperimentSource
+from slamhive.services.experiments import ExperimentSource, cell_to_json, grid_to_json, preview_to_json, status_to_json
 from slamhive.sweep.experiment_model import MAX_REPEATS
 from slamhive.web.context import hive
 from slamhive.web.experiment_draft import MOST_TEXT

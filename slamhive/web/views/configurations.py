@@ -10,8 +10,7 @@ from flask import url_for as address
 
 from slamhive.domain.algorithm import Algorithm
 from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.services.configurations.changes import Changes, Label, Stored
-from slamhive.services.configurations.submission import Submission
+from slamhive.services.configurations import Changes, Label, Stored, Submission
 from slamhive.store import ConfigurationRecord
 from slamhive.web.configuration_query import CONFIGURATION_ID, ConfigurationQuery
 from slamhive.web.context import hive

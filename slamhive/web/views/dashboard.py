@@ -6,7 +6,7 @@ from flask import Blueprint, Response, jsonify, make_response, render_template
 
 from slamhive.domain.run import RunState
 from slamhive.search.build import matching
-from slamhive.services.experiments.views import Standing
+from slamhive.services.experiments import Standing
 from slamhive.store.records import RunSort
 from slamhive.web.columns import column
 from slamhive.web.context import hive, live_hub

@@ -7,8 +7,7 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 from slamhive.domain.variant import variant_from_json
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.search.build import matching
-from slamhive.services.runs.series import read_dataset_path
-from slamhive.services.runs.specification import check_dataset_files
+from slamhive.services.runs import check_dataset_files, read_dataset_path
 from slamhive.store.records import RunSort
 from slamhive.web.context import hive, variant_maker
 from slamhive.web.figures import best_plane, path_figures

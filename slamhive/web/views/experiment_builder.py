@@ -10,7 +10,7 @@ from flask import url_for as address
 from slamhive.domain.protocol import ALIGNMENT_LABELS
 from slamhive.errors import SlamHiveError
 from slamhive.executors.registry import EXECUTORS
-from slamhive.services.experiments.views import ExperimentSource
+from slamhive.services.experiments import ExperimentSource
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of, wants_json
 from slamhive.web.experiment_draft import MOST_TEXT, Draft, copied, draft_from_form, empty_draft, with_error

@@ -11,8 +11,7 @@ from flask import url_for as address
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.errors import NotFound
-from slamhive.services.experiments.status import METRICS
-from slamhive.services.experiments.views import Cell, ExperimentStatus, Standing
+from slamhive.services.experiments import METRICS, Cell, ExperimentStatus, Standing
 from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.experiment_file import parse_experiment
 from slamhive.web.context import hive

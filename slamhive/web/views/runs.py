@@ -28,10 +28,9 @@ from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.input_bounds import whole_number
 from slamhive.search.reader import FilterError
-from slamhive.services.evaluations.comparisons import ToolFigures
-from slamhive.services.evaluations.notes import evaluation_notes
+from slamhive.services.evaluations import ToolFigures, evaluation_notes
 from slamhive.services.hive import Hive
-from slamhive.services.runs.downloads import list_downloads, open_download
+from slamhive.services.runs import list_downloads, open_download
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.web.columns import Column, all_columns, column
 from slamhive.web.context import hive

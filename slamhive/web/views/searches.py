@@ -11,9 +11,7 @@ from werkzeug.datastructures import MultiDict
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput, unknown
 from slamhive.files import temporary_folder
-from slamhive.services.exports.groups import GroupExport
-from slamhive.services.exports.runs import RunExport
-from slamhive.services.exports.table import Format, Page, Record, TableExport
+from slamhive.services.exports import Format, GroupExport, Page, Record, RunExport, TableExport
 from slamhive.services.hive import Hive
 from slamhive.store.records import GroupRecord, RunRecord, SavedSearchRecord
 from slamhive.web.context import hive
