@@ -16,6 +16,7 @@ from slamhive.errors import Conflict, InvalidInput
 from slamhive.files import write_aside
 from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import open_hive
+from slamhive.services.imports.exclusive import one_import
 from slamhive.services.imports.request import ImportRequest
 from slamhive.services.reindex import reindex
 from slamhive.trajectory.kitti import format_kitti
@@ -293,7 +294,7 @@ def test_reindex_restores_imported_runs(hive, source):
 
 
 def test_two_imports_at_once_are_refused(hive, source):
-    with hive.imports._alone(), pytest.raises(Conflict, match="another import"):
+    with one_import(hive.settings.runs_folder), pytest.raises(Conflict, match="another import"):
         carry_out(hive, source)
 
 
