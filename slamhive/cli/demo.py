@@ -11,13 +11,15 @@ import click
 from slamhive import strict_yaml
 from slamhive.bags.room import RoomOptions
 from slamhive.cli.experiment_tables import print_report
-from slamhive.cli.output import messages, progress_bar
+from slamhive.cli.output import messages
+from slamhive.cli.phases import Phase, Phases, words
 from slamhive.cli.waiting import experiment_to_end
 from slamhive.clock import monotonic_s
 from slamhive.domain.sensors import SensorKind
 from slamhive.errors import NotFound, SlamHiveError
 from slamhive.executors.base import ImageMissing
-from slamhive.services.experiments import ExperimentSource, Phase, Standing, varying
+from slamhive.services.experiments import ExperimentSource, Standing, varying
+from slamhive.services.experiments import Phase as RunPhase
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from slamhive.sweep.experiment_file import parse_experiment
@@ -25,6 +27,12 @@ from slamhive.sweep.experiment_file import parse_experiment
 FILE = "docs/examples/room-demo.yaml"
 DATASET = "room"
 SEED = 1
+
+# What phases take on two cores with a fast network. The first build corrects the others, see Phases.
+BUILD_S = 60.0
+RENDER_S_FOR_1_S = 1.0
+AROUND_A_RUN_S = 7.0
+"""Preparing, collecting and evaluating a run."""
 
 
 def run_demo(hive: Hive, seconds: float) -> None:
@@ -38,18 +46,20 @@ def run_demo(hive: Hive, seconds: float) -> None:
     messages.print(f"executor: {executor} ({reason})", markup=False, soft_wrap=True)
     text = (hive.catalogue.project_root / FILE).read_text(encoding="utf-8")
     asked = [str(name) for name in parse_experiment(text, FILE).algorithms.values]
-    algorithms = _buildable(hive, executor, asked)
-    _prepare_evaluation(hive)
-    _render_room(hive, seconds)
+    packages = list(dict.fromkeys(hive.catalogue.algorithm(name).package.name for name in asked))
+    phases = _phases(hive, executor, packages, seconds)
+    algorithms = _buildable(hive, executor, asked, phases)
+    _prepare_evaluation(hive, phases)
+    _render_room(hive, seconds, phases)
     source = _source(hive, strict_yaml.parse(text, FILE), algorithms, executor)
     status = hive.experiments.start(source, executor)
     if status.standing is Standing.FINISHED:
         messages.print(f"experiment {status.name} has run already, its results are shown again", markup=False)
-    experiment_to_end(hive, status.name, on_end=_announce)
+    experiment_to_end(hive, status.name, on_end=_announce, title=f"step {phases.count} of {phases.count}, runs")
     status = hive.experiments.status(status.name)
     print_report(status, list(hive.experiments.report(status.name)), varying(hive.experiments.axes(status.name)))
     messages.print(f"demo done in {monotonic_s() - began:.0f} s; data in {hive.settings.data}", markup=False)
-    if not status.counts[Phase.GOOD]:
+    if not status.counts[RunPhase.GOOD]:
         raise click.exceptions.Exit(1)
 
 
@@ -63,17 +73,28 @@ def _source(hive: Hive, content: dict[str, Any], algorithms: Sequence[str], exec
     return ExperimentSource(strict_yaml.dump({**kept, "name": name, "algorithms": list(algorithms)}), FILE)
 
 
-def _buildable(hive: Hive, executor: str, algorithms: Sequence[str]) -> list[str]:
+def _phases(hive: Hive, executor: str, packages: Sequence[str], seconds: float) -> Phases:
+    """What the demo does, with the time that each phase takes on two cores and a fast network."""
+    chosen = hive.executors.get(executor)
+    there = {name: chosen.identity(hive.catalogue.package(name)) is not None for name in packages}
+    builds = [Phase(f"building {name}", 1.0 if there[name] else BUILD_S, "build") for name in packages]
+    evaluation = Phase("building the evaluation", 1.0 if all(there.values()) else BUILD_S, "build")
+    room = Phase(f"rendering {DATASET}", 1.0 if _rendered(hive, seconds) else RENDER_S_FOR_1_S * seconds, "render")
+    runs = Phase("runs", (len(packages) + 1) * (seconds + AROUND_A_RUN_S), "run")
+    phases = Phases([*builds, evaluation, room, runs])
+    messages.print(f"{phases.count} steps, {words(phases.after_s())} in all", markup=False)
+    return phases
+
+
+def _buildable(hive: Hive, executor: str, algorithms: Sequence[str], phases: Phases) -> list[str]:
     """The algorithms whose image or environment is there or can be made; says what is skipped and how to get it."""
     chosen = hive.executors.get(executor)
     problems: dict[str, SlamHiveError | None] = {}
     packages = {algorithm: hive.catalogue.algorithm(algorithm).package.name for algorithm in algorithms}
-    names = list(dict.fromkeys(packages.values()))
-    for number, name in enumerate(names, start=1):
-        package = hive.catalogue.package(name)
-        with progress_bar(f"building {name} ({number} of {len(names)})") as show:
+    for name in dict.fromkeys(packages.values()):
+        with phases.next() as show:
             try:
-                chosen.build(package, lambda line, show=show, number=number: show((number - 1) / len(names), line[:60]))  # type: ignore[misc]
+                chosen.build(hive.catalogue.package(name), lambda line, show=show: show(0.0, line[:60]))  # type: ignore[misc]
             except ImageMissing as error:
                 problems[name] = error
             else:
@@ -88,23 +109,28 @@ def _buildable(hive: Hive, executor: str, algorithms: Sequence[str]) -> list[str
     return found
 
 
-def _prepare_evaluation(hive: Hive) -> None:
+def _prepare_evaluation(hive: Hive, phases: Phases) -> None:
     """Build what evaluations need now, where it is seen, and not between the first run and its result."""
-    with progress_bar("building the evaluation") as show:
+    with phases.next() as show:
         hive.evaluations.prepare(lambda line: show(0.0, line[:60]))
         show(1.0, "ready")
 
 
-def _render_room(hive: Hive, seconds: float) -> None:
-    options = RoomOptions(name=DATASET, duration_s=seconds, seed=SEED)
+def _rendered(hive: Hive, seconds: float) -> bool:
+    """Whether the room is there, and as long as it is to be."""
     try:
-        if abs(hive.catalogue.dataset(DATASET).duration_s - seconds) < 0.5:
-            messages.print(f"dataset {DATASET} is there already, re-used")
-            return
+        return abs(hive.catalogue.dataset(DATASET).duration_s - seconds) < 0.5
     except NotFound:
-        pass
-    with progress_bar(f"rendering {DATASET}") as progress:
-        hive.catalogue.render_room(options, progress, replace=True)
+        return False
+
+
+def _render_room(hive: Hive, seconds: float, phases: Phases) -> None:
+    with phases.next() as show:
+        if _rendered(hive, seconds):
+            show(1.0, "is there already, used again")
+            return
+        options = RoomOptions(name=DATASET, duration_s=seconds, seed=SEED)
+        hive.catalogue.render_room(options, show, replace=True)
 
 
 def _announce(run: RunRecord) -> None:

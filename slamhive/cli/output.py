@@ -132,21 +132,20 @@ def _cell(value: Any) -> Text:
 
 
 @contextmanager
-def progress_bar(title: str) -> Iterator[Callable[[float, str], None]]:
-    """A bar with the time left on a terminal, a line every few seconds elsewhere.
+def progress_bar(title: str, *, tells_left: bool = True) -> Iterator[Callable[[float, str], None]]:
+    """A bar on a terminal, a line every few seconds elsewhere; with the time left unless the texts state it.
 
     Yields a function that takes the fraction done (0..1) and what is being done.
     """
     if not messages.is_terminal:
-        yield _plain_progress(title)
+        yield _plain_progress(title, tells_left=tells_left)
         return
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
+        *((TextColumn("left"), TimeRemainingColumn()) if tells_left else ()),
         console=messages,
     ) as bar:
         task = bar.add_task(title, total=1.0)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from slamhive.cli.output import counting_bar, messages
+from slamhive.cli.phases import words
 from slamhive.clock import monotonic_s
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, SlamHiveError
@@ -47,16 +48,19 @@ def run_to_end(
         raise helper.failure[0]
 
 
-def experiment_to_end(hive: Hive, name: str, *, on_end: Callable[[RunRecord], None] | None = None) -> None:
+def experiment_to_end(
+    hive: Hive, name: str, *, on_end: Callable[[RunRecord], None] | None = None, title: str = "runs"
+) -> None:
     """Wait until all runs of an experiment have ended and been evaluated, or until somebody pauses it.
 
     If no worker runs on this machine, this process works on these runs itself. An interrupt (Ctrl-C) leaves the
-    experiment as it is: the next worker, or the same command again, goes on. ``on_end`` as in :func:`run_to_end`.
+    experiment as it is: the next worker, or the same command again, goes on. ``on_end`` as in :func:`run_to_end`;
+    ``title`` stands before the progress.
     """
     helper = _Helper(hive, lambda: hive.experiments.unfinished(name)[:WORKED_ON])
     helper.start()
     try:
-        _show_experiment(hive, name, on_end, helper.failure)
+        _show_experiment(hive, name, on_end, helper.failure, title)
     except KeyboardInterrupt:
         messages.print(
             f"interrupted: what is queued stays queued; `slamhive experiment cancel {name}` cancels it", soft_wrap=True
@@ -124,11 +128,11 @@ def _show_until_complete(
 
 
 def _show_experiment(
-    hive: Hive, name: str, on_end: Callable[[RunRecord], None] | None, failure: list[BaseException]
+    hive: Hive, name: str, on_end: Callable[[RunRecord], None] | None, failure: list[BaseException], title: str
 ) -> None:
     waiting = hive.experiments.unfinished(name)
     total = len(waiting)
-    with counting_bar("runs", total, tells_left=False) as show:
+    with counting_bar(title, total, tells_left=False) as show:
         while waiting and not failure:
             began = monotonic_s()
             left = hive.experiments.unfinished(name)
@@ -140,7 +144,7 @@ def _show_experiment(
             if status.standing is Standing.PAUSED and not status.counts[Phase.RUNNING]:
                 messages.print(f"experiment {name} is paused; `slamhive experiment resume {name}` lets it go on")
                 return
-            time_left = "" if status.left_s is None else f", about {status.left_s:.0f} s left"
+            time_left = "" if status.left_s is None else f", {words(status.left_s)} left"
             show(max(0, total - len(waiting)), f"{status.counts[Phase.FAILED]} failed{time_left}")
             if waiting:
                 # Looking at a large experiment takes a while: most of the time is left to what is looked at.

@@ -1,27 +1,60 @@
-"""How long runs took, to tell how long others will take."""
+"""How long runs and evaluations took, to say how long others will take."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from statistics import median
 
-from sqlalchemy import ColumnElement, and_, func, select
+from sqlalchemy import ColumnElement, Integer, and_, cast, func, select
 from sqlalchemy.orm import Session
 
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import RunState
 from slamhive.store.experiment_records import KnownConfiguration
-from slamhive.store.models import MEASURED_PROTOCOL_ID, Algorithm, Configuration, Dataset, Metric, MetricValue, Run
+from slamhive.store.models import (
+    MEASURED_PROTOCOL_ID,
+    Algorithm,
+    Configuration,
+    Dataset,
+    Evaluation,
+    Metric,
+    MetricValue,
+    Run,
+    RunEvent,
+)
+from slamhive.store.records import EvaluationState
 from slamhive.store.rows import chunks
 
 DURATION = "duration"
 _PAIRING = (Algorithm.name, Dataset.name, Configuration.playback_mode, Configuration.playback_rate)
 _ENDED = tuple(state for state in RunState if state.ended)
+_ACTIVE = tuple(state for state in RunState if state.active)
+_LATEST = 50
+"""So many of the latest runs and evaluations are looked at for a median."""
 Pairing = tuple[str, str, PlaybackMode, float]
 """Algorithm, dataset, playback mode and rate."""
 
 
+@dataclass(frozen=True, slots=True)
+class Unfinished:
+    """How many runs have not ended, and how many of these will be evaluated."""
+
+    runs: int
+    to_evaluate: int
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveRun:
+    """A run that a worker has claimed."""
+
+    id: int
+    claimed_at: datetime
+
+
 class DurationRepository:
-    """Means of the metric ``duration``, in s."""
+    """How long runs and evaluations took, in s."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -61,10 +94,10 @@ class DurationRepository:
         )
         return {(row[0], row[1], row[2], row[3]): row[4] for row in self._session.execute(query)}
 
-    def unfinished(self, experiment_id: int) -> dict[Pairing, int]:
-        """How many runs of an experiment have not ended, of each algorithm on each dataset."""
+    def unfinished(self, experiment_id: int) -> dict[Pairing, Unfinished]:
+        """The runs of an experiment that have not ended, of each algorithm on each dataset."""
         query = (
-            select(*_PAIRING, func.count())
+            select(*_PAIRING, func.count(), func.sum(cast(Run.evaluate, Integer)))
             .select_from(Run)
             .join(Configuration, Configuration.id == Run.configuration_id)
             .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
@@ -72,7 +105,56 @@ class DurationRepository:
             .where(Run.experiment_id == experiment_id, Run.state.not_in(_ENDED))
             .group_by(*_PAIRING)
         )
-        return {(row[0], row[1], row[2], row[3]): row[4] for row in self._session.execute(query)}
+        return {
+            (row[0], row[1], row[2], row[3]): Unfinished(row[4], int(row[5])) for row in self._session.execute(query)
+        }
+
+    def active(self, experiment_id: int) -> list[ActiveRun]:
+        """The runs of an experiment that workers have claimed; there are at most as many as slots."""
+        query = (
+            select(RunEvent.run_id, func.max(RunEvent.at))
+            .join(Run, Run.id == RunEvent.run_id)
+            .where(Run.experiment_id == experiment_id, Run.state.in_(_ACTIVE), RunEvent.to_state == RunState.PREPARING)
+            .group_by(RunEvent.run_id)
+        )
+        return [ActiveRun(run_id, at) for run_id, at in self._session.execute(query)]
+
+    def overhead_s(self) -> float | None:
+        """The time from claim to end that a run does not spend running: the median of the latest runs, None if none."""
+        query = (
+            select(Run.id, Run.started_at, Run.ended_at)
+            .where(Run.state.in_(_ENDED), Run.started_at.is_not(None), Run.ended_at.is_not(None))
+            .order_by(Run.ended_at.desc())
+            .limit(_LATEST)
+        )
+        ran = {row.id: row.ended_at - row.started_at for row in self._session.execute(query)}
+        moves = select(RunEvent.run_id, RunEvent.to_state, RunEvent.at).where(RunEvent.run_id.in_(ran))
+        claimed: dict[int, datetime] = {}
+        ended: dict[int, datetime] = {}
+        for run_id, state, at in self._session.execute(moves.order_by(RunEvent.id)):
+            if state is RunState.PREPARING:
+                claimed[run_id] = at
+            elif state.ended:
+                ended[run_id] = at
+        known = claimed.keys() & ended.keys()
+        return _median_s([ended[run_id] - claimed[run_id] - ran[run_id] for run_id in known])
+
+    def open_evaluations(self, experiment_id: int) -> int:
+        """How many evaluations of runs of an experiment wait or are under way."""
+        query = select(func.count()).select_from(Evaluation).join(Run, Run.id == Evaluation.run_id)
+        states = (EvaluationState.QUEUED, EvaluationState.RUNNING)
+        found = self._session.scalar(query.where(Run.experiment_id == experiment_id, Evaluation.state.in_(states)))
+        return found or 0
+
+    def evaluation_s(self) -> float | None:
+        """How long an evaluation takes: the median of the latest, None if none has ended well."""
+        query = (
+            select(Evaluation.started_at, Evaluation.ended_at)
+            .where(Evaluation.state == EvaluationState.SUCCEEDED)
+            .order_by(Evaluation.id.desc())
+            .limit(_LATEST)
+        )
+        return _median_s([ended - started for started, ended in self._session.execute(query) if started and ended])
 
     def _is_duration(self) -> ColumnElement[bool]:
         metric_id = select(Metric.id).where(Metric.key == DURATION).scalar_subquery()
@@ -81,3 +163,7 @@ class DurationRepository:
             MetricValue.metric_id == metric_id,
             MetricValue.protocol_id == MEASURED_PROTOCOL_ID,
         )
+
+
+def _median_s(times: Sequence[timedelta]) -> float | None:
+    return max(0.0, median(time.total_seconds() for time in times)) if times else None

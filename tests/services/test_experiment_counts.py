@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from slamhive.clock import Clock
+from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import VerdictKind
 from slamhive.services.experiments.axis_table import AxisTable
 from slamhive.services.experiments.time_left import KEPT_S, MANY_RUNS, TimeLeft
 from slamhive.services.experiments.views import Phase
 from slamhive.services.hive import Hive
+from slamhive.store.durations import ActiveRun, Pairing, Unfinished
 from slamhive.store.experiment_records import CellRecord, StateCount
 from tests.services.test_experiments import SIX, source
 
@@ -47,24 +52,66 @@ def test_the_grid_counts_failures_by_reason() -> None:
     assert [cell.counts[Phase.UNJUDGED] for cell in grid.cells.values()] == [0, 1]
 
 
-def test_the_mean_of_many_runs_is_kept_for_a_minute_and_of_few_never() -> None:
-    looks: list[int] = []
-    now_s = [0.0]
-    pairing = ("a", "d", "realtime", 1.0)
+class Durations:
+    """Ten runs of 3 s wait, half of which will be evaluated; ``looks`` counts how often the runs were looked at."""
 
-    def unfinished(experiment_id: int) -> dict[Any, int]:
-        looks.append(experiment_id)
-        return {pairing: 10}
+    def __init__(self) -> None:
+        self.looks = 0
+        self.claimed_at: list[datetime] = []
+        self.evaluations = 0
 
-    durations = SimpleNamespace(unfinished=unfinished, of_pairings=lambda _id=None: {pairing: 3.0})
+    def unfinished(self, _id: int) -> dict[Pairing, Unfinished]:
+        self.looks += 1
+        return {PAIRING: Unfinished(10, 5)}
+
+    def of_pairings(self, _id: int | None = None) -> dict[Pairing, float]:
+        return {PAIRING: 3.0}
+
+    def active(self, _id: int) -> list[ActiveRun]:
+        return [ActiveRun(number, at) for number, at in enumerate(self.claimed_at)]
+
+    def overhead_s(self) -> float:
+        return 1.0
+
+    def evaluation_s(self) -> float:
+        return 2.0
+
+    def open_evaluations(self, _id: int) -> int:
+        return self.evaluations
+
+
+PAIRING: Pairing = ("a", "d", PlaybackMode.REALTIME, 1.0)
+NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
+
+
+def time_left(slots: int) -> tuple[Durations, list[float], Callable[[int], float]]:
+    """The durations that are known, a clock to move, and the estimate for so many waiting runs."""
+    durations, now_s = Durations(), [0.0]
     t = cast("Any", SimpleNamespace(durations=durations, catalogue=SimpleNamespace(datasets=list)))
-    record = cast("Any", SimpleNamespace(id=7))
-    left = TimeLeft(2, lambda: now_s[0])
-    assert left.of(t, record, MANY_RUNS) == MANY_RUNS * 1.5
-    assert left.of(t, record, MANY_RUNS + 2) == (MANY_RUNS + 2) * 1.5
-    assert looks == [7]
+    clock = Clock(utc_now=lambda: NOON + timedelta(seconds=now_s[0]), monotonic_s=lambda: now_s[0])
+    left = TimeLeft(slots, clock)
+    return durations, now_s, lambda waiting: left.of(t, cast("Any", SimpleNamespace(id=7)), waiting)
+
+
+def test_the_means_of_many_runs_are_kept_for_a_minute_and_of_few_never() -> None:
+    durations, now_s, of = time_left(slots=2)
+    assert of(MANY_RUNS) == MANY_RUNS * (3 + 1 + 0.5 * 2) / 2
+    assert of(MANY_RUNS + 2) == (MANY_RUNS + 2) * 2.5
+    assert durations.looks == 1
     now_s[0] = KEPT_S + 1
-    left.of(t, record, MANY_RUNS)
-    assert left.of(t, record, 0) == 0
-    assert left.of(t, record, 10) == 15
-    assert looks == [7, 7, 7]
+    of(MANY_RUNS)
+    assert of(0) == 0
+    assert of(10) == 25
+    assert durations.looks == 3
+
+
+def test_time_left_counts_down_while_a_run_is_under_way_and_counts_evaluations() -> None:
+    durations, now_s, of = time_left(slots=1)
+    durations.claimed_at = [NOON]
+    assert of(1) == 3 + 1 + 0.5 * 2
+    now_s[0] = 2.0
+    assert of(1) == 3
+    now_s[0] = 60.0
+    assert of(1) == pytest.approx(0.1 * 4 + 1)  # it takes longer than any before: it is never said to be over
+    durations.claimed_at, durations.evaluations = [], 3
+    assert of(0) == 6

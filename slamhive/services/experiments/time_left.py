@@ -1,69 +1,97 @@
-"""How long what has not ended of an experiment will take."""
+"""How long the rest of an experiment will take: runs, what lies between them, and evaluations."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from slamhive.clock import monotonic_s
+from slamhive.clock import SYSTEM_CLOCK, Clock
 from slamhive.services.experiments.context import guessed_duration_s
-from slamhive.store.durations import Pairing
+from slamhive.store.durations import ActiveRun, Pairing, Unfinished
 from slamhive.store.experiment_records import ExperimentRecord
 from slamhive.store.store import Transaction
 
 MANY_RUNS = 5000
-"""From here on the runs that wait are not looked at for every page: their mean changes slowly."""
+"""From this many waiting runs on, the means are kept for a while: they change slowly and cost a look at each run."""
 KEPT_S = 60.0
+GUESSED_OVERHEAD_S = 1.5
+"""Preparing a run and collecting its results, where nothing has been measured yet."""
+GUESSED_EVALUATION_S = 4.0
+"""One evaluation in a container of its own, where nothing has been measured yet."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Mean:
-    of_run_s: float
-    looked_at_s: float
+class _Means:
+    """Seconds. ``of_run`` belongs to the runs that have not ended, from the claim to the end."""
+
+    of_run: float
+    of_evaluation: float
+    evaluated_fraction: float
+    looked_at: float
 
 
 class TimeLeft:
-    """Estimates by the runs of the experiment itself, or by those of others, or by recordings.
+    """Estimates from the runs of the experiment itself, else from other runs, else from the recordings' durations.
 
-    Of many runs the mean of one is kept for a minute, and only their number is new. Several threads may use it.
+    Several threads may use it.
 
     Args:
         slots: Runs at a time.
-        clock: Monotonic seconds.
+        clock: Says for how long runs have been under way.
     """
 
-    def __init__(self, slots: int, clock: Callable[[], float] = monotonic_s) -> None:
+    def __init__(self, slots: int, clock: Clock = SYSTEM_CLOCK) -> None:
         self._slots = slots
         self._clock = clock
         self._lock = threading.Lock()
-        self._means: dict[int, _Mean] = {}
+        self._means: dict[int, _Means] = {}
 
     def of(self, t: Transaction, record: ExperimentRecord, waiting: int) -> float:
-        """Seconds until ``waiting`` runs of the experiment, all that have not ended, will have."""
-        if not waiting:
+        """Seconds until the ``waiting`` runs of the experiment have ended, and all its runs are evaluated."""
+        evaluations = t.durations.open_evaluations(record.id)
+        if not waiting and not evaluations:
             return 0.0
-        now_s = self._clock()
+        means = self._known(record.id, waiting) or self._look(t, record.id)
+        evaluations_s = (evaluations + waiting * means.evaluated_fraction) * means.of_evaluation
+        elapsed_s = sum(self._elapsed_s(run, means.of_run) for run in t.durations.active(record.id))
+        return max(0.0, waiting * means.of_run - elapsed_s + evaluations_s) / self._slots
+
+    def _elapsed_s(self, run: ActiveRun, expected_s: float) -> float:
+        """How much of the time of a run has passed; one that takes longer than expected is taken to end soon."""
+        return min((self._clock.utc_now() - run.claimed_at).total_seconds(), 0.9 * expected_s)
+
+    def _known(self, experiment_id: int, waiting: int) -> _Means | None:
         with self._lock:
-            known = self._means.get(record.id)
-        if known is None or waiting < MANY_RUNS or now_s - known.looked_at_s > KEPT_S:
-            known = _Mean(_mean_s(t, record.id), now_s)
-            with self._lock:
-                self._means[record.id] = known
-        return waiting * known.of_run_s / self._slots
+            means = self._means.get(experiment_id)
+        fresh = means is not None and waiting >= MANY_RUNS and self._clock.monotonic_s() - means.looked_at <= KEPT_S
+        return means if fresh else None
+
+    def _look(self, t: Transaction, experiment_id: int) -> _Means:
+        waiting = t.durations.unfinished(experiment_id)
+        runs = max(1, sum(count.runs for count in waiting.values()))
+        means = _Means(
+            of_run=_total_s(t, experiment_id, waiting) / runs + _or(t.durations.overhead_s(), GUESSED_OVERHEAD_S),
+            of_evaluation=_or(t.durations.evaluation_s(), GUESSED_EVALUATION_S),
+            evaluated_fraction=sum(count.to_evaluate for count in waiting.values()) / runs,
+            looked_at=self._clock.monotonic_s(),
+        )
+        with self._lock:
+            self._means[experiment_id] = means
+        return means
 
 
-def _mean_s(t: Transaction, experiment_id: int) -> float:
-    """Of the runs that have not ended."""
-    waiting = t.durations.unfinished(experiment_id)
+def _total_s(t: Transaction, experiment_id: int, waiting: Mapping[Pairing, Unfinished]) -> float:
+    """Of all runs that have not ended, from start to end."""
     own, others = t.durations.of_pairings(experiment_id), t.durations.of_pairings()
     recordings_s = {dataset.name: dataset.duration_s for dataset in t.catalogue.datasets()}
-    total_s = sum(count * _run_s(pairing, own, others, recordings_s) for pairing, count in waiting.items())
-    return total_s / max(1, sum(waiting.values()))
+    total_s = 0.0
+    for pairing, count in waiting.items():
+        measured_s = own.get(pairing, others.get(pairing))
+        run_s = guessed_duration_s(pairing, recordings_s[pairing[1]]) if measured_s is None else measured_s
+        total_s += count.runs * run_s
+    return total_s
 
 
-def _run_s(
-    pairing: Pairing, own: Mapping[Pairing, float], others: Mapping[Pairing, float], recordings_s: Mapping[str, float]
-) -> float:
-    measured_s = own.get(pairing, others.get(pairing))
-    return guessed_duration_s(pairing, recordings_s[pairing[1]]) if measured_s is None else measured_s
+def _or(measured_s: float | None, guessed_s: float) -> float:
+    return guessed_s if measured_s is None else measured_s
