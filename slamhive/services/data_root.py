@@ -1,4 +1,4 @@
-"""The data root: who may make one, and what is said where there is none."""
+"""The data root: which commands may create one, and the errors if it is missing."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ REMEDY = "name another with --data or SLAMHIVE_DATA; slamhive demo, dataset room
 
 
 class DataRoot(StrEnum):
-    """What a command expects of the data root and of its database."""
+    """What a command needs of the data root and its database."""
 
     MADE = "made"
-    """Both are made if they are not there."""
+    """Both are created if missing."""
     FOUND = "found"
-    """The data root has to be there; the database is made if it is not."""
+    """The data root must exist; the database is created if missing."""
     READ = "read"
-    """Both have to be there; in a folder that holds datasets and no runs yet the database is made."""
+    """Both must exist; but in a folder with datasets and no runs yet, the database is created."""
     OPTIONAL = "optional"
-    """The command works without either, and makes neither."""
+    """The command works without either and creates neither."""
 
 
 def open_data_root(settings: Settings, expected: DataRoot) -> Store:
-    """The database of the data root, whose folders are there then; where only results are shown nothing is made.
+    """Open the database of the data root and create its folders; view-only mode creates nothing.
 
-    Raises NotFound or InvalidInput if something is missing that ``expected`` does not make; nothing has been made then.
+    Raises NotFound or InvalidInput, before anything is created, if something is missing that ``expected`` requires.
     """
     if expected is DataRoot.OPTIONAL:
         try:
@@ -60,7 +60,7 @@ def _check_there(settings: Settings) -> None:
 
 
 def _is_new(settings: Settings) -> bool:
-    """Whether the folder is a data root for certain, since it holds datasets, and has no runs that a database lost."""
+    """Whether the folder is a new data root: it has datasets, but no runs that a lost database could have held."""
     runs = settings.runs_folder
     return settings.datasets_folder.is_dir() and not (runs.is_dir() and any(runs.iterdir()))
 

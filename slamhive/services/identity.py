@@ -1,4 +1,4 @@
-"""Who holds a run: a name for this process that says when another process may be taken for dead."""
+"""The name under which a process holds runs; it lets others detect that the process is dead."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _PID_NAMESPACE = Path("/proc/self/ns/pid")
 
 
 def worker_identity() -> str:
-    """``host:pid namespace:pid:boot:start``, different for any two processes of any two machines.
+    """``host:pid namespace:pid:boot:start``, unique for each process on each machine.
 
-    The boot tells machines (and containers on them) apart that were given the same host name; the start, in clock
-    ticks since that boot, tells processes apart that were given the same pid.
+    The boot id distinguishes machines (and their containers) with the same host name. The start time, in clock
+    ticks since boot, distinguishes processes that were given the same pid.
     """
     pid = os.getpid()
     birth = process_birth(pid) or f"{_UNKNOWN}:{uuid.uuid4().hex}"
@@ -25,7 +25,7 @@ def worker_identity() -> str:
 
 
 def owner_is_dead(owner: str) -> bool:
-    """Whether ``owner`` was a process of this boot and pid namespace that runs no more. False if that is not known."""
+    """Whether ``owner`` was a process of this boot and pid namespace and has ended. False if unknown."""
     try:
         host, namespace, pid_text, boot, start = owner.rsplit(":", 4)
         pid = int(pid_text)
@@ -45,7 +45,7 @@ def _host() -> str:
 
 
 def _pid_namespace() -> str:
-    """The number of the space that this process's pids belong to: in another one they mean other processes."""
+    """The identifier of this process's pid namespace: in another one, the same pid is another process."""
     try:
         return str(_PID_NAMESPACE.stat().st_ino)
     except OSError:
@@ -53,7 +53,7 @@ def _pid_namespace() -> str:
 
 
 def _hidden(pid: int) -> bool:
-    """Whether there is such a process although ``/proc`` does not show it (another user's, under ``hidepid``)."""
+    """Whether the process exists although ``/proc`` hides it (another user's process under ``hidepid``)."""
     try:
         os.kill(pid, 0)
     except PermissionError:

@@ -1,4 +1,4 @@
-"""Times and parameter values as JSON has them."""
+"""Times and parameter values in JSON."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ def timestamp(at: datetime | None) -> str | None:
 
 
 def exact(at: datetime | None) -> str | None:
-    """The same to the microsecond, for what a row is rebuilt from."""
+    """The same to the microsecond, for records from which rows are rebuilt."""
     return None if at is None else at.isoformat()
 
 
 def plain(value: Value) -> Any:
-    """A parameter value as JSON has it."""
+    """A parameter value in JSON."""
     return list(value) if isinstance(value, tuple) else value

@@ -1,4 +1,4 @@
-"""Markdown as HTML that cannot do harm, whoever wrote it."""
+"""Convert untrusted Markdown to safe HTML."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _NO_SLUG = re.compile(r"[^\w\- ]")
 
 
 def markdown_html(text: str, link: Callable[[str], str] | None = None) -> str:
-    """Markdown as HTML: tags in it are shown as text, addresses of scripts are refused, pictures are left out.
+    """Convert Markdown to HTML: tags are shown as text, script links are refused, images are left out.
 
     Args:
         text: The Markdown.
-        link: What each address in it becomes; headings then get an ``id`` to lead to.
+        link: Maps each link target to the one in the page; headings then get an ``id``.
     """
     tokens = _MARKDOWN.parse(text)
     if link is not None:
@@ -30,5 +30,5 @@ def markdown_html(text: str, link: Callable[[str], str] | None = None) -> str:
 
 
 def slug(heading: str) -> str:
-    """``What protects it`` is led to as ``#what-protects-it``, as on the documentation site."""
+    """The anchor of a heading, as on the documentation site: ``what-protects-it`` for ``What protects it``."""
     return re.sub(r"[\s-]+", "-", _NO_SLUG.sub("", heading).strip().lower())

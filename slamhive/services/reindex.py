@@ -1,4 +1,4 @@
-"""Rebuilding the database from run folders, experiments, analyses and the ledger: it is their index."""
+"""Rebuild the database, which is an index of run folders, experiments, analyses and the ledger."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from slamhive.services.ledger import LedgerRestore
 from slamhive.services.runs import FolderRun, current_protocol, file_runs, found_evaluations, read_filed
 
 BATCH = 100
-"""Folders that are filed in one transaction."""
+"""Folders filed in one transaction."""
 
 
 @dataclass
 class ReindexReport:
-    """What was found: ``skipped`` are folders that could not be read, with the reason.
+    """What was restored. ``skipped`` are the folders that could not be read, with the reason.
 
-    ``waiting`` runs had no folder, because no worker had begun them: the ledger has them. ``queued`` runs of
-    ``experiments`` are in neither, and are queued again.
+    ``waiting`` runs come from the ledger: they have no folder, because no worker had started them. ``queued`` runs of
+    ``experiments`` were in neither and have been queued again.
     """
 
     runs: int = 0
@@ -35,15 +35,15 @@ class ReindexReport:
 
 
 def run_folders(root: Path) -> list[RunFolder]:
-    """All run folders, in the order of their ids."""
+    """All run folders, sorted by id."""
     return [RunFolder(entry) for entry in sorted((e for e in root.iterdir() if e.name.isdigit()), key=_number)]
 
 
 def reindex(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
-    """File every run folder: rows that exist are made equal to their folder, missing ones are added.
+    """File every run folder: existing rows are updated from their folder, missing rows are added.
 
-    What has no folder comes out of the ledger; rows that neither tells of stay as they are. ``progress`` is called
-    with done and total.
+    What has no folder is restored from the ledger. Rows that are in neither stay as they are. ``progress`` is called
+    with the folders done and their total.
     """
     with hive.store.unheard():
         report = _reindexed(hive, progress)
@@ -86,7 +86,7 @@ def _note(report: ReindexReport, restored: Restored) -> None:
 def _file_folders(
     hive: Hive, folders: Sequence[RunFolder], report: ReindexReport, ledger: LedgerRestore
 ) -> list[tuple[Path, str]]:
-    """File them together; the folders that were left out, with the reason. One of them keeps none else from filing."""
+    """File folders in one transaction, or one by one if that fails; return those left out, with the reason."""
     runs, left_out = [], []
     for folder in folders:
         try:

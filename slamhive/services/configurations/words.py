@@ -1,4 +1,4 @@
-"""What users type about configurations: names, notes, conditions, and records as JSON."""
+"""Text about configurations: names, notes and conditions that users type, and records as JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CONDITION = re.compile(r"([^<>=]+)(<=|>=|=|<|>)(.*)", re.DOTALL)
 
 
 def check_label(kind: str, text: str, *, empty: bool = False) -> str:
-    """``text`` as the name of a configuration or group: any text of one line, but no number; raises InvalidInput."""
+    """Check the name of a configuration or group: one line of text that is not a number; raises InvalidInput."""
     name = text.strip()
     if empty and not name:
         return ""
@@ -31,7 +31,7 @@ def check_label(kind: str, text: str, *, empty: bool = False) -> str:
 
 
 def check_note(text: str) -> str:
-    """``text`` without the white space around it; raises InvalidInput if it is too long or holds control characters."""
+    """Strip a note; raises InvalidInput if it is too long or has control characters."""
     note = "\n".join(line.rstrip() for line in text.strip().splitlines())
     if len(note) > LONGEST_NOTE or not note.replace("\n", "").replace("\t", "").isprintable():
         raise InvalidInput(f"note {text[:40]!r}... is not allowed", f"use text of at most {LONGEST_NOTE} characters")
@@ -39,7 +39,7 @@ def check_note(text: str) -> str:
 
 
 def parse_conditions(texts: Iterable[str]) -> tuple[ParameterCondition, ...]:
-    """``features>=1000`` and its like; raises InvalidInput for a text that is none."""
+    """Parse conditions such as ``features>=1000``; raises InvalidInput."""
     found = []
     for text in texts:
         match = _CONDITION.fullmatch(text.strip())
@@ -53,7 +53,7 @@ def parse_conditions(texts: Iterable[str]) -> tuple[ParameterCondition, ...]:
 
 
 def configuration_to_json(record: ConfigurationRecord) -> dict[str, Any]:
-    """The configuration with what users say about it. ``parameters``: {key: value, type, unit and general name}."""
+    """A configuration with its name, note and groups. ``parameters``: {key: value, type, unit, general name}."""
     content = record.configuration
     return {
         "id": record.id,

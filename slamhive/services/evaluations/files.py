@@ -1,4 +1,4 @@
-"""What an evaluation may look at besides the two trajectories."""
+"""The files that an evaluation may read besides the two trajectories."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from slamhive.runs.folder import RunFolder
 
 
 def evaluation_files(folder: RunFolder, dataset: Dataset) -> dict[str, Path]:
-    """The files by the names that evaluators know them by; those that are not there, and links, are left out."""
+    """The files by the names that evaluators use; missing files and links are left out."""
     truth = dataset.groundtruth
     named = {
         COVARIANCES: folder.covariances,
@@ -32,7 +32,7 @@ def evaluation_files(folder: RunFolder, dataset: Dataset) -> dict[str, Path]:
 
 
 def _is_file(path: Path) -> bool:
-    """Whether it is a regular file; an algorithm may have put a link to anything in its place."""
+    """Whether it is a regular file: an algorithm may have replaced it with a link."""
     try:
         return stat.S_ISREG(path.lstat().st_mode)
     except OSError:

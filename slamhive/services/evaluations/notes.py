@@ -1,4 +1,4 @@
-"""What an evaluation has left in the run folder besides figures: why some are missing, and hints at mistakes."""
+"""Notes of an evaluation in the run folder: why metrics are missing, and hints at mistakes."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _MAX_RESULT_BYTES = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class EvaluationNotes:
-    """``missing``: why figures are missing, {metric key: reason}. ``hints``: mistakes that the errors betray."""
+    """``missing``: {metric key: why it has no value}. ``hints``: likely mistakes that the errors point to."""
 
     missing: Mapping[str, str] = field(default_factory=dict)
     hints: tuple[Hint, ...] = ()
 
 
 def evaluation_notes(folder: RunFolder, fingerprint: str | None) -> EvaluationNotes:
-    """The notes of the evaluation under the protocol with this fingerprint; empty where there are none."""
+    """The notes of the evaluation under the protocol with this fingerprint; empty if there are none."""
     if fingerprint is None:
         return EvaluationNotes()
     try:

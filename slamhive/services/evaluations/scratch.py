@@ -1,4 +1,4 @@
-"""Folders in which batches of evaluations keep what they need while they run; killed ones leave nothing for long."""
+"""Temporary folders for batches of evaluations, removed even if a batch is killed."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _PREFIX = ".evaluation-"
 
 @contextmanager
 def scratch_folder(data: Path) -> Iterator[Path]:
-    """A folder below ``data``, removed at the end. Those that killed processes have left go first."""
+    """A folder below ``data``, removed at the end; leftovers of killed processes are removed first."""
     sweep_scratch(data)
     with temporary_folder(_PREFIX, data) as folder:
         yield folder
 
 
 def sweep_scratch(data: Path) -> None:
-    """Remove what killed batches have left."""
+    """Remove the folders of killed batches."""
     for left in data.glob(f"{_PREFIX}*"):
         sweep_folder(left)

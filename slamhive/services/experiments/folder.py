@@ -1,4 +1,4 @@
-"""``experiments/<name>/``: what an experiment is rebuilt from when the database is lost."""
+"""``experiments/<name>/``: the files from which an experiment is restored if the database is lost."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class ExperimentStamp:
-    """What is known of an experiment besides its source: who it is, and what was last wanted of it."""
+    """What is stored of an experiment besides its source: its identity and its requested state."""
 
     uid: str
     name: str
@@ -40,7 +40,7 @@ class ExperimentFolder:
     """The folder of one experiment.
 
     Args:
-        root: Where it lies; it bears the experiment's name.
+        root: The folder, named after the experiment.
     """
 
     def __init__(self, root: Path) -> None:
@@ -48,13 +48,13 @@ class ExperimentFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Nobody else on this machine changes the experiment meanwhile; raises Conflict if somebody does.
+        """Lock the experiment against other processes on this machine; raises Conflict if it is locked.
 
-        The kernel lets go of the lock when its process dies, however it dies.
+        The kernel releases the lock when the process dies.
         """
         try:
             make_shared_folder(self.root)
-            # To be read is enough for a lock, also on the file of another user.
+            # Opening for reading is enough for a lock, even on another user's file.
             flags = os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
             descriptor = os.open(self.root / LOCK, flags, 0o644)
         except OSError as error:
@@ -71,14 +71,14 @@ class ExperimentFolder:
             os.close(descriptor)
 
     def write(self, stamp: ExperimentStamp, source: str | None = None) -> None:
-        """Write the stamp, and the source with a new experiment; the source first, so that a stamp always has one."""
+        """Write the stamp, and for a new experiment first its source, so that a stamp always has a source."""
         if source is not None:
             write_aside(self.root / SOURCE, source)
         content = {**asdict(stamp), "format": FORMAT, "created_at": stamp.created_at.isoformat()}
         write_aside(self.root / RECORD, json.dumps(content, indent=1) + "\n")
 
     def read(self) -> ExperimentStamp | None:
-        """The stamp, None if nothing was ever stored here; raises InvalidInput if it cannot be read."""
+        """The stamp; None if there is none; raises InvalidInput if it cannot be read."""
         path = self.root / RECORD
         if not path.exists():
             return None
@@ -97,12 +97,12 @@ class ExperimentFolder:
             raise InvalidInput(f"{path} is not complete: {error!r}", "restore it, or remove the folder") from None
 
     def source(self) -> str:
-        """The experiment file as it was given; raises InvalidInput."""
+        """The original experiment file; raises InvalidInput."""
         return strict_yaml.read_text(self.root / SOURCE)
 
 
 def experiment_folders(root: Path) -> list[ExperimentFolder]:
-    """All folders that an experiment was stored in, by name."""
+    """The folders of all stored experiments, sorted by name."""
     if not root.is_dir():
         return []
     return [ExperimentFolder(path.parent) for path in sorted(root.glob(f"*/{RECORD}"))]

@@ -1,4 +1,4 @@
-"""What starting an experiment would do: how much, how long, how much space. Nothing is stored."""
+"""Preview of an experiment: number of runs, time and disk space. Nothing is stored."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ CHUNK = 1000
 
 
 def cells_of(expansion: Iterable[PlannedRun]) -> Iterator[list[PlannedRun]]:
-    """The planned runs of one cell after the other."""
+    """The planned runs, grouped by cell."""
     for _, runs in groupby(expansion, key=lambda run: run.cell):
         yield list(runs)
 
 
 def chunks_of(expansion: Iterable[PlannedRun], size: int) -> Iterator[list[list[PlannedRun]]]:
-    """The cells in chunks of at most ``size`` runs, and of one cell at least."""
+    """Split the cells into chunks of at most ``size`` runs, but at least one cell."""
     chunk: list[list[PlannedRun]] = []
     runs = 0
     for cell in cells_of(expansion):
@@ -57,9 +57,9 @@ def preview(
     standing: Standing | None,
     progress: Progress,
 ) -> ExperimentPreview:
-    """Count, estimate and check; raises what makes no plan at all, see :meth:`ExperimentContext.expand`.
+    """Count, estimate and check; raises as :meth:`ExperimentContext.expand` if the file is not valid.
 
-    ``executor`` None: none can be used, which the caller has told among the refusals.
+    ``executor`` is None if none can be used; the caller has added that to the refusals.
     """
     expansion = context.expand(experiment)
     space = find_disk_space(context, expansion)

@@ -17,7 +17,7 @@ _COUNTS = ("runs", "good", "failed", "failures", "protocol", "evaluated", "distu
 
 
 def csv_text(cells: Iterable[Cell], axes: Sequence[str]) -> str:
-    """The whole report as CSV: exact values, an empty field where there is none, metrics in their own units."""
+    """The whole report as CSV: exact values in stored units, missing values empty."""
     stream = io.StringIO()
     writer = csv.writer(stream)
     figures = [column for key in METRICS for column in (f"{key}.mean", f"{key}.std", f"{key}.n", f"{key}.median")]
@@ -29,7 +29,7 @@ def csv_text(cells: Iterable[Cell], axes: Sequence[str]) -> str:
 
 
 def csv_rows(cell: Cell, axes: Sequence[str]) -> Iterator[list[Any]]:
-    """One row for each protocol that runs of the cell were evaluated under."""
+    """One row for each protocol under which runs of the cell were evaluated."""
     for figures in cell.figures or (NO_FIGURES,):
         row: list[Any] = [cell.number, cell.name, *(_text(cell.values.get(axis)) for axis in axes)]
         row += [len(cell.runs), cell.counts[Phase.GOOD], sum(cell.failures.values()), failures_text(cell)]
@@ -46,7 +46,7 @@ def failures_text(cell: Cell) -> str | None:
 
 
 def varying(axes: dict[str, tuple[Value, ...]]) -> list[str]:
-    """The axes that tell cells apart."""
+    """The axes with more than one value."""
     return [axis for axis, values in axes.items() if len(values) > 1]
 
 

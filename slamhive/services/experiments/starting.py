@@ -1,4 +1,4 @@
-"""Starting an experiment, going on with an interrupted start, and asking for more repeats: check, then store."""
+"""Start an experiment, complete an interrupted start, or add repeats: check first, then store."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from slamhive.sweep.experiment_model import MAX_REPEATS
 
 
 def start(context: ExperimentContext, source: ExperimentSource, executor: str | None, progress: Progress) -> str:
-    """Store everything that ``source`` asks for, unless it is stored already; the experiment's name."""
+    """Store all runs of ``source`` that are not stored yet; returns the name of the experiment."""
     experiment = parse_experiment(source.text, source.name)
     record = context.store.read(lambda t: t.experiments.find(experiment.name))
     if record is not None:
@@ -51,7 +51,7 @@ def start(context: ExperimentContext, source: ExperimentSource, executor: str | 
 def check_same(
     context: ExperimentContext, record: ExperimentRecord, experiment: Experiment, executor: str | None
 ) -> None:
-    """Raise Conflict unless the experiment that is stored is the one that the file states, and may go on."""
+    """Raise Conflict unless the stored experiment has the same content as the file and was not cancelled."""
     if record.content_hash != experiment.content_hash:
         raise Conflict(
             f"{experiment.place}: an experiment called {record.name} is there already and states something else",
@@ -67,7 +67,7 @@ def check_same(
 
 
 def add_repeats(context: ExperimentContext, name: str, count: int, progress: Progress) -> None:
-    """Run each cell ``count`` times more with each seed, as if the file had asked for so many at once."""
+    """Add ``count`` repeats to each cell and seed, as if the file had requested them from the start."""
     with changing(context, name) as record:
         if not record.complete:
             raise Conflict(f"experiment {name} is not stored completely", "start its file again first")
@@ -86,7 +86,7 @@ def add_repeats(context: ExperimentContext, name: str, count: int, progress: Pro
 
 
 def _checked(context: ExperimentContext, experiment: Experiment, executor: str) -> Expansion:
-    """All that the experiment asks for; raises the first thing that would keep it from running."""
+    """Expand the experiment; raises the first problem that would keep it from running."""
     expansion = context.expand(experiment)
     for error in disk_space_problems(context, experiment, find_disk_space(context, expansion)):
         raise error
@@ -108,7 +108,7 @@ def _new_stamp(experiment: Experiment, executor: str) -> ExperimentStamp:
 
 
 def _settled(folder: ExperimentFolder, stamp: ExperimentStamp, source: ExperimentSource) -> ExperimentStamp:
-    """The stamp on disk, which another process may have written meanwhile, or ``stamp`` once it is there."""
+    """The stamp on disk, which another process may have written first; else writes ``stamp``."""
     found = folder.read()
     if found is not None and found.content_hash == stamp.content_hash:
         return found

@@ -1,4 +1,4 @@
-"""What the experiment service takes and gives: frozen values that command line, pages and JSON show."""
+"""Values that the experiment service takes and returns, and that command line, pages and JSON show."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from slamhive.domain.verdict import VerdictKind
 from slamhive.store.experiment_records import CellRun
 
 MOST_LISTED = 200
-"""Configurations that a place of a grid lists; an address that names more is too long for some servers."""
+"""A grid cell lists at most this many configurations: a longer URL is too long for some servers."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExperimentSource:
-    """The text of an experiment file, and what messages call it."""
+    """The text of an experiment file, and its name in messages."""
 
     text: str
     name: str = "experiment.yaml"
@@ -34,7 +34,7 @@ class ExperimentSource:
 
 
 class Phase(StrEnum):
-    """The states of runs as progress shows them."""
+    """Groups of run states that progress displays show."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -60,14 +60,14 @@ class Phase(StrEnum):
 
 
 ENDED = (Phase.GOOD, Phase.UNJUDGED, Phase.FAILED, Phase.CANCELLED)
-"""The phases of runs that nothing more will come of."""
+"""The phases of runs that have ended."""
 
 Failure = FailureReason | VerdictKind
-"""Why a run counts as failed: how it ended, or its verdict."""
+"""Why a run counts as failed: its failure reason or its verdict."""
 
 
 class _Ended(Protocol):
-    """What is known of runs that ended alike."""
+    """Runs, or a group of runs, with the same end."""
 
     @property
     def state(self) -> RunState: ...
@@ -78,7 +78,7 @@ class _Ended(Protocol):
 
 
 def failure_of(run: _Ended) -> Failure | None:
-    """Why runs in this state, with this reason and verdict, count as failed; None if they do not."""
+    """Why runs with this end count as failed; None if they do not."""
     if run.state is RunState.FAILED:
         return run.reason or VerdictKind.ENDED_BADLY
     judged = run.judged if run.state is RunState.SUCCEEDED else None
@@ -86,12 +86,12 @@ def failure_of(run: _Ended) -> Failure | None:
 
 
 def failure_words(failure: Failure) -> str:
-    """A failure inside a sentence."""
+    """The failure as part of a sentence."""
     return failure.label if isinstance(failure, VerdictKind) else failure.value.replace("_", " ")
 
 
 class Standing(StrEnum):
-    """Where an experiment stands. ``storing``: its start was interrupted, or is under way."""
+    """The state of an experiment. ``storing``: its start is under way or was interrupted."""
 
     STORING = "storing"
     ACTIVE = "active"
@@ -102,7 +102,7 @@ class Standing(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PreviewRow:
-    """One of the first cells. ``known``: its configuration is stored already, and so often it has run or will."""
+    """One of the first cells. ``known``: how many runs its configuration already has, queued ones included."""
 
     number: int
     name: str
@@ -115,7 +115,7 @@ class PreviewRow:
 class VariantNeed:
     """A variant of a dataset that runs need.
 
-    ``made``: it lies in the cache; else it takes ``needed_bytes`` at most, and about ``make_s`` to make.
+    ``made``: it is in the cache. Otherwise it needs at most ``needed_bytes`` and takes about ``make_s`` to make.
     """
 
     dataset: str
@@ -128,16 +128,16 @@ class VariantNeed:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentPreview:
-    """What starting an experiment would do; nothing is stored for it.
+    """A preview of an experiment that has not been started.
 
-    ``combinations`` before conditions, ``cells`` distinct configurations after them (``merged`` were identical to
-    another), ``runs`` with seeds and repeats. ``known_cells`` configurations are stored already, with ``known_runs``
-    runs. ``time_s`` is the estimated time of all runs and variants on this machine's slots, ``measured_runs`` how many
-    of them it knows from earlier runs; the others are taken to last as long as their recording plays.
-    ``variant_time_s`` is the part of it that making variants takes, each once. ``run_bytes`` is the room
-    that run folders will take, by the size of earlier ones. ``refusals`` would keep it from being started.
-    ``standing``: of the experiment if it is stored already. ``repeat_disturbed``: how often each run is repeated at
-    most because of a disturbed machine, which the other numbers leave out.
+    ``combinations`` counts them before conditions; ``cells`` counts the distinct configurations that remain
+    (``merged`` were identical to another); ``runs`` includes seeds and repeats. ``known_cells`` configurations are
+    stored already, with ``known_runs`` runs. ``time_s`` is the estimated time of all runs and variants on the slots of
+    this machine. For ``measured_runs`` of them it uses the time of earlier runs; the others are assumed to last as
+    long as their recording. ``variant_time_s`` is the share of ``time_s`` for making variants, each once.
+    ``run_bytes`` estimates the size of the run folders from earlier ones. ``refusals`` are the reasons why the
+    experiment cannot start. ``standing`` is that of the experiment if it is stored already. ``repeat_disturbed`` is
+    how often each run is repeated at most because of a disturbed machine; the other numbers leave that out.
     """
 
     name: str
@@ -166,10 +166,10 @@ class ExperimentPreview:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentStatus:
-    """How far an experiment is.
+    """The progress of an experiment.
 
-    ``counts`` of runs by phase leave out failed and disturbed runs that another run has taken the place of
-    (``retried``). ``disturbed`` of the others were measured on a disturbed machine.
+    ``counts`` of runs by phase leave out failed and disturbed runs that were repeated (``retried``). ``disturbed``
+    of the counted runs were measured on a disturbed machine.
     ``failures``: {reason: runs}. ``left_s`` is the estimated time left, None if nothing has been measured. ``missing``
     runs are not stored, because the start was interrupted.
     """
@@ -193,18 +193,18 @@ class ExperimentStatus:
 
     @property
     def ended(self) -> int:
-        """Runs that nothing more will come of."""
+        """The number of runs that have ended."""
         return sum(self.counts[phase] for phase in ENDED)
 
     @property
     def ended_badly(self) -> int:
-        """Failed runs that may be tried again; those that failed by their verdict would end alike."""
+        """Failed runs that can be retried; a run that failed by its verdict would fail again."""
         return sum(count for failure, count in self.failures.items() if isinstance(failure, FailureReason))
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Mean, median and sample standard deviation of ``n`` values; no deviation of a single one."""
+    """Mean, median and sample standard deviation of ``n`` values; a single value has no deviation."""
 
     n: int
     mean: float
@@ -214,7 +214,7 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class CellFigures:
-    """Figures of the good runs of a cell under one protocol (fingerprint), None where none was evaluated.
+    """Metrics of the successful runs of a cell under one protocol (fingerprint; None if not evaluated).
 
     ``disturbed`` of these runs were measured on a disturbed machine.
     """
@@ -229,8 +229,8 @@ class CellFigures:
 class Cell:
     """One configuration of an experiment with its runs.
 
-    ``counts`` as in :class:`ExperimentStatus`; ``failures`` counts all failed runs, retried ones too. Figures of
-    different protocols stay apart.
+    ``counts`` as in :class:`ExperimentStatus`; ``failures`` counts all failed runs, retried ones too. Metrics of
+    different protocols are kept apart.
     """
 
     number: int
@@ -245,7 +245,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class CellPage:
-    """Some cells in order. ``next_number`` asks for those after, None at the end."""
+    """One page of cells, in order. ``next_number`` is the key of the next page, None on the last."""
 
     cells: tuple[Cell, ...]
     total: int
@@ -254,9 +254,9 @@ class CellPage:
 
 @dataclass(frozen=True, slots=True)
 class GridCell:
-    """The cells of an experiment that share two values: how many, the first one, and their runs by phase.
+    """The cells of an experiment with the same two axis values: their number, the first one, and runs by phase.
 
-    ``configurations`` are their numbers, empty where they are more than :data:`MOST_LISTED`. ``counts`` and
+    ``configurations`` are their numbers, empty if there are more than :data:`MOST_LISTED`. ``counts`` and
     ``failures`` (runs by reason) as in :class:`ExperimentStatus`.
     """
 
@@ -269,10 +269,9 @@ class GridCell:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Progress over two axes. A value is None where an axis has no meaning (``features`` for a LiDAR algorithm).
+    """Progress over two axes. A value is None if the axis does not apply (``features`` for a LiDAR algorithm).
 
-    ``cells``: {(row, column) as indices of ``rows`` and ``columns``: what is there}; combinations that do not exist are
-    absent.
+    ``cells``: {(row, column) as indices of ``rows`` and ``columns``: cell}, without combinations that do not exist.
     """
 
     row_axis: str

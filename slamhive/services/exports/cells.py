@@ -1,4 +1,4 @@
-"""Cells of tables that spreadsheets open."""
+"""Table cells that are safe to open in a spreadsheet."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def safe_cell(value: T) -> T | str:
-    """``value``; text that a spreadsheet would run as a formula gets a quotation mark before it."""
+    """Put an apostrophe before text that a spreadsheet would run as a formula."""
     return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA_STARTS) else value

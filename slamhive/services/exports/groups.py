@@ -1,4 +1,4 @@
-"""Configurations as a file: each with the number of its runs, and mean and spread of their figures."""
+"""Configurations as a table: number of runs, mean and standard deviation of each metric."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _PARTS = ("mean", "std", "n", "min", "max", "median")
 
 
 class GroupExport(TableExport[GroupRecord]):
-    """A row for each configuration and protocol: ``ate.rmse.mean``, ``ate.rmse.std`` and so on beside its names.
+    """One row for each configuration and protocol, with columns such as ``ate.rmse.mean`` and ``ate.rmse.std``.
 
     Args:
-        metrics: Keys of the figures; a standard deviation of one run is not known.
+        metrics: Keys of the metrics; the standard deviation of a single run is missing.
     """
 
     def __init__(self, metrics: Sequence[str]) -> None:
@@ -35,7 +35,7 @@ class GroupExport(TableExport[GroupRecord]):
 
 
 def by_protocol(group: GroupRecord) -> Iterator[tuple[ProtocolLabel | None, dict[str, Spread]]]:
-    """The figures under each protocol, or without one, with the measured ones beside them."""
+    """The metrics under each protocol, or without one, together with those that need no protocol."""
     measured = group.figures.get(None, {})
     labels: list[ProtocolLabel | None] = [label for label in group.figures if label is not None]
     for label in labels or [None]:

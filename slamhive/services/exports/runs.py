@@ -1,4 +1,4 @@
-"""Runs as a file: chosen columns, parameters and figures."""
+"""Runs as a table: selected columns, parameters and metrics."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
 
 
 def disturbed_text(found: Disturbance | None) -> str | None:
-    """``yes`` or ``no``, None if it is not known."""
+    """``yes`` or ``no``; None if unknown."""
     return None if found is None else {True: "yes", False: "no", None: None}[found.disturbed]
 
 
 class RunExport(TableExport[RunRecord]):
-    """Values of chosen columns.
+    """Values of the selected columns.
 
     Args:
-        columns: Keys of columns, metrics and parameters; raises NotFound for one that there is not.
-        vocabulary: The parameters that there are.
+        columns: Keys of columns, metrics and parameters; raises NotFound for an unknown one.
+        vocabulary: The known parameters.
     """
 
     def __init__(self, columns: Sequence[str], vocabulary: Vocabulary) -> None:
@@ -54,7 +54,7 @@ class RunExport(TableExport[RunRecord]):
         super().__init__(columns, [_is_number(key, vocabulary) for key in columns])
 
     def cells(self, record: RunRecord) -> Iterator[tuple[Value, ...]]:
-        """One row a run."""
+        """One row for each run."""
         yield tuple(read(record) for read in self._readers)
 
 

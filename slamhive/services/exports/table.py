@@ -1,4 +1,4 @@
-"""A table as a file: CSV, JSON or Parquet, page after page, so that any number of rows fits into little memory."""
+"""Write a table as CSV, JSON or Parquet, page by page, so that memory does not grow with the rows."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from slamhive.services.exports.cells import safe_cell
 Record = TypeVar("Record")
 Value = int | float | str | bool | None
 Page: TypeAlias = Callable[[str | None], tuple[Sequence[Record], str | None]]
-"""The records of the page after a key (None: the first), and the key of the next."""
+"""Returns the records of the page after a key (None for the first page) and the key of the next page."""
 
 
 class Format(StrEnum):
-    """What tables can be exported as."""
+    """The file formats of exported tables."""
 
     CSV = "csv"
     JSON = "json"
@@ -29,7 +29,7 @@ class Format(StrEnum):
 
     @property
     def media_type(self) -> str:
-        """For the browser."""
+        """The media type for browsers."""
         types = {"csv": "text/csv", "json": "application/json", "parquet": "application/vnd.apache.parquet"}
         return types[self.value]
 
@@ -51,7 +51,7 @@ class TableExport(ABC, Generic[Record]):
         """The rows of one record."""
 
     def rows(self, page: Page[Record]) -> Iterator[tuple[Value, ...]]:
-        """All rows, in the order of the pages."""
+        """All rows, in order."""
         key: str | None = None
         while True:
             records, key = page(key)
@@ -61,11 +61,11 @@ class TableExport(ABC, Generic[Record]):
                 return
 
     def csv(self, page: Page[Record]) -> Iterator[str]:
-        """Comma-separated text; no cell is taken for a formula by a spreadsheet."""
+        """CSV text; no cell runs as a formula in a spreadsheet."""
         return _csv_lines(self.columns, self.rows(page))
 
     def json(self, page: Page[Record]) -> Iterator[str]:
-        """A JSON list with an object a row; what is not known is null."""
+        """A JSON list with one object for each row; missing values are null."""
         separator = "["
         for row in self.rows(page):
             content = dict(zip(self.columns, row, strict=True))
@@ -74,7 +74,7 @@ class TableExport(ABC, Generic[Record]):
         yield "[]\n" if separator == "[" else "\n]\n"
 
     def parquet(self, page: Page[Record], path: Path) -> int:
-        """A Parquet file, a row group for each 1000 rows; how many rows it has. Needs pyarrow."""
+        """Write a Parquet file with a row group for each 1000 rows; returns the number of rows. Needs pyarrow."""
         try:
             import pyarrow as pa  # noqa: PLC0415 - optional
             import pyarrow.parquet as pq  # noqa: PLC0415 - optional

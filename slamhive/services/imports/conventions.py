@@ -1,4 +1,4 @@
-"""What the numbers of an imported file mean: as told, or else as the evidence says; in doubt the import asks."""
+"""Time unit and quaternion order of imported files: as specified, or detected; in doubt the import asks."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
 _TOLD = "as told"
 _HEADER = "by its header"
 _PARTNERS = 5
-"""So many estimates at most are asked what their ground truth means."""
+"""At most this many estimates are compared with a ground truth to detect its conventions."""
 
 
 @dataclass(frozen=True, slots=True)
 class PoseFile:
-    """A file of poses, read, its numbers not yet understood.
+    """A file of poses that was read, with its conventions not yet known.
 
     Attributes:
         data: Its bytes.
         format: The layout of its rows: TUM for eight columns or four, EUROC for more, KITTI for matrices.
         raw: Its numbers.
-        named: The user has named the format.
+        named: The user has specified the format.
     """
 
     data: bytes
@@ -41,27 +41,27 @@ class PoseFile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """A ground truth that estimates are compared with; ``rotations_known``: its orientations mean something."""
+    """A ground truth for comparison with estimates; ``rotations_known``: its orientations are meaningful."""
 
     trajectory: Trajectory
     rotations_known: bool
 
     @property
     def span(self) -> Span:
-        """When it begins and ends, in s."""
+        """First and last timestamp, in s."""
         return float(self.trajectory.stamps_s[0]), float(self.trajectory.stamps_s[-1])
 
 
 @dataclass(frozen=True, slots=True)
 class Partner:
-    """An estimate that belongs to a ground truth, and what the user says of it."""
+    """An estimate that belongs to a ground truth, and the conventions that the user specified."""
 
     file: PoseFile
     told: Convention
 
 
 def settle(file: PoseFile, name: str, told: Convention, truth: Truth | None) -> Reading:
-    """How the numbers of an estimate are to be taken; raises InvalidInput, saying what was found, in doubt."""
+    """Determine the conventions of an estimate; raises InvalidInput with the evidence if in doubt."""
     unit = _unit(file, told, None if truth is None else truth.span)
     time_unit = _decided(unit, "time unit", "--time-unit", TimeUnit)
     if not _has_order(file):
@@ -72,7 +72,7 @@ def settle(file: PoseFile, name: str, told: Convention, truth: Truth | None) -> 
 
 
 def settle_truth(file: PoseFile, name: str, told: Convention, partners: Sequence[Partner]) -> Reading:
-    """How the numbers of a ground truth are to be taken, its estimates asked where it does not tell by itself.
+    """Determine the conventions of a ground truth, with the help of its estimates if necessary.
 
     Raises as :func:`settle`.
     """
@@ -92,7 +92,7 @@ def settle_truth(file: PoseFile, name: str, told: Convention, partners: Sequence
 def _truth_order(
     file: PoseFile, told: Convention, unit: TimeUnit, partners: Sequence[Partner]
 ) -> Finding[QuaternionOrder]:
-    """The order of a ground truth: an estimate may contradict what it states, or tell where it states nothing."""
+    """The quaternion order of a ground truth; estimates may contradict its header or replace a missing one."""
     by_itself = _order(file, told, unit, {})
     if told.quaternion_order is not None:
         return by_itself
@@ -123,14 +123,14 @@ def _order(
 
 
 def _stated_order(file: PoseFile, unit: TimeUnit) -> Finding[QuaternionOrder] | None:
-    """What is said of the order: by the user, by the header, or by a format that has but one."""
+    """The quaternion order as specified by the user, the header, or a format that has only one."""
     if file.named:
         return Finding(_ORDERS[file.format], f"by --format {file.format}")
     if file.raw.stated.quaternion_order is not None:
         return Finding(file.raw.stated.quaternion_order, _HEADER)
     if file.format is TrajectoryFormat.EUROC:
         return Finding(QuaternionOrder.WXYZ, "as in EuRoC's own files")
-    # Eight columns with seconds are what TUM files are; with another unit anybody's.
+    # Eight columns with seconds are a TUM file; with another unit they could be anything.
     return Finding(QuaternionOrder.XYZW, "as in TUM files") if unit is TimeUnit.S else None
 
 
@@ -139,18 +139,18 @@ _ORDERS = {TrajectoryFormat.TUM: QuaternionOrder.XYZW, TrajectoryFormat.EUROC: Q
 
 
 def _has_order(file: PoseFile) -> bool:
-    """Positions alone and matrices have none."""
+    """Whether the file has quaternions: files of positions or matrices have none."""
     return file.raw.orientations and file.format is not TrajectoryFormat.KITTI
 
 
 def _own_span(partner: Partner) -> Span | None:
-    """When an estimate begins and ends, if it tells by itself."""
+    """First and last timestamp of an estimate, if its time unit is clear without a ground truth."""
     unit = _unit(partner.file, partner.told, None).value
     return None if unit is None else span_of(partner.file.raw.times, unit)
 
 
 def _spreads_deg(file: PoseFile, unit: TimeUnit, truth: Truth) -> dict[QuaternionOrder, float]:
-    """How far the orientations, read in each order, are from turning as those of the ground truth do."""
+    """The rotation difference between estimate and ground truth for each quaternion order."""
     if not truth.rotations_known:
         return {}
     pair = thinned_pair(truth.trajectory, file.raw.trajectory(unit, QuaternionOrder.XYZW, Duplicates.KEEP))
@@ -162,9 +162,9 @@ def _spreads_deg(file: PoseFile, unit: TimeUnit, truth: Truth) -> dict[Quaternio
 
 
 def _partner_spreads_deg(file: PoseFile, unit: TimeUnit, partner: Partner) -> dict[QuaternionOrder, float]:
-    """As :func:`_spreads_deg`, of a ground truth: by the better of the orders that its estimate may have.
+    """As :func:`_spreads_deg` for a ground truth, with the better of the two orders of its estimate.
 
-    Where the ground truth states its order, it takes more to contradict it than what an estimate seems to be.
+    An order that the ground truth states is contradicted only by an estimate whose order is certain.
     """
     stated = _stated_order(file, unit) is not None
     best: dict[QuaternionOrder, float] = {}

@@ -1,4 +1,4 @@
-"""Patterns of paths such as ``<algorithm>/<dataset>/<trial>.txt``: what a file's place says about it."""
+"""Path patterns such as ``<algorithm>/<dataset>/<trial>.txt``, which read fields from a file's path."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _FIELD = re.compile(r"<([^<>]*)>")
 
 
 class PathPattern:
-    """A path below a folder, with ``<field>`` where a part is read; ``*`` is anything within one part.
+    """A pattern for paths below a folder: ``<field>`` reads a part, ``*`` matches anything within one part.
 
     Args:
-        text: The pattern, ``/`` between parts.
-        fields: The names that may be used.
-        needed: Those of them that must be.
+        text: The pattern, with ``/`` between parts.
+        fields: The allowed names.
+        needed: The required names.
 
     Raises InvalidInput for an unknown field, one that is used twice or one that is missing.
     """
@@ -43,7 +43,7 @@ class PathPattern:
         self._expression = re.compile(_expression(text))
 
     def match(self, path: str) -> dict[str, str] | None:
-        """What the fields hold in ``path`` (relative, with ``/``); None if it does not match."""
+        """The fields of ``path`` (relative, with ``/``); None if it does not match."""
         found = self._expression.fullmatch(path)
         return None if found is None else found.groupdict()
 

@@ -1,4 +1,4 @@
-"""Reading trajectories of the formats that are in use, and what identifies the run that each becomes."""
+"""Read trajectories in common formats, and identify the run that each one becomes."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ _FIRST_NANOSECONDS = 1e11
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """A candidate whose numbers are understood.
+    """A candidate whose conventions are known.
 
     Attributes:
-        candidate: What it was.
-        text: In TUM format; the bytes of the file itself if they were.
+        candidate: The file.
+        text: In TUM format; the original bytes if the file was in that format.
         kitti_poses: The bytes of the file itself if it was in KITTI format, else None.
-        poses: How many.
+        poses: Number of poses.
         format: The layout of its rows.
         checksum: Of the file, ``sha256:<hex>``.
-        reading: How its numbers were taken.
+        reading: Its conventions.
     """
 
     candidate: Candidate
@@ -48,7 +48,7 @@ class Loaded:
 
     @property
     def uid(self) -> str:
-        """32 hex digits: the first half tells the trial, the second what was estimated in it."""
+        """32 hex digits: the first half identifies the trial, the second its estimate."""
         return trial_digits(self.candidate) + hashlib.sha256(self.text).hexdigest()[:_HALF]
 
 
@@ -60,7 +60,7 @@ class LoadedTruth:
         text: In TUM format, or lines of stamp and position; the bytes of the file itself if they were.
         kitti_poses: The bytes of the file itself if it was in KITTI format, else None.
         truth: What estimates are compared with.
-        reading: How its numbers were taken.
+        reading: Its conventions.
     """
 
     text: bytes
@@ -70,22 +70,22 @@ class LoadedTruth:
 
 
 def trial_digits(candidate: Candidate) -> str:
-    """What the ids of all imports of one trial begin with."""
+    """The common prefix of the ids of all imports of one trial."""
     names = f"{candidate.algorithm}\0{candidate.dataset}\0{candidate.trial}"
     return hashlib.sha256(names.encode()).hexdigest()[:_HALF]
 
 
 def read_candidate(candidate: Candidate) -> PoseFile:
-    """The numbers of a candidate; raises NotFound or InvalidInput naming file, line and value."""
+    """Read the numbers of a candidate; raises NotFound or InvalidInput naming file, line and value."""
     found = _read(candidate.path, candidate.format, candidate.times)
     _check_length(found, "trajectory")
     return found
 
 
 def load(candidate: Candidate, file: PoseFile, truth: Truth | None, duplicates: Duplicates) -> Loaded:
-    """The candidate with its numbers understood; raises InvalidInput if they are not, or are no trajectory.
+    """Determine the conventions of a candidate; raises InvalidInput if they are unclear or it is no trajectory.
 
-    ``truth`` is what the estimate is compared with, None where there is none.
+    ``truth`` is the ground truth for comparison, None if there is none.
     """
     reading = settle(file, candidate.name, candidate.told, truth)
     trajectory = _trajectory(file, reading, duplicates)
@@ -128,7 +128,7 @@ def read_truth_here(path: Path, *, positions_only: bool) -> Truth | None:
 
 def _read(path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions: bool = False) -> PoseFile:
     file = _rows(path, wanted, times, positions=positions)
-    # Damage is told before any doubt about units.
+    # Damage is reported before any doubt about units.
     file.raw.trajectory(TimeUnit.S, QuaternionOrder.XYZW, Duplicates.KEEP)
     return file
 
@@ -150,7 +150,7 @@ def _rows(path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions
 
 
 def _detect(data: bytes, columns: int) -> TrajectoryFormat:
-    """The layout of the rows; what their numbers mean is another question."""
+    """The layout of the rows, without their conventions."""
     if columns == _KITTI_COLUMNS:
         return TrajectoryFormat.KITTI
     if columns == _EUROC_COLUMNS or (columns > _TUM_COLUMNS and _first_number(data) >= _FIRST_NANOSECONDS):
@@ -172,7 +172,7 @@ def _check_length(file: PoseFile, kind: str) -> None:
 
 
 def _trajectory(file: PoseFile, reading: Reading, duplicates: Duplicates) -> Trajectory:
-    """All poses of the file: what counts of duplicates is decided by the evaluation, not here."""
+    """All poses of the file, including duplicates: the evaluation decides which of those count."""
     kept = Duplicates.REFUSE if duplicates is Duplicates.REFUSE else Duplicates.KEEP
     return file.raw.trajectory(reading.time_unit, reading.quaternion_order or QuaternionOrder.XYZW, kept)
 

@@ -1,4 +1,4 @@
-"""What an import is asked to do, and what it found and did."""
+"""The request, the files found, and the report of an import."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DEFAULT_RELATIONS = "<dataset>/relations.txt"
 
 
 class TrajectoryFormat(StrEnum):
-    """How a trajectory is written; ``auto`` tells by the number of columns."""
+    """The format of a trajectory; ``auto`` detects it from the number of columns."""
 
     AUTO = "auto"
     TUM = "tum"
@@ -28,21 +28,21 @@ class TrajectoryFormat(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ImportRequest:
-    """Where trajectories lie and what cannot be read from them.
+    """Where the trajectories are, and the facts that cannot be read from them.
 
     Attributes:
         source: A folder, or with ``table`` a CSV file.
-        table: Columns say what the pattern would: algorithm, dataset, trial, file.
+        table: The columns replace the pattern: algorithm, dataset, trial, file.
         pattern: Of the trajectories below the folder.
         ground_truth: Pattern of the ground truths below the folder, for datasets that are not here yet.
         relations: Pattern of the files of relations, beside a ground truth or instead of one.
-        times: Pattern of the stamps that KITTI poses lack.
+        times: Pattern of the timestamp files for KITTI poses.
         format: Of all trajectories.
-        sensors: What each algorithm senses with; the key "" is for all others.
+        sensors: The sensor setup of each algorithm; the key "" is for all others.
         gravity_aligned: The z axis of the ground truths points up.
-        told: Time unit and quaternion order of the trajectories, as far as they shall not be detected.
-        truth_told: Those of the ground truths.
-        duplicates: What shall count where a timestamp occurs twice; the runs are evaluated so.
+        told: Time unit and quaternion order of the trajectories, unless they are to be detected.
+        truth_told: The same for the ground truths.
+        duplicates: Which pose counts if a timestamp occurs twice, in the evaluation of the runs.
     """
 
     source: Path
@@ -75,7 +75,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """What cannot be imported, and why, in one line."""
+    """A file that cannot be imported, and why, in one line."""
 
     name: str
     text: str
@@ -83,7 +83,7 @@ class Problem:
 
 @dataclass
 class Found:
-    """What lies at the source.
+    """The files at the source.
 
     ``truths``, ``truth_told`` and ``relations`` by dataset, "" being for all; ``setups`` by algorithm; ``left_out``
     match no pattern.
@@ -100,14 +100,14 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How the numbers of a file were taken, and what speaks for it.
+    """The conventions of a file, and the evidence for them.
 
     Attributes:
-        name: Of the file, as the user sees it.
+        name: The name of the file, as the user sees it.
         time_unit: Of its timestamps.
-        quaternion_order: Of its orientations; None where it has none, or matrices.
+        quaternion_order: Of its orientations; None if it has none, or matrices.
         because: {"time_unit" or "quaternion_order": why}.
-        as_it_stands: It is a TUM file that was taken over byte for byte.
+        as_it_stands: It is a TUM file that was copied byte for byte.
     """
 
     name: str
@@ -118,22 +118,22 @@ class Reading:
 
     @property
     def words(self) -> str:
-        """``read as ns, xyzw``, as messages put it."""
+        """For messages: ``read as ns, xyzw``."""
         order = "" if self.quaternion_order is None else f", quaternions {self.quaternion_order}"
         return f"read with timestamps in {self.time_unit}{order}"
 
 
 @dataclass
 class ImportReport:
-    """What was done, or with ``dry_run`` what would be.
+    """What was imported, or with ``dry_run`` would be.
 
     Attributes:
-        run_ids: Of all runs that the source stands for: new ones and those imported before.
-        imported: How many are new.
-        known: How many had been imported before.
-        datasets: Datasets that were made of ground truths or relations.
-        readings: How the files were read, ground truths too.
-        problems: What was not imported.
+        run_ids: The runs of all files, new ones and those imported before.
+        imported: Number of new runs.
+        known: Number of runs imported before.
+        datasets: Datasets created from ground truths or relations.
+        readings: The conventions of the files, ground truths included.
+        problems: Files that were not imported.
         left_out: Files that match no pattern.
     """
 

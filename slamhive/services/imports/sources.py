@@ -1,4 +1,4 @@
-"""What lies at the source of an import: files that match the pattern of a folder, or the rows of a table."""
+"""Find the files to import: those in a folder that match a pattern, or those named in a table."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _UNPRINTABLE = "the name holds characters that cannot be printed; rename it"
 
 
 def find(request: ImportRequest) -> Found:
-    """The files at the source, sorted by name; nothing of them is read but a table.
+    """The files at the source, sorted by name; only a table is read.
 
     What cannot be imported is among the problems. Raises InvalidInput or NotFound if there is nothing to begin with.
     """
@@ -95,7 +95,7 @@ def _in_folder(request: ImportRequest, found: Found) -> Iterator[Candidate]:
 
 
 def _files(root: Path, found: Found) -> Iterator[tuple[str, Path]]:
-    """All plain files below ``root``; links are named and not followed, hidden ones passed over.
+    """All regular files below ``root``. Links are not followed but reported; hidden files are skipped.
 
     Names that cannot be printed (line ends, escape sequences, bytes that are no UTF-8) are problems: they would go into
     messages, the database and the record of the run.
@@ -114,7 +114,7 @@ def _files(root: Path, found: Found) -> Iterator[tuple[str, Path]]:
 
 
 def _printable(name: str) -> str:
-    """``name`` with what cannot be printed written as escapes."""
+    """``name`` with unprintable characters as escapes."""
     return name if name.isprintable() else repr(name)[1:-1]
 
 
@@ -183,7 +183,7 @@ def _row(request: ImportRequest, found: Found, row: dict[str, str], name: str) -
 
 
 def _told(row: dict[str, str], prefix: str, default: Convention) -> Convention:
-    """Unit and order that the row states, or else those of the whole import."""
+    """The unit and order of the row, or else those of the whole import."""
     return Convention(
         _member(TimeUnit, f"{prefix}time_unit", row) or default.time_unit,
         _member(QuaternionOrder, f"{prefix}quaternion_order", row) or default.quaternion_order,
@@ -194,7 +194,7 @@ _Member = TypeVar("_Member", bound=StrEnum)
 
 
 def _member(kind: type[_Member], column: str, row: dict[str, str]) -> _Member | None:
-    """What the row says in ``column``, None for nothing; raises InvalidInput with the nearest."""
+    """The value in ``column``, None if empty; raises InvalidInput with the nearest known value."""
     text = row.get(column)
     if not text:
         return None
@@ -205,7 +205,7 @@ def _member(kind: type[_Member], column: str, row: dict[str, str]) -> _Member | 
 
 
 def _inside(folder: Path, text: str) -> Path:
-    """The file ``text`` below ``folder``; raises InvalidInput for one that is elsewhere, or a link."""
+    """The file ``text`` below ``folder``; raises InvalidInput for a link or a file elsewhere."""
     relative = PurePosixPath(text)
     if not text or "\0" in text or relative.is_absolute() or ".." in relative.parts:
         raise InvalidInput(f"file {text[:80]!r} is not below {folder}", "name files relative to the table")
@@ -225,7 +225,7 @@ def _check(candidate: Candidate) -> None:
 
 
 def _without_doubles(found: Found) -> Iterator[Candidate]:
-    """Each trial once; a second file for one is a problem."""
+    """Keep one file for each trial; report a second one as a problem."""
     seen: dict[tuple[str, str, str], str] = {}
     for candidate in found.candidates:
         key = (candidate.algorithm, candidate.dataset, candidate.trial)

@@ -1,4 +1,4 @@
-"""Datasets for imported runs: those that are here, and ground truths that become datasets without a recording."""
+"""Datasets for imported runs: known ones, or new ones made from a ground truth without a recording."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ KITTI_POSES_FILE = "groundtruth_kitti.txt"
 
 @dataclass(frozen=True, slots=True)
 class TruthFiles:
-    """What comes along with trajectories on one dataset.
+    """The files that come with the trajectories on one dataset.
 
     Attributes:
         trajectory: The ground truth.
-        times: Stamps of the ground truth, if it is in KITTI format.
+        times: Timestamps of the ground truth, if it is in KITTI format.
         relations: Relations between poses.
-        told: What the user says of the numbers of the ground truth.
+        told: The conventions of the ground truth that the user specified.
         partners: Trajectories on the dataset.
     """
 
@@ -46,13 +46,13 @@ class TruthFiles:
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """The dataset that trajectories belong to.
+    """The dataset of imported trajectories.
 
     Attributes:
-        dataset: What it is.
-        new: It was made by this import.
-        truth: What the trajectories are compared with; None where there is no ground truth.
-        reading: How the numbers of a ground truth that came along were taken.
+        dataset: The dataset.
+        new: Whether this import made it.
+        truth: The ground truth for comparison; None if there is none.
+        reading: The conventions of an imported ground truth.
     """
 
     dataset: Dataset
@@ -62,13 +62,13 @@ class Home:
 
 
 class Truths:
-    """Finds or makes the dataset that trajectories belong to.
+    """Finds or makes the dataset of imported trajectories.
 
     Args:
-        catalogue: Of the datasets that are here.
-        folder: Where datasets lie.
+        catalogue: The known datasets.
+        folder: The folder of all datasets.
         gravity_aligned: The z axis of new ground truths points up.
-        duplicates: Anything but REFUSE accepts timestamps that occur twice.
+        duplicates: REFUSE rejects repeated timestamps, everything else accepts them.
     """
 
     def __init__(
@@ -80,9 +80,9 @@ class Truths:
         self._duplicates = duplicates
 
     def home(self, name: str, files: TruthFiles, *, dry_run: bool) -> Home:
-        """The dataset called ``name``; with ``dry_run`` a new one is described and not made.
+        """The dataset called ``name``; with ``dry_run`` a new one is not made.
 
-        Raises InvalidInput for a file that is damaged, missing, or not that of the dataset that is here.
+        Raises InvalidInput for a file that is damaged, missing, or differs from that of the known dataset.
         """
         check_name("dataset", name)
         known = self._known(name)
@@ -111,7 +111,7 @@ class Truths:
             raise InvalidInput(f"ground truth {path.name}: {error.message}", error.remedy) from None
 
     def _described(self, name: str, files: TruthFiles, loaded: LoadedTruth | None) -> tuple[Dataset, dict[str, bytes]]:
-        """The dataset that the files become, and its files by name."""
+        """The new dataset, and its files by name."""
         contents: dict[str, bytes] = {}
         duration_s = 0.0
         truth: GroundTruth | None = None
@@ -183,7 +183,7 @@ def _check_file(known: Dataset, kind: str, here: Path | None, text: bytes, optio
 
 
 def _read_relations(path: Path) -> tuple[bytes, float]:
-    """The bytes of a file of relations, and the time it spans in s."""
+    """The bytes of a relations file, and its first and last timestamp in s."""
     data = read_bounded(path)
     relations = parse_relations(data, str(path))
     stamps_s = [*relations.from_s.tolist(), *relations.to_s.tolist()]

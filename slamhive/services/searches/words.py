@@ -1,4 +1,4 @@
-"""What a list of runs shows, how many, and what it leaves out, in words: the same on pages and command line."""
+"""Sentences that describe a list of runs: what it shows, how many, and what it leaves out."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ def summary(
     """``Showing 2 of 12 runs: state failed, newest first. Left out: ...``.
 
     Args:
-        shown: How many are on the page: runs, or configurations if ``grouped``.
-        count: How many runs match.
+        shown: Number of runs on the page, or of configurations if ``grouped``.
+        count: Number of matching runs.
         words: Search and order as the end of a sentence.
-        left_out: What does not match.
+        left_out: The runs that do not match.
         grouped: Whether configurations are shown.
         further: Whether the page is not the first.
     """
@@ -42,7 +42,7 @@ def counted(count: Count) -> str:
 
 
 def order_in_words(sort: RunSort, title: str, *, numeric: bool) -> str:
-    """``newest first``, ``sorted by ATE RMSE, smallest first``; ``title`` is that of what it is sorted by."""
+    """``newest first``, ``sorted by ATE RMSE, smallest first``; ``title`` is the title of the sort column."""
     if sort.key in {"id", "configuration"}:
         return "newest first" if sort.descending else "oldest first"
     way = ("largest first", "smallest first") if numeric else ("Z to A", "A to Z")
