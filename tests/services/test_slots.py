@@ -13,7 +13,7 @@ from slamhive.services.worker.slots import share_cores
 def test_only_cores_that_may_be_used_are_shared(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {7, 2, 3, 6, 11})
     assert share_cores(2) == [(2, 3), (6, 7, 11)]
-    with pytest.raises(InvalidInput, match="WORKER_SLOTS=6 is more than the 5 cores"):
+    with pytest.raises(InvalidInput, match="WORKER_SLOTS=6 exceeds the 5 cores"):
         share_cores(6)
 
 

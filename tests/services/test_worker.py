@@ -167,7 +167,7 @@ def test_only_one_worker_runs_on_a_machine(hive, monkeypatch):
     thread = threading.Thread(target=worker.run)
     thread.start()
     eventually(hive.worker_alive, "the worker")
-    with pytest.raises(Conflict, match="runs on this machine already"):
+    with pytest.raises(Conflict, match="already running on this machine"):
         hive.worker().run()
     worker.stop()
     thread.join(PATIENCE_S)
