@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from enum import StrEnum
 from typing import Any
 
 import click
 
-from slamhive.cli.data_root import expected_of
+from slamhive.cli.data_root import LISTS, command_name, expected_of
 from slamhive.errors import NotFound
 from slamhive.services.hive import Hive, check_indexed, open_hive
 
@@ -19,6 +20,7 @@ class CliContext:
     def __init__(self, options: dict[str, Any]) -> None:
         self._options = options
         self._hive: Hive | None = None
+        self._opened = ExitStack()
 
     @property
     def options(self) -> dict[str, Any]:
@@ -28,7 +30,11 @@ class CliContext:
     def hive(self, *, indexed: bool = True) -> Hive:
         """The installation. ``indexed`` refuses one whose database has lost its runs."""
         if self._hive is None:
-            self._hive = open_hive(self._options, expected_of(click.get_current_context()))
+            context = click.get_current_context()
+            self._hive = open_hive(self._options, expected_of(context))
+            self._opened.callback(self._hive.close)
+            if command_name(context) in LISTS:
+                self._opened.enter_context(self._hive.store.snapshot())
         if indexed:
             check_indexed(self._hive)
         return self._hive
@@ -39,8 +45,7 @@ class CliContext:
 
     def close(self) -> None:
         """Close what was opened."""
-        if self._hive is not None:
-            self._hive.close()
+        self._opened.close()
 
 
 def choice(kind: type[StrEnum]) -> click.Choice[str]:

@@ -26,6 +26,15 @@ EXPECTED: dict[str, DataRoot] = {
 }
 """By the name of a command; all others read what is there, and refuse a data root that is not."""
 
+LISTS = frozenset(
+    {
+        *("algorithm list", "configuration groups", "configuration list", "configuration show", "dataset list"),
+        *("experiment list", "experiment report", "experiment status", "protocol compare", "protocol list"),
+        *("runs", "runs show", "search list", "variants list"),
+    }
+)
+"""Commands that print what is stored. All that one of them reads is of the same moment."""
+
 
 def expected_of(context: click.Context) -> DataRoot:
     """What the command that runs in ``context`` expects of the data root."""

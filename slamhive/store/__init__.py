@@ -29,7 +29,8 @@ from slamhive.store.records import (
     RunSort,
     UsageSummary,
 )
-from slamhive.store.store import AbsentStore, Store, Transaction, open_store
+from slamhive.store.store import AbsentStore, Store, open_store
+from slamhive.store.transaction import Transaction
 
 __all__ = [
     "AbsentStore",

@@ -37,6 +37,10 @@ class ConfigurationBook:
             raise NotFound(f"unknown configuration {configuration_id}", "slamhive configuration list shows all")
         return found[0]
 
+    def records(self, configuration_ids: Sequence[int]) -> tuple[ConfigurationRecord, ...]:
+        """The configurations with these numbers, in this order; those that do not exist are left out."""
+        return configuration_records(self._session, configuration_ids)
+
     def latest_runs(self, configuration_id: int, limit: int) -> list[int]:
         """The numbers of its newest runs, newest first."""
         query = select(Run.__table__.c.id).where(Run.__table__.c.configuration_id == configuration_id)

@@ -16,7 +16,7 @@ SOCKET_TIMEOUT_S = 60
 LOCK_WAIT_S = 5
 SQLITE_CACHE_KIB = 16_384
 """Of each connection: enough for the upper pages of the indexes that a search over 100,000 runs goes through."""
-WRITES = "slamhive_writes"
+_WRITES = "slamhive_writes"
 """Execution option of connections that are going to write."""
 
 _EXAMPLES = "use sqlite:////path/slamhive.db or mysql+pymysql://user:password@host/database"
@@ -39,7 +39,7 @@ def make_engine(database_url: str) -> Engine:
         url.update_query_dict({"charset": "utf8mb4"}),
         pool_pre_ping=True,
         pool_recycle=3600,
-        isolation_level="READ COMMITTED",
+        isolation_level="REPEATABLE READ",
         connect_args={
             "connect_timeout": CONNECT_TIMEOUT_S,
             "read_timeout": SOCKET_TIMEOUT_S,
@@ -48,6 +48,16 @@ def make_engine(database_url: str) -> Engine:
         },
         hide_parameters=True,
     )
+
+
+def writing(engine: Engine) -> Engine:
+    """``engine`` for transactions that write.
+
+    A reader sees one snapshot of the database. A writer must see what others have committed, to compare and set; SQLite
+    lets it take the only lock there is at once.
+    """
+    level = {"isolation_level": "READ COMMITTED"} if engine.dialect.name == "mysql" else {}
+    return engine.execution_options(**{_WRITES: True}, **level)
 
 
 def database_label(engine: Engine) -> str:
@@ -109,5 +119,5 @@ def _configure_sqlite(connection: Any, _record: Any) -> None:
 
 def _begin_sqlite(connection: Connection) -> None:
     """A writer takes the lock at once: upgrading a read transaction later fails as soon as two try."""
-    writes = connection.get_execution_options().get(WRITES, False)
+    writes = connection.get_execution_options().get(_WRITES, False)
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

@@ -14,7 +14,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, text
 
 from slamhive.errors import Unavailable
-from slamhive.store.engine import WRITES, database_label, sqlite_file
+from slamhive.store.engine import database_label, sqlite_file, writing
 
 LOCK_WAIT_S = 30
 
@@ -129,7 +129,7 @@ def _locked(engine: Engine) -> Iterator[Connection]:
 @contextmanager
 def _locked_sqlite(engine: Engine) -> Iterator[Connection]:
     """SQLite migrates all or nothing: its DDL is transactional. Tables are rebuilt with foreign keys off."""
-    with engine.execution_options(**{WRITES: True}).connect() as connection:
+    with writing(engine).connect() as connection:
         driver = connection.connection.driver_connection
         if driver is None:
             raise AssertionError("an open connection has a driver connection")

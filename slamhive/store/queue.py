@@ -46,8 +46,8 @@ class RunQueue(LeaseQueue[int]):
     ) -> RunRecord | None:
         """Take a queued run that is not held back, and move it to ``preparing``.
 
-        Among the runs of the highest priority it takes the oldest with the affinity ``near``; if there is none, the
-        oldest on the same data; if there is none, the oldest.
+        Only runs of the highest priority count. The oldest with the affinity ``near`` goes first, then the oldest on
+        the same data, then the oldest of all.
         """
         queued = and_(_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), *_among(only), *_not_on(away))
         while (run_id := self._first(queued, near)) is not None:

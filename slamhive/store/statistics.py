@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from sqlalchemy import Connection, Engine, text
 
-from slamhive.store.engine import WRITES
+from slamhive.store.engine import writing
 
 GROWTH = 1.25
 """Tables are looked at again when there are this many times the runs of the last time."""
@@ -30,7 +30,7 @@ def refresh_if_grown(engine: Engine) -> bool:
 
 def refresh(engine: Engine) -> None:
     """Look at the tables now; some milliseconds, however large they are."""
-    with engine.execution_options(**{WRITES: True}).begin() as connection:
+    with writing(engine).begin() as connection:
         if engine.dialect.name == "sqlite":
             connection.execute(text(f"PRAGMA analysis_limit={_SAMPLED_ROWS}"))
             connection.execute(text("ANALYZE"))

@@ -3,38 +3,22 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from datetime import UTC, datetime
-from functools import cached_property
 from typing import TypeVar
 
-from sqlalchemy import Engine, create_engine, text
+from sqlalchemy import Engine, create_engine
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
 from slamhive.clock import SYSTEM_CLOCK, Clock
 from slamhive.errors import NotFound, SlamHiveError
 from slamhive.store import migrate, statistics
-from slamhive.store.analyses import AnalysisRepository
-from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.changes import CHANGES_KEY, Changes, Listener
-from slamhive.store.configuration_book import ConfigurationBook
-from slamhive.store.configurations import ConfigurationRepository
-from slamhive.store.durations import DurationRepository
-from slamhive.store.engine import WRITES, database_label, make_engine
-from slamhive.store.evaluations import EvaluationRepository
-from slamhive.store.experiment_counts import ExperimentCounts
-from slamhive.store.experiments import ExperimentRepository
+from slamhive.store.engine import database_label, make_engine, writing
 from slamhive.store.failures import explained, gave_up, is_transient, short
-from slamhive.store.filed_runs import FiledRunRepository
-from slamhive.store.leases import Lease
-from slamhive.store.metrics import MetricRepository
-from slamhive.store.queue import RunQueue
-from slamhive.store.run_table import RunTableRepository
-from slamhive.store.runs import RunRepository
-from slamhive.store.searches import SearchRepository
+from slamhive.store.transaction import Snapshot, Transaction
 
 T = TypeVar("T")
 logger = logging.getLogger(__name__)
@@ -43,98 +27,6 @@ FIRST_PAUSE_S = 0.05
 LONGEST_PAUSE_S = 2.0
 WRITES_BETWEEN_LOOKS = 500
 """After so many transactions a writer asks whether the tables have grown; see :mod:`slamhive.store.statistics`."""
-
-
-@dataclass(frozen=True)
-class Transaction:
-    """The repositories, all on the same transaction."""
-
-    session: Session
-    clock: Clock = SYSTEM_CLOCK
-
-    def lease(self, owner: str, lasts_s: float) -> Lease:
-        """A lease for ``owner`` from now on, by the clock that all workers of this database share.
-
-        Workers on several machines share a MySQL server, so its clock decides; one machine has an SQLite file open, so
-        its own does. A clock that was handed in decides everything.
-        """
-        now = self.clock.utc_now()
-        shared = self.clock is SYSTEM_CLOCK and self.session.get_bind().dialect.name == "mysql"
-        return Lease(owner, self._server_time() if shared else now, lasts_s, recorded_at=now)
-
-    def _server_time(self) -> datetime:
-        told: datetime = self.session.execute(text("SELECT UTC_TIMESTAMP(6)")).scalar_one()
-        return told.replace(tzinfo=UTC)
-
-    @cached_property
-    def catalogue(self) -> CatalogueRepository:
-        """Algorithms, versions, datasets, hosts, protocols."""
-        return CatalogueRepository(self.session)
-
-    @cached_property
-    def configurations(self) -> ConfigurationRepository:
-        """Configurations and their values."""
-        return ConfigurationRepository(self.session)
-
-    @cached_property
-    def configuration_book(self) -> ConfigurationBook:
-        """Lists of configurations, their names, notes and groups; deletion."""
-        return ConfigurationBook(self.session)
-
-    @cached_property
-    def runs(self) -> RunRepository:
-        """Runs: add, look at, list, move, cancel."""
-        return RunRepository(self.session)
-
-    @cached_property
-    def run_table(self) -> RunTableRepository:
-        """Runs column by column, for analyses."""
-        return RunTableRepository(self.session)
-
-    @cached_property
-    def searches(self) -> SearchRepository:
-        """What searches need besides lists of runs; saved searches."""
-        return SearchRepository(self.session)
-
-    @cached_property
-    def queue(self) -> RunQueue:
-        """Who works on which run: claims, leases, heartbeats."""
-        return RunQueue(self.session)
-
-    @cached_property
-    def experiments(self) -> ExperimentRepository:
-        """Experiments and their cells."""
-        return ExperimentRepository(self.session)
-
-    @cached_property
-    def experiment_counts(self) -> ExperimentCounts:
-        """How many runs of experiments are in which state."""
-        return ExperimentCounts(self.session)
-
-    @cached_property
-    def analyses(self) -> AnalysisRepository:
-        """Analyses and their queue."""
-        return AnalysisRepository(self.session)
-
-    @cached_property
-    def durations(self) -> DurationRepository:
-        """How long runs took."""
-        return DurationRepository(self.session)
-
-    @cached_property
-    def evaluations(self) -> EvaluationRepository:
-        """Evaluations and their queue."""
-        return EvaluationRepository(self.session)
-
-    @cached_property
-    def filed_runs(self) -> FiledRunRepository:
-        """Runs that are filed as their folders tell them."""
-        return FiledRunRepository(self.session)
-
-    @cached_property
-    def metrics(self) -> MetricRepository:
-        """Figures of runs."""
-        return MetricRepository(self.session)
 
 
 class Store:
@@ -151,10 +43,11 @@ class Store:
 
     def __init__(self, engine: Engine, retry_s: float = 60.0, clock: Clock = SYSTEM_CLOCK) -> None:
         self.engine = engine
-        self._writing = engine.execution_options(**{WRITES: True})
+        self._writing = writing(engine)
         self._retry_s = retry_s
         self._clock = clock
         self._written = 0
+        self._of_thread = threading.local()
         self.listener: Listener | None = None
         """Called after each transaction that stored what no folder tells, with what that was."""
 
@@ -165,11 +58,37 @@ class Store:
 
     def read(self, work: Callable[[Transaction], T]) -> T:
         """What ``work`` returns, from one consistent view of the database. Waits for no writer on SQLite."""
+        snapshot = self._snapshot
+        if snapshot is not None:
+            return self.retried(lambda: snapshot.read(work))
         return self.retried(lambda: self._attempt(self.engine, work))
+
+    @contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """All reads of this thread in the block see the database as the first of them did, in one transaction.
+
+        A write in the block ends the transaction, so that reads after it see what was written. If the database goes
+        away in between, reading goes on with a new snapshot. A block within a block belongs to the outer one.
+        """
+        if self._snapshot is not None:
+            yield
+            return
+        self._of_thread.snapshot = snapshot = Snapshot(self.engine, self._clock)
+        try:
+            yield
+        finally:
+            del self._of_thread.snapshot
+            snapshot.end()
+
+    @property
+    def _snapshot(self) -> Snapshot | None:
+        return getattr(self._of_thread, "snapshot", None)
 
     def write(self, work: Callable[[Transaction], T]) -> T:
         """What ``work`` returns, once all it wrote is on disk; nothing of it is if it raises."""
         attempts: list[Changes] = []
+        if self._snapshot is not None:
+            self._snapshot.end()
 
         def attempt() -> T:
             changes = Changes()

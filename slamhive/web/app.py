@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from datetime import timedelta
 from typing import Any
 
-from flask import Flask
+from flask import Flask, Response, g, request
 from flask_bootstrap import Bootstrap5
 from flask_wtf.csrf import CSRFProtect
 from markupsafe import Markup
@@ -17,6 +18,7 @@ from slamhive.services.analyses import may_analyse
 from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
 from slamhive.settings import Mode
+from slamhive.store import Store
 from slamhive.web import assets, context, formatting
 from slamhive.web.analysis_computer import AnalysisComputer
 from slamhive.web.analysis_files import AnalysisFiles
@@ -81,6 +83,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     protect(app, hive.settings, host or hive.settings.host)
     if hive.settings.mode is Mode.VIEW_ONLY:
         keep_pages(app, PageCache())
+    _show_one_moment(app, hive.store)
     Bootstrap5(app)
     csrf = CSRFProtect(app)
     for blueprint in (api.blueprint, api_experiments.blueprint):
@@ -105,6 +108,28 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
         app.register_blueprint(blueprint)
     _add_template_words(app, hive)
     return app
+
+
+def _show_one_moment(app: Flask, store: Store) -> None:
+    """All that a page shows is read in one transaction, so its numbers fit together while a worker writes."""
+
+    @app.before_request
+    def begin() -> None:
+        if request.method in ("GET", "HEAD"):
+            g.snapshot = ExitStack()
+            g.snapshot.enter_context(store.snapshot())
+
+    def end() -> None:
+        g.pop("snapshot", ExitStack()).close()
+
+    @app.after_request
+    def end_with_response(response: Response) -> Response:
+        end()  # before a stream of updates or a large file begins
+        return response
+
+    @app.teardown_request
+    def end_with_error(_error: BaseException | None) -> None:
+        end()
 
 
 def _analysis_computer(hive: Hive) -> AnalysisComputer | None:

@@ -23,7 +23,6 @@ from slamhive.services.hive import Hive
 from slamhive.services.reports import report_content, report_environment, script_json
 from slamhive.services.runs import RunSeries, run_series
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
-from slamhive.store.archives import ArchiveRepository
 from slamhive.store.records import RunRecord
 from slamhive.web.assets import PLOTLY_FILE
 from slamhive.web.figures import captions, still_figures
@@ -96,8 +95,8 @@ class StaticSite:
     def _run_ids(self) -> list[int]:
         asked = self._request.run_ids
         if asked is None:
-            return self._hive.store.read(lambda t: ArchiveRepository(t.session).ended())
-        return self._hive.store.read(lambda t: ArchiveRepository(t.session).ended_among(asked))
+            return self._hive.store.read(lambda t: t.archive.ended())
+        return self._hive.store.read(lambda t: t.archive.ended_among(asked))
 
     def _write(self, folder: Path, run_ids: list[int], progress: Progress) -> None:
         for part in ("assets", "runs"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,13 +10,17 @@ from typing import Any
 
 import pytest
 
+from slamhive.clock import utc_now
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, Unavailable
 from slamhive.executors.base import EngineUnavailable, Exited, Gone, ImageMissing, Running, StartFailed
+from slamhive.runs.folder import RunFolder
 from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, check_indexed, open_hive
 from slamhive.services.runs.as_json import run_to_json
 from slamhive.services.worker import worker as worker_module
+from slamhive.services.worker.run_in_hand import RunInHand
+from slamhive.store import Lease, LeaseLost
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.tiny_project import environment, make_dataset, make_project
 from tests.waiting import PATIENCE_S, eventually
@@ -247,3 +252,55 @@ def test_run_folders_without_rows_ask_for_a_reindex(hive):
     (hive.settings.runs_folder / "1").mkdir()
     with pytest.raises(Conflict, match="slamhive reindex"):
         check_indexed(hive)
+
+
+@pytest.fixture
+def written(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """Every ``run.json`` that is written, as it was."""
+    found: list[dict[str, Any]] = []
+    write = RunFolder.write_record
+
+    def recording(folder: RunFolder, record: dict[str, Any]) -> None:
+        found.append(json.loads(RunFolder.record_text(record)))
+        write(folder, record)
+
+    monkeypatch.setattr(RunFolder, "write_record", recording)
+    return found
+
+
+def test_each_move_writes_the_record_once(hive, written):
+    run = finish(hive, FakeExecutor([Exited(0)], write_trajectory(3)))
+    assert run.state is RunState.SUCCEEDED
+    moves = [record for record in written if record["state"] != "collecting" or "left" not in record]
+    assert [record["state"] for record in moves] == ["preparing", "starting", "running", "collecting", "succeeded"]
+    assert len(written) == len(moves) + 1, "beside the moves, what the run left is written before it is removed"
+    for record in written:
+        assert record["events"][-1]["to"] == record["state"], "state and event are written together"
+    assert [event["to"] for event in written[-1]["events"]] == [event.to_state for event in hive.runs.events(run.id)]
+
+
+@pytest.mark.parametrize(
+    ("executor", "states"),
+    [
+        (FakeExecutor(build_error=ImageMissing("pip failed")), ["preparing", "failed"]),
+        (FakeExecutor(start_error=StartFailed("no cgroup")), ["preparing", "starting", "failed"]),
+    ],
+    ids=["build", "start"],
+)
+def test_a_failure_writes_the_record_once(hive, written, executor, states):
+    run = finish(hive, executor)
+    assert [record["state"] for record in written] == states
+    assert (written[-1]["reason"], written[-1]["detail"]) == (run.reason.value, run.detail)
+
+
+def test_a_worker_that_lost_its_run_leaves_the_record_alone(hive, written):
+    run_id = submit(hive, FakeExecutor())
+    lease = Lease("here", utc_now(), 60.0)
+    run = hive.store.write(lambda t: t.queue.claim(lease))
+    hand = RunInHand(hive.worker()._context, run, None)
+    hand.folder.create()
+    hand.keeper.begin(run)
+    with pytest.raises(LeaseLost):
+        hand.fail(FailureReason.START_ERROR, "too late")
+    assert [record["state"] for record in written] == ["preparing"]
+    assert hive.runs.get(run_id).state is RunState.PREPARING

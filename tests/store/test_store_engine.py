@@ -5,17 +5,20 @@ from __future__ import annotations
 import logging
 import sqlite3
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from sqlalchemy import text
-from sqlalchemy.exc import IntegrityError, OperationalError
+from sqlalchemy import event, text
+from sqlalchemy.exc import DBAPIError, IntegrityError, OperationalError
 
 from slamhive.clock import Clock
-from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
-from slamhive.store import Store, open_store
+from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.store import Store, Transaction, open_store
 from slamhive.store.engine import database_label, make_engine
+from tests.store.store_samples import Samples
 
 pytestmark = pytest.mark.integration
 
@@ -241,3 +244,54 @@ def test_a_server_that_is_not_there_is_one_line_without_the_password(clock: Manu
         store.read(lambda tx: tx.runs.page())
     assert SECRET not in str(caught.value)
     assert "see whether the server runs" in str(caught.value)
+
+
+def test_reads_of_a_snapshot_are_of_one_moment(store: Store, database_url: str, samples: Samples) -> None:
+    samples.queued()
+    request = replace(samples.request(), uid="f" * 32)
+    other = open_store(database_url)
+
+    def total() -> int:
+        return store.read(lambda tx: tx.searches.total())
+
+    with store.snapshot():
+        assert total() == 1
+        other.write(lambda tx: tx.runs.add_runs([request], samples.now))
+        with store.snapshot():
+            assert total() == 1
+        assert total() == 1
+        store.write(lambda tx: tx.catalogue.put_algorithm_named("a", "a", "a"))
+        assert total() == 2, "a write ends the snapshot"
+    assert total() == 2
+    other.close()
+
+
+def test_a_snapshot_is_one_transaction_of_one_thread(store: Store) -> None:
+    begun: list[object] = []
+    count = begun.append  # one object, to be removed again
+    event.listen(store.engine, "begin", count)
+    try:
+        with store.snapshot():
+            assert begun == [], "it begins with the first read"
+            for _ in range(3):
+                store.read(lambda tx: tx.searches.total())
+            assert len(begun) == 1
+            with ThreadPoolExecutor(1) as pool:
+                pool.submit(store.read, lambda tx: tx.searches.total()).result()
+            assert len(begun) == 2
+    finally:
+        event.remove(store.engine, "begin", count)
+    assert store.engine.pool.status().endswith("Checked out connections: 0"), "the connection is given back"
+
+
+def test_a_snapshot_outlives_a_mistake_and_a_broken_connection(store: Store) -> None:
+    def not_there(tx: Transaction) -> None:
+        tx.runs.get(99)
+
+    with store.snapshot():
+        assert store.read(lambda tx: tx.searches.total()) == 0
+        with pytest.raises(NotFound):
+            store.read(not_there)
+        with pytest.raises(DBAPIError):
+            store.read(lambda tx: tx.session.execute(text("SELECT * FROM absent")))
+        assert store.read(lambda tx: tx.searches.total()) == 0

@@ -8,7 +8,7 @@ import pytest
 
 from slamhive.domain.run import RunState
 from slamhive.store import Lease, Store
-from slamhive.store.imports import ImportedRun, ImportRepository
+from slamhive.store.imports import ImportedRun
 from tests.store.store_samples import SE3, SIM3, Samples
 
 pytestmark = pytest.mark.integration
@@ -25,7 +25,7 @@ def imported(configuration_id: int, number: int) -> ImportedRun:
 def filed(store: Store, samples: Samples) -> list[int]:
     configuration_id = samples.configuration()
     runs = [imported(configuration_id, number) for number in range(1200)]
-    return store.write(lambda t: ImportRepository(t.session).add(runs, NOW))
+    return store.write(lambda t: t.imports.add(runs, NOW))
 
 
 def test_they_have_ended_and_no_worker_sees_them(store: Store, filed: list[int]) -> None:
@@ -44,15 +44,15 @@ def test_they_have_ended_and_no_worker_sees_them(store: Store, filed: list[int])
 def test_they_are_found_by_the_beginning_of_their_uid(store: Store, samples: Samples, filed: list[int]) -> None:
     samples.run_in(RunState.SUCCEEDED)
     beginnings = [f"{number:016x}" for number in range(1150, 1250)]
-    found = store.read(lambda t: ImportRepository(t.session).known(beginnings))
+    found = store.read(lambda t: t.imports.known(beginnings))
     assert sorted(found.values()) == filed[1150:]
-    assert store.read(lambda t: ImportRepository(t.session).known([])) == {}
+    assert store.read(lambda t: t.imports.known([])) == {}
 
 
 def test_filing_them_again_changes_nothing(store: Store, samples: Samples, filed: list[int]) -> None:
     configuration_id = samples.configuration()
     again = [imported(configuration_id, number) for number in range(5)]
-    assert store.write(lambda t: ImportRepository(t.session).add(again, NOW)) == filed[:5]
+    assert store.write(lambda t: t.imports.add(again, NOW)) == filed[:5]
     assert store.read(lambda t: t.runs.counts_by_state())[RunState.SUCCEEDED] == len(filed)
 
 

@@ -9,8 +9,7 @@ import pytest
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation.job import RESULT_FILE, EvaluationResult, result_to_json
 from slamhive.evaluation.presets import PRESETS
-from slamhive.store import Lease
-from slamhive.store.store import Transaction
+from slamhive.store import Lease, Transaction
 from tests.web.test_web_actions import send
 from tests.web.web_world import NOW, PROTOCOL, Web
 

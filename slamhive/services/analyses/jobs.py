@@ -20,9 +20,9 @@ from slamhive.clock import monotonic_s, utc_now
 from slamhive.errors import Conflict, SlamHiveError
 from slamhive.services.analyses.folder import AnalysisFolder
 from slamhive.settings import Settings
+from slamhive.store import Store
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.records import LeaseLost
-from slamhive.store.store import Store
 
 logger = logging.getLogger(__name__)
 

@@ -13,8 +13,8 @@ from slamhive.errors import Forbidden, InvalidInput, NotFound, SlamHiveError, Un
 from slamhive.services.analyses.folder import AnalysisFolder
 from slamhive.services.datasets import check_writable
 from slamhive.settings import Mode, Settings
+from slamhive.store import Store
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
-from slamhive.store.store import Store
 
 MAX_TEXT_BYTES = 100_000
 """YAML of this size is read in about a second, which a request may take; larger files are for ``slamhive analyse``."""

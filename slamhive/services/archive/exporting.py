@@ -20,12 +20,10 @@ from slamhive.services.archive import layout, lines
 from slamhive.services.archive.writing import ArchiveWriter, archive_writer
 from slamhive.services.experiments import RECORD, SOURCE
 from slamhive.settings import Settings
-from slamhive.store.archives import ArchiveRepository
-from slamhive.store.configuration_listing import configuration_records
+from slamhive.store import Store, Transaction
 from slamhive.store.experiment_records import ExperimentRecord
 from slamhive.store.filed_runs import EndedEvaluation
 from slamhive.store.records import RunRecord
-from slamhive.store.store import Store, Transaction
 from slamhive.tree import Entry, walk
 
 BATCH = 200
@@ -119,7 +117,7 @@ def export_archive(settings: Settings, store: Store, request: ExportRequest, pro
 
 def _ended(store: Store, request: ExportRequest, report: ExportReport) -> list[int]:
     def work(t: Transaction) -> tuple[list[int], int]:
-        rows = ArchiveRepository(t.session)
+        rows = t.archive
         if request.run_ids is None:
             return rows.ended(), rows.total()
         return rows.ended_among(request.run_ids), len(set(request.run_ids))
@@ -156,13 +154,13 @@ class _Export:
         experiments = self._experiments_of_runs()
         ids = [record.id for record in experiments]
         if self._request.run_ids is None:
-            configurations = self._store.read(lambda t: ArchiveRepository(t.session).all_configurations())
-            searches = self._store.read(lambda t: ArchiveRepository(t.session).saved_searches())
+            configurations = self._store.read(lambda t: t.archive.all_configurations())
+            searches = self._store.read(lambda t: t.archive.saved_searches())
             for search, at in searches:
                 self._line(layout.SEARCHES, lines.search_to_line(search, at))
             self._analyses()
         else:
-            configurations = self._store.read(lambda t: ArchiveRepository(t.session).configurations_of(run_ids, ids))
+            configurations = self._store.read(lambda t: t.archive.configurations_of(run_ids, ids))
         self._configurations(configurations)
         for record in experiments:
             self._experiment(record)
@@ -252,7 +250,7 @@ class _Export:
     def _configurations(self, ids: Sequence[int]) -> None:
         for start in range(0, len(ids), BATCH):
             part = ids[start : start + BATCH]
-            for record in self._store.read(lambda t: configuration_records(t.session, part)):  # noqa: B023
+            for record in self._store.read(lambda t: t.configuration_book.records(part)):  # noqa: B023
                 self._line(layout.CONFIGURATIONS, lines.configuration_to_line(record))
                 self._algorithms.add(record.configuration.algorithm)
                 self._datasets.add(record.configuration.dataset)
@@ -273,7 +271,7 @@ class _Export:
 
 def _batch(t: Transaction, run_ids: Sequence[int]) -> _Batch:
     runs = t.runs.get_many(run_ids)
-    rows = ArchiveRepository(t.session)
+    rows = t.archive
     originals = rows.uids(run.retry_of for run in runs if run.retry_of is not None)
     return _Batch(runs, originals, rows.evaluations(run_ids), rows.events(run_ids))
 

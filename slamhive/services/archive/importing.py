@@ -36,8 +36,7 @@ from slamhive.services.runs import (
     snapshot_from_record,
 )
 from slamhive.settings import Settings
-from slamhive.store.archives import ArchiveRepository
-from slamhive.store.store import Store, Transaction
+from slamhive.store import Store, Transaction
 
 BATCH = 100
 _CHECKING = 0.7
@@ -136,7 +135,7 @@ class ArchiveImport:
         with_folder = {
             line.uid: line.id for line in map(lines.run_from_line, archive.lines(layout.RUNS)) if line.record is None
         }
-        known = self._store.read(lambda t: ArchiveRepository(t.session).known(list(with_folder)))
+        known = self._store.read(lambda t: t.archive.known(list(with_folder)))
         return {number for uid, number in with_folder.items() if uid not in known or self._lacks_folder(known[uid])}
 
     @contextmanager
@@ -151,9 +150,9 @@ class ArchiveImport:
     def _runs(
         self, archive: ArchiveReader, contents: Contents, ready: _Ready, report: ArchiveReport, progress: Progress
     ) -> None:
-        known = self._store.read(lambda t: ArchiveRepository(t.session).known(list(contents.runs)))
+        known = self._store.read(lambda t: t.archive.known(list(contents.runs)))
         numbers = dict(known)
-        others = self._store.read(lambda t: ArchiveRepository(t.session).total()) > len(known)
+        others = self._store.read(lambda t: t.archive.total()) > len(known)
         report.kept_numbers = not others and all(contents.runs[uid] == number for uid, number in known.items())
         stream = iter(archive.lines(layout.RUNS))
         done = 0
@@ -233,7 +232,7 @@ def _file(
     t: Transaction, catalogue: Catalogue, entries: list[_Unpacked], known: dict[str, int], *, keep: bool
 ) -> dict[str, int]:
     """File runs with all that is known of them; {uid: number here}."""
-    if not keep or ArchiveRepository(t.session).taken([entry.line.id for entry in entries]):
+    if not keep or t.archive.taken([entry.line.id for entry in entries]):
         given = _new_numbers(t, catalogue, entries)
     else:
         given = {entry.line.uid: entry.line.id for entry in entries}

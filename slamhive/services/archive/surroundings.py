@@ -19,9 +19,8 @@ from slamhive.services.archive.reading import ArchiveReader
 from slamhive.services.datasets import Catalogue
 from slamhive.services.experiments import ExperimentFolder, ExperimentStamp
 from slamhive.settings import Settings
-from slamhive.store.archives import ArchiveRepository
+from slamhive.store import Store, Transaction
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
-from slamhive.store.store import Store, Transaction
 
 T = TypeVar("T")
 _CHUNK = 500
@@ -78,7 +77,7 @@ class Surroundings:
         for content in self._archive.lines(layout.SEARCHES):
             record, at = lines.search_from_line(content)
             if record.name not in known:
-                self._store.write(lambda t: ArchiveRepository(t.session).saved_search_if_absent(record, at))  # noqa: B023
+                self._store.write(lambda t: t.archive.saved_search_if_absent(record, at))  # noqa: B023
                 counts["saved_searches"] += 1
             elif known[record.name] != record:
                 self._notes.append(f"the saved search {record.name} is another one here, and stays")
@@ -105,7 +104,7 @@ class Surroundings:
             counts["datasets"] += self._dataset_folder(name)
             folder = self._settings.datasets_folder / name
             values = {**values, "folder": str(folder)}
-            self._store.write(lambda t: ArchiveRepository(t.session).dataset_if_absent(name, values))  # noqa: B023
+            self._store.write(lambda t: t.archive.dataset_if_absent(name, values))  # noqa: B023
             try:
                 here = load_dataset(folder).checksum
             except SlamHiveError:
@@ -129,7 +128,7 @@ class Surroundings:
 
         def work(t: Transaction) -> None:
             for name, package, mode in known:
-                ArchiveRepository(t.session).algorithm_if_absent(name, package, mode)
+                t.archive.algorithm_if_absent(name, package, mode)
 
         self._store.write(work)
 
@@ -155,7 +154,7 @@ class Surroundings:
                 for line in part
             ]
             at = [line.created_at for line in part]
-            found = self._store.write(lambda t: ArchiveRepository(t.session).put_configurations(entries, at))  # noqa: B023
+            found = self._store.write(lambda t: t.archive.put_configurations(entries, at))  # noqa: B023
             for line, (number, new) in zip(part, found, strict=True):
                 self._configurations[line.id] = number
                 counts["configurations"] += new
@@ -188,7 +187,7 @@ class Surroundings:
     # -- experiments -----------------------------------------------------------------------------------------------
 
     def _experiment(self, record: ExperimentRecord, counts: Counter[str]) -> None:
-        here = self._store.read(lambda t: ArchiveRepository(t.session).experiment(record.uid))
+        here = self._store.read(lambda t: t.archive.experiment(record.uid))
         if here is not None:
             self._experiment_names[record.name] = here
             return
@@ -208,7 +207,7 @@ class Surroundings:
         folder = ExperimentFolder(self._settings.experiments_folder / name)
         with folder.locked():
             folder.write(stamp, record.source)
-            self._store.write(lambda t: ArchiveRepository(t.session).put_experiment(record.uid, name, values))
+            self._store.write(lambda t: t.archive.put_experiment(record.uid, name, values))
         counts["experiments"] += 1
 
     def _settled_state(self, record: ExperimentRecord) -> ExperimentState:
@@ -237,7 +236,7 @@ class Surroundings:
 
             def work(t: Transaction, cells: dict[str, list[NewCell]] = cells) -> None:
                 for name, entries in cells.items():
-                    ArchiveRepository(t.session).add_cells(ids[name], entries)
+                    t.archive.add_cells(ids[name], entries)
 
             self._store.write(work)
 

@@ -7,7 +7,7 @@ from slamhive.domain.external import EXTERNAL_PACKAGE, external_algorithm
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import InvalidInput
 from slamhive.services.datasets.catalogue import Catalogue
-from slamhive.store.store import Store
+from slamhive.store import Store
 
 
 def algorithm_here_or_elsewhere(store: Store, catalogue: Catalogue, name: str, package: str) -> Algorithm:

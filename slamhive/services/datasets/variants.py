@@ -21,7 +21,7 @@ from slamhive.errors import Conflict, SlamHiveError
 from slamhive.runs.folder import RunFolder
 from slamhive.search.build import matching
 from slamhive.settings import Settings
-from slamhive.store.store import Store
+from slamhive.store import Store
 from slamhive.sweep.variants import resolve_variant
 
 logger = logging.getLogger(__name__)

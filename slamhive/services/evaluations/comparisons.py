@@ -15,8 +15,8 @@ from slamhive.evaluation.presets import PRESETS, Preset
 from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluations.notes import evaluation_notes
 from slamhive.services.evaluations.service import Evaluations
+from slamhive.store import Store
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
-from slamhive.store.store import Store
 
 NOT_EVALUATED = "not evaluated"
 

@@ -12,8 +12,8 @@ from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.errors import Conflict
 from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluations.service import Evaluations
+from slamhive.store import Store
 from slamhive.store.records import EvaluationRecord, ProtocolLabel, RunRecord
-from slamhive.store.store import Store
 
 
 class CurrentProtocols:

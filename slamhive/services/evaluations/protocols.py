@@ -15,7 +15,7 @@ from slamhive.domain.protocol_request import ProtocolRequest, exactly
 from slamhive.errors import InvalidInput, NotFound, unknown
 from slamhive.evaluation.presets import PRESETS, Preset
 from slamhive.settings import Settings
-from slamhive.store.store import Store
+from slamhive.store import Store
 from slamhive.trajectory.alignment import MINIMUM_POSES
 
 BY_SENSORS = "default"

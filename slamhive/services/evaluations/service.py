@@ -25,8 +25,8 @@ from slamhive.services.evaluations.protocols import Protocols, fitting_protocol,
 from slamhive.services.evaluations.scratch import scratch_folder
 from slamhive.services.identity import owner_is_dead
 from slamhive.settings import Settings
+from slamhive.store import Store
 from slamhive.store.records import EvaluationRecord, LeaseLost, RunRecord
-from slamhive.store.store import Store
 
 logger = logging.getLogger(__name__)
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from slamhive.domain.parameters import Value
 from slamhive.errors import unknown
 from slamhive.services.experiments.views import MOST_LISTED, Failure, Grid, GridCell, Phase, failure_of
+from slamhive.store import Transaction
 from slamhive.store.experiment_records import CellRecord, ExperimentRecord, StateCount
-from slamhive.store.store import Transaction
 
 MOST_TABLES = 8
 """Kept in memory; one of 100,000 cells and 10 axes takes 5 MB."""

@@ -12,8 +12,8 @@ from slamhive.errors import Conflict
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.folder import ExperimentStamp
 from slamhive.services.runs import retry_request, run_uid
+from slamhive.store import Transaction
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
-from slamhive.store.store import Transaction
 
 WHY_CANCELLED = "cancelled with its experiment"
 _AT_ONCE = 500

@@ -12,8 +12,8 @@ from slamhive.services.datasets import Catalogue, Variants
 from slamhive.services.executors import Executors
 from slamhive.services.experiments.folder import ExperimentFolder
 from slamhive.settings import Settings
+from slamhive.store import Store
 from slamhive.store.durations import Pairing
-from slamhive.store.store import Store
 from slamhive.sweep.binding import at
 from slamhive.sweep.expand import Expansion, expand
 from slamhive.sweep.experiment import Experiment

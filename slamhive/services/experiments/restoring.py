@@ -12,8 +12,8 @@ from slamhive.services.experiments.context import ExperimentContext, silent
 from slamhive.services.experiments.folder import ExperimentFolder, experiment_folders
 from slamhive.services.experiments.storing import fill, put_experiment
 from slamhive.services.runs import repeat_if_disturbed
+from slamhive.store import Transaction
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
-from slamhive.store.store import Transaction
 from slamhive.sweep.experiment_file import parse_experiment
 
 

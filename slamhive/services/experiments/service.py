@@ -25,8 +25,8 @@ from slamhive.services.experiments.views import (
     Grid,
     Standing,
 )
+from slamhive.store import Transaction
 from slamhive.store.experiment_records import ExperimentState
-from slamhive.store.store import Transaction
 from slamhive.sweep.experiment_file import parse_experiment
 
 

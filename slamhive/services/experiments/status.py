@@ -21,8 +21,8 @@ from slamhive.services.experiments.views import (
     Standing,
     failure_of,
 )
+from slamhive.store import Transaction
 from slamhive.store.experiment_records import CellRecord, CellRun, ExperimentRecord, ExperimentState, StateCount
-from slamhive.store.store import Transaction
 
 METRICS = ("ate.rmse", "tracked_fraction", "cpu.mean", "ram.max", "duration")
 """The figures of cells and reports."""

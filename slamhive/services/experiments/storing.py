@@ -17,9 +17,9 @@ from slamhive.services.experiments.context import ExperimentContext, Progress
 from slamhive.services.experiments.folder import ExperimentStamp
 from slamhive.services.experiments.previewing import chunks_of
 from slamhive.services.runs import run_uid
+from slamhive.store import Transaction
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
 from slamhive.store.records import RunRequest
-from slamhive.store.store import Transaction
 from slamhive.sweep.expand import Expansion, PlannedRun
 from slamhive.sweep.experiment import Experiment
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from slamhive.clock import SYSTEM_CLOCK, Clock
 from slamhive.services.experiments.context import guessed_duration_s
+from slamhive.store import Transaction
 from slamhive.store.durations import ActiveRun, Pairing, Unfinished
 from slamhive.store.experiment_records import ExperimentRecord
-from slamhive.store.store import Transaction
 
 MANY_RUNS = 5000
 """From this many waiting runs on, the means are kept for a while: they change slowly and cost a look at each run."""

@@ -30,9 +30,9 @@ from slamhive.services.imports.sources import find
 from slamhive.services.imports.truths import Home, TruthFiles, Truths
 from slamhive.services.runs import begin_record, check_disk, events_to_json
 from slamhive.settings import Settings
-from slamhive.store.imports import ImportedRun, ImportRepository
+from slamhive.store import Store, Transaction
+from slamhive.store.imports import ImportedRun
 from slamhive.store.records import RunRecord
-from slamhive.store.store import Store, Transaction
 from slamhive.trajectory.layout import UNKNOWN
 
 BATCH = 50
@@ -156,7 +156,7 @@ class Imports:
     def _batch(self, loaded: list[Loaded], homes: _Homes, request: ImportRequest, report: ImportReport) -> None:
         """File what is new, and give every run its folder."""
         beginnings = {trial_digits(entry.candidate) for entry in loaded}
-        known = self._store.read(lambda t: ImportRepository(t.session).known(beginnings))
+        known = self._store.read(lambda t: t.imports.known(beginnings))
         trials = {uid[: len(uid) // 2]: run_id for uid, run_id in known.items()}
         fresh: list[Loaded] = []
         for entry in loaded:
@@ -294,7 +294,7 @@ def _file(
         )
         for entry in entries
     ]
-    return ImportRepository(t.session).add(runs, now)
+    return t.imports.add(runs, now)
 
 
 def _origin(entry: Loaded) -> dict[str, Any]:

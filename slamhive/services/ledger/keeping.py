@@ -20,10 +20,8 @@ from slamhive.services.ledger.lines import (
 )
 from slamhive.services.ledger.missing import Missing, catalogue_lines, search_lines
 from slamhive.settings import Settings
+from slamhive.store import Store
 from slamhive.store.changes import Changes
-from slamhive.store.configuration_listing import configuration_records
-from slamhive.store.ledger import LedgerRepository
-from slamhive.store.store import Store
 
 logger = logging.getLogger(__name__)
 
@@ -71,7 +69,7 @@ class Ledger:
 
     def knows_more(self) -> bool:
         """Whether the ledger tells of something while the database holds nothing: it was lost."""
-        if not self._store.read(lambda t: LedgerRepository(t.session).empty()):
+        if not self._store.read(lambda t: t.ledger.empty()):
             return False
         return bool(live_configurations(self.files.configurations)) or any(self.files.searches.read())
 
@@ -95,7 +93,7 @@ class Ledger:
         yield from configuration_lines([row for row in changes.configurations if row.id not in changes.deleted])
         described = sorted(changes.described - changes.deleted)
         if described:
-            for record in self._store.read(lambda t: configuration_records(t.session, described)):
+            for record in self._store.read(lambda t: t.configuration_book.records(described)):
                 yield label_line(record)
         if changes.deleted:
             yield {"deleted": sorted(changes.deleted)}
@@ -104,7 +102,7 @@ class Ledger:
         for experiment, cells in changes.cells:
             yield cell_line(self._uid(experiment), cells)
         if changes.experiments:
-            sizes = self._store.read(lambda t: LedgerRepository(t.session).sizes())
+            sizes = self._store.read(lambda t: t.ledger.sizes())
             for experiment in sorted(changes.experiments):
                 yield {"experiment": self._uid(experiment), "size": sizes[self._uid(experiment)]}
 
@@ -123,10 +121,10 @@ class Ledger:
         yield from map(asked_line, changes.asked_evaluations)
         if changes.evaluated:
             evaluated: Sequence[int] = sorted(changes.evaluated)
-            for _, run_id, entry in self._store.read(lambda t: LedgerRepository(t.session).ended(evaluated)):
+            for _, run_id, entry in self._store.read(lambda t: t.ledger.ended(evaluated)):
                 yield from ended_lines({run_id: [entry]})
 
     def _uid(self, experiment: int) -> str:
         if experiment not in self._experiments:
-            self._experiments = self._store.read(lambda t: LedgerRepository(t.session).experiments())
+            self._experiments = self._store.read(lambda t: t.ledger.experiments())
         return self._experiments[experiment]

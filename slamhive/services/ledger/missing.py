@@ -16,14 +16,11 @@ from slamhive.services.ledger.evaluation_lines import asked_line, ended_lines, r
 from slamhive.services.ledger.files import LedgerFiles
 from slamhive.services.ledger.lines import cell_line, label_line, record_line, run_lines
 from slamhive.settings import Settings
-from slamhive.store.archives import ArchiveRepository
+from slamhive.store import Store, Transaction
 from slamhive.store.changes import AskedEvaluations
-from slamhive.store.configuration_listing import configuration_records
 from slamhive.store.configuration_records import ConfigurationRecord
 from slamhive.store.experiment_records import NewCell
 from slamhive.store.filed_runs import EndedEvaluation
-from slamhive.store.ledger import LedgerRepository
-from slamhive.store.store import Store, Transaction
 
 logger = logging.getLogger(__name__)
 
@@ -55,9 +52,7 @@ class Missing:
                 said.pop(number, None)
             if "label" in line:
                 said[line["label"]] = line
-        stored, described = self._store.read(
-            lambda t: (LedgerRepository(t.session).configurations(), LedgerRepository(t.session).described())
-        )
+        stored, described = self._store.read(lambda t: (t.ledger.configurations(), t.ledger.described()))
         if told - stored:
             logger.warning(
                 "%s tells of %d configurations that the database does not know: slamhive reindex restores them",
@@ -78,9 +73,7 @@ class Missing:
             told[line["experiment"]].update(entry[0] for entry in line.get("cells", ()))
             if "size" in line:
                 sizes[line["experiment"]] = line["size"]
-        stored, counted = self._store.read(
-            lambda t: (LedgerRepository(t.session).stored_cells(), LedgerRepository(t.session).sizes())
-        )
+        stored, counted = self._store.read(lambda t: (t.ledger.stored_cells(), t.ledger.sizes()))
         for record in self._store.read(lambda t: t.experiments.all()):
             if stored.get(record.uid, 0) > len(told[record.uid]):
                 yield from self._cells_of(record.id, record.uid)
@@ -97,14 +90,14 @@ class Missing:
             asked.update(line.get("asked_to_end", ()))
         waiting, to_end, experiments = self._store.read(
             lambda t: (
-                LedgerRepository(t.session).waiting(),
-                LedgerRepository(t.session).asked_to_end(),
-                LedgerRepository(t.session).experiments(),
+                t.ledger.waiting(),
+                t.ledger.asked_to_end(),
+                t.ledger.experiments(),
             )
         )
         untold = [run_id for run_id, state in waiting.items() if self._untold(run_id, state, told[state])]
         for part in _parts(sorted(set(untold) - told[RunState.QUEUED])):
-            yield from run_lines(self._store.read(lambda t: LedgerRepository(t.session).requests(part)), experiments)  # noqa: B023
+            yield from run_lines(self._store.read(lambda t: t.ledger.requests(part)), experiments)  # noqa: B023
         yield from self._cancelled([run_id for run_id in untold if waiting[run_id] is RunState.CANCELLED])
         if new := sorted(set(to_end) - asked):
             yield {"asked_to_end": new}
@@ -112,7 +105,7 @@ class Missing:
     def evaluations(self) -> Iterator[Line]:
         """Evaluations that wait, and those that have ended."""
         told = read_evaluations(self._files.evaluations.read())
-        ended, waiting = self._store.read(lambda t: LedgerRepository(t.session).evaluation_counts())
+        ended, waiting = self._store.read(lambda t: t.ledger.evaluation_counts())
         known = {key for entries in told.ended.values() for key in entries}
         if ended > len(known):
             protocols = set(told.protocols)
@@ -123,14 +116,14 @@ class Missing:
                         yield asked_line(AskedEvaluations(entry.protocol, entry.artefacts, entry.created_at, ()))
                     yield from ended_lines({run_id: [entry]})
         if waiting:
-            for asked in self._store.read(lambda t: LedgerRepository(t.session).open()):
+            for asked in self._store.read(lambda t: t.ledger.open()):
                 new = [run for run in asked.run_ids if (run, asked.protocol.fingerprint, asked.at) not in told.asked]
                 if new:
                     yield asked_line(AskedEvaluations(asked.protocol, asked.artefacts, asked.at, new))
 
     def _records(self, ids: list[int]) -> Iterator[ConfigurationRecord]:
         for part in _parts(ids):
-            yield from self._store.read(lambda t: configuration_records(t.session, part))  # noqa: B023
+            yield from self._store.read(lambda t: t.configuration_book.records(part))  # noqa: B023
 
     def _cells_of(self, experiment: int, uid: str) -> Iterator[Line]:
         after = -1
@@ -143,7 +136,7 @@ class Missing:
     def _cancelled(self, run_ids: list[int]) -> Iterator[Line]:
         together: dict[tuple[datetime, str], list[int]] = defaultdict(list)
         for part in _parts(run_ids):
-            found = self._store.read(lambda t: LedgerRepository(t.session).cancellations(part))  # noqa: B023
+            found = self._store.read(lambda t: t.ledger.cancellations(part))  # noqa: B023
             for run_id, when in found.items():
                 together[when].append(run_id)
         for (at, why), members in together.items():
@@ -151,7 +144,7 @@ class Missing:
 
     def _ended(self) -> Iterator[tuple[int, EndedEvaluation]]:
         after = 0
-        while found := self._store.read(lambda t: LedgerRepository(t.session).ended(after=after)):  # noqa: B023
+        while found := self._store.read(lambda t: t.ledger.ended(after=after)):  # noqa: B023
             yield from ((run_id, entry) for _, run_id, entry in found)
             after = found[-1][0]
 
@@ -170,7 +163,7 @@ def catalogue_lines(store: Store) -> Iterator[Line]:
     """Algorithms with their versions, and datasets."""
 
     def work(t: Transaction) -> list[Line]:
-        versions = LedgerRepository(t.session).versions()
+        versions = t.ledger.versions()
         algorithms: list[Line] = [
             {
                 "algorithm": entry.name,
@@ -191,7 +184,7 @@ def catalogue_lines(store: Store) -> Iterator[Line]:
 
 def search_lines(store: Store) -> Iterator[Line]:
     """Saved searches."""
-    for record, at in store.read(lambda t: ArchiveRepository(t.session).saved_searches()):
+    for record, at in store.read(lambda t: t.archive.saved_searches()):
         yield search_to_line(record, at)
 
 

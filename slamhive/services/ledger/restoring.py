@@ -29,13 +29,11 @@ from slamhive.services.ledger.lines import (
     runs_of,
 )
 from slamhive.services.runs import dataset_of
-from slamhive.store.archives import ArchiveRepository
+from slamhive.store import Store, Transaction
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import FiledRun
-from slamhive.store.ledger import LedgerRepository
 from slamhive.store.records import AlgorithmVersion, RunFields, RunSnapshot
 from slamhive.store.runs import queued_event
-from slamhive.store.store import Store, Transaction
 
 _AT_ONCE = 500
 
@@ -98,7 +96,7 @@ class LedgerRestore:
     def restore_after_runs(self) -> int:
         """Runs without a folder, sizes of experiments, evaluations, labels and searches; how many runs there were."""
         restored = self._runs()
-        self._store.write(lambda t: LedgerRepository(t.session).repeat(self._later))
+        self._store.write(lambda t: t.ledger.repeat(self._later))
         self._sizes()
         self._labels()
         for line in self._files.searches.read():
@@ -111,7 +109,7 @@ class LedgerRestore:
         def work(t: Transaction) -> None:
             for asked in self.evaluations.open():
                 protocol_id = t.catalogue.put_protocol(asked.protocol)
-                LedgerRepository(t.session).queue_evaluations(asked, protocol_id)
+                t.ledger.queue_evaluations(asked, protocol_id)
 
         self._store.write(work)
 
@@ -121,7 +119,7 @@ class LedgerRestore:
         if "dataset" in line:
             name, values = dataset_from_line(line["dataset"])
             row = {**values, "folder": str(line["folder"])}
-            self._store.write(lambda t: ArchiveRepository(t.session).dataset_if_absent(name, row))
+            self._store.write(lambda t: t.archive.dataset_if_absent(name, row))
             return
         name = str(line["algorithm"])
         versions = [
@@ -130,7 +128,7 @@ class LedgerRestore:
         ]
 
         def work(t: Transaction) -> None:
-            algorithm_id = ArchiveRepository(t.session).algorithm_if_absent(name, line["package"], line["mode"])
+            algorithm_id = t.archive.algorithm_if_absent(name, line["package"], line["mode"])
             for version, at in versions:
                 t.catalogue.put_version(algorithm_id, version, at)
 
@@ -170,7 +168,7 @@ class LedgerRestore:
                 for entry in part
             }
             times = {entry.id: entry.created_at for entry in part}
-            return LedgerRepository(t.session).restore_configurations(entries, times)
+            return t.ledger.restore_configurations(entries, times)
 
         self._numbers.update(self._store.write(work))
 
@@ -178,7 +176,7 @@ class LedgerRestore:
 
     def _experiments(self) -> dict[str, int]:
         """{uid: number}."""
-        found = self._store.read(lambda t: LedgerRepository(t.session).experiments())
+        found = self._store.read(lambda t: t.ledger.experiments())
         return {uid: number for number, uid in found.items()}
 
     def _restore_cells(self, line: Line, experiment: int) -> None:
@@ -187,14 +185,14 @@ class LedgerRestore:
             for cell in cells_of(line)
             if cell.configuration_id in self._numbers
         ]
-        self._store.write(lambda t: ArchiveRepository(t.session).add_cells(experiment, cells))
+        self._store.write(lambda t: t.archive.add_cells(experiment, cells))
 
     def _sizes(self) -> None:
         """An experiment of which everything is back needs not be looked through again."""
         told = {str(line.get("experiment")): line["size"] for line in self._files.cells.read() if "size" in line}
 
         def work(t: Transaction) -> None:
-            rows = LedgerRepository(t.session)
+            rows = t.ledger
             stored = rows.stored_cells()
             for number, uid in rows.experiments().items():
                 size = told.get(uid, {})
@@ -214,7 +212,7 @@ class LedgerRestore:
             self._guarded(self._files.runs, lambda: found.extend(runs_of(line)))  # noqa: B023
             for start in range(0, len(found), _AT_ONCE):
                 restored += self._restore_runs(found[start : start + _AT_ONCE], experiments, cancelled)
-        self._store.write(lambda t: LedgerRepository(t.session).ask_to_end(cancelled.active))
+        self._store.write(lambda t: t.ledger.ask_to_end(cancelled.active))
         return restored
 
     def _cancelled(self) -> _Cancelled:
@@ -228,7 +226,7 @@ class LedgerRestore:
 
     def _restore_runs(self, part: list[LedgerRun], experiments: Mapping[str, int], cancelled: _Cancelled) -> int:
         def work(t: Transaction) -> tuple[int, dict[int, int]]:
-            rows = LedgerRepository(t.session)
+            rows = t.ledger
             unknown = rows.unknown([run.id for run in part], [run.request.uid for run in part])
             new = [run for run in part if run.id in unknown and run.request.configuration_id in self._numbers]
             filed = [self._filed(run, experiments, cancelled.waiting.get(run.id)) for run in new]
@@ -284,7 +282,7 @@ class LedgerRestore:
 
     def _search(self, line: Line) -> None:
         record, at = search_from_line(line)
-        self._store.write(lambda t: ArchiveRepository(t.session).saved_search_if_absent(record, at))
+        self._store.write(lambda t: t.archive.saved_search_if_absent(record, at))
 
     def _guarded(self, book: Book, work: Callable[[], Any]) -> None:
         """One line that is none of ours, or clashes with what is here, keeps nothing else from being restored."""

@@ -1,4 +1,4 @@
-"""Write a report to a folder or zip file: a self-contained page, figures for print, tables, LaTeX."""
+"""A report as files: one self-contained page, figures for print, tables with all data, LaTeX; a folder or a zip."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ Progress = Callable[[float, str], None]
 def report_files(
     report: dict[str, Any], project_root: Path, figures: Collection[str] = FORMATS, progress: Progress | None = None
 ) -> Iterator[tuple[str, bytes]]:
-    """Yield the files of a report, each with its path.
+    """Every file of a report, by its path in the folder, one at a time.
 
     Args:
         report: From :func:`slamhive.services.reports.report.report_json`.
-        project_root: The folder with ``templates/``.
-        figures: Formats of the printed figures, from :data:`slamhive.analysis.print_chart.FORMATS`.
-        progress: Called with the share done and the current file or plot.
+        project_root: Where the templates lie.
+        figures: The formats of printed figures, of :data:`slamhive.analysis.print_chart.FORMATS`.
+        progress: Told the share done and what is written.
     """
     tell = progress or (lambda _share, _what: None)
     yield "analysis.yaml", report["source"].encode()
@@ -64,7 +64,7 @@ def write_folder(
     figures: Collection[str] = FORMATS,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Write the report into ``folder``; returns the paths of the files. Raises Unavailable."""
+    """Write the report into ``folder``, each file in one step; the paths written. Raises Unavailable."""
     written = []
     for name, content in report_files(report, project_root, figures, progress):
         path = folder / name
@@ -75,7 +75,7 @@ def write_folder(
 
 
 def zipped(report: dict[str, Any], project_root: Path, figures: Collection[str] = FORMATS) -> bytes:
-    """The report as a zip file, the same bytes for the same report."""
+    """The report as a zip file; the same report gives the same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in report_files(report, project_root, figures):
@@ -84,7 +84,7 @@ def zipped(report: dict[str, Any], project_root: Path, figures: Collection[str] 
 
 
 def report_page(report: dict[str, Any], project_root: Path) -> str:
-    """One HTML page with styles, plots and the plotting library; it needs no server and no network."""
+    """One HTML page with styles, figures and the library that draws them: it needs no server and no network."""
     template = report_environment(project_root).get_template("analyses/report.html")
     return template.render(
         **report_content(report),
@@ -95,7 +95,7 @@ def report_page(report: dict[str, Any], project_root: Path) -> str:
 
 
 def report_environment(project_root: Path) -> Environment:
-    """The Jinja environment of pages that are files: it escapes text and converts Markdown."""
+    """Templates of pages that are files; text in them is escaped, and Markdown is made HTML."""
     environment = Environment(
         loader=FileSystemLoader(project_root / "templates"), autoescape=True, undefined=StrictUndefined
     )
@@ -104,7 +104,7 @@ def report_environment(project_root: Path) -> Environment:
 
 
 def report_content(report: dict[str, Any]) -> dict[str, Any]:
-    """The template variables of a report page: ``report``, ``forms``, and ``figures`` for a script element."""
+    """What every page of a report is made from: ``report``, ``forms``, and ``figures`` for a script element."""
     return {
         "report": report,
         "forms": [shown_form(form) for form in report["forms"]],
@@ -113,7 +113,7 @@ def report_content(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def shown_form(form: dict[str, Any]) -> dict[str, Any]:
-    """A plot for a page: charts by key and caption, tables with their first rows."""
+    """What a page shows of a form: charts by key and caption, tables with their first rows."""
     result: FormResult | None = None if form["result"] is None else from_json(form["result"])
     tables = [] if result is None else [table for table in result.tables if not table.raw]
     return {
@@ -160,6 +160,6 @@ def _table_files(place: int, table: ResultTable) -> Iterator[tuple[str, bytes]]:
 
 
 def script_json(content: dict[str, Any]) -> Markup:
-    """JSON for a script element, escaped so that it cannot end the element."""
+    """JSON inside a script element: nothing in it can end the element."""
     text = json.dumps(content, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))  # noqa: S704 - escaped

@@ -1,4 +1,4 @@
-"""The report for a page: without the data that only plots and files need."""
+"""What the page of an analysis needs: the report without the data that only figures and files show."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slamhive.services.reports.report import file_name
 def page_json(report: Mapping[str, Any]) -> dict[str, Any]:
     """The report for :mod:`slamhive.services.analyses.stored_page`: charts without marks, tables cut to what is shown.
 
-    It includes the names of all files.
+    It has the names of all files.
     """
     return {
         **{key: value for key, value in report.items() if key != "forms"},
@@ -36,7 +36,7 @@ def _light(form: dict[str, Any]) -> dict[str, Any]:
 
 
 def _files(form: dict[str, Any]) -> list[tuple[str, list[Any]]]:
-    """The files of a plot by name, with the number of the plot and the key of its chart or table."""
+    """Each file of a form by its name: the place of the form, and the key of its figure or table."""
     if form["result"] is None:
         return []
     result: FormResult = from_json(form["result"])

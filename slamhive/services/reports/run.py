@@ -15,7 +15,7 @@ from slamhive.services.reports.files import StoredRunFiles
 from slamhive.services.reports.selection import Find, select_runs
 from slamhive.services.reports.table import TableRequest, check_size, load_every_protocol, load_table
 from slamhive.settings import Settings
-from slamhive.store.store import Store
+from slamhive.store import Store
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from slamhive.analysis.analysis_file import Analysis, set_words
 from slamhive.analysis.analysis_model import SetModel
 from slamhive.analysis.selection import evaluate, names_in
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
-from slamhive.store.store import Store, Transaction
+from slamhive.store import Store, Transaction
 
 Find = Callable[[str], Sequence[int]]
 """The runs that a filter finds."""

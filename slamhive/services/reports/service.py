@@ -16,7 +16,7 @@ from slamhive.services.reports.run import AnalysisLimits, AnalysisSources, run_a
 from slamhive.services.reports.selection import select_runs
 from slamhive.services.searches import Searches
 from slamhive.settings import Settings
-from slamhive.store.store import Store, Transaction
+from slamhive.store import Store, Transaction
 from slamhive.strict_yaml import read_text
 
 MAX_SOURCE_BYTES = 1_000_000

@@ -17,8 +17,8 @@ from slamhive.domain.variant import variant_from_json
 from slamhive.domain.verdict import EVIDENCE, FailureRule
 from slamhive.errors import InvalidInput
 from slamhive.search.fields import VARIANT_PREFIX
+from slamhive.store import Store
 from slamhive.store.records import EvaluationState
-from slamhive.store.store import Store
 
 Columns = dict[str, list[Any]]
 ById = dict[str, dict[int, Any]]

@@ -1,4 +1,4 @@
-"""The files of a run folder that can be downloaded: known names only, never a path from a request."""
+"""Which files of a run folder can be downloaded: a list of known names, never a path that somebody sends."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ EVALUATION_FILES = {
 
 @dataclass(frozen=True, slots=True)
 class Download:
-    """One existing file. ``key`` is its name in the URL, ``name`` its name on the user's disk."""
+    """One file that exists. ``key`` is what the address holds, ``name`` what the browser saves it as."""
 
     key: str
     name: str
@@ -48,7 +48,7 @@ class Download:
 
 
 def list_downloads(folder: RunFolder, fingerprints: Iterable[str]) -> tuple[Download, ...]:
-    """The known files of the run that exist and are regular files, not links."""
+    """The known files of the run that exist, links and anything but regular files left out."""
     found = []
     for key, path, media_type in _known(folder, fingerprints):
         try:
@@ -61,14 +61,14 @@ def list_downloads(folder: RunFolder, fingerprints: Iterable[str]) -> tuple[Down
 
 
 def open_download(folder: RunFolder, fingerprints: Iterable[str], key: str) -> tuple[Download, BinaryIO]:
-    """Open the file with this key, without following links; raises NotFound."""
+    """The file known as ``key``, opened; raises NotFound. A link put in its place meanwhile is not followed."""
     for download in list_downloads(folder, fingerprints):
         if download.key == key:
             stream = open_regular_file(download.path)
             if stream is None:
                 break
             return download, stream
-    raise NotFound(f"there is no file {key!r} in this run", "its page lists the files")
+    raise NotFound(f"there is no file {key!r} in this run", "its page lists the files that are there")
 
 
 def _known(folder: RunFolder, fingerprints: Iterable[str]) -> list[tuple[str, Path, str]]:

@@ -23,10 +23,10 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.datasets import Catalogue
 from slamhive.services.evaluations import PROTOCOL_FILE
 from slamhive.services.runs.record import check_types, configuration_from_record, snapshot_from_record
+from slamhive.store import Transaction
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import EndedEvaluation, FiledRun
 from slamhive.store.records import AlgorithmVersion, EvaluationState, Host, RunSnapshot
-from slamhive.store.store import Transaction
 
 logger = logging.getLogger(__name__)
 

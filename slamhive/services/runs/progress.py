@@ -1,4 +1,4 @@
-"""The progress of a running run, from the files of its player and sampler."""
+"""How far a running run is, from what its player and sampler have written so far."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TAIL_BYTES = 400
 
 @dataclass(frozen=True, slots=True)
 class RunProgress:
-    """Progress of one active run. ``fraction`` is None until the recording starts to play."""
+    """Progress of one active run. ``fraction`` is None while the recording has not begun to play."""
 
     fraction: float | None
     elapsed_s: float | None
@@ -28,9 +28,9 @@ class RunProgress:
 
 
 def run_progress(run: RunRecord, folder: RunFolder, now: datetime, duration_s: float | None) -> RunProgress | None:
-    """The progress of ``run``; None if no worker is executing it.
+    """The progress of ``run``, None if it is not in a worker's hands.
 
-    ``duration_s`` is the duration of the recording, the lower bound of the time left in real-time playback.
+    ``duration_s`` is the recording's duration, which bounds the time left from below in real-time playback.
     """
     if not run.state.active:
         return None
@@ -48,13 +48,13 @@ def run_progress(run: RunRecord, folder: RunFolder, now: datetime, duration_s: f
 
 
 def untracked_s(folder: RunFolder) -> float | None:
-    """How long the algorithm has found no pose, in s of the recording; None if it does not report that."""
+    """For how long the algorithm has found no pose, in s of the recording; None if it does not say."""
     content = read_untrusted_json(folder.progress, _PROGRESS_LIMIT_BYTES) or {}
     return measured_number(content.get("untracked_s"))
 
 
 def _doing(run: RunRecord, folder: RunFolder) -> str:
-    """The activity of a run whose recording does not play yet."""
+    """What a run that does not play yet is at."""
     line = read_regular_file(folder.preparation, _TAIL_BYTES) if run.state is RunState.PREPARING else None
     text = "".join(letter for letter in (line or b"").decode(errors="replace").strip() if letter.isprintable())
     return f"{run.state.value}: {text}" if text else run.state.value
@@ -75,7 +75,7 @@ def _left_s(run: RunRecord, fraction: float | None, elapsed_s: float | None, dur
 
 
 def _last_sample(folder: RunFolder) -> tuple[float | None, int | None]:
-    """CPU (cores) and memory (bytes) from the last complete line of ``profiling.csv``."""
+    """CPU (cores) and memory (bytes) of the last whole line of ``profiling.csv``."""
     try:
         with folder.profiling.open("rb") as stream:
             stream.seek(0, 2)

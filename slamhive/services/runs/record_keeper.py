@@ -8,8 +8,8 @@ from slamhive.domain.run import RunEvent
 from slamhive.errors import SlamHiveError
 from slamhive.runs.folder import RunFolder
 from slamhive.services.runs.record import begin_record, events_to_json
+from slamhive.store import Store
 from slamhive.store.records import RunRecord
-from slamhive.store.store import Store
 
 
 class RecordKeeper:
@@ -38,18 +38,18 @@ class RecordKeeper:
         """The record; raises NotFound or InvalidInput."""
         return self._folder.read_record()
 
-    def begin(self, run: RunRecord) -> None:
-        """Write the record of a run of which nothing is written yet, or nothing readable."""
-        self._write(begin_record(run), None)
+    def begin(self, run: RunRecord, changes: dict[str, Any] | None = None, coming: RunEvent | None = None) -> None:
+        """Write a record that does not exist yet or cannot be read; the arguments are those of :meth:`save`."""
+        self._write({**begin_record(run), **(changes or {})}, coming)
 
-    def save(self, changes: dict[str, Any], final: RunEvent | None = None, *, without: str | None = None) -> None:
-        """Add ``changes``, drop the key ``without``; ``final`` is the move that is about to be made."""
+    def save(self, changes: dict[str, Any], coming: RunEvent | None = None, *, without: str | None = None) -> None:
+        """Add ``changes`` and drop the key ``without``; ``coming`` is the move that the row is about to make."""
         content = {**self.read(), **changes}
         if without is not None:
             content.pop(without, None)
-        self._write(content, final)
+        self._write(content, coming)
 
-    def _write(self, content: dict[str, Any], final: RunEvent | None) -> None:
+    def _write(self, content: dict[str, Any], coming: RunEvent | None) -> None:
         events = self._store.read(lambda t: t.runs.events(self._run_id))
-        content["events"] = events_to_json([*events, *([] if final is None else [final])])
+        content["events"] = events_to_json([*events, *([] if coming is None else [coming])])
         self._folder.write_record(content)

@@ -9,9 +9,9 @@ from slamhive.domain.external import IMPORTED
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict
 from slamhive.services.runs.uid import run_uid
+from slamhive.store import Transaction
 from slamhive.store.experiment_records import ExperimentState
 from slamhive.store.records import RunRecord, RunRequest
-from slamhive.store.store import Transaction
 
 
 def check_retriable(old: RunRecord) -> None:

@@ -12,8 +12,8 @@ from slamhive.search.binding import Search, read_search
 from slamhive.search.fields import Kind, ParameterKind, Vocabulary, vocabulary_of
 from slamhive.services.datasets import Catalogue, check_writable, imported_algorithms
 from slamhive.settings import Settings
+from slamhive.store import Store
 from slamhive.store.records import Count, GroupPage, RunSort, SavedSearchRecord
-from slamhive.store.store import Store
 
 _KINDS = {
     ParameterType.INT: Kind.NUMBER,

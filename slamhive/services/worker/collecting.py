@@ -7,6 +7,7 @@ from datetime import datetime
 
 from slamhive.domain.disturbance import Disturbance, disturbance_to_json
 from slamhive.domain.protocol import Protocol
+from slamhive.domain.run import RunEvent
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Exited
 from slamhive.runs.outcome import Evidence, Outcome, decide
@@ -17,7 +18,7 @@ from slamhive.services.worker.disk import remove_scratch, settle_result
 from slamhive.services.worker.disturbance import judge_run
 from slamhive.services.worker.evidence import gather_evidence, read_about
 from slamhive.services.worker.run_in_hand import RunInHand
-from slamhive.store.store import Transaction
+from slamhive.store import Transaction
 
 logger = logging.getLogger(__name__)
 
@@ -77,7 +78,7 @@ class Collecting:
         }
         now = hand.context.now()
         why = outcome.detail or outcome.state.value
-        hand.save(ending, hand.moving(now, outcome.state, why))
+        hand.save(ending, RunEvent(now, hand.run.state, outcome.state, why))
 
         protocol = self._evaluation_protocol() if outcome.succeeded and hand.run.evaluate else None
 

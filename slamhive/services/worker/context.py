@@ -13,8 +13,8 @@ from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Executor
 from slamhive.services.datasets import Catalogue, Variants
 from slamhive.settings import Settings
+from slamhive.store import Store
 from slamhive.store.records import RunRecord
-from slamhive.store.store import Store
 
 
 class WorkerStopping(SlamHiveError):

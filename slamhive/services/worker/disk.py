@@ -11,8 +11,7 @@ from slamhive.clock import monotonic_s
 from slamhive.runs.leftovers import DiskLimits, settle, survey
 from slamhive.services.worker.evidence import LEFT, look_at
 from slamhive.services.worker.run_in_hand import RunInHand
-from slamhive.store.archives import ArchiveRepository
-from slamhive.store.store import Store
+from slamhive.store import Store
 from slamhive.tree import remove_tree
 
 logger = logging.getLogger(__name__)
@@ -77,7 +76,7 @@ def remove_scratch(hand: RunInHand) -> None:
 def sweep_scratch(runs: Path, store: Store) -> None:
     """Remove the scratch space of runs that have ended, which a worker that was killed has left."""
     left = {int(path.parent.name): path for path in runs.glob("*/work") if path.parent.name.isdecimal()}
-    for number in store.read(lambda t: ArchiveRepository(t.session).ended_among(list(left))):
+    for number in store.read(lambda t: t.archive.ended_among(list(left))):
         _remove(left[number])
 
 

@@ -74,8 +74,6 @@ class RunDriver:
         if hand.run.state is RunState.CANCELLING:
             hand.move(RunState.CANCELLED, why)
             return
-        if not hand.keeper.readable():
-            hand.keeper.begin(hand.run)
         reasons = {
             RunState.PREPARING: FailureReason.PREPROCESS_ERROR,
             RunState.STARTING: FailureReason.START_ERROR,
@@ -108,18 +106,13 @@ class RunDriver:
         stored = handle_to_json(handle)
         started_at = _start_time(handle, self._context.now())
         protections = {} if handle.protections is None else {"protections": asdict(handle.protections)}
-        started = {"handle": stored, "started_at": exact(started_at)}
-        hand.save({**started, **protections})
-        hand.move(RunState.RUNNING, "started", started_at=started_at, handle=stored)
+        started = {"handle": stored, "started_at": exact(started_at), **protections}
+        hand.move(RunState.RUNNING, "started", record=started, started_at=started_at, handle=stored)
 
     def _cancel(self) -> None:
         hand = self._hand
         self._end_what_runs()
-        now = self._context.now()
-        if hand.folder.record.exists():
-            ending = {"state": RunState.CANCELLED.value, "ended_at": exact(now)}
-            hand.save(ending, hand.moving(now, RunState.CANCELLED, CANCELLED_BY_USER))
-        hand.move(RunState.CANCELLED, CANCELLED_BY_USER, now=now)
+        hand.move(RunState.CANCELLED, CANCELLED_BY_USER, record={} if hand.folder.record.exists() else None)
 
     def _end_what_runs(self) -> None:
         """Stop and remove what was started for the run, known or not."""

@@ -22,8 +22,8 @@ from slamhive.services.imports import sweep_imports
 from slamhive.services.runs import handle_from_json
 from slamhive.services.worker.disk import sweep_scratch as sweep_run_scratch
 from slamhive.settings import Settings
+from slamhive.store import Store
 from slamhive.store.records import RunRecord
-from slamhive.store.store import Store
 
 logger = logging.getLogger(__name__)
 

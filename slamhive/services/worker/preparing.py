@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 from slamhive.catalogue.algorithm_file import package_hash
 from slamhive.domain.parameters import check_stored
@@ -26,8 +26,8 @@ from slamhive.services.runs import (
 from slamhive.services.worker.evidence import STARTED_BY
 from slamhive.services.worker.host import describe_host
 from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
-from slamhive.store.records import AlgorithmVersion
-from slamhive.store.store import Transaction
+from slamhive.store import Transaction
+from slamhive.store.records import AlgorithmVersion, Host
 
 logger = logging.getLogger(__name__)
 
@@ -87,9 +87,10 @@ class Preparing:
         write_config(job, hand.folder)
         spec = build_spec(job, hand.folder, hand.context.settings, identity, hand.cores)
         # The attempt is written down before the start: a worker that dies in the start may have started the run.
-        hand.save({**provenance(job, identity), "spec": spec_to_json(spec), STARTED_BY: hand.run.attempt})
-        self._register_version(job, identity)
-        hand.move(RunState.STARTING, f"prepared with {identity[:19]}", timeout_s=spec.timeout_s)
+        prepared = {**provenance(job, identity), "spec": spec_to_json(spec), STARTED_BY: hand.run.attempt}
+        host = self._register_version(job, identity)
+        why = f"prepared with {identity[:19]}"
+        hand.move(RunState.STARTING, why, record={**prepared, "host": asdict(host)}, timeout_s=spec.timeout_s)
 
     def _job(self) -> Job:
         context, run = self._hand.context, self._hand.run
@@ -114,7 +115,7 @@ class Preparing:
         holding = hand.context.variants.hold(job.dataset, job.configuration.variant, progress)
         return replace(job, used=self._held.enter_context(holding))
 
-    def _register_version(self, job: Job, identity: str) -> None:
+    def _register_version(self, job: Job, identity: str) -> Host:
         hand = self._hand
         package = job.algorithm.package
         version = AlgorithmVersion(identity, package_hash(package.folder), package.version)
@@ -132,7 +133,7 @@ class Preparing:
             )
 
         hand.context.store.write(work)
-        hand.save({"host": {name: getattr(host, name) for name in host.__slots__}})
+        return host
 
     def _show_build_line(self, line: str) -> None:
         logger.info("run %d: %s", self._hand.run.id, line)

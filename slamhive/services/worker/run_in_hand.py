@@ -62,39 +62,43 @@ class RunInHand:
         """The record as it was last written."""
         return self.keeper.read()
 
-    def save(self, changes: dict[str, Any], final: RunEvent | None = None, *, without: str | None = None) -> None:
+    def save(self, changes: dict[str, Any], coming: RunEvent | None = None, *, without: str | None = None) -> None:
         """Add to the record; see :meth:`RecordKeeper.save`."""
-        self.keeper.save({"attempt": self.run.attempt, **changes}, final, without=without)
+        self.keeper.save({"attempt": self.run.attempt, **changes}, coming, without=without)
 
-    def move(self, target: RunState, why: str, *, now: datetime | None = None, **fields: Any) -> None:
-        """Move the row, then note the state in the record."""
-        moment = now or self.context.now()
-        owner = self.context.owner
-        self.context.store.write(lambda t: t.runs.move(self.run.id, target, why=why, now=moment, owner=owner, **fields))
+    def move(self, target: RunState, why: str, *, record: dict[str, Any] | None = None, **fields: Any) -> None:
+        """Move the run, with one write of ``run.json``.
+
+        Args:
+            target: The new state.
+            why: For the event.
+            record: What the move adds to ``run.json``. It is written with the new state, before the row moves. A worker
+                that takes over after a crash then finds everything that the state needs. None adds nothing, and
+                ``run.json`` follows the row.
+            fields: Columns of the row.
+        """
+        now, owner = self.context.now(), self.context.owner
+        changes = {"state": target.value, **({"ended_at": exact(now)} if target.ended else {})}
+        if record is not None:
+            self._write_ahead({**changes, **record}, RunEvent(now, self.run.state, target, why))
+        self.context.store.write(lambda t: t.runs.move(self.run.id, target, why=why, now=now, owner=owner, **fields))
         self.reload()
-        if self.folder.record.exists():
-            ending = {"ended_at": exact(self.run.ended_at)} if target.ended else {}
-            self.save({"state": target.value, **ending})
+        if record is None and self.folder.record.exists():
+            self.save(changes)
 
-    def moving(self, now: datetime, target: RunState, why: str) -> RunEvent:
-        """The move that is about to be made, for the record that is written before it."""
-        return RunEvent(now, self.run.state, target, why)
+    def _write_ahead(self, changes: dict[str, Any], coming: RunEvent) -> None:
+        self.check_owner()
+        if coming.to_state is RunState.FAILED and not self.keeper.readable():
+            self.keeper.begin(self.run, changes, coming)
+        else:
+            self.save(changes, coming)
 
     def fail(self, reason: FailureReason, detail: str) -> None:
         """End the run as failed: the folder first, since it is the truth; then its index."""
         logger.warning("run %d failed: %s: %s", self.run.id, reason, detail)
-        now = self.context.now()
         self.folder.create()
-        if not self.folder.record.exists():
-            self.keeper.begin(self.run)
-        ending = {
-            "state": RunState.FAILED.value,
-            "reason": reason.value,
-            "detail": detail,
-            "ended_at": exact(now),
-        }
-        self.save(ending, self.moving(now, RunState.FAILED, detail))
-        self.move(RunState.FAILED, detail, now=now, reason=reason, detail=detail)
+        ending = {"reason": reason.value, "detail": detail}
+        self.move(RunState.FAILED, detail, record=ending, reason=reason, detail=detail)
 
     def reload(self) -> None:
         """Read the row again."""

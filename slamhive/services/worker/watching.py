@@ -44,31 +44,37 @@ class Watch:
 
     def watch(self) -> None:
         """To ``collecting``, or to ``cancelling``."""
-        with self._sampled():
+        with self._sampled() as sampled:
             cause = self._wait_for_end()
         if cause == "cancelled":
-            self._hand.move(RunState.CANCELLING, CANCELLED_BY_USER)
+            self._hand.move(RunState.CANCELLING, CANCELLED_BY_USER, record=sampled)
             return
         stopped_because = self._hand.saved().get(STOPPED_BECAUSE, cause)
-        self._hand.move(RunState.COLLECTING, _ENDINGS.get(stopped_because, stopped_because))
+        self._hand.move(RunState.COLLECTING, _ENDINGS.get(stopped_because, stopped_because), record=sampled)
 
     @contextmanager
-    def _sampled(self) -> Iterator[None]:
+    def _sampled(self) -> Iterator[dict[str, Any]]:
+        """Sample during the block; yields what the record is to hold of it, filled in once the block has ended."""
         hand = self._hand
+        found: dict[str, Any] = {}
         source = hand.executor.usage_source(hand.handle)
         if source is None:
-            yield
+            yield found
             return
         interval_s = hand.context.settings.sample_interval_s
         offset_s, machine = max(0.0, hand.elapsed_s()), self._machine_logs(source)
         self._sampler = Sampler(source, hand.folder.profiling, interval_s, offset_s=offset_s, machine=machine)
         self._sampler.start()
+        moves = False
         try:
-            yield
+            yield found
+            moves = True
         finally:
             peak_bytes = self._sampler.stop()
             if peak_bytes is not None:
-                hand.save({"peak_memory_bytes": peak_bytes})
+                found["peak_memory_bytes"] = peak_bytes
+            if found and not moves:
+                hand.save(found)
 
     def _machine_logs(self, source: UsageSource) -> MachineLogs:
         hand = self._hand

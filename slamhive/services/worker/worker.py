@@ -31,8 +31,8 @@ from slamhive.services.worker.lock import WorkerLock
 from slamhive.services.worker.slots import share_cores
 from slamhive.services.worker.turns import AbsentExecutors, Turns
 from slamhive.settings import Settings
+from slamhive.store import Store, Transaction
 from slamhive.store.records import LeaseLost, RunRecord
-from slamhive.store.store import Store, Transaction
 
 logger = logging.getLogger(__name__)
 

@@ -1,0 +1,40 @@
+"""What is behind the store's door stays there: its session, and the repositories that use it."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from pathlib import Path
+
+import slamhive
+from slamhive.store import Transaction
+
+PACKAGE = Path(slamhive.__file__).parent
+REPOSITORIES = {
+    node.func.id
+    for node in ast.walk(ast.parse(inspect.getsource(inspect.getmodule(Transaction))))  # type: ignore[arg-type]
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and ast.unparse(node).endswith("(session)")
+}
+
+
+def trespasses(source: str) -> list[str]:
+    """Where code outside the store has a session or makes a repository."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Attribute) and node.attr == "session":
+            found.append(f"line {node.lineno}: {ast.unparse(node)}")
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("slamhive.store"):
+            found += [f"line {node.lineno}: {entry.name}" for entry in node.names if entry.name in REPOSITORIES]
+    return found
+
+
+def test_nobody_else_has_a_session_or_makes_a_repository() -> None:
+    assert len(REPOSITORIES) >= 15
+    outside = [path for path in sorted(PACKAGE.rglob("*.py")) if path.relative_to(PACKAGE).parts[0] != "store"]
+    found = {str(path): problems for path in outside if (problems := trespasses(path.read_text()))}
+    assert found == {}
+
+
+def test_a_trespass_is_found() -> None:
+    source = "from slamhive.store.archives import ArchiveRepository\nstore.read(lambda t: t.session.execute(q))"
+    assert trespasses(source) == ["line 1: ArchiveRepository", "line 2: t.session"]
