@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scikit_posthocs
 from scipy import stats
 
 from slamhive.analysis.statistics import bootstrap_mean, compare_means, rank_test, summarise
@@ -26,6 +27,23 @@ def test_friedman_agrees_with_scipy():
     assert rank_test(scores).p_value == pytest.approx(stats.friedmanchisquare(*scores.T).pvalue)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_pairs_agree_with_scikit_posthocs(seed):
+    draws = np.random.default_rng(seed)
+    scores = draws.random((12, 4)).round(2) + np.array([0.0, 0.1, 0.2, 0.5])
+    nemenyi = scikit_posthocs.posthoc_nemenyi_friedman(scores).to_numpy()
+    holm = scikit_posthocs.posthoc_wilcoxon(scores.T.tolist(), p_adjust="holm").to_numpy()
+    for test, expected in (("nemenyi", nemenyi), ("wilcoxon-holm", holm)):
+        pairs = rank_test(scores, test).pairs
+        assert len(pairs) == 6
+        assert all(p_value == pytest.approx(expected[pair], rel=1e-6) for pair, p_value in pairs.items())
+
+
+def test_pairs_that_are_tied_everywhere_are_the_same():
+    scores = np.array([[1.0, 1.0, 2.0], [3.0, 3.0, 1.0], [2.0, 2.0, 5.0]])
+    assert rank_test(scores, "wilcoxon-holm").pairs[0, 1] == 1.0
+
+
 def test_holm_s_correction_never_falls():
     scores = np.random.default_rng(1).random((20, 4)) + np.array([0, 0.0, 0.5, 1.0])
     result = rank_test(scores, "wilcoxon-holm")
@@ -45,6 +63,14 @@ def test_equal_scores_are_all_one_clique():
 def test_too_little_to_rank(shape):
     with pytest.raises(InvalidInput, match="Friedman"):
         rank_test(np.ones(shape))
+
+
+def test_bootstrap_resamples_as_it_always_did():
+    """Stored reports must not change when they are computed again: the same indices are drawn as in 0.1."""
+    values = np.array([0.1, 0.4, 0.2, 0.9])
+    means = values[np.random.default_rng(0).integers(0, 4, (2_000, 4))].mean(axis=1)
+    interval = bootstrap_mean(values)
+    assert (interval.low, interval.high) == pytest.approx(tuple(np.quantile(means, [0.025, 0.975])), rel=1e-12)
 
 
 def test_bootstrap_is_repeatable_and_covers():
