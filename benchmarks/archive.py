@@ -129,9 +129,9 @@ def export_to(hive: Hive, path: Path) -> None:
 
 
 def checksums(path: Path) -> bytes:
-    """Those of all members of an archive but its manifest, which tells when it was made."""
+    """The checksums of the payload; the other members hold the time of the export."""
     with zipfile.ZipFile(path) as archive:
-        return archive.read(CHECKSUMS)
+        return archive.read(f"{path.stem}/{CHECKSUMS}")
 
 
 def import_into(hive: Hive, path: Path) -> None:

@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import bagit
 import pytest
 
 from slamhive.domain.run import RunState
@@ -21,7 +22,7 @@ from slamhive.domain.verdict import FROM_REPEATS
 from slamhive.errors import Conflict, Forbidden, InvalidInput
 from slamhive.services.archive.exporting import ExportReport, ExportRequest, Part, export_archive
 from slamhive.services.archive.importing import ArchiveImport, ArchiveReport
-from slamhive.services.archive.layout import MANIFEST
+from slamhive.services.archive.layout import Manifest, bag_format
 from slamhive.services.archive.writing import archive_writer
 from slamhive.services.configurations.submission import Submission
 from slamhive.services.experiments.views import ExperimentSource
@@ -61,7 +62,11 @@ def import_archive(hive: Hive, path: Path) -> ArchiveReport:
 def content(path: Path) -> dict[str, bytes]:
     """Every member but the manifest, which tells when it was made."""
     with zipfile.ZipFile(path) as file:
-        return {name: file.read(name) for name in file.namelist() if name != MANIFEST}
+        return {
+            name.partition("/")[2]: file.read(name)
+            for name in file.namelist()
+            if name.partition("/")[2] not in bag_format(path.stem).tags
+        }
 
 
 @pytest.fixture(params=["sqlite", pytest.param("mysql", marks=pytest.mark.mysql)])
@@ -203,7 +208,7 @@ def test_an_import_that_was_killed_is_completed_and_nothing_is_doubled(
     world: Hive, other: Hive, tmp_path: Path, doing: str, step: int
 ) -> None:
     export(world, tmp_path / "a.zip")
-    command = [sys.executable, "-c", KILLED, str(tmp_path / "a.zip"), str(step), doing]
+    command: list[str] = [sys.executable, "-c", KILLED, str(tmp_path / "a.zip"), str(step), doing]
     assert subprocess.run(command, env=os.environ, timeout=120, check=False).returncode == -signal.SIGKILL
     result = import_archive(other, tmp_path / "a.zip")
     assert result.imported + result.known + result.completed == 35
@@ -240,18 +245,44 @@ def test_a_part_of_an_experiment_queues_nothing(hive: Hive, tmp_path: Path, monk
     other.close()
 
 
+def test_an_archive_is_a_valid_bag(world: Hive, other: Hive, tmp_path: Path) -> None:
+    """The library of the Library of Congress finds nothing to complain about, and finds one changed byte."""
+    export(world, tmp_path / "my runs.zip")
+    with zipfile.ZipFile(tmp_path / "my runs.zip") as file:
+        file.extractall(tmp_path)
+    folder = tmp_path / "my runs"
+    bag = bagit.Bag(str(folder))
+    bag.validate()
+    assert bag.has_oxum()
+    assert bag.info["External-Description"] == "35 runs of SLAM Hive"
+    command: list[str] = [sys.executable, str(bagit.__file__), "--validate", str(folder)]
+    assert subprocess.run(command, check=False, capture_output=True).returncode == 0
+    with (folder / "data" / "runs" / "1" / "log.txt").open("r+b") as log:
+        log.write(b"X")
+    assert subprocess.run(command, check=False, capture_output=True).returncode == 1
+
+
+def test_percent_signs_in_names_are_quoted_as_bagit_demands(world: Hive, other: Hive, tmp_path: Path) -> None:
+    (world.folder(1).result / "100%25.txt").write_text("all of it")
+    export(world, tmp_path / "a.zip", run_ids=[1])
+    with zipfile.ZipFile(tmp_path / "a.zip") as file:
+        assert "  data/runs/1/result/100%2525.txt\n" in file.read("a/manifest-sha256.txt").decode()
+    import_archive(other, tmp_path / "a.zip")
+    assert (other.folder(1).result / "100%25.txt").read_text() == "all of it"
+
+
 def test_large_and_small_members_are_packed_alike(tmp_path: Path) -> None:
     text = "".join(f"{1403636580 + step / 200:.9f} {step * 7 % 1013 / 997:.6f}\n" for step in range(60_000)).encode()
     (tmp_path / "traj.txt").write_bytes(text)
     with archive_writer(tmp_path / "a.zip") as archive:
         archive.add_file("large", tmp_path / "traj.txt")
         archive.add_bytes("small", text[:100_000])
-        archive.finish({"made_at": "", "software": "", "counts": {}})
+        archive.finish(Manifest(made_at="", software="", counts={}))
     with zipfile.ZipFile(tmp_path / "a.zip") as file:
         for name in ("large", "small"):
             packer = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)
-            data = file.read(name)
-            assert file.getinfo(name).compress_size == len(packer.compress(data) + packer.flush())
+            data = file.read(f"a/data/{name}")
+            assert file.getinfo(f"a/data/{name}").compress_size == len(packer.compress(data) + packer.flush())
 
 
 def test_an_export_that_fails_leaves_no_file(world: Hive, tmp_path: Path) -> None:

@@ -17,7 +17,17 @@ from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.services.archive.checking import check_archive
 from slamhive.services.archive.exporting import ExportRequest, export_archive
 from slamhive.services.archive.importing import ArchiveImport
-from slamhive.services.archive.layout import CHECKSUMS, EXPERIMENTS, MANIFEST, RUNS
+from slamhive.services.archive.layout import (
+    ABOUT,
+    BAG_INFO,
+    BAGIT,
+    CHECKSUMS,
+    EXPERIMENTS,
+    PAYLOAD,
+    RUNS,
+    TAG_CHECKSUMS,
+    bag_format,
+)
 from slamhive.services.archive.reading import open_archive
 from slamhive.services.hive import Hive, open_hive
 from tests.services.archive_world import all_rows, make_runs
@@ -27,6 +37,7 @@ pytestmark = pytest.mark.integration
 
 Members = dict[str, bytes]
 RECORD = "runs/1/run.json"
+TAGS = bag_format("a").tags
 
 
 @pytest.fixture(scope="module")
@@ -46,17 +57,21 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def members_of(path: Path) -> Members:
+    """The members by their names in the bag; those of the payload without ``data/``."""
     with zipfile.ZipFile(path) as file:
-        return {name: file.read(name) for name in file.namelist()}
+        return {name.partition("/")[2].removeprefix(PAYLOAD): file.read(name) for name in file.namelist()}
 
 
 def sealed(members: Members) -> Members:
-    """The members with checksums and manifest that fit them, as one makes who tampers with care."""
-    members = {name: data for name, data in members.items() if name != CHECKSUMS}
-    manifest = json.loads(members.pop(MANIFEST))
-    sums = "".join(f"{hashlib.sha256(data).hexdigest()}  {name}\n" for name, data in members.items()).encode()
-    manifest["checksums"] = hashlib.sha256(sums).hexdigest()
-    return {**members, CHECKSUMS: sums, MANIFEST: json.dumps(manifest).encode()}
+    """The members with checksums that fit them, as a careful forger makes them."""
+
+    def sums(names: list[str], prefix: str) -> bytes:
+        return "".join(f"{hashlib.sha256(members[name]).hexdigest()}  {prefix}{name}\n" for name in names).encode()
+
+    members = {name: data for name, data in members.items() if name not in (CHECKSUMS, TAG_CHECKSUMS)}
+    members[CHECKSUMS] = sums([name for name in members if name not in TAGS], PAYLOAD)
+    members[TAG_CHECKSUMS] = sums([name for name in members if name in TAGS], "")
+    return members
 
 
 def with_record(members: Members, **changes: object) -> Members:
@@ -69,7 +84,7 @@ def with_line(members: Members, **changes: object) -> Members:
 
 
 def with_manifest(members: Members, **changes: object) -> Members:
-    return {**members, MANIFEST: json.dumps({**json.loads(members[MANIFEST]), **changes}).encode()}
+    return {**members, ABOUT: json.dumps({**json.loads(members[ABOUT]), **changes}).encode()}
 
 
 def bomb_of_yaml() -> bytes:
@@ -101,18 +116,23 @@ TAMPERED: dict[str, tuple[Callable[[Members], Members], str]] = {
     "changed": (lambda m: {**m, RECORD: m[RECORD] + b" "}, "is not what was exported"),
     "missing": (lambda m: {name: data for name, data in m.items() if name != RECORD}, "is missing"),
     "added": (renamed("runs/1/result/more.txt"), "was added"),
-    "checksums": (lambda m: {**m, CHECKSUMS: m[CHECKSUMS] + b"x"}, "SHA256SUMS is not what was exported"),
-    "format": (lambda m: with_manifest(m, format=2), "has format 2, this version reads 1"),
-    "kind": (lambda m: with_manifest(m, kind="other"), "not that of an archive"),
-    "no manifest": (lambda m: {n: d for n, d in m.items() if n != MANIFEST}, "lacks manifest.json"),
+    "checksums": (lambda m: {**m, CHECKSUMS: m[CHECKSUMS] + b"x"}, "manifest-sha256.txt' is not what was exported"),
+    "a tag": (lambda m: {**m, BAG_INFO: m[BAG_INFO] + b"x"}, "bag-info.txt' is not what was exported"),
+    "checksums of tags": (lambda m: {**m, TAG_CHECKSUMS: m[TAG_CHECKSUMS] + b"x"}, "is not what an export writes"),
+    "no checksums of tags": (lambda m: {n: d for n, d in m.items() if n != TAG_CHECKSUMS}, "lacks tagmanifest-sha256"),
+    "format": (lambda m: with_manifest(m, format=3), "has format 3, this version reads 1 and 2"),
+    "kind": (lambda m: with_manifest(m, kind="other"), "does not describe an archive"),
+    "no manifest": (lambda m: {n: d for n, d in m.items() if n != ABOUT}, "lacks archive.json"),
+    "no bag": (lambda m: {n: d for n, d in m.items() if n != BAGIT}, "which no export writes"),
 }
 
 FORGED: dict[str, tuple[Callable[[Members], Members], str]] = {
-    "up": (renamed("runs/1/../../../harm.txt"), "which none of ours has"),
-    "absolute": (renamed("/tmp/harm.txt"), "which none of ours has"),
-    "backslash": (renamed("runs/1/..\\harm.txt"), "which none of ours has"),
-    "elsewhere": (renamed("slamhive.db"), "which none of ours has"),
-    "a folder": (renamed("runs/1/result/"), "which none of ours has"),
+    "up": (renamed("runs/1/../../../harm.txt"), "which no export writes"),
+    "absolute": (renamed("/tmp/harm.txt"), "which no export writes"),
+    "backslash": (renamed("runs/1/..\\harm.txt"), "which no export writes"),
+    "one more tag": (renamed("../tag.txt"), "which no export writes"),
+    "elsewhere": (renamed("slamhive.db"), "which no export writes"),
+    "a folder": (renamed("runs/1/result/"), "which no export writes"),
     "below a file": (renamed(f"{RECORD}/harm.txt"), "a file and a folder at once"),
     "no run of ours": (renamed("runs/77/run.json"), "belongs to nothing"),
     "not ended": (lambda m: with_record(m, state="queued"), "has not ended"),
@@ -123,9 +143,9 @@ FORGED: dict[str, tuple[Callable[[Members], Members], str]] = {
     "uid": (lambda m: with_line(m, uid="../../x"), "is not complete"),
     "evaluation": (lambda m: with_line(m, evaluations=[{"state": "queued"}]), "is not complete"),
     "experiment": (lambda m: with_line(m, experiment="../x"), "is not allowed"),
-    "control characters": (renamed("runs/1/result/a\nb\x1b[31m.txt"), "which none of ours has"),
-    "a name too long": (renamed(f"runs/1/{'x' * 300}"), "which none of ours has"),
-    "too deep": (renamed(f"runs/1/{'x/' * 20}x"), "which none of ours has"),
+    "control characters": (renamed("runs/1/result/a\nb\x1b[31m.txt"), "which no export writes"),
+    "a name too long": (renamed(f"runs/1/{'x' * 300}"), "which no export writes"),
+    "too deep": (renamed(f"runs/1/{'x/' * 20}x"), "which no export writes"),
     "number too large": (lambda m: with_line(m, attempt=2**40), "is not complete"),
     "not a number": (
         lambda m: {**m, RUNS: m[RUNS].replace(b'"attempt":1', b'"attempt":NaN', 1)},
@@ -149,10 +169,15 @@ def refused(hive: Hive, path: Path) -> str:
     return str(caught.value)
 
 
+def in_bag(name: str) -> str:
+    """The name in the zip file of a member that :func:`members_of` names."""
+    return f"a/{name if name in TAGS else PAYLOAD + name}"
+
+
 def rewritten(path: Path, members: Members) -> Path:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
         for name, data in members.items():
-            file.writestr(name, data)
+            file.writestr(in_bag(name), data)
     return path
 
 
@@ -207,11 +232,19 @@ def test_what_was_damaged_is_refused_wherever(hive: Hive, archive: Path, tmp_pat
     refused(hive, path)
 
 
+@pytest.mark.parametrize("name", ["runs/1/run.json", "b/bagit.txt", "../a/bagit.txt", "a/runs/1/x.txt", "SHA256SUMS"])
+def test_nothing_lies_outside_the_bag(archive: Path, tmp_path: Path, name: str) -> None:
+    path = rewritten(tmp_path / "b.zip", members_of(archive))
+    with zipfile.ZipFile(path, "a") as file:
+        file.writestr(name, b"harm")
+    assert "which no export writes" in str(checked(path))
+
+
 @pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFIFO, stat.S_IFCHR, stat.S_IFBLK, stat.S_IFSOCK, stat.S_IFDIR])
 def test_only_files_are_members(archive: Path, tmp_path: Path, kind: int) -> None:
     path = rewritten(tmp_path / "b.zip", members_of(archive))
     with zipfile.ZipFile(path, "a") as file:
-        member = zipfile.ZipInfo("runs/1/result/odd")
+        member = zipfile.ZipInfo(in_bag("runs/1/result/odd"))
         member.external_attr = (kind | 0o666) << 16
         file.writestr(member, "/etc/passwd")
     assert "is a link or no file" in str(checked(path))
@@ -222,10 +255,10 @@ def test_a_bomb_is_stopped_where_it_claims_to_end(archive: Path, tmp_path: Path)
     name = "runs/1/log.txt"
     path = rewritten(tmp_path / "b.zip", sealed({**members_of(archive), name: bytes(200_000_000)}))
     data = bytearray(path.read_bytes())
-    local = data.index(name.encode()) - 30
+    local = data.index(in_bag(name).encode()) - 30
     assert data[local : local + 4] == b"PK\x03\x04"
     data[local + 22 : local + 26] = (100).to_bytes(4, "little")
-    central = data.rindex(name.encode()) - 46
+    central = data.rindex(in_bag(name).encode()) - 46
     assert data[central : central + 4] == b"PK\x01\x02"
     data[central + 24 : central + 28] = (100).to_bytes(4, "little")
     path.write_bytes(data)
@@ -238,11 +271,11 @@ def test_doubles_and_false_sizes_are_refused(hive: Hive, archive: Path, tmp_path
     members = members_of(archive)
     path = rewritten(tmp_path / "double.zip", members)
     with zipfile.ZipFile(path, "a") as file, pytest.warns(UserWarning, match="Duplicate name"):
-        file.writestr(RECORD, members[RECORD])
+        file.writestr(in_bag(RECORD), members[RECORD])
     assert "twice" in refused(hive, path)
     path = rewritten(tmp_path / "bomb.zip", members)
     data = bytearray(path.read_bytes())
-    place = data.rindex(RECORD.encode()) - 46
+    place = data.rindex(in_bag(RECORD).encode()) - 46
     assert data[place : place + 4] == b"PK\x01\x02"
     data[place + 24 : place + 28] = (4_000_000_000).to_bytes(4, "little")
     path.write_bytes(data)

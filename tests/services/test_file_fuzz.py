@@ -31,7 +31,7 @@ from slamhive.services.analyses.folder import AnalysisFolder
 from slamhive.services.archive.checking import check_archive
 from slamhive.services.archive.exporting import ExportRequest, export_archive
 from slamhive.services.archive.importing import ArchiveImport
-from slamhive.services.archive.layout import MANIFEST, ROWS
+from slamhive.services.archive.layout import ABOUT, ROWS
 from slamhive.services.archive.reading import open_archive
 from slamhive.services.configurations.changes import Label
 from slamhive.services.executors import Executors
@@ -200,7 +200,7 @@ def archived(name: str) -> Reader:
 
     def read(hive: Hive, folder: Path, data: bytes) -> object:
         members = {**members_of(hive.settings.data.parent / "a.zip"), name: data}
-        return import_archive(hive, rewritten(folder / "b.zip", members if name == MANIFEST else sealed(members)))
+        return import_archive(hive, rewritten(folder / "b.zip", sealed(members)))
 
     return read
 
@@ -291,7 +291,7 @@ FORMATS: dict[str, tuple[bytes | Callable[[Hive], bytes], Reader]] = {
     "experiment.json": (stored_experiment, read_experiment_record),
     "state.json of an analysis": (lambda h: (stored_analysis(h).root / "state.json").read_bytes(), read_analysis_state),
     "archive": (zip_of, lambda h, f, d: import_archive(h, written(f, "b.zip", d))),
-    **{f"archive {name}": (member(name), archived(name)) for name in (*ROWS, MANIFEST, "runs/1/run.json")},
+    **{f"archive {name}": (member(name), archived(name)) for name in (*ROWS, ABOUT, "runs/1/run.json")},
     "TUM": (trajectory().encode(), lambda _, f, d: read_tum(written(f, "t.txt", d))),
     "TUM import": (trajectory(1).encode(), import_as(TrajectoryFormat.AUTO)),
     "KITTI poses": (KITTI.encode(), lambda _, f, d: read_kitti(

@@ -102,14 +102,14 @@ def export_archive(settings: Settings, store: Store, request: ExportRequest, pro
                 progress(report.counts["runs"], len(run_ids))
         export.rest(run_ids)
         archive.finish(
-            {
-                "made_at": utc_now().isoformat(timespec="seconds"),
-                "software": __version__,
-                "counts": dict(report.counts),
-                "without": tuple(part.value for part in request.without),
-                "left_out": dict(report.left_out),
-                "files_left_out": dict(report.files_left_out),
-            }
+            layout.Manifest(
+                made_at=utc_now().isoformat(timespec="seconds"),
+                software=__version__,
+                counts=dict(report.counts),
+                without=tuple(part.value for part in request.without),
+                left_out=dict(report.left_out),
+                files_left_out=dict(report.files_left_out),
+            )
         )
     report.size_bytes = request.path.stat().st_size
     return report

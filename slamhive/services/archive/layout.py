@@ -1,21 +1,31 @@
-"""What an archive holds: the names of its members, its limits, and its manifest."""
+"""What an archive holds: the names of its members, its limits, and its manifest.
+
+An archive is a bag (BagIt 1.0, RFC 8493) in a zip file: one folder with tag files and the payload below ``data/``.
+The first format had the payload at the top level and its checksums in ``SHA256SUMS``; it is still read.
+
+Other modules use the names of the first format for both: ``runs/1/run.json``, and tag files without their folder.
+"""
 
 from __future__ import annotations
 
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 from slamhive.errors import InvalidInput
 from slamhive.input_bounds import parse_json_object
 
-FORMAT = 1
 KIND = "slamhive-archive"
 
-MANIFEST = "manifest.json"
-CHECKSUMS = "SHA256SUMS"
+ABOUT = "archive.json"
+CHECKSUMS = "manifest-sha256.txt"
+TAG_CHECKSUMS = "tagmanifest-sha256.txt"
+BAGIT, BAG_INFO = "bagit.txt", "bag-info.txt"
+BAGIT_TEXT = "BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n"
+PAYLOAD = "data/"
+
 ALGORITHMS = "rows/algorithms.jsonl"
 DATASETS = "rows/datasets.jsonl"
 CONFIGURATIONS = "rows/configurations.jsonl"
@@ -27,7 +37,7 @@ RUNS = "rows/runs.jsonl"
 ROWS = (ALGORITHMS, DATASETS, CONFIGURATIONS, EXPERIMENTS, CELLS, SEARCHES, ANALYSES, RUNS)
 
 LARGEST_DIRECTORY_BYTES = 128_000_000
-"""The list of members is held in memory; a million of them fit."""
+"""The list of members is held in memory; 800,000 of them fit."""
 LARGEST_TEXT_BYTES = 16_000_000
 """Most bytes of a member that is read as a whole, and of one line of the others."""
 LARGEST_RATIO = 1100
@@ -41,66 +51,137 @@ _SHOWN = 80
 
 
 @dataclass(frozen=True, slots=True)
-class Manifest:
-    """What the archive says of itself.
+class Format:
+    """One version of the format.
 
-    ``counts``: rows of each kind. ``without``: kinds of files that were left out. ``left_out``: {why: number} of runs;
-    ``files_left_out``: {what: number} of what runs had left.
-    ``checksums``: SHA-256 (hex) of the member :data:`CHECKSUMS`, which has those of all others, as ``sha256sum``
-    writes and checks them.
+    Attributes:
+        number: Of the version.
+        about: The member with the :class:`Manifest`.
+        checksums: The member with the SHA-256 of each member of the payload.
+        tags: All members that do not belong to the payload.
+        tags_folder: What the names of tags begin with in the zip file.
+        payload_folder: What the names of the payload begin with in the zip file.
+    """
+
+    number: int
+    about: str
+    checksums: str
+    tags: frozenset[str]
+    tags_folder: str = ""
+    payload_folder: str = ""
+
+    def member(self, name: str) -> str:
+        """The name that the other modules use for a member of the zip file.
+
+        Raises:
+            InvalidInput: unless the member is one that an archive of this format has.
+        """
+        tag = name.removeprefix(self.tags_folder)
+        if name.startswith(self.tags_folder) and tag in self.tags:
+            return tag
+        member = name.removeprefix(self.payload_folder)
+        if not name.startswith(self.payload_folder) or not _is_payload(member):
+            raise InvalidInput(f"the archive has a member {shown(name)}, which no export writes", "it is not imported")
+        return member
+
+    def listed_as(self, member: str) -> str:
+        """How a member of the payload is named in ``checksums``.
+
+        BagIt quotes percent signs and line breaks (RFC 8493, section 2.1.3); no member has a line break.
+        """
+        return member if self == FIRST else f"{PAYLOAD}{member.replace('%', '%25')}"
+
+    def manifest(self, data: bytes) -> Manifest:
+        """Read the content of ``about``; raises InvalidInput unless an export has written it."""
+        content = parse_json_object(data, self.about, recorded=True)
+        if content.get("kind") != KIND:
+            raise InvalidInput(
+                f"{self.about} does not describe an archive of SLAM Hive", "make one with slamhive archive export"
+            )
+        if content.get("format") != self.number:
+            raise InvalidInput(
+                f"the archive has format {content.get('format')!r}, this version reads 1 and 2",
+                "import it with the version that made it, or a later one",
+            )
+        try:
+            return Manifest(
+                made_at=str(content["made_at"]),
+                software=str(content["software"]),
+                counts=_numbers(content["counts"]),
+                without=tuple(map(str, content["without"])),
+                left_out=_numbers(content["left_out"]),
+                files_left_out=_numbers(content.get("files_left_out", {})),
+                checksums=str(content["checksums"]) if self == FIRST else None,
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InvalidInput(f"{self.about} is incomplete: {error!r}", "export the archive again") from None
+
+
+FIRST = Format(1, "manifest.json", "SHA256SUMS", frozenset(("manifest.json", "SHA256SUMS")))
+
+
+def bag_format(folder: str) -> Format:
+    """The format of today, for a bag in ``folder``."""
+    return Format(
+        number=2,
+        about=ABOUT,
+        checksums=CHECKSUMS,
+        tags=frozenset((ABOUT, CHECKSUMS, TAG_CHECKSUMS, BAGIT, BAG_INFO)),
+        tags_folder=f"{folder}/",
+        payload_folder=f"{folder}/{PAYLOAD}",
+    )
+
+
+def format_of(names: list[str]) -> Format:
+    """The format of an archive with these members."""
+    for name in names:
+        folder, slash, rest = name.partition("/")
+        if slash and rest == BAGIT and _safe_part(folder):
+            return bag_format(folder)
+    return FIRST
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """How an archive describes itself.
+
+    Attributes:
+        made_at: Time of the export.
+        software: Version of SLAM Hive that made it.
+        counts: Rows of each kind.
+        without: Kinds of files that were left out on request.
+        left_out: {reason: number} of runs.
+        files_left_out: {reason: number} of files that runs had left.
+        checksums: SHA-256 (hex) of the list of checksums in the first format; in a bag, the tag manifest has it.
     """
 
     made_at: str
     software: str
     counts: dict[str, int]
-    checksums: str
     without: tuple[str, ...] = ()
     left_out: dict[str, int] = field(default_factory=dict)
     files_left_out: dict[str, int] = field(default_factory=dict)
+    checksums: str | None = None
 
     def to_json(self) -> str:
-        """The content of :data:`MANIFEST`."""
-        return json.dumps({"kind": KIND, "format": FORMAT, **asdict(self)}, indent=1) + "\n"
+        """The content of :data:`ABOUT`."""
+        content = {name: getattr(self, name) for name in self.__slots__ if name != "checksums"}
+        return json.dumps({"kind": KIND, "format": 2, **content}, indent=1) + "\n"
 
 
-def manifest_from_json(data: bytes) -> Manifest:
-    """The manifest that :meth:`Manifest.to_json` wrote; raises InvalidInput for any other."""
-    content = parse_json_object(data, MANIFEST, recorded=True)
-    if content.get("kind") != KIND:
-        raise InvalidInput(f"{MANIFEST} is not that of an archive of SLAM Hive", "slamhive archive export makes one")
-    if content.get("format") != FORMAT:
-        raise InvalidInput(
-            f"the archive has format {content.get('format')!r}, this version reads {FORMAT}",
-            "import it with the version that made it, or a later one",
-        )
-    try:
-        return Manifest(
-            made_at=str(content["made_at"]),
-            software=str(content["software"]),
-            counts=_numbers(content["counts"]),
-            checksums=str(content["checksums"]),
-            without=tuple(map(str, content["without"])),
-            left_out=_numbers(content["left_out"]),
-            files_left_out=_numbers(content.get("files_left_out", {})),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InvalidInput(f"{MANIFEST} is not complete: {error!r}", "export the archive again") from None
-
-
-def check_member(name: str) -> None:
-    """Raise InvalidInput unless ``name`` is one that an archive has: below one of our folders, and without tricks."""
-    if name in (MANIFEST, CHECKSUMS, *ROWS):
-        return
+def _is_payload(name: str) -> bool:
+    """Whether ``name`` is one that an export writes: below one of our folders, and without tricks."""
+    if name in ROWS:
+        return True
     parts = name.split("/")
-    known = (parts[0] == "runs" and len(parts) > 2 and _RUN_NUMBER.fullmatch(parts[1])) or (
-        parts[0] in ("datasets", "experiments") and len(parts) > 2
+    known = len(parts) > 2 and (
+        parts[0] in ("datasets", "experiments") or (parts[0] == "runs" and _RUN_NUMBER.fullmatch(parts[1]))
     )
-    if not known or not _safe(parts) or len(name.encode(errors="replace")) > _LONGEST_NAME_BYTES:
-        raise InvalidInput(f"the archive has a member {shown(name)}, which none of ours has", "it is not imported")
+    return bool(known) and _safe(parts) and len(name.encode(errors="replace")) <= _LONGEST_NAME_BYTES
 
 
 def is_safe(name: str) -> bool:
-    """Whether a file below a run folder can be a member: its name is UTF-8 without control characters, and short."""
+    """Whether a file below a run folder can be a member: its name is short UTF-8 without control characters."""
     return _safe(name.split("/")) and len(name.encode(errors="replace")) < _LONGEST_NAME_BYTES - 40
 
 

@@ -1,4 +1,4 @@
-"""Reading an archive that nobody vouches for: checked as a whole before anything of it is used."""
+"""Reading an archive from an untrusted source: all of it is checked before any of it is used."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import struct
 import zipfile
 import zlib
 from calendar import timegm
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
@@ -18,15 +18,15 @@ from typing import IO, Any
 from slamhive.errors import InvalidInput, NotFound, Unavailable
 from slamhive.input_bounds import parse_json_object
 from slamhive.services.archive.layout import (
-    CHECKSUMS,
+    FIRST,
     LARGEST_DIRECTORY_BYTES,
     LARGEST_RATIO,
     LARGEST_TEXT_BYTES,
-    MANIFEST,
     ROWS,
+    TAG_CHECKSUMS,
+    Format,
     Manifest,
-    check_member,
-    manifest_from_json,
+    format_of,
     shown,
 )
 
@@ -40,20 +40,20 @@ _ENCRYPTED = 0x1
 _REFUSED = "nothing of it is imported"
 _DAMAGED = "fetch or export it again"
 _BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, struct.error)
-"""What :mod:`zipfile` raises for a file that is damaged or made to harm."""
+"""What :mod:`zipfile` raises for a damaged or hostile file."""
 
 Progress = Callable[[int, int], None]
 """Called with how much is done, and how much there is."""
 Place = Callable[[str], Path | None]
-"""The new file that a member of this name is unpacked to, None for none."""
+"""Where to unpack a member, by its name; None to leave it packed."""
 
 
 def not_unpacked(_name: str) -> None:
-    """A :data:`Place` of nothing."""
+    """A :data:`Place` that leaves everything packed."""
 
 
 class ArchiveReader:
-    """An archive whose list of members is one of ours; its content is only known to be whole after :meth:`verify`.
+    """An archive whose list of members was checked; its content is trustworthy only after :meth:`verify`.
 
     Args:
         file: The open zip file.
@@ -63,8 +63,9 @@ class ArchiveReader:
     def __init__(self, file: zipfile.ZipFile, path: Path) -> None:
         self._file = file
         self._path = path
-        self._members = _checked_members(file, path)
-        self.manifest: Manifest = manifest_from_json(self.read(MANIFEST))
+        self._format = format_of([info.orig_filename for info in file.infolist()])
+        self._members = _checked_members(file, path, self._format)
+        self.manifest: Manifest = self._format.manifest(self.read(self._format.about))
 
     @property
     def names(self) -> list[str]:
@@ -73,7 +74,7 @@ class ArchiveReader:
 
     @property
     def size_bytes(self) -> int:
-        """What all members take once they are unpacked."""
+        """Size of all members once they are unpacked."""
         return sum(info.file_size for info in self._members.values())
 
     def below(self, prefix: str) -> list[str]:
@@ -90,7 +91,7 @@ class ArchiveReader:
         if info is None:
             raise InvalidInput(f"{self._path} lacks {name}", _DAMAGED)
         if info.file_size > LARGEST_TEXT_BYTES:
-            raise InvalidInput(f"{self._path}: {shown(name)} has {info.file_size} bytes, more than any of its kind")
+            raise InvalidInput(f"{self._path}: {shown(name)} has {info.file_size} bytes, too many for its kind")
         return b"".join(self._blocks(name))
 
     def json(self, name: str) -> dict[str, Any]:
@@ -114,21 +115,19 @@ class ArchiveReader:
         """Read every member and compare it with its checksum; raises InvalidInput for the first that differs.
 
         Args:
-            progress: Told bytes.
-            place: What is unpacked on the way, and where to.
+            progress: Called with bytes.
+            place: Which members are unpacked meanwhile, and where to.
         """
-        sums = self._sums()
+        self._check_tags()
+        sums = self._payload_sums()
         total, done = self.size_bytes, 0
-        for name in self._members:
-            if name in (MANIFEST, CHECKSUMS):
-                continue
+        for name, expected in sums.items():
             digest = hashlib.sha256()
             target = place(name)
             for block in self._blocks(name) if target is None else self._unpacked(name, target):
                 digest.update(block)
                 done += len(block)
-            if digest.hexdigest() != sums[name]:
-                raise InvalidInput(f"{self._path}: {shown(name)} is not what was exported", _DAMAGED)
+            self._compare(name, digest.hexdigest(), expected)
             progress(done, total)
 
     def _unpacked(self, name: str, target: Path) -> Iterator[bytes]:
@@ -145,24 +144,46 @@ class ArchiveReader:
         at = timegm((*self._members[name].date_time, 0, 0, 0))
         os.utime(target, (at, at))
 
-    def _sums(self) -> dict[str, str]:
-        """The checksums, which must name every member and no other."""
-        digest = hashlib.sha256()
-        for block in self._blocks(CHECKSUMS):
-            digest.update(block)
-        if digest.hexdigest() != self.manifest.checksums:
-            raise InvalidInput(f"{self._path}: {CHECKSUMS} is not what was exported", _DAMAGED)
+    def _check_tags(self) -> None:
+        """Compare all members outside the payload with their checksums."""
+        if self._format == FIRST:
+            expected = {FIRST.checksums: str(self.manifest.checksums)}
+        else:
+            expected = self._listed(TAG_CHECKSUMS)
+            self._check_names(expected, self._format.tags - {TAG_CHECKSUMS}, TAG_CHECKSUMS)
+        for name, checksum in expected.items():
+            digest = hashlib.sha256()
+            for block in self._blocks(name):
+                digest.update(block)
+            self._compare(name, digest.hexdigest(), checksum)
+
+    def _payload_sums(self) -> dict[str, str]:
+        """{member: checksum} in the order of the zip file; every member of the payload has one."""
+        listed = self._listed(self._format.checksums)
+        payload = {self._format.listed_as(name): name for name in self._members if name not in self._format.tags}
+        self._check_names(listed, payload, self._format.checksums)
+        return {name: listed[key] for key, name in payload.items()}
+
+    def _check_names(self, listed: Iterable[str], present: Iterable[str], source: str) -> None:
+        present = set(present)
+        for name in present.symmetric_difference(listed):
+            where = f"is not in {source}, so it was added" if name in present else "is missing"
+            raise InvalidInput(f"{self._path}: {shown(name)} {where}", _DAMAGED)
+
+    def _listed(self, name: str) -> dict[str, str]:
+        """The lines of a list of checksums: {name as it is written: checksum}."""
         sums: dict[str, str] = {}
-        with self._opened(CHECKSUMS) as stream:
+        with self._opened(name) as stream:
             while line := stream.readline(LARGEST_TEXT_BYTES):
                 found = _SUM.fullmatch(line.decode(errors="replace").rstrip("\n"))
                 if found is None or found[2] in sums:
-                    raise InvalidInput(f"{self._path}: {CHECKSUMS} is not what an export writes", _DAMAGED)
+                    raise InvalidInput(f"{self._path}: {name} is not what an export writes", _DAMAGED)
                 sums[found[2]] = found[1]
-        for name in sums.keys() ^ (self._members.keys() - {MANIFEST, CHECKSUMS}):
-            where = "is missing" if name in sums else "was added"
-            raise InvalidInput(f"{self._path}: {shown(name)} {where}", _DAMAGED)
         return sums
+
+    def _compare(self, name: str, found: str, expected: str) -> None:
+        if found != expected:
+            raise InvalidInput(f"{self._path}: {shown(name)} is not what was exported", _DAMAGED)
 
     def _blocks(self, name: str) -> Iterator[bytes]:
         with self._opened(name) as stream:
@@ -182,7 +203,7 @@ class ArchiveReader:
 
 @contextmanager
 def open_archive(path: Path) -> Iterator[ArchiveReader]:
-    """The archive at ``path``; raises NotFound, InvalidInput for one that is none of ours, or Unavailable."""
+    """Open the archive at ``path``; raises NotFound, Unavailable, or InvalidInput unless an export wrote it."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError:
@@ -191,7 +212,7 @@ def open_archive(path: Path) -> Iterator[ArchiveReader]:
         raise Unavailable(f"{path} cannot be read: {error.strerror}") from None
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise InvalidInput(f"{path} is not a file", "give the file that slamhive archive export has written")
+        raise InvalidInput(f"{path} is not a file", "give a file that slamhive archive export has written")
     with os.fdopen(descriptor, "rb") as stream:
         _check_directory(stream, path)
         try:
@@ -203,7 +224,7 @@ def open_archive(path: Path) -> Iterator[ArchiveReader]:
 
 
 def _check_directory(stream: IO[bytes], path: Path) -> None:
-    """Refuse a file that is no zip file, was cut short, or has a list of members too long to be held in memory."""
+    """Refuse a file that is no zip file, was cut short, or whose list of members is too long for memory."""
     length = stream.seek(0, os.SEEK_END)
     start = max(0, length - _LONGEST_COMMENT - _END.size - _LOCATOR.size)
     stream.seek(start)
@@ -218,16 +239,15 @@ def _check_directory(stream: IO[bytes], path: Path) -> None:
         record = stream.read(_END64.size)
         size = _END64.unpack(record)[8] if len(record) == _END64.size else length
     if size > LARGEST_DIRECTORY_BYTES:
-        raise InvalidInput(f"{path} lists its members in {size} bytes, more than any archive of ours")
+        raise InvalidInput(f"{path} lists its members in {size} bytes, more than any export writes")
     stream.seek(0)
 
 
-def _checked_members(file: zipfile.ZipFile, path: Path) -> dict[str, zipfile.ZipInfo]:
-    """The members by name; raises InvalidInput if they are not as we write them."""
+def _checked_members(file: zipfile.ZipFile, path: Path, format_: Format) -> dict[str, zipfile.ZipInfo]:
+    """The members by their names in the first format; raises InvalidInput if no export wrote such a list."""
     members: dict[str, zipfile.ZipInfo] = {}
     for info in file.infolist():
-        name = info.orig_filename
-        check_member(name)
+        name = format_.member(info.orig_filename)
         if name in members:
             raise InvalidInput(f"{path} has {shown(name)} twice", _REFUSED)
         _check_kind(info, path)
@@ -238,18 +258,18 @@ def _checked_members(file: zipfile.ZipFile, path: Path) -> dict[str, zipfile.Zip
             raise InvalidInput(f"{path}: {shown(inside)} is a file and a folder at once", _REFUSED)
     if sum(info.compress_size for info in members.values()) > path.stat().st_size:
         raise InvalidInput(f"{path}: its members overlap", _REFUSED)
-    for name in (MANIFEST, CHECKSUMS, *ROWS):
+    for name in (format_.about, *sorted(format_.tags), *ROWS):
         if name not in members:
-            raise InvalidInput(f"{path} lacks {name}", "slamhive archive export makes archives")
+            raise InvalidInput(f"{path} lacks {name}", "make an archive with slamhive archive export")
     return members
 
 
 def _check_kind(info: zipfile.ZipInfo, path: Path) -> None:
-    """Refuse links, what is encrypted or packed otherwise, and sizes that cannot be."""
+    """Refuse links, encrypted members, other ways of packing, and impossible sizes."""
     name = shown(info.orig_filename)
     if stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG):
-        raise InvalidInput(f"{path}: {name} is a link or no file at all", _REFUSED)
+        raise InvalidInput(f"{path}: {name} is a link or no file", _REFUSED)
     if info.flag_bits & _ENCRYPTED or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise InvalidInput(f"{path}: {name} is encrypted or packed in a way that exports do not use", _REFUSED)
+        raise InvalidInput(f"{path}: {name} is encrypted or packed in a way that no export uses", _REFUSED)
     if info.file_size > LARGEST_RATIO * max(info.compress_size, 1):
-        raise InvalidInput(f"{path}: {name} says to be {info.file_size} bytes, more than it can hold", _REFUSED)
+        raise InvalidInput(f"{path}: {name} claims {info.file_size} bytes, more than it can hold", _REFUSED)
