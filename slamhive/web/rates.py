@@ -1,10 +1,12 @@
-"""How often one network address may ask for something that costs."""
+"""How often one network address may start expensive work."""
 
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable
+
+from cachetools import LRUCache
 
 from slamhive.clock import monotonic_s
 from slamhive.errors import Unavailable
@@ -12,16 +14,16 @@ from slamhive.errors import Unavailable
 MOST_ADDRESSES = 10_000
 CREATIONS, CHECKS = "analyses", "checks"
 CHECKS_FOR_EACH = 30
-"""An editor checks the text while it is typed."""
+"""Checks per analysis: the editor checks the text while a visitor types."""
 HOUR_S = 3600.0
 
 
 class RateLimit:
-    """So many in a sliding window for each address, kept in this process alone.
+    """Limits the calls of each address in a sliding window; counts in this process only.
 
     Args:
-        most: How many.
-        window_s: In which time.
+        most: Calls in a window.
+        window_s: Length of the window.
         clock: Monotonic seconds.
     """
 
@@ -30,25 +32,22 @@ class RateLimit:
         self._window_s = window_s
         self._clock = clock
         self._lock = threading.Lock()
-        self._seen: OrderedDict[str, deque[float]] = OrderedDict()
+        self._calls: LRUCache[str, deque[float]] = LRUCache(MOST_ADDRESSES)
 
     def take(self, address: str, what: str) -> None:
-        """Count one; raises Unavailable, and counts nothing, if that is one too many."""
+        """Count a call. If it exceeds the limit, raise Unavailable and do not count it."""
         now = self._clock()
         with self._lock:
-            seen = self._seen.setdefault(address, deque())
-            self._seen.move_to_end(address)
-            while len(self._seen) > MOST_ADDRESSES:
-                self._seen.popitem(last=False)
-            while seen and seen[0] <= now - self._window_s:
-                seen.popleft()
-            if len(seen) >= self._most:
-                wait_s = seen[0] + self._window_s - now
+            calls = self._calls.setdefault(address, deque())
+            while calls and calls[0] <= now - self._window_s:
+                calls.popleft()
+            if len(calls) >= self._most:
+                wait_s = calls[0] + self._window_s - now
                 raise Unavailable(
-                    f"{self._most} {what} in {self._window_s / 60:g} min came from your address",
+                    f"your address has sent {self._most} {what} in {self._window_s / 60:g} min",
                     f"try again in {max(1, round(wait_s / 60))} min",
                 )
-            seen.append(now)
+            calls.append(now)
 
 
 def visitor_limits(analyses_per_hour: int) -> dict[str, RateLimit]:
