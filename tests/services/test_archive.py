@@ -263,12 +263,12 @@ def test_an_archive_is_a_valid_bag(world: Hive, other: Hive, tmp_path: Path) -> 
 
 
 def test_percent_signs_in_names_are_quoted_as_bagit_demands(world: Hive, other: Hive, tmp_path: Path) -> None:
-    (world.folder(1).result / "100%25.txt").write_text("all of it")
+    (world.runs.folder(1).result / "100%25.txt").write_text("all of it")
     export(world, tmp_path / "a.zip", run_ids=[1])
     with zipfile.ZipFile(tmp_path / "a.zip") as file:
         assert "  data/runs/1/result/100%2525.txt\n" in file.read("a/manifest-sha256.txt").decode()
     import_archive(other, tmp_path / "a.zip")
-    assert (other.folder(1).result / "100%25.txt").read_text() == "all of it"
+    assert (other.runs.folder(1).result / "100%25.txt").read_text() == "all of it"
 
 
 def test_large_and_small_members_are_packed_alike(tmp_path: Path) -> None:
