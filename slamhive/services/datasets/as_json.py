@@ -1,4 +1,4 @@
-"""Algorithms and datasets as JSON: the one shape that the command line and the web API share."""
+"""Algorithms and datasets as JSON, for command line and web API."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from slamhive.services.json_values import plain
 
 
 def algorithm_to_json(algorithm: Algorithm) -> dict[str, Any]:
-    """An algorithm: its package, the sensor it needs for each role, and its parameters by key."""
+    """An algorithm: its package, the sensor for each role, and its parameters by key."""
     package = algorithm.package
     return {
         "name": algorithm.name,
@@ -33,9 +33,9 @@ def algorithm_to_json(algorithm: Algorithm) -> dict[str, Any]:
 
 
 def dataset_to_json(dataset: Dataset) -> dict[str, Any]:
-    """A dataset: its sensors and ground truth. Files are named relative to its folder, whose place is private.
+    """A dataset: its sensors and ground truth. Paths are relative to its folder, whose location is private.
 
-    ``T_body_sensor`` is row-major, 16 numbers; the ground truth's ``exists`` tells whether its file exists.
+    ``T_body_sensor`` has 16 numbers, row-major; ``exists`` says whether the file of the ground truth exists.
     """
     truth = dataset.groundtruth
     return {

@@ -1,4 +1,4 @@
-"""What can be run on what: algorithm packages in the project, datasets in the data root."""
+"""The catalogue: algorithm packages in the project folder, datasets in the data root."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from slamhive.settings import Mode, Settings
 
 Loaded = TypeVar("Loaded")
 Progress = Callable[[float, str], None]
-"""Called with the fraction done (0..1) and what is being done."""
+"""Called with the fraction done (0..1) and the current activity."""
 
 
 @dataclass(frozen=True, slots=True)
 class BrokenEntry:
-    """A folder that should hold an algorithm or dataset, and why it does not."""
+    """A folder of an algorithm or dataset that cannot be read, and why."""
 
     folder: Path
     problem: str
 
 
 class Catalogue:
-    """Algorithms and datasets of one installation, looked up in their folders each time they are asked for.
+    """The algorithms and datasets of one installation, read from their folders on each call.
 
-    Folders are the truth: adding an algorithm is adding a folder, no restart and no database edit. A file is parsed
-    again when it has changed.
+    Folders are the truth: to add an algorithm, add a folder; no restart, no database edit. A file is parsed again
+    only if it has changed.
     """
 
     def __init__(self, settings: Settings, project_root: Path) -> None:
@@ -91,11 +91,11 @@ class Catalogue:
         raise unknown("dataset", name, list(by_name), "slamhive dataset list shows all")
 
     def dataset_folder(self, name: str) -> Path:
-        """Where the dataset called ``name`` lies, or would lie."""
+        """The folder of the dataset called ``name``, whether or not it exists."""
         return self._settings.datasets_folder / name
 
     def dataset_in_folder(self, name: str) -> Dataset:
-        """The dataset in the folder called ``name``, without a look at the others; raises InvalidInput."""
+        """The dataset in the folder called ``name``; reads no other folder; raises InvalidInput."""
         return self._load(self.dataset_folder(name) / DATASET_FILE, load_dataset)
 
     def broken(self) -> tuple[BrokenEntry, ...]:
@@ -103,7 +103,7 @@ class Catalogue:
         return (*self._scan_algorithms()[1], *self._scan_datasets()[1])
 
     def import_dataset(self, importer_name: str, source: Path, name: str, progress: Progress) -> Dataset:
-        """Convert a recording of another format into the dataset ``name``; nothing is left behind on failure.
+        """Convert a recording of another format into the dataset ``name``; a failure leaves nothing behind.
 
         ``importer_name`` may be :data:`~slamhive.bags.importers.AUTO`.
         """
@@ -115,7 +115,7 @@ class Catalogue:
         return importer.convert(source, folder, name, progress)
 
     def render_room(self, options: RoomOptions, progress: Progress, *, replace: bool = False) -> Dataset:
-        """Render the synthetic room into a dataset of its own."""
+        """Render the synthetic room as a new dataset."""
         folder = self._new_dataset_folder(options.name, replace=replace)
         return render_room(folder, options, progress)
 
@@ -138,7 +138,7 @@ class Catalogue:
         return folder
 
     def _load(self, path: Path, load: Callable[[Path], Loaded]) -> Loaded:
-        """What ``load`` makes of the folder of ``path``, parsed again only if the file has changed since."""
+        """Load the folder of ``path``, or return the cached result if the file has not changed."""
         try:
             status = path.stat()
         except OSError:
@@ -188,7 +188,7 @@ def check_writable(settings: Settings) -> None:
 
 
 def _check_package(path: Path, algorithms: tuple[Algorithm, ...], others: list[Algorithm]) -> None:
-    """Refuse a package that is not called as its folder is, and names of algorithms that another package has."""
+    """Raise InvalidInput if the package is not named like its folder, or reuses an algorithm name of another one."""
     package = algorithms[0].package.name
     if package != path.parent.name:
         raise InvalidInput(f"{path}: package {package!r} differs from its folder's name", "rename the one or the other")

@@ -1,4 +1,4 @@
-"""The algorithm of a run: a package here, or one of which only trajectories are here."""
+"""Algorithms of runs: those with a package, and external ones, of which only trajectories were imported."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from slamhive.store import Store
 
 
 def algorithm_here_or_elsewhere(store: Store, catalogue: Catalogue, name: str, package: str) -> Algorithm:
-    """The algorithm called ``name``, of the package that runs were stored with; raises as the catalogue does."""
+    """The algorithm called ``name`` of the package stored with a run; raises as the catalogue does."""
     if package != EXTERNAL_PACKAGE:
         return catalogue.algorithm(name)
     return external_algorithm(name, SensorSetup(store.read(lambda t: t.catalogue.algorithm(name)).mode))
 
 
 def imported_algorithms(store: Store) -> tuple[Algorithm, ...]:
-    """All algorithms of which only trajectories are here."""
+    """All external algorithms."""
     records = store.read(lambda t: t.catalogue.algorithms())
     return tuple(
         external_algorithm(record.name, SensorSetup(record.mode))
@@ -28,15 +28,15 @@ def imported_algorithms(store: Store) -> tuple[Algorithm, ...]:
 
 
 def choose_algorithm(store: Store, catalogue: Catalogue, name: str, setup: SensorSetup | None) -> Algorithm:
-    """The algorithm that imported trajectories belong to.
+    """The algorithm of imported trajectories.
 
     Args:
-        store: Knows those that were imported before.
-        catalogue: Those that have a package.
-        name: Of the algorithm.
-        setup: What the user says that it senses with.
+        store: Knows the external algorithms.
+        catalogue: Knows the algorithms with a package.
+        name: The name of the algorithm.
+        setup: The sensor setup, if the user specified it.
 
-    Raises InvalidInput if that is not known, or contradicts what is.
+    Raises InvalidInput if the setup is unknown or contradicts the known one.
     """
     known = next((algorithm for algorithm in catalogue.algorithms() if algorithm.name == name), None)
     if known is None:

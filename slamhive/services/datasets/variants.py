@@ -1,4 +1,4 @@
-"""Variants of datasets: planned, made, used by runs, listed and removed."""
+"""Variants of datasets: plan, make, hold, list and remove them."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from slamhive.sweep.variants import resolve_variant
 logger = logging.getLogger(__name__)
 
 IDENTITY = "identity"
-"""The key of the variant that is the dataset itself."""
+"""The key of the unmodified dataset."""
 
 _MOST_ACTIVE = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class UsedVariant:
-    """What a run gets to see: ``dataset`` lies where it can be mounted, ``key`` is :data:`IDENTITY` or the cache's."""
+    """The variant that a run uses: its ``dataset``, ready to be mounted, and its ``key``, which may be `IDENTITY`."""
 
     key: str
     dataset: Dataset
@@ -44,7 +44,7 @@ class Variants:
     """The variants of one installation.
 
     Args:
-        settings: Where they lie and how much room they may take.
+        settings: The folder and the size of the cache.
         store: Knows which runs are active.
     """
 
@@ -55,7 +55,7 @@ class Variants:
         self._cache = VariantCache(settings.variants_folder, limits, self._used_by_runs)
 
     def resolve(self, dataset: Dataset, variant: Variant) -> Variant:
-        """``variant`` with every option spelt out and without what changes nothing; a step may name no sensors.
+        """``variant`` with default options added and steps without effect removed; a step may leave sensors out.
 
         Raises NotFound or InvalidInput naming the step and what it cannot do.
         """
@@ -63,23 +63,23 @@ class Variants:
         return resolve_variant(RegisteredSteps(), dataset, named)
 
     def check(self, dataset: Dataset, variant: Variant) -> None:
-        """Raise what would keep ``variant`` from being made, room included, as far as no data must be read for it."""
+        """Raise whatever would keep ``variant`` from being made, disk space included; reads no recorded data."""
         plan = plan_variant(dataset, variant)
         if plan is not None:
             self._cache.check_room(plan)
 
     def plan(self, dataset: Dataset, variant: Variant) -> VariantPlan | None:
-        """Key and estimated size of ``variant``, None if it is the dataset itself; raises as :meth:`check`."""
+        """Key and estimated size of ``variant``; None for the unmodified dataset; raises as :meth:`check`."""
         return plan_variant(dataset, variant)
 
     @contextmanager
     def hold(self, dataset: Dataset, variant: Variant, progress: Progress) -> Iterator[UsedVariant]:
-        """The variant, made if need be; it stays at least until the block ends.
+        """Make the variant if necessary, and keep it in the cache until the block ends.
 
         Raises:
-            NotFound: a step or sensor that does not exist (any more).
-            InvalidInput: steps that cannot be applied, a damaged recording, a variant that can never fit.
-            Unavailable: no room now, or the disk refuses.
+            NotFound: a step or sensor does not exist.
+            InvalidInput: the steps cannot be applied, the recording is damaged, or the variant exceeds the cache.
+            Unavailable: no disk space now, or a disk error.
         """
         plan = plan_variant(dataset, variant)
         if plan is None:
@@ -94,7 +94,7 @@ class Variants:
 
     @contextmanager
     def hold_made(self, key: str) -> Iterator[None]:
-        """Keep the variant of a run that goes on."""
+        """Keep the variant of an active run in the cache until the block ends."""
         if key == IDENTITY:
             yield
             return
@@ -102,15 +102,15 @@ class Variants:
             yield
 
     def sweep(self) -> None:
-        """Remove what killed builds have left behind."""
+        """Remove the leftovers of killed builds."""
         self._cache.sweep()
 
     def entries(self, dataset: str | None = None) -> tuple[VariantEntry, ...]:
-        """What lies in the cache, of one dataset or of all, the most recently used first."""
+        """The variants in the cache, of one dataset or of all, most recently used first."""
         return tuple(entry for entry in self._cache.entries() if dataset is None or entry.dataset == dataset)
 
     def find(self, key: str) -> VariantEntry:
-        """The variant whose key begins with ``key``; raises NotFound, or InvalidInput if several do."""
+        """The variant whose key starts with ``key``; raises NotFound, or InvalidInput if there are several."""
         return self._cache.find(key)
 
     def drop(self, key: str) -> None:
@@ -118,7 +118,7 @@ class Variants:
         self._cache.drop(key)
 
     def drop_unused(self, dataset: str) -> tuple[VariantEntry, ...]:
-        """Remove all variants of a dataset that no run uses; those removed."""
+        """Remove all unused variants of a dataset; returns those removed."""
         dropped: list[VariantEntry] = []
         for entry in self.entries(dataset):
             try:
@@ -130,11 +130,11 @@ class Variants:
         return tuple(dropped)
 
     def verify(self, key: str) -> str | None:
-        """Read every byte of a variant; what is wrong with it, None if nothing is."""
+        """Read every byte of a variant; returns what is wrong with it, None if nothing is."""
         return self._cache.verify(key)
 
     def _used_by_runs(self) -> set[str]:
-        """Variants of active runs: their containers go on when a worker is killed, and its locks with it."""
+        """The variants of active runs: their containers outlive a killed worker and its locks."""
         active = matching(states=tuple(state for state in RunState if state.active))
         records = self._store.read(lambda t: t.runs.page(active, limit=_MOST_ACTIVE)).records
         keys = {self._key_of(record.id) for record in records if record.variant}
@@ -148,7 +148,7 @@ class Variants:
 
 
 def variant_key(record: dict[str, object]) -> str | None:
-    """The key that a run's record names, None while it names none."""
+    """The variant key in a run's record; None if there is none yet."""
     dataset = record.get("dataset")
     key = dataset.get("variant") if isinstance(dataset, dict) else None
     return key if isinstance(key, str) else None

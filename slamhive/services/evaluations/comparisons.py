@@ -1,4 +1,4 @@
-"""One run, evaluated the way published tools count, side by side."""
+"""Compare the metrics of one run as computed by published tools."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ NOT_EVALUATED = "not evaluated"
 
 @dataclass(frozen=True, slots=True)
 class ToolFigures:
-    """What one tool would print of a run.
+    """The metrics of a run that one tool would print.
 
     Attributes:
-        name: Of the preset.
-        preset: How the tool counts.
-        protocol: What that is for this run; None where it does not fit.
-        figures: {metric key: value} of the figures that the tool prints; without those that are missing.
-        note: Why there are no figures, or why one of them is missing; None if all are there.
-        samples: {metric key: over how many pairs or segments the figure is taken, in words}.
+        name: The name of the preset.
+        preset: The definition of the tool's metrics.
+        protocol: The protocol for this run; None if the preset does not fit it.
+        figures: {metric key: value} of the metrics that the tool prints, without missing ones.
+        note: Why metrics are missing; None if there are all.
+        samples: {metric key: number of pairs or segments behind it, in words}.
     """
 
     name: str
@@ -43,12 +43,12 @@ class ToolFigures:
 
 
 class Comparisons:
-    """Evaluates a run under every preset, and puts the figures side by side.
+    """Evaluates a run under every preset.
 
     Args:
-        store: Figures and evaluations.
+        store: Metrics and evaluations.
         evaluations: Queues them.
-        runs_folder: Where run folders lie; why a figure is missing stands there.
+        runs_folder: The run folders, which hold the reasons for missing metrics.
     """
 
     def __init__(self, store: Store, evaluations: Evaluations, runs_folder: Path) -> None:
@@ -57,7 +57,7 @@ class Comparisons:
         self._runs_folder = runs_folder
 
     def queue(self, run_id: int) -> list[int]:
-        """Queue the evaluations that are not there yet; their ids. Conflict for a run that did not succeed."""
+        """Queue the missing evaluations; returns their ids. Raises Conflict if the run did not succeed."""
         run = self._store.read(lambda t: t.runs.get(run_id))
         done = self._store.read(lambda t: t.metrics.by_protocol(run_id))
         queued: list[int] = []
@@ -68,7 +68,7 @@ class Comparisons:
         return queued
 
     def of(self, run_id: int) -> list[ToolFigures]:
-        """What every tool would print, as far as it has been evaluated."""
+        """The metrics of every tool, as far as they have been evaluated."""
         run = self._store.read(lambda t: t.runs.get(run_id))
         done = self._store.read(lambda t: t.metrics.by_protocol(run_id))
         latest = {
@@ -103,7 +103,7 @@ class Comparisons:
             return None, f"does not fit: {error.message}"
 
     def _why_missing(self, run_id: int, protocol: Protocol, keys: list[str]) -> str:
-        """The reason that the evaluation left in the run folder; several are joined."""
+        """The reasons that the evaluation wrote to the run folder, joined."""
         missing = evaluation_notes(RunFolder(self._runs_folder / str(run_id)), protocol.fingerprint).missing
         reasons = dict.fromkeys(missing.get(key, f"{key} is missing") for key in keys)
         return "; ".join(reasons)

@@ -1,4 +1,4 @@
-"""Which protocol's figures are shown for a run: its first, until another is chosen."""
+"""The current protocol of a run, whose metrics are shown: its first, until the user chooses another."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class CurrentProtocols:
     """Chooses the current protocol of runs, in the database and in their folders.
 
     Args:
-        store: Runs and figures.
-        evaluations: Knows which protocol a request means for a run.
-        runs_folder: Where run folders lie.
+        store: Runs and metrics.
+        evaluations: Resolves a protocol request for a run.
+        runs_folder: The run folders.
     """
 
     def __init__(self, store: Store, evaluations: Evaluations, runs_folder: Path) -> None:
@@ -31,15 +31,14 @@ class CurrentProtocols:
         self._runs_folder = runs_folder
 
     def figures(self, run_id: int) -> dict[str, dict[str, float]]:
-        """What a run has under each protocol: {fingerprint: {metric key: value}}."""
+        """The metrics of a run under each protocol: {fingerprint: {metric key: value}}."""
         found = self._store.read(lambda t: t.metrics.by_protocol(run_id))
         return {fingerprint: values for fingerprint, values in found.items() if fingerprint is not None}
 
     def use(self, run_ids: Iterable[int], fingerprint: str) -> None:
-        """Make a protocol the current one of these runs: the one whose figures lists, searches and pages show.
+        """Make a protocol the current one of these runs: lists, searches and pages show its metrics.
 
-        Until then it is the first that the run was evaluated under. Raises NotFound for an unknown protocol, Conflict
-        for a run without figures under it; nothing is changed then.
+        Raises NotFound for an unknown protocol, Conflict for a run without metrics under it; nothing is changed then.
         """
         wanted = list(run_ids)
         self._store.write(lambda t: t.evaluations.use(wanted, fingerprint))
@@ -47,7 +46,7 @@ class CurrentProtocols:
             RunFolder(self._runs_folder / str(run_id)).write_current_protocol(fingerprint)
 
     def use_asked(self, run_ids: Iterable[int], asked: ProtocolRequest) -> None:
-        """As :meth:`use`, for the protocol that the request means for each run."""
+        """As :meth:`use`, with the protocol that the request means for each run."""
         runs = self._store.read(lambda t: t.runs.get_many(run_ids))
         chosen = [(run.id, self._evaluations.protocol_of(run, asked).fingerprint) for run in runs]
         for run_id, fingerprint in chosen:
@@ -56,7 +55,7 @@ class CurrentProtocols:
         self._use_each(chosen)
 
     def make_current(self, ended: Iterable[EvaluationRecord]) -> None:
-        """As :meth:`use`, for evaluations that have ended; those that failed change nothing."""
+        """As :meth:`use`, for ended evaluations; failed ones change nothing."""
         self._use_each((entry.run_id, entry.protocol.fingerprint) for entry in ended if entry.reason is None)
 
     def _use_each(self, chosen: Iterable[tuple[int, str]]) -> None:
@@ -67,7 +66,7 @@ class CurrentProtocols:
             self.use(run_ids, fingerprint)
 
     def as_evaluated(self, ended: Iterable[EvaluationRecord]) -> list[RunRecord]:
-        """The runs of these evaluations, in their order, with the figures of the protocol they were evaluated under."""
+        """The runs of these evaluations, in order, each with the metrics of its evaluation."""
         entries = list(ended)
         runs = self._store.read(lambda t: t.runs.get_many([entry.run_id for entry in entries], with_metrics=True))
         by_id = {run.id: run for run in runs}
@@ -81,7 +80,7 @@ class CurrentProtocols:
         return replace(run, protocol=label, metrics={**found.get(None, {}), **found.get(protocol.fingerprint, {})})
 
     def shown_otherwise(self, ended: Iterable[EvaluationRecord]) -> list[int]:
-        """Runs of these evaluations, those that failed left out, whose current protocol is another one."""
+        """The runs of these evaluations, without failed ones, whose current protocol is another one."""
         fingerprints = {entry.run_id: entry.protocol.fingerprint for entry in ended if entry.reason is None}
         runs = self._store.read(lambda t: t.runs.get_many(fingerprints))
         return [run.id for run in runs if run.protocol is not None and run.protocol.fingerprint != fingerprints[run.id]]

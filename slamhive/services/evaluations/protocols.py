@@ -1,4 +1,4 @@
-"""Which protocol a run is evaluated under: as asked for, by name or file, or as its sensors deserve."""
+"""The protocol of an evaluation: requested by name or file, or the default for the sensors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from slamhive.store import Store
 from slamhive.trajectory.alignment import MINIMUM_POSES
 
 BY_SENSORS = "default"
-"""The name of the protocol that the sensors deserve."""
+"""The name of the default protocol, which depends on the sensors."""
 
 _FINGERPRINT = re.compile(r"[0-9a-f]{12}")
 _SHOWN = 60
@@ -28,7 +28,7 @@ _FILE_ENDINGS = (".yaml", ".yml")
 
 @dataclass(frozen=True, slots=True)
 class UsedProtocol:
-    """A protocol that runs have figures under, and of how many runs."""
+    """A protocol in use, and the number of runs with metrics under it."""
 
     protocol: Protocol
     runs: int
@@ -37,9 +37,9 @@ class UsedProtocol:
 def fitting_protocol(
     algorithm: Algorithm, dataset: Dataset, settings: Settings, asked: ProtocolRequest | None = None
 ) -> Protocol:
-    """The protocol for runs of ``algorithm`` on ``dataset``: as the sensors deserve, but for what is asked.
+    """The protocol for runs of ``algorithm`` on ``dataset``: the default for the sensors, changed as requested.
 
-    Raises InvalidInput for one that does not fit the dataset.
+    Raises InvalidInput if it does not fit the dataset.
     """
     truth = dataset.groundtruth
     gravity_aligned = truth is not None and truth.gravity_aligned
@@ -75,9 +75,9 @@ def protocol_for(algorithm: Algorithm, dataset: Dataset, settings: Settings, ali
 
 
 def reference_path(dataset: Dataset, protocol: Protocol) -> Path | None:
-    """The trajectory to compare with, None where the dataset has relations instead.
+    """The reference trajectory; None if the dataset has relations instead.
 
-    Raises InvalidInput if there is neither, naming what the protocol asks for.
+    Raises InvalidInput if there is neither.
     """
     if protocol.reference is None:
         path = dataset.groundtruth_path
@@ -94,21 +94,21 @@ def reference_path(dataset: Dataset, protocol: Protocol) -> Path | None:
 
 
 class Protocols:
-    """Protocols by name: presets, and those that runs have figures under."""
+    """Protocols by name: presets, and those in use."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
 
     def used(self) -> list[UsedProtocol]:
-        """Those that runs have figures under, the most used first."""
+        """The protocols under which runs have metrics, most used first."""
         return [
             UsedProtocol(protocol, runs) for protocol, runs in self._store.read(lambda t: t.evaluations.protocols())
         ]
 
     def named(self, name: str) -> ProtocolRequest:
-        """The one called ``name``: ``default``, an alignment, a preset, or a fingerprint in use.
+        """The protocol called ``name``: ``default``, an alignment, a preset, or a fingerprint in use.
 
-        An alignment alone leaves the rest as the default has it. Raises NotFound with the nearest name.
+        An alignment changes only that of the default. Raises NotFound with the nearest name.
         """
         if name == BY_SENSORS:
             return ProtocolRequest(name=name)
@@ -124,7 +124,7 @@ class Protocols:
         raise unknown("protocol", name[:_SHOWN], known, "slamhive protocol list shows them")
 
     def find(self, text: str) -> ProtocolRequest:
-        """The one called ``text``, or in the file ``text``."""
+        """The protocol called ``text``, or the one in the file ``text``."""
         if text.endswith(_FILE_ENDINGS) or "/" in text:
             return load_protocol(Path(text))
         try:

@@ -1,4 +1,4 @@
-"""Evaluating runs: queued in the database, done in batches, many runs to one start of the evaluation."""
+"""Evaluate runs: queue evaluations in the database, and execute them in batches of many runs."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class Evaluations:
     """Queue evaluations and work through them.
 
     Args:
-        settings: Association tolerance and gap threshold of the default protocols; where the data lies.
+        settings: Association tolerance and gap threshold of the default protocols; the data root.
         store: Queue and results.
         catalogue: Sensor setups, extrinsics and ground truths.
         protocols: Knows protocols by name.
-        runner: Starts the evaluation engine, in a container or a process; made when first needed.
+        runner: Makes what starts the evaluation engine, in a container or a process; called on first use.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Evaluations:
     def _by_protocol(
         self, runs: Iterable[RunRecord], asked: ProtocolRequest | None
     ) -> Iterator[tuple[Protocol, list[int]]]:
-        """Runs that are evaluated alike, told once for all of one algorithm on one dataset."""
+        """Group runs by protocol, which is resolved once for all runs of an algorithm on a dataset."""
         alike: dict[tuple[str, str, str | None], list[RunRecord]] = defaultdict(list)
         for run in runs:
             own = None if run.protocol_override is None else run.protocol_override.fingerprint
@@ -110,11 +110,11 @@ class Evaluations:
         return tuple(self._store.read(lambda t: t.evaluations.for_run(run_id)))
 
     def records(self, evaluation_ids: Iterable[int]) -> list[EvaluationRecord]:
-        """The evaluations with these ids, as they stand."""
+        """The evaluations with these ids."""
         return self._store.read(lambda t: t.evaluations.get_many(evaluation_ids))
 
     def waiting(self) -> list[EvaluationRecord]:
-        """All evaluations that are queued or worked on."""
+        """All evaluations that are queued or running."""
         return self._store.read(lambda t: t.evaluations.open())
 
     def still_open(self, evaluation_ids: Iterable[int]) -> set[int]:
@@ -126,13 +126,13 @@ class Evaluations:
         return self._store.read(lambda t: t.evaluations.unsettled_among(run_ids))
 
     def take_over_from_the_dead(self) -> None:
-        """Put back what killed processes of this machine held, so that nobody waits for their leases to run out."""
+        """Release the evaluations of killed processes on this machine, before their leases expire."""
         for owner in self._store.read(lambda t: t.evaluations.owners()):
             if owner_is_dead(owner):
                 self._store.write(lambda t, owner=owner: t.evaluations.release_all(owner))  # type: ignore[misc]
 
     def unevaluated(self) -> list[int]:
-        """Runs that succeeded and have no evaluation yet."""
+        """The ids of successful runs without an evaluation."""
         return self._store.read(lambda t: t.evaluations.unevaluated_run_ids())
 
     def prepare(self, progress: Callable[[str], None]) -> None:
@@ -150,7 +150,7 @@ class Evaluations:
         on_result: ResultCallback | None = None,
         cores: tuple[int, ...] | None = None,
     ) -> int:
-        """Claim a batch, evaluate it, store each result; how many were done.
+        """Claim a batch, evaluate it, store each result; returns the size of the batch.
 
         ``only`` restricts the choice to evaluations of these runs; ``cores`` are the numbers of those to evaluate on,
         None for all.
@@ -169,7 +169,7 @@ class Evaluations:
         finally:
             heartbeat_ends.set()
             heartbeat.join()
-            # What has no result (the engine did not start, the worker is stopping) waits for the next worker.
+            # Evaluations without a result (the engine did not start, the worker is stopping) return to the queue.
             self._store.write(lambda t: t.evaluations.release([entry.id for entry in claimed], owner))
         return len(claimed)
 
@@ -203,7 +203,7 @@ class Evaluations:
                 self._run(tasks, scratch, store, stopping, cores)
 
     def _tasks(self, claimed: Sequence[EvaluationRecord], refuse: ResultStore) -> list[EvaluationTask]:
-        """What the engine has to do; an evaluation that cannot even begin is refused with its reason."""
+        """The tasks for the engine; an evaluation that cannot start fails with its reason."""
         runs = {run.id: run for run in self._store.read(lambda t: t.runs.get_many({e.run_id for e in claimed}))}
         tasks: list[EvaluationTask] = []
         for entry in claimed:
@@ -228,10 +228,10 @@ class Evaluations:
         except (Unavailable, LeaseLost):
             raise
         except SlamHiveError as error:
-            # The engine cannot be made (its image does not build): another attempt would end alike.
+            # The engine cannot be made (for example, its image does not build): another attempt would fail as well.
             self._fail_all(tasks, str(error), store)
         except Exception as error:
-            logger.exception("a fault of ours while %d runs were evaluated", len(tasks))
+            logger.exception("internal error while evaluating %d runs", len(tasks))
             self._fail_all(tasks, f"internal error: {type(error).__name__}: {error}", store)
 
     def _fail_all(self, tasks: Sequence[EvaluationTask], reason: str, store: ResultStore) -> None:
@@ -270,14 +270,14 @@ class Evaluations:
         return RunFolder(self._settings.runs_folder / str(run_id))
 
     def _trajectory_frame(self, run: RunRecord) -> Matrix4:
-        """The pose, in the body frame, of the sensor whose poses the trajectory holds."""
+        """The pose, in the body frame, of the sensor that the trajectory describes."""
         if run.executor == IMPORTED:
             return IDENTITY4
         algorithm = self._catalogue.algorithm(run.algorithm)
         return algorithm.assign(self._catalogue.dataset(run.dataset))[algorithm.trajectory_role].T_body_sensor
 
     def protocol_of(self, run: RunRecord, asked: ProtocolRequest | None = None) -> Protocol:
-        """The protocol to evaluate ``run`` under: as asked for, as submitted, or as its sensors deserve."""
+        """The protocol for evaluating ``run``: as requested, as submitted, or the default for its sensors."""
         if asked is None and run.protocol_override is not None:
             return run.protocol_override
         algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run.algorithm, run.package)
@@ -293,6 +293,6 @@ class Evaluations:
 
 
 def _refused(entry: EvaluationRecord, reason: str) -> EvaluationResult:
-    """The result of an evaluation that could not even begin."""
+    """The result of an evaluation that could not start."""
     nowhere = Path()
     return failed_result(EvaluationTask(str(entry.id), nowhere, None, nowhere, entry.protocol), reason, NO_ENGINE)

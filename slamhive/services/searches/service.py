@@ -1,4 +1,4 @@
-"""Searching runs: the names a filter may use, what was left out, groups, saved searches."""
+"""Search runs: filter vocabulary, omitted runs, groups and saved searches."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _KINDS = {
 
 
 KEPT_FROM = 50_000
-"""From so many runs on what is left out is not counted for every page."""
+"""With more runs than this, counts of omitted runs are cached for some seconds."""
 
 KEPT_S = 10.0
 _Key = tuple[tuple[str, ...], str | None]
@@ -35,19 +35,19 @@ _Having = tuple[int, dict[str, int]]
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """What a page of a search does not show: of ``total`` runs, those without a metric that the search compares."""
+    """Runs that a search omits: of ``total`` runs, those without a metric that the search compares."""
 
     total: int
     without: dict[str, int]
 
 
 class Searches:
-    """Every way in (pages, command line, API, analysis files) reads the same language here.
+    """Searches for pages, command line, API and analysis files, all in one filter language.
 
     Args:
         settings: In force.
         store: The database.
-        catalogue: Algorithms, which tell parameters and sensors.
+        catalogue: Algorithms, with their parameters and sensors.
         clock: Monotonic seconds.
     """
 
@@ -61,19 +61,19 @@ class Searches:
         self._counts: dict[_Key, tuple[float, _Having]] = {}
 
     def metrics(self) -> list[str]:
-        """The metrics that any run has a value of."""
+        """The metrics for which any run has a value."""
         return self._store.read(lambda t: t.searches.metrics())
 
     def unevaluated(self) -> int:
-        """How many runs succeeded and have no evaluation, done or waiting."""
+        """Number of successful runs with no evaluation, neither done nor queued."""
         return self._store.read(lambda t: t.searches.unevaluated())
 
     def names(self) -> tuple[list[str], list[str]]:
-        """The algorithms and the datasets that anything was stored for; their folders may be gone."""
+        """The names of all stored algorithms and datasets; their folders may no longer exist."""
         return self._store.read(lambda t: t.searches.names())
 
     def vocabulary(self) -> Vocabulary:
-        """The names that a filter may use: those of the catalogue, and those that runs were stored with."""
+        """The names that a filter may use: those of the catalogue and those of stored runs."""
         algorithms = self._catalogue.algorithms()
         sensors: dict[str, tuple[str, ...]] = {}
         for algorithm in (*algorithms, *imported_algorithms(self._store)):
@@ -88,25 +88,25 @@ class Searches:
         return vocabulary_of([*defined, *stored], sensors=sensors, protocols=protocols, own_keys=own_keys)
 
     def read(self, text: str) -> Search:
-        """The search that ``text`` states; raises FilterError pointing at what is not understood."""
+        """Parse a filter; raises FilterError with the position of the error."""
         return read_search(text, self.vocabulary())
 
     def find(self, text: str) -> list[int]:
-        """The ids of all runs that the filter ``text`` finds, in order."""
+        """The ids of all runs that match the filter ``text``, in order."""
         return self.run_ids(self.read(text))
 
     def run_ids(self, search: Search) -> list[int]:
-        """All runs that match, in order."""
+        """The ids of all matching runs, in order."""
         return self._store.read(lambda t: t.searches.run_ids(search))
 
     def exact_count(self, search: Search) -> int:
-        """How many match, however long counting takes."""
+        """The exact number of matching runs, however long counting takes."""
         return self._store.read(lambda t: t.searches.exact_count(search))
 
     def left_out(self, search: Search, found: Count) -> LeftOut:
-        """How many runs there are, and how many have no value of each metric that ``search`` compares.
+        """The number of runs, and how many have no value for each metric that ``search`` compares.
 
-        ``found``: how many it finds, which without a filter is the number of all.
+        ``found`` is the number of matching runs; without a filter it is the number of all runs.
         """
         if search.tree is None:
             return LeftOut(found.number, {})
@@ -118,7 +118,7 @@ class Searches:
         return LeftOut(total, {key: total - number for key, number in having.items() if number < total})
 
     def _kept(self, key: _Key, count: Callable[[], _Having]) -> _Having:
-        """What ``count`` returns, or returned within the last seconds if there are very many runs."""
+        """The result of ``count``; with very many runs, one of the last few seconds is reused."""
         until_s, kept = self._counts.get(key, (0.0, (0, {})))
         if self._clock() < until_s:
             return kept
@@ -133,10 +133,8 @@ class Searches:
         """The configurations of the matching runs, with mean and spread of ``metrics`` over the repeats."""
         return self._store.read(lambda t: t.searches.groups(search, sort, after, limit, metrics))
 
-    # -- saved searches --------------------------------------------------------------------------------------------
-
     def save(self, record: SavedSearchRecord) -> bool:
-        """Save under its name, over what has it; whether it is new. The filter must be understood today."""
+        """Save a search, replacing one of the same name; returns whether it is new. The filter must be valid."""
         check_writable(self._settings)
         check_name("saved search", record.name)
         self.read(record.filter_text)
@@ -144,7 +142,7 @@ class Searches:
         return self._store.write(lambda t: t.searches.save(record, now))
 
     def saved(self) -> list[SavedSearchRecord]:
-        """All saved searches by name."""
+        """All saved searches, sorted by name."""
         return self._store.read(lambda t: t.searches.saved())
 
     def saved_named(self, name: str) -> SavedSearchRecord:
