@@ -1,4 +1,4 @@
-"""Computing stored analyses, one at a time, each in a process of its own that may not take more than its share."""
+"""Compute stored analyses one at a time, each in a separate process with limited resources."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class AnalysisJobs:
-    """Takes analyses out of the queue.
+    """Works through the queue of analyses.
 
     Args:
-        settings: In force; also those of the process that computes.
+        settings: For this process and the computing one.
         store: The queue.
-        project_root: Where algorithms lie.
+        project_root: The folder with ``algorithms/``.
     """
 
     def __init__(self, settings: Settings, store: Store, project_root: Path) -> None:
@@ -49,8 +49,10 @@ class AnalysisJobs:
         self._project_root = project_root
 
     def work_once(self, owner: str, stopping: threading.Event) -> bool:
-        """Compute one analysis, if one waits; whether one did. It goes back into the queue if ``stopping`` is set."""
-        if not self._store.read(lambda t: t.analyses.waiting()):  # an idle worker asks often, and need not write
+        """Compute one queued analysis; returns whether there was one. It is queued again if ``stopping`` is set."""
+        if not self._store.read(
+            lambda t: t.analyses.waiting()
+        ):  # An idle worker asks often and should not need a write transaction.
             return False
         record = self._store.write(lambda t: t.analyses.claim(t.lease(owner, self._settings.lease_s)))
         if record is None:
@@ -83,7 +85,7 @@ class AnalysisJobs:
             ended_at=utc_now(),
         )
         try:
-            # Listed or not may have changed since it was claimed: the folder knows.
+            # Whether it is listed may have changed since it was claimed; the folder has the current value.
             folder.write_state(replace(ended, listed=folder.read_state().listed))
             self._store.write(lambda t: t.analyses.finish(ended, owner))
         except (LeaseLost, SlamHiveError) as error:
@@ -95,7 +97,7 @@ class AnalysisJobs:
     def _computed(
         self, record: AnalysisRecord, folder: AnalysisFolder, owner: str, stopping: threading.Event
     ) -> dict[str, Any]:
-        """What the process said at its end, or what became of it; raises LeaseLost or _Stopping after ending it."""
+        """The result that the process reported, or an error; ends the process and raises LeaseLost or _Stopping."""
         folder.clear_results()
         limit_s = self._settings.analysis_time_limit_s
         deadline_s = monotonic_s() + limit_s
@@ -118,11 +120,11 @@ class AnalysisJobs:
     def _beat(self, record: AnalysisRecord, owner: str) -> None:
         lease_s = self._settings.lease_s
         if not self._store.write(lambda t: t.analyses.heartbeat([record.token], t.lease(owner, lease_s))):
-            raise LeaseLost(f"analysis {record.token} was deleted, or is to be computed anew")
+            raise LeaseLost(f"analysis {record.token} was deleted or queued again")
 
     @contextmanager
     def _child(self, folder: AnalysisFolder, output: IO[bytes], errors: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
-        """The process, ended on the way out. If this process dies, the input of that one ends, and so does it."""
+        """Start the process and end it at the end of the block. It ends with this process, too."""
         package = Path(slamhive.__file__).parent.parent
         paths = os.pathsep.join(filter(None, (str(package), os.environ.get("PYTHONPATH"))))
         environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONPATH": paths, "MPLBACKEND": "agg"}
@@ -156,7 +158,7 @@ class AnalysisJobs:
 
 
 class _Stopping(Exception):
-    """The worker ends."""
+    """The worker is stopping."""
 
 
 def _said(code: int, output: str, errors: str) -> dict[str, Any]:

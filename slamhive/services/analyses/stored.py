@@ -1,4 +1,4 @@
-"""Stored analyses: made, listed, looked at, removed. What computes them is :mod:`slamhive.services.analyses.jobs`."""
+"""Stored analyses: create, list, read and remove them. :mod:`slamhive.services.analyses.jobs` computes them."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from slamhive.store import Store
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 
 MAX_TEXT_BYTES = 100_000
-"""YAML of this size is read in about a second, which a request may take; larger files are for ``slamhive analyse``."""
+"""Parsing YAML of this size takes about a second, the limit for a request; ``slamhive analyse`` takes larger files."""
 MOST_WAITING = 50
 _TOKEN = re.compile(r"[0-9a-f]{32}")
 
 
 def may_analyse(settings: Settings) -> bool:
-    """Whether new analyses are taken at all; those of visitors, in view-only mode, are not listed."""
+    """Whether the installation accepts new analyses; in view-only mode they come from visitors and are not listed."""
     return settings.mode is not Mode.VIEW_ONLY or not settings.no_new_analysis
 
 
 class StoredAnalyses:
-    """The analyses of an installation, each a folder.
+    """The stored analyses of an installation, one folder each.
 
     Args:
         settings: In force.
         store: Their list and queue.
-        name_of: The name in a file; raises InvalidInput, with the line, for one that cannot be used.
+        name_of: Reads the name in an analysis file; raises InvalidInput with the line.
     """
 
     def __init__(self, settings: Settings, store: Store, name_of: Callable[[str], str]) -> None:
@@ -42,23 +42,25 @@ class StoredAnalyses:
         self._name_of = name_of
 
     def check(self, text: str) -> str:
-        """The name of the analysis that ``text`` states; raises InvalidInput with the line."""
+        """Check an analysis file; returns its name; raises InvalidInput with the line."""
         if len(text.encode()) > MAX_TEXT_BYTES:
             remedy = "slamhive analyse takes larger ones"
             raise InvalidInput(f"the analysis file is larger than {MAX_TEXT_BYTES // 1000} kB", remedy)
         return self._name_of(text)
 
     def create(self, text: str, *, listed: bool = True) -> AnalysisRecord:
-        """Store an analysis and queue it. In view-only mode it is a visitor's: not listed, and removed some day.
+        """Store an analysis and queue it. In view-only mode it is a visitor's: not listed, and removed eventually.
 
-        Raises Forbidden where none are taken, Unavailable while too many wait.
+        Raises Forbidden if the installation accepts none, Unavailable if too many are waiting.
         """
         if not may_analyse(self._settings):
-            raise Forbidden("this installation takes no new analyses", "NO_NEW_ANALYSIS is set; use one of your own")
+            raise Forbidden(
+                "this installation takes no new analyses", "NO_NEW_ANALYSIS is set; use an installation of your own"
+            )
         visitor = self._settings.mode is Mode.VIEW_ONLY
         name = self.check(text)
         if self._store.read(lambda t: t.analyses.waiting()) >= MOST_WAITING:
-            raise Unavailable(f"{MOST_WAITING} analyses wait to be computed", "try again later")
+            raise Unavailable(f"{MOST_WAITING} analyses are waiting", "try again later")
         record = AnalysisRecord(
             token=secrets.token_hex(16),
             name=name,
@@ -85,7 +87,7 @@ class StoredAnalyses:
         return self._store.read(lambda t: t.analyses.get(token))
 
     def listed(self, limit: int = 500) -> list[AnalysisRecord]:
-        """Those that are listed, newest first."""
+        """The listed analyses, newest first."""
         return self._store.read(lambda t: t.analyses.listed(limit))
 
     def folder(self, token: str) -> AnalysisFolder:
@@ -93,7 +95,7 @@ class StoredAnalyses:
         return AnalysisFolder(self._settings.analyses_folder / token)
 
     def list_or_not(self, token: str, *, listed: bool) -> AnalysisRecord:
-        """Show it in the list, or only at its address."""
+        """List the analysis, or hide it from the list; its URL always works."""
         check_writable(self._settings)
         record = self.get(token)
         folder = self.folder(token)
@@ -102,7 +104,7 @@ class StoredAnalyses:
         return replace(record, listed=listed)
 
     def recompute(self, token: str) -> AnalysisRecord:
-        """Queue it anew, over the runs that there are now."""
+        """Queue it again, to be computed from the current runs."""
         check_writable(self._settings)
         self.get(token)
         folder = self.folder(token)
@@ -112,13 +114,13 @@ class StoredAnalyses:
         return record
 
     def delete(self, token: str) -> None:
-        """Remove it; a computation that goes on is ended."""
+        """Delete it and end a running computation."""
         check_writable(self._settings)
         self.get(token)
         self._remove(token)
 
     def restore(self) -> Iterator[tuple[Path, str | None]]:
-        """File every folder again (reindex): each with None, or why it could not be."""
+        """Reindex all folders; yields each folder with None or the reason why it could not be filed."""
         root = self._settings.analyses_folder
         records: list[AnalysisRecord] = []
         for path in sorted(root.iterdir()) if root.is_dir() else ():
@@ -133,7 +135,7 @@ class StoredAnalyses:
             yield root / record.token, None
 
     def _make_room(self) -> None:
-        """The oldest analyses of visitors go, so that one more may come."""
+        """Remove the oldest analyses of visitors to make room for one more."""
         kept = self._store.read(lambda t: t.analyses.visitors())
         for record in kept[: max(0, len(kept) - self._settings.analyses_max_stored + 1)]:
             self._remove(record.token)

@@ -1,4 +1,4 @@
-"""Experiments as JSON: the one shape that the command line and the web API share."""
+"""Experiments as JSON, for command line and web API."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slamhive.services.json_values import plain, timestamp
 
 
 def preview_to_json(found: ExperimentPreview) -> dict[str, Any]:
-    """What starting the experiment would do. Times in s, sizes in bytes."""
+    """The preview of an experiment; times in s, sizes in bytes."""
     return {
         "name": found.name,
         "description": found.description,
@@ -61,7 +61,7 @@ def preview_to_json(found: ExperimentPreview) -> dict[str, Any]:
 
 
 def status_to_json(status: ExperimentStatus) -> dict[str, Any]:
-    """How far the experiment is."""
+    """The progress of an experiment."""
     return {
         "name": status.name,
         "description": status.description,
@@ -83,7 +83,7 @@ def status_to_json(status: ExperimentStatus) -> dict[str, Any]:
 
 
 def cell_to_json(cell: Cell) -> dict[str, Any]:
-    """One cell with its runs and figures; the figures of each protocol by themselves."""
+    """One cell with its runs, and its metrics by protocol."""
     return {
         "cell": cell.number,
         "name": cell.name,
@@ -119,7 +119,7 @@ def cell_to_json(cell: Cell) -> dict[str, Any]:
 
 
 def grid_to_json(grid: Grid) -> dict[str, Any]:
-    """Progress over two axes; ``row`` and ``column`` are places in ``rows`` and ``columns``."""
+    """Progress over two axes; ``row`` and ``column`` are indices of ``rows`` and ``columns``."""
     return {
         "row_axis": grid.row_axis,
         "column_axis": grid.column_axis,

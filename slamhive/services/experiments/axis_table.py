@@ -1,4 +1,4 @@
-"""Which cell of an experiment has which value on each axis, in arrays: read once, for cells never change."""
+"""The axis values of an experiment's cells, as arrays that are read once: cells never change."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ MOST_TABLES = 8
 Integers = NDArray[np.int32]
 Key = tuple[str, Value | None]
 CellCounts = Mapping[int, Sequence[StateCount]]
-"""By the number of the cell."""
+"""Runs by the number of their cell."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisTable:
-    """The cells of an experiment over its axes.
+    """The cells of an experiment by axis.
 
-    ``numbers``, shape (n,), are those of the cells, ascending, ``configurations``, shape (n,), those of what they run.
-    For each axis, ``values`` holds the values in the order in which they appear (None, where the axis has no meaning
-    for a cell, last), ``codes``, shape (n,), the index of each cell's own.
+    ``numbers`` and ``configurations``, shape (n,), are the ascending cell numbers and their configurations. For each
+    axis, ``values`` holds its values in order of appearance (last None, for cells to which the axis does not apply),
+    and ``codes``, shape (n,), the index of each cell's value.
     """
 
     numbers: Integers
@@ -41,7 +41,7 @@ class AxisTable:
 
     @classmethod
     def of(cls, cells: Iterable[CellRecord]) -> AxisTable:
-        """The table of these cells, which come in order."""
+        """Build the table from cells in order."""
         numbers: list[int] = []
         configurations: list[int] = []
         places: dict[str, dict[Key, int]] = {}
@@ -65,16 +65,16 @@ class AxisTable:
 
     @property
     def axes(self) -> dict[str, tuple[Value, ...]]:
-        """The axes with their values, in the order of the file."""
+        """The axes with all values, in the order of the file."""
         return {axis: tuple(value for value in values if value is not None) for axis, values in self.values.items()}
 
     def grid(self, axes: tuple[str, str], counts: CellCounts, name: str) -> Grid:
         """Runs by phase over two axes.
 
         Args:
-            axes: Of the rows and of the columns.
-            counts: The runs of the cells; retried ones are left out.
-            name: Of the experiment, for messages.
+            axes: The axis of the rows and that of the columns.
+            counts: The runs of the cells, without retried ones.
+            name: The name of the experiment, for messages.
         """
         rows, columns = (self._axis(axis, name) for axis in axes)
         phases = list(Phase)
@@ -117,14 +117,14 @@ class AxisTable:
 
 
 class AxisTables:
-    """The tables of the experiments looked at last; may be used by several threads."""
+    """A cache of tables, safe for several threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._tables: OrderedDict[int, AxisTable] = OrderedDict()
 
     def get(self, t: Transaction, record: ExperimentRecord) -> AxisTable:
-        """The table of ``record``, read anew while cells are still being stored."""
+        """The table of ``record``; it is not cached while cells are still being stored."""
         with self._lock:
             known = self._tables.get(record.id)
             if known is not None:

@@ -1,4 +1,4 @@
-"""What is done to an experiment as a whole once it is stored: paused, resumed, cancelled, its failures tried again."""
+"""Changes of a stored experiment: pause, resume, cancel, retry failed runs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _AT_ONCE = 500
 
 @contextmanager
 def changing(context: ExperimentContext, name: str) -> Iterator[ExperimentRecord]:
-    """The experiment, changed by nobody else on this machine meanwhile; raises NotFound, Conflict if cancelled."""
+    """Lock an experiment against other processes on this machine; raises NotFound, Conflict if it was cancelled."""
     context.store.read(lambda t: t.experiments.get(name))
     with context.folder(name).locked():
         record = context.store.read(lambda t: t.experiments.get(name))
@@ -31,19 +31,19 @@ def changing(context: ExperimentContext, name: str) -> Iterator[ExperimentRecord
 
 
 def stamp_of(record: ExperimentRecord) -> ExperimentStamp:
-    """What the experiment's folder says of it."""
+    """The stamp of an experiment, for its folder."""
     return ExperimentStamp(**{name: getattr(record, name) for name in ExperimentStamp.__dataclass_fields__})
 
 
 def write_stamp(context: ExperimentContext, record: ExperimentRecord) -> None:
-    """Write down what is wanted of the experiment: the folder is the truth, the database its index."""
+    """Write the requested state to the folder, which is the truth; the database is its index."""
     folder = context.folder(record.name)
     known = folder.read() is not None
     folder.write(stamp_of(record), None if known else record.source)
 
 
 def put_state(context: ExperimentContext, name: str, state: ExperimentState) -> None:
-    """Pause, resume or cancel; the same state again is fine."""
+    """Pause, resume or cancel; setting the same state again has no effect."""
     with changing(context, name) as record:
         write_stamp(context, replace(record, state=state))
         now = utc_now()
@@ -59,7 +59,7 @@ def put_state(context: ExperimentContext, name: str, state: ExperimentState) -> 
 
 
 def retry_failed(context: ExperimentContext, name: str) -> int:
-    """Queue a run in the place of each failed one; how many."""
+    """Queue a new run for each failed one; returns their number."""
     with changing(context, name) as record:
         failed = context.store.read(lambda t: t.experiments.failed(record.id))
         for begin in range(0, len(failed), _AT_ONCE):

@@ -1,4 +1,4 @@
-"""What the parts of the experiment service share."""
+"""What the modules of this package share."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.view import CatalogueView
 
 Progress = Callable[[int, int], None]
-"""Called with how many of how many are done."""
+"""Called with the number done and the total."""
 
 
 def silent(_done: int, _total: int) -> None:
-    """Progress that nobody watches."""
+    """Ignore the progress."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExperimentContext:
-    """One installation, as far as experiments need it."""
+    """The parts of an installation that experiments need."""
 
     settings: Settings
     store: Store
@@ -38,13 +38,13 @@ class ExperimentContext:
     executors: Executors
 
     def folder(self, name: str) -> ExperimentFolder:
-        """Where the experiment called ``name`` is kept."""
+        """The folder of the experiment called ``name``."""
         return ExperimentFolder(self.settings.experiments_folder / name)
 
     def expand(self, experiment: Experiment) -> Expansion:
-        """Everything that ``experiment`` asks for, checked against the catalogue as it is now.
+        """Expand ``experiment`` into its runs, checked against the current catalogue.
 
-        Raises NotFound or InvalidInput naming file and line; a folder that cannot be read is told with its reason.
+        Raises NotFound or InvalidInput naming file and line, with the reason if a folder cannot be read.
         """
         self._explain_broken(experiment)
         view = CatalogueView(
@@ -69,6 +69,6 @@ class ExperimentContext:
 
 
 def guessed_duration_s(pairing: Pairing, recording_s: float) -> float:
-    """How long a run lasts of which nothing is known: as long as its recording plays."""
+    """The assumed duration of a run without measurements: that of its recording."""
     playback = Playback(PlaybackMode(pairing[2]), pairing[3])
     return recording_s / playback.rate if playback.mode is PlaybackMode.REALTIME else recording_s

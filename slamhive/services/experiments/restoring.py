@@ -1,4 +1,4 @@
-"""Experiments out of their folders: rows before the runs are filed, cells and runs that no worker has begun after."""
+"""Restore experiments from their folders: rows before the runs are filed, cells and waiting runs after that."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from slamhive.sweep.experiment_file import parse_experiment
 
 @dataclass(frozen=True, slots=True)
 class Restored:
-    """One experiment: how many runs were queued again, and what keeps it from being whole."""
+    """A restored experiment: the number of runs queued again, and the problem if it is incomplete."""
 
     folder: ExperimentFolder
     queued: int = 0
@@ -27,7 +27,7 @@ class Restored:
 
 
 def restore_rows(context: ExperimentContext) -> Iterator[Restored]:
-    """Make the row of each experiment what its folder says."""
+    """Add or update the row of each experiment from its folder."""
     for folder in sorted(experiment_folders(context.settings.experiments_folder), key=_first_stored):
         try:
             stamp, source = folder.read(), folder.source()
@@ -44,7 +44,7 @@ def restore_rows(context: ExperimentContext) -> Iterator[Restored]:
 
 
 def restore_runs(context: ExperimentContext) -> Iterator[Restored]:
-    """Store the cells, and queue again what has no run folder, except in experiments that were cancelled."""
+    """Store the cells, and queue all runs without a folder, unless the experiment was cancelled."""
     for record in context.store.read(lambda t: t.experiments.all()):
         if record.complete:
             _follow(context, record)
@@ -67,13 +67,13 @@ def restore_runs(context: ExperimentContext) -> Iterator[Restored]:
 
 
 def _repeat_disturbed(t: Transaction, experiment_id: int) -> None:
-    """Queue again the repetitions of disturbed runs that no worker had begun."""
+    """Queue the repetitions of disturbed runs that no worker had started."""
     for run in t.runs.get_many(t.experiments.to_repeat(experiment_id)):
         repeat_if_disturbed(t, run, utc_now())
 
 
 def _follow(context: ExperimentContext, record: ExperimentRecord) -> None:
-    """Its runs wait, or are cancelled, as is wanted of it as a whole."""
+    """Hold or cancel its runs if the experiment is paused or cancelled."""
     now = utc_now()
 
     def work(t: Transaction) -> None:
@@ -86,7 +86,7 @@ def _follow(context: ExperimentContext, record: ExperimentRecord) -> None:
 
 
 def _first_stored(folder: ExperimentFolder) -> tuple[str, str]:
-    """Experiments are listed in the order in which they were stored."""
+    """The sort key: experiments are listed in the order in which they were stored."""
     try:
         stamp = folder.read()
     except SlamHiveError:

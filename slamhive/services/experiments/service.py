@@ -1,4 +1,4 @@
-"""The use cases of experiments, as command line, web pages and web API call them."""
+"""Experiments: preview, start, pause, resume, cancel, retry and report."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from slamhive.sweep.experiment_file import parse_experiment
 
 
 class Experiments:
-    """The experiments of one installation. Every method may raise a SlamHiveError, in one line.
+    """The experiments of one installation.
 
     Args:
         context: The installation.
@@ -45,9 +45,9 @@ class Experiments:
     def preview(
         self, source: ExperimentSource, executor: str | None = None, progress: Progress = silent
     ) -> ExperimentPreview:
-        """What starting ``source`` would do; nothing is stored, and what would be refused is told with it.
+        """Preview the start of ``source``, including the reasons that would prevent it; nothing is stored.
 
-        Raises InvalidInput or NotFound, naming file and line, for a file that makes no plan at all.
+        Raises InvalidInput or NotFound, naming file and line, if the file is not valid.
         """
         context = self._context
         experiment = parse_experiment(source.text, source.name)
@@ -68,15 +68,16 @@ class Experiments:
     def start(
         self, source: ExperimentSource, executor: str | None = None, progress: Progress = silent
     ) -> ExperimentStatus:
-        """Store all that ``source`` asks for and queue its runs; ``progress`` is called with runs stored and runs.
+        """Store the experiment and queue its runs; ``progress`` is called with the runs stored and their total.
 
-        The same file again changes nothing, or completes what was interrupted. ``executor`` wins over the file's.
+        Starting the same file again completes an interrupted start, or changes nothing. ``executor`` overrides that of
+        the file.
 
         Raises:
-            InvalidInput: naming file and line; nothing is stored then.
-            NotFound: the same, for a name that nothing answers to.
-            Conflict: the name belongs to an experiment that states something else, or that was cancelled.
-            Unavailable: more disk is needed than there is, or the executor does not answer.
+            InvalidInput: the file is not valid; names file and line, and nothing is stored.
+            NotFound: the same, for an unknown name.
+            Conflict: another experiment has this name, or it was cancelled.
+            Unavailable: the disk space is not sufficient, or the executor does not answer.
         """
         check_writable(self._context.settings)
         return self.status(start(self._context, source, executor, progress))
@@ -86,24 +87,24 @@ class Experiments:
         return self._context.store.read(statuses.all_statuses)
 
     def status(self, name: str) -> ExperimentStatus:
-        """How far an experiment is; raises NotFound."""
+        """The progress of an experiment; raises NotFound."""
         return self._context.store.read(lambda t: statuses.status(t, name, self._time_left))
 
     def source(self, name: str) -> ExperimentSource:
-        """The file of an experiment as it was given."""
+        """The original file of an experiment."""
         record = self._context.store.read(lambda t: t.experiments.get(name))
         return ExperimentSource(record.source, f"experiment {name}")
 
     def axes(self, name: str) -> dict[str, tuple[Value, ...]]:
-        """The axes of an experiment with all their values, in the order of the file."""
+        """The axes of an experiment with all values, in the order of the file."""
         return self._context.store.read(lambda t: self._tables.get(t, t.experiments.get(name)).axes)
 
     def cells(self, name: str, after: int = 0, limit: int = 50) -> CellPage:
-        """The next ``limit`` cells (1 to 1000) after number ``after``, with their runs and figures."""
+        """The next ``limit`` cells (1 to 1000) after number ``after``, with their runs and metrics."""
         return self._context.store.read(lambda t: statuses.cell_page(t, name, after, limit))
 
     def grid(self, name: str, row_axis: str, column_axis: str) -> Grid:
-        """How many runs are queued, running, good, failed and cancelled for each pair of values of two axes."""
+        """The number of runs in each phase, for each pair of values of two axes."""
 
         def work(t: Transaction) -> Grid:
             record = t.experiments.get(name)
@@ -113,52 +114,52 @@ class Experiments:
         return self._context.store.read(work)
 
     def report(self, name: str) -> Iterator[Cell]:
-        """Every cell in order; few are in memory at a time. Raises NotFound at once."""
+        """All cells in order, read in pages to save memory. Raises NotFound at once."""
         self._context.store.read(lambda t: t.experiments.get(name))
         return statuses.all_cells(self._context, name)
 
     def run_ids(self, name: str) -> tuple[int, ...]:
-        """The ids of all its runs, retries too, in order."""
+        """The ids of all its runs, including retries, in order."""
         return self._context.store.read(lambda t: tuple(t.experiments.run_ids(t.experiments.get(name).id)))
 
     def unfinished(self, name: str) -> tuple[int, ...]:
-        """The ids of its runs that have not ended, or whose evaluation has not, in order."""
+        """The ids of its runs that have not ended or wait for evaluation, in order."""
         return self._context.store.read(lambda t: tuple(t.experiments.unfinished(t.experiments.get(name).id)))
 
     def restore_rows(self) -> Iterator[Restored]:
-        """Reindex, first part: a row for each experiment folder."""
+        """First part of reindexing: a row for each experiment folder."""
         check_writable(self._context.settings)
         return restore_rows(self._context)
 
     def restore_runs(self) -> Iterator[Restored]:
-        """Reindex, second part, once run folders are filed: cells, and the runs that no worker has begun."""
+        """Second part of reindexing, after the run folders are filed: cells, and runs that no worker has started."""
         check_writable(self._context.settings)
         return restore_runs(self._context)
 
     def pause(self, name: str) -> ExperimentStatus:
-        """Keep queued runs from being taken; those that a worker has go on. Raises Conflict if all have ended."""
+        """Hold queued runs; active runs continue. Raises Conflict if all runs have ended."""
         check_writable(self._context.settings)
         if self.status(name).standing is Standing.FINISHED:
             raise Conflict(f"experiment {name} has finished", "there is nothing to pause")
         return self._put(name, ExperimentState.PAUSED)
 
     def resume(self, name: str) -> ExperimentStatus:
-        """Let queued runs be taken again."""
+        """Release the held runs."""
         return self._put(name, ExperimentState.ACTIVE)
 
     def cancel(self, name: str) -> ExperimentStatus:
-        """Cancel what is queued and ask the workers of active runs to end them; this is for good."""
+        """Cancel all queued and active runs. This cannot be undone."""
         return self._put(name, ExperimentState.CANCELLED)
 
     def retry_failed(self, name: str) -> int:
-        """Queue a run in the place of each failed one; how many. At once again, there is none left to do."""
+        """Queue a new run for each failed one; returns their number. A second call finds none left to retry."""
         check_writable(self._context.settings)
         return retry_failed(self._context, name)
 
     def add_repeats(self, name: str, count: int, progress: Progress = silent) -> ExperimentStatus:
-        """Run each cell ``count`` times more with each seed, as if the file had asked for so many at once.
+        """Add ``count`` repeats to each cell and seed, as if the file had requested them from the start.
 
-        Raises InvalidInput for a count that is not allowed, Conflict if algorithms or datasets have changed meanwhile.
+        Raises InvalidInput for a count that is not allowed, Conflict if algorithms or datasets have changed.
         """
         check_writable(self._context.settings)
         add_repeats(self._context, name, count, progress)

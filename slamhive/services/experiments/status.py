@@ -1,4 +1,4 @@
-"""How far experiments are: counts, time left, cells, and the grid of two axes."""
+"""The progress of experiments: counts, time left and cells."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from slamhive.store import Transaction
 from slamhive.store.experiment_records import CellRecord, CellRun, ExperimentRecord, ExperimentState, StateCount
 
 METRICS = ("ate.rmse", "tracked_fraction", "cpu.mean", "ram.max", "duration")
-"""The figures of cells and reports."""
+"""The metrics of cells and reports."""
 
 LARGEST_PAGE = 1000
 _MANY = 500
@@ -33,7 +33,7 @@ _STANDINGS = {ExperimentState.PAUSED: Standing.PAUSED, ExperimentState.ACTIVE: S
 
 
 def all_statuses(t: Transaction) -> tuple[ExperimentStatus, ...]:
-    """Every experiment, the newest first, without the time left."""
+    """All experiments, newest first, without the time left."""
     counts, disturbed = t.experiment_counts.by_experiment(), t.experiment_counts.disturbed()
     return tuple(
         status_of(record, counts.get(record.id, []), disturbed.get(record.id, 0)) for record in t.experiments.all()
@@ -52,7 +52,7 @@ def status(t: Transaction, name: str, time_left: TimeLeft) -> ExperimentStatus:
 def status_of(
     record: ExperimentRecord, found: Sequence[StateCount], disturbed: int = 0, left_s: float | None = None
 ) -> ExperimentStatus:
-    """The status that these counts amount to."""
+    """The status of an experiment with these counts of runs."""
     counts: Counter[Phase] = Counter()
     failures: Counter[Failure] = Counter()
     retried = 0
@@ -85,7 +85,7 @@ def status_of(
 
 
 def standing_of(record: ExperimentRecord, counts: Mapping[Phase, int]) -> Standing:
-    """Where an experiment with these runs stands."""
+    """The state of an experiment with these runs."""
     if record.state is ExperimentState.CANCELLED:
         return Standing.CANCELLED
     if not record.complete:
@@ -110,7 +110,7 @@ def cell_page(t: Transaction, name: str, after: int, limit: int) -> CellPage:
 
 
 def all_cells(context: ExperimentContext, name: str) -> Iterator[Cell]:
-    """Every cell in order; few are in memory at a time."""
+    """All cells in order, read in pages to save memory."""
     after: int | None = 0
     while after is not None:
         page = context.store.read(lambda t, after=after: cell_page(t, name, after, _MANY))  # type: ignore[misc]
@@ -144,7 +144,7 @@ def _cell(cell: CellRecord, runs: Sequence[CellRun]) -> Cell:
 
 
 def _figures(runs: Sequence[CellRun]) -> Iterator[CellFigures]:
-    """Figures of the runs that did not fail, those of each protocol by themselves."""
+    """The metrics of successful runs, by protocol."""
     groups: dict[str | None, list[CellRun]] = defaultdict(list)
     for run in counted_runs(runs):
         if Phase.of(run.state, run.judged) in (Phase.GOOD, Phase.UNJUDGED):
@@ -160,9 +160,9 @@ def _figures(runs: Sequence[CellRun]) -> Iterator[CellFigures]:
 
 
 def counted_runs(runs: Sequence[CellRun]) -> list[CellRun]:
-    """The runs of a cell without disturbed ones in whose place another run has succeeded or failed since.
+    """The runs of a cell without disturbed ones whose repetition has succeeded or failed.
 
-    A disturbed run counts until then. The last repetition counts even if it was disturbed, too: each place counts once.
+    Until then the disturbed run counts. The last repetition counts even if it was disturbed as well.
     """
     places: dict[int, int] = {}
     last: dict[int, int] = {}

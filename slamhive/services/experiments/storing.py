@@ -1,4 +1,4 @@
-"""Storing an experiment: thousands of cells and runs in chunks, each a transaction; done again, it completes."""
+"""Store an experiment: cells and runs in chunks, one transaction each; a second call completes the first."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from slamhive.sweep.experiment import Experiment
 logger = logging.getLogger(__name__)
 
 CHUNK = 2000
-"""Runs of one transaction: a second at most, in which a worker of the same SQLite file may have to wait."""
+"""Runs in one transaction, which may block a worker of the same SQLite file for at most a second."""
 
 
 def put_experiment(
     context: ExperimentContext, stamp: ExperimentStamp, source: str, experiment: Experiment, *, cells: int, runs: int
 ) -> ExperimentRecord:
-    """The row of an experiment of which nothing, or not all, is stored yet; as it is if there is one."""
+    """Add the row of an experiment, or return the existing one."""
     values = {
         "description": experiment.description,
         "content_hash": stamp.content_hash,
@@ -51,7 +51,7 @@ def put_experiment(
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Ids that configurations refer to, the protocol of each pair, and whether cells get no runs."""
+    """Ids of algorithms and datasets, the protocol of each pair, and whether only cells are stored."""
 
     algorithms: Mapping[str, tuple[int, Algorithm]]
     datasets: Mapping[str, int]
@@ -68,11 +68,10 @@ def fill(
     *,
     cells_only: bool = False,
 ) -> None:
-    """Store every cell and run of ``expansion`` that is not stored yet, and mark the experiment as complete.
+    """Store all missing cells and runs of ``expansion``, and mark the experiment as complete.
 
-    ``cells_only``: no run is added, as for a cancelled experiment out of its folder.
-    Raises Conflict if cells that are stored differ, because the catalogue has changed, or if the experiment is
-    cancelled meanwhile.
+    ``cells_only`` adds no runs, for restoring a cancelled experiment. Raises Conflict if stored cells differ, because
+    the catalogue has changed, or if the experiment is cancelled meanwhile.
     """
     rows = _prepare(context, experiment, expansion, cells_only=cells_only)
     cells = runs = 0

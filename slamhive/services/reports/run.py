@@ -1,4 +1,4 @@
-"""One analysis from file to result: runs selected, their table loaded once, each form built."""
+"""Compute an analysis: select runs, load their table once, build each plot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from slamhive.store import Store
 
 @dataclass(frozen=True, slots=True)
 class AnalysisLimits:
-    """What one analysis may take."""
+    """Resource limits of one analysis."""
 
     runs: int
     time_s: float
@@ -28,7 +28,7 @@ class AnalysisLimits:
 
 @dataclass(frozen=True, slots=True)
 class AnalysisSources:
-    """Where an analysis finds things: filters, saved searches, the sensors of algorithms."""
+    """Data sources of an analysis: filters, saved searches, sensors of algorithms."""
 
     settings: Settings
     store: Store
@@ -39,7 +39,7 @@ class AnalysisSources:
 
 @dataclass(frozen=True, slots=True)
 class FormOutcome:
-    """What became of one form: a result, or why it could not be made, in one line."""
+    """The result of one plot, or the reason why it could not be made, in one line."""
 
     request: FormRequest
     result: FormResult | None
@@ -47,13 +47,13 @@ class FormOutcome:
 
     @property
     def title(self) -> str:
-        """The title that the file gives, or the form's own."""
+        """The title in the file, or the default of the plot type."""
         return self.request.options.title or self.request.form.title
 
 
 @dataclass(frozen=True, slots=True)
 class AnalysisOutcome:
-    """What became of an analysis."""
+    """The result of an analysis."""
 
     analysis: Analysis
     table: RunTable
@@ -61,12 +61,12 @@ class AnalysisOutcome:
 
     @property
     def failed_runs(self) -> int:
-        """How many of the selected runs count as failed."""
+        """The number of selected runs that count as failed."""
         return len(self.table.failed())
 
     @property
     def complete(self) -> bool:
-        """Every form could be made."""
+        """Whether every plot could be made."""
         return all(form.error is None for form in self.forms)
 
 
@@ -76,10 +76,10 @@ def run_analysis(
     limits: AnalysisLimits,
     progress: Callable[[float, str], None] = lambda _fraction, _doing: None,
 ) -> AnalysisOutcome:
-    """Select, load, build. A form that does not fit the data says so and leaves the others alone.
+    """Select, load, build. A plot that does not fit the data reports that; the others are not affected.
 
     Raises:
-        InvalidInput, NotFound: for a selection that is empty, too large or names what does not exist.
+        InvalidInput, NotFound: the selection is empty, too large, or names something unknown.
     """
     deadline_s = monotonic_s() + limits.time_s
     progress(0.0, "selecting runs")

@@ -1,4 +1,4 @@
-"""The runs that an analysis is about: each set looked up in the store, then the expression over them."""
+"""Select the runs of an analysis: look up each set in the store, then evaluate the expression."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.store import Store, Transaction
 
 Find = Callable[[str], Sequence[int]]
-"""The runs that a filter finds."""
+"""Returns the runs that match a filter."""
 
 
 def select_runs(analysis: Analysis, store: Store, find: Find, saved: Callable[[str], str]) -> tuple[int, ...]:
     """The ids of the selected runs, in order.
 
     Args:
-        analysis: What is selected.
-        store: Where experiments, groups and configurations are looked up.
-        find: Runs of a filter.
-        saved: The filter of a saved search by its name.
+        analysis: Defines the selection.
+        store: For experiments, groups and configurations.
+        find: Finds the runs of a filter.
+        saved: Finds the filter of a saved search.
 
     Raises:
-        InvalidInput: for a filter that is none, and if nothing is selected.
-        NotFound: for an experiment, saved search or group that does not exist, and for runs that do not.
+        InvalidInput: a filter is invalid, or nothing is selected.
+        NotFound: an experiment, saved search, group or run does not exist.
     """
 
     def members(name: str) -> frozenset[int]:
@@ -38,7 +38,7 @@ def select_runs(analysis: Analysis, store: Store, find: Find, saved: Callable[[s
     chosen = evaluate(analysis.use, lambda name: sets[name])
     if not chosen:
         sizes = ", ".join(f"{name} holds {len(sets[name])} ({set_words(analysis.sets[name])})" for name in sorted(sets))
-        raise InvalidInput(f"the selection holds no run: {sizes}", "widen it, or run and evaluate first")
+        raise InvalidInput(f"the selection holds no run: {sizes}", "select more, or run the experiment first")
     return tuple(sorted(chosen))
 
 

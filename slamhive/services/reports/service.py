@@ -1,4 +1,4 @@
-"""The use cases of analyses that command line, worker and pages share."""
+"""Read analysis files and compute reports, for command line, worker and pages."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Analyses:
     Args:
         settings: In force.
         store: The database.
-        catalogue: Algorithms, which tell their sensors.
+        catalogue: Algorithms, with their sensors.
         searches: Filters and saved searches.
     """
 
@@ -39,7 +39,7 @@ class Analyses:
         self._searches = searches
 
     def read(self, text: str, source: str = "analysis.yaml") -> Analysis:
-        """The analysis that ``text`` states, ours or the published system's; raises InvalidInput with the line."""
+        """Parse an analysis file of this or of the published SLAM Hive; raises InvalidInput with the line."""
         if len(text.encode()) > MAX_SOURCE_BYTES:
             raise InvalidInput(f"{source} is larger than {MAX_SOURCE_BYTES} bytes", "split it into several analyses")
         return parse_analysis(text, source, self._store.read(_paper_names))
@@ -54,7 +54,7 @@ class Analyses:
         limits: AnalysisLimits,
         progress: Callable[[float, str], None] = lambda _share, _doing: None,
     ) -> dict[str, Any]:
-        """The report; raises InvalidInput or NotFound for a selection that cannot be."""
+        """Compute the report; raises InvalidInput or NotFound for an invalid selection."""
         sources = AnalysisSources(
             settings=self._settings,
             store=self._store,
@@ -65,7 +65,7 @@ class Analyses:
         return report_json(run_analysis(analysis, sources, limits, progress), utc_now())
 
     def fingerprint(self, analysis: Analysis) -> str:
-        """Which runs are selected now, with which figures; raises as :meth:`compute`."""
+        """Identifies the selected runs and their metrics; raises as :meth:`compute`."""
         run_ids = select_runs(analysis, self._store, self._searches.find, self._saved_search)
         return self._store.read(lambda t: t.analyses.fingerprint(run_ids))
 

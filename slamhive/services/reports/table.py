@@ -1,4 +1,4 @@
-"""The table of an analysis out of the store: facts, parameters, variants, and the metrics that are needed."""
+"""Load the table of an analysis from the store: facts, parameters, variants and the required metrics."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) 
     """The table of the requested runs.
 
     Args:
-        store: Where the runs are.
-        request: Which runs and figures.
-        sensors: The sensor set-up of each installed algorithm by its name.
+        store: The database.
+        request: Which runs and metrics.
+        sensors: The sensor setup of each installed algorithm, by name.
 
     Raises:
-        NotFound: for a protocol that nothing was evaluated under.
-        InvalidInput: none of the runs has been evaluated yet.
+        NotFound: no run was evaluated under the protocol.
+        InvalidInput: none of the runs has been evaluated.
     """
     metrics = sorted({key for key in request.keys if key in CATALOGUE} | set(EVIDENCE))
 
@@ -80,7 +80,7 @@ def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) 
 
 
 def _undisturbed(facts: Columns) -> Columns:
-    """The facts of runs that are not known to have been disturbed; raises InvalidInput if there is none."""
+    """The facts of runs that were not disturbed; raises InvalidInput if there are none."""
     kept = [words is None or words == UNDISTURBED for words in facts["disturbed"]]
     if not any(kept) and kept:
         raise InvalidInput(
@@ -90,16 +90,16 @@ def _undisturbed(facts: Columns) -> Columns:
 
 
 def _disturbance_words(kinds: str | None) -> str | None:
-    """What disturbed a run, out of the column that searches go through; None if that is not known."""
+    """What disturbed a run, from the column for searches; None if unknown."""
     if kinds is None:
         return None
     return ", ".join(DisturbanceKind(kind).label for kind in kinds.split()) or UNDISTURBED
 
 
 def _evaluated(source: Any, facts: Columns, errors_m: Mapping[int, float], protocol: str | None) -> Columns:
-    """The facts of runs whose figures are there or cannot be had, how their evaluations ended, and under what protocol.
+    """The facts of runs with a known result, the outcomes of their evaluations, and their protocols.
 
-    What remains are runs that nobody has evaluated, that were cancelled or have not ended: they have not failed.
+    Runs that were not evaluated, were cancelled, or have not ended are left out: they have not failed.
     """
     ended_well = [state == RunState.SUCCEEDED for state in facts["state"]]
     pairs = list(zip(facts["run_id"], ended_well, strict=True))
@@ -132,27 +132,27 @@ def load_every_protocol(store: Store, keys: Collection[str], run_ids: Sequence[i
 
 
 def check_size(run_ids: Sequence[int], limit: int) -> None:
-    """Raise InvalidInput for more runs than an analysis may have."""
+    """Raise InvalidInput if there are more runs than an analysis may have."""
     if len(run_ids) > limit:
         raise InvalidInput(f"the selection holds {len(run_ids)} runs, {limit} are allowed", "narrow it")
 
 
 def _told_by_axes(variants: Sequence[Any], axes: Mapping[str, Mapping[int, Any]], run_ids: Sequence[int]) -> set[str]:
-    """The options of steps, if all runs that have any come from experiments, whose axes say the same in few columns."""
+    """The step options to leave out: if all runs with steps come from experiments, the axes show the same."""
     named = {run_id for values in axes.values() for run_id in values}
     covered = all(run_id in named for run_id, variant in zip(run_ids, variants, strict=True) if variant)
     return set(_variant_columns(variants)) if covered else set()
 
 
 def _unit(name: str, units: Mapping[str, str]) -> str:
-    """The unit of a parameter, or of an option of a step by the ending of its name."""
+    """The unit of a parameter, or of a step option according to the suffix of its name."""
     if not name.startswith(VARIANT_PREFIX):
         return units.get(name, "")
     return _ENDINGS.get(name.rpartition(".")[2].rpartition("_")[2], "")
 
 
 def _source(axis: list[Any], columns: Columns, known: Collection[str]) -> str:
-    """The parameter or option that an axis of an experiment sets; empty if it cannot be told."""
+    """The parameter or option that an axis of an experiment sets; empty if unknown."""
     for name in known:
         pairs = [pair for pair in zip(axis, columns[name], strict=True) if None not in pair]
         if pairs and all(own == other for own, other in pairs) and len(set(axis)) > 1:
@@ -165,7 +165,7 @@ def _by_id(values: Mapping[str, Mapping[int, Any]], ids: Sequence[int]) -> Colum
 
 
 def _variant_columns(variants: Sequence[Any]) -> dict[str, list[Any]]:
-    """One column for each option of each kind of step, named as filters name it; None where a run has no such step."""
+    """One column for each option of each kind of step, named as in filters; None if a run has no such step."""
     names = {
         f"{VARIANT_PREFIX}{step['kind']}.{option}"
         for variant in variants
@@ -181,5 +181,5 @@ def _variant_columns(variants: Sequence[Any]) -> dict[str, list[Any]]:
 
 
 def _variant_words(variant: Any) -> str | None:
-    """The steps in words; None for the recording as it is."""
+    """The steps in words; None for the original recording."""
     return "; ".join(map(str, variant_from_json(variant))) if variant else None
