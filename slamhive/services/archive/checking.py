@@ -1,4 +1,4 @@
-"""Everything in an archive that will be filed is read once before anything is filed."""
+"""Check an archive: read everything that will be filed before anything is filed."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from slamhive.store.experiment_records import ExperimentRecord
 from slamhive.sweep.experiment_file import parse_experiment
 
 Progress = Callable[[float, str], None]
-"""Called with the share done (0..1) and what is being done."""
+"""Called with the share done (0..1) and the current activity."""
 
 
 @dataclass
 class Contents:
-    """What is known of an archive that was checked: uids of its runs with their numbers, and its experiments."""
+    """The content of a checked archive: {uid: number} of its runs, and its experiments."""
 
     runs: dict[str, int] = field(default_factory=dict)
     datasets: list[str] = field(default_factory=list)
@@ -31,9 +31,9 @@ class Contents:
 
 
 def check_archive(archive: ArchiveReader, progress: Progress, place: Place = not_unpacked) -> Contents:
-    """Compare every member with its checksum and read every row; raises InvalidInput for the first that is wrong.
+    """Compare every member with its checksum and read every row; raises InvalidInput for the first error.
 
-    What ``place`` tells is unpacked on the way.
+    Members for which ``place`` returns a path are unpacked meanwhile.
     """
     archive.verify(lambda done, total: progress(0.8 * done / max(total, 1), "comparing checksums"), place)
     contents = Contents()
@@ -44,12 +44,14 @@ def check_archive(archive: ArchiveReader, progress: Progress, place: Place = not
     for content in archive.lines(layout.CONFIGURATIONS):
         line = lines.configuration_from_line(content)
         if line.configuration.algorithm not in algorithms or line.configuration.dataset not in contents.datasets:
-            raise InvalidInput(f"configuration {line.id} of the archive refers to what it lacks", "export it again")
+            raise InvalidInput(
+                f"configuration {line.id} of the archive refers to something that is missing in it", "export it again"
+            )
         configurations.add(line.id)
     contents.experiments = [lines.experiment_from_line(content) for content in archive.lines(layout.EXPERIMENTS)]
     names = {record.name for record in contents.experiments}
     if len(names) < len(contents.experiments):
-        raise InvalidInput("the archive has two experiments of one name", "export it again")
+        raise InvalidInput("the archive has two experiments with the same name", "export it again")
     for record in contents.experiments:
         parse_experiment(record.source, f"experiment {record.name} of the archive")
     cells: set[tuple[str, int]] = set()
@@ -59,7 +61,9 @@ def check_archive(archive: ArchiveReader, progress: Progress, place: Place = not
             raise InvalidInput(f"the archive has cell {cell.number} of {experiment[:64]} twice", "export it again")
         cells.add((experiment, cell.number))
         if experiment not in names or cell.configuration_id not in configurations:
-            raise InvalidInput(f"a cell of the archive refers to what it lacks: {experiment[:64]}, {cell.name}")
+            raise InvalidInput(
+                f"a cell of the archive refers to something that is missing in it: {experiment[:64]}, {cell.name}"
+            )
     for content in archive.lines(layout.SEARCHES):
         lines.search_from_line(content)
     for content in archive.lines(layout.ANALYSES):
@@ -84,7 +88,7 @@ def _check_runs(archive: ArchiveReader, contents: Contents, progress: Progress) 
             contents.runs_of_experiment[name] = contents.runs_of_experiment.get(name, 0) + 1
         progress(0.8 + 0.2 * min(len(numbers) / expected, 1.0), "reading records")
     if len(numbers) != archive.manifest.counts.get("runs", 0):
-        raise InvalidInput(f"the archive has {len(numbers)} runs and says to have another number", "export it again")
+        raise InvalidInput(f"the archive has {len(numbers)} runs, but states another number", "export it again")
 
 
 def _check_datasets(archive: ArchiveReader, contents: Contents) -> None:
@@ -102,7 +106,7 @@ def _check_datasets(archive: ArchiveReader, contents: Contents) -> None:
 
 
 def _check_folders(archive: ArchiveReader, contents: Contents, experiments: set[str]) -> None:
-    """No member is outside the folders of what is filed."""
+    """Raise InvalidInput for a member outside the folders of the filed runs, datasets and experiments."""
     numbers = set(contents.runs.values())
     datasets = set(contents.datasets)
     for name in archive.names:

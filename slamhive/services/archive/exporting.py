@@ -1,4 +1,4 @@
-"""Exporting runs with all that belongs to them: streamed, and a file that is whole or not there."""
+"""Export runs with everything that belongs to them, as a stream; the file is complete or does not exist."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ ODD_NAMES = "files with names that no archive holds"
 _SCRATCH, _RESULT = "work", "result"
 
 Progress = Callable[[int, int], None]
-"""Called with how many runs are done, and how many there are."""
+"""Called with the number of runs done and their total."""
 
 
 class Part(StrEnum):
-    """Files of runs that an export may go without."""
+    """Files of runs that an export can leave out."""
 
     TRAJECTORIES = "trajectories"
     MAPS = "maps"
@@ -56,7 +56,7 @@ _LEFT_OUT: dict[Part, Callable[[str], bool]] = {
 
 @dataclass(frozen=True, slots=True)
 class ExportRequest:
-    """What to export: all runs (``run_ids`` None) with everything else that is stored, or these with what they need."""
+    """What to export: everything (``run_ids`` None), or these runs with everything that they refer to."""
 
     path: Path
     run_ids: Sequence[int] | None = None
@@ -66,7 +66,7 @@ class ExportRequest:
 
 @dataclass
 class ExportReport:
-    """How many rows of each kind are in the archive, and how many runs, and files of runs, are not, by reason."""
+    """Number of rows of each kind in the archive; number of runs and files left out, by reason."""
 
     counts: Counter[str] = field(default_factory=Counter)
     left_out: Counter[str] = field(default_factory=Counter)
@@ -76,7 +76,7 @@ class ExportReport:
 
 @dataclass(frozen=True, slots=True)
 class _Batch:
-    """Some runs with what is exported of their rows."""
+    """A batch of runs with their rows."""
 
     runs: tuple[RunRecord, ...]
     originals: Mapping[int, str]
@@ -87,13 +87,13 @@ class _Batch:
 def export_archive(settings: Settings, store: Store, request: ExportRequest, progress: Progress) -> ExportReport:
     """Write the archive; raises Conflict if the file exists, InvalidInput if there is nothing to export."""
     if request.path.exists() and not request.replace:
-        raise Conflict(f"{request.path} exists already", "choose another file, or say --replace")
+        raise Conflict(f"{request.path} exists already", "choose another file, or use --replace")
     if not request.path.absolute().parent.is_dir():
-        raise InvalidInput(f"the folder of {request.path} does not exist", "make it first")
+        raise InvalidInput(f"the folder of {request.path} does not exist", "create it first")
     report = ExportReport()
     run_ids = _ended(store, request, report)
     if not run_ids:
-        raise InvalidInput("there is no run to export that has ended", "slamhive runs lists them")
+        raise InvalidInput("no run that could be exported has ended", "slamhive runs lists them")
     with archive_writer(request.path.absolute()) as archive:
         export = _Export(settings, store, archive, request, report)
         for start in range(0, len(run_ids), BATCH):
@@ -143,14 +143,14 @@ class _Export:
         self._modes = {record.name: record.mode for record in store.read(lambda t: t.catalogue.algorithms())}
 
     def runs(self, run_ids: Sequence[int]) -> Iterator[int]:
-        """Add runs with their folders; the number of each."""
+        """Add runs with their folders; yields the number of each."""
         batch = self._store.read(lambda t: _batch(t, run_ids))
         for run in batch.runs:
             self._run(run, batch)
             yield run.id
 
     def rest(self, run_ids: Sequence[int]) -> None:
-        """Add what the runs refer to, and if all are exported, everything else."""
+        """Add everything that the runs refer to; in a complete export, also everything else."""
         experiments = self._experiments_of_runs()
         ids = [record.id for record in experiments]
         if self._request.run_ids is None:
@@ -174,7 +174,7 @@ class _Export:
                 self._dataset_folder(dataset.name)
 
     def _analyses(self) -> None:
-        """The listed ones, as they are stated."""
+        """Add the files of listed analyses."""
         for record in self._store.read(lambda t: t.analyses.listed(_MOST_ANALYSES)):
             try:
                 source = AnalysisFolder(self._settings.analyses_folder / record.token).source
@@ -207,7 +207,7 @@ class _Export:
             self._experiments.add(run.experiment)
 
     def _sealed(self, folder: RunFolder, run: RunRecord, events: list[RunEvent]) -> dict[str, Any] | None:
-        """The record in the run's folder; None if there is none, or that of another run."""
+        """The record in the run's folder; None if it is missing or belongs to another run."""
         try:
             record = folder.read_record()
         except SlamHiveError:
@@ -256,7 +256,7 @@ class _Export:
                 self._datasets.add(record.configuration.dataset)
 
     def _dataset_folder(self, name: str) -> None:
-        """Its description and its ground truth; the recording stays where it is."""
+        """Add the description and ground truth of a dataset, without its recording."""
         folder = self._settings.datasets_folder / name
         try:
             dataset = load_dataset(folder)
@@ -299,7 +299,7 @@ def _files(root: Path, left_out: Counter[str]) -> Iterator[tuple[str, Path]]:
 
 
 def _unfit(entry: Entry) -> str | None:
-    """Why something below a run folder cannot be a member, empty if it can; None for a folder, which is none."""
+    """Why a path below a run folder cannot be a member; empty if it can; None for a folder."""
     if entry.is_folder:
         return None if entry.entered else "folders too deep to be looked into"
     return "" if entry.is_file else "links, pipes and other things that are no files"

@@ -1,8 +1,8 @@
-"""Importing an archive: merged with what is here, whole or completed by the same command, nothing twice.
+"""Import an archive and merge it with the installation; nothing is imported twice.
 
-Folders of runs are unpacked aside while their checksums are compared. When all is known to be whole, each batch of runs
-is filed in one transaction, and their folders are renamed into place right after; an import that is killed in between,
-or anywhere else, is completed by the same command.
+Folders of runs are unpacked aside while their checksums are compared. Once the whole archive is verified, each batch of
+runs is filed in one transaction, and its folders are renamed into place. The same command completes an import that was
+killed at any time.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ from slamhive.store import Store, Transaction
 
 BATCH = 100
 _CHECKING = 0.7
-"""The share of the time that comparing checksums takes, unpacking on the way."""
+"""The share of the time that checking and unpacking take."""
 _MB = 1_000_000
 
 
 @dataclass
 class ArchiveReport:
-    """What became of the runs of an archive, in numbers, and what was done otherwise than one may think."""
+    """Numbers of imported runs, and notes on everything that differs from the archive."""
 
     imported: int = 0
     known: int = 0
@@ -58,7 +58,7 @@ class ArchiveReport:
 
 @dataclass(frozen=True, slots=True)
 class _Unpacked:
-    """A run of the archive, unpacked aside (``folder`` None if it has no folder)."""
+    """An unpacked run of the archive (``folder`` None if it has no folder)."""
 
     line: lines.RunLine
     run: FolderRun
@@ -67,7 +67,7 @@ class _Unpacked:
 
 @dataclass(frozen=True, slots=True)
 class _Ready:
-    """Where folders of runs lie unpacked, and what the runs refer to."""
+    """The folder of the unpacked runs, and what the runs refer to."""
 
     aside: Path
     around: Surroundings
@@ -78,8 +78,8 @@ class ArchiveImport:
 
     Args:
         settings: Mode and data root.
-        store: Where rows are filed.
-        catalogue: The algorithms that are here.
+        store: The database.
+        catalogue: The algorithms of this installation.
     """
 
     def __init__(self, settings: Settings, store: Store, catalogue: Catalogue) -> None:
@@ -91,9 +91,9 @@ class ArchiveImport:
         """Check the archive as a whole, then import it.
 
         Raises:
-            InvalidInput: The archive is damaged, tampered with or none of ours; nothing has changed.
-            Conflict: Another import is under way.
-            Unavailable: The disk or the database refuses; what was imported until then stays.
+            InvalidInput: The archive is damaged, modified or not an archive of SLAM Hive; nothing has changed.
+            Conflict: Another import is running.
+            Unavailable: The disk or the database failed; runs imported until then stay.
         """
         check_writable(self._settings)
         report = ArchiveReport()
@@ -131,7 +131,7 @@ class ArchiveImport:
             raise Unavailable(f"{aside} cannot be written: {error.strerror}", "check space and rights") from None
 
     def _wanted(self, archive: ArchiveReader) -> set[int]:
-        """The runs, by their numbers in the archive, whose folders are not here. Nothing of it has been checked yet."""
+        """The numbers, in the archive, of runs whose folders are missing here. The archive is not checked yet."""
         with_folder = {
             line.uid: line.id for line in map(lines.run_from_line, archive.lines(layout.RUNS)) if line.record is None
         }
@@ -198,12 +198,12 @@ class ArchiveImport:
         return _Unpacked(line, run, folder)
 
     def _put_in_place(self, entry: _Unpacked, folder: RunFolder, numbers: dict[str, int]) -> None:
-        """Give the record its numbers here, and rename the folder."""
+        """Renumber the record for this installation and rename the folder."""
         target = self._folder(numbers[entry.line.uid]).root
         record = _renumbered(entry, numbers)
         try:
             if record != folder.read_record():
-                # Nobody sees the folder before it is renamed: no need to replace the file in one step.
+                # Nobody sees the folder before it is renamed, so the file need not be replaced atomically.
                 folder.record.write_text(RunFolder.record_text(record), encoding="utf-8")
             folder.root.rename(target)
         except OSError as error:
@@ -214,7 +214,7 @@ class ArchiveImport:
 
 
 def _current(line: lines.RunLine, folder: RunFolder | None, found: list[FoundEvaluation]) -> str | None:
-    """The protocol that the run showed where it comes from, if its figures have come along."""
+    """The current protocol of the run in its original installation, if its metrics are in the archive."""
     if folder is None:
         return None
     done = {result.fingerprint for _, result, _ in found if result.succeeded}
@@ -222,7 +222,7 @@ def _current(line: lines.RunLine, folder: RunFolder | None, found: list[FoundEva
 
 
 def _renumbered(entry: _Unpacked, numbers: dict[str, int]) -> dict[str, Any]:
-    """The record with the numbers that runs have here; a run that repeats one that is not here repeats none."""
+    """The record with numbers of this installation; a reference to a missing run is removed."""
     original = None if entry.line.retry_of is None else numbers.get(entry.line.retry_of)
     record = entry.run.record
     return {**record, "id": numbers[entry.line.uid], "request": {**record["request"], "retry_of": original}}
@@ -231,7 +231,7 @@ def _renumbered(entry: _Unpacked, numbers: dict[str, int]) -> dict[str, Any]:
 def _file(
     t: Transaction, catalogue: Catalogue, entries: list[_Unpacked], known: dict[str, int], *, keep: bool
 ) -> dict[str, int]:
-    """File runs with all that is known of them; {uid: number here}."""
+    """File runs with their evaluations; returns {uid: number here}."""
     if not keep or t.archive.taken([entry.line.id for entry in entries]):
         given = _new_numbers(t, catalogue, entries)
     else:
@@ -246,7 +246,7 @@ def _file(
 
 
 def _new_numbers(t: Transaction, catalogue: Catalogue, entries: list[_Unpacked]) -> dict[str, int]:
-    """{uid: number of this installation}, those of rows which are made what the records say right after."""
+    """{uid: number of this installation}, with new rows that the caller fills right after."""
     places = put_configurations(t, catalogue, [entry.run.filed for entry in entries])
     requests = []
     for entry, (_, configuration_id) in zip(entries, places, strict=True):

@@ -1,4 +1,4 @@
-"""What runs of an archive refer to, merged with what is here: what is here stays as it is."""
+"""Merge what the runs of an archive refer to; existing data of the installation do not change."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class Surroundings:
     """Datasets, algorithms, configurations, experiments and saved searches of one archive.
 
     Args:
-        settings: Where folders lie.
-        store: Where rows are filed.
-        catalogue: The algorithms that are here.
-        archive: Checked.
-        contents: What the check found.
-        notes: Gets a line for each thing that is not as in the archive.
+        settings: The folders.
+        store: The database.
+        catalogue: The algorithms of this installation.
+        archive: A checked archive.
+        contents: The result of the check.
+        notes: Gets a line for everything that differs from the archive.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Surroundings:
         self._configurations: dict[int, int] = {}
 
     def import_before_runs(self, counts: Counter[str]) -> None:
-        """Everything that rows of runs refer to."""
+        """Import everything that the rows of runs refer to."""
         self._datasets(counts)
         self._algorithms()
         self._import_configurations(counts)
@@ -67,7 +67,7 @@ class Surroundings:
         self._cells()
 
     def import_after_runs(self, counts: Counter[str], *, kept_numbers: bool) -> None:
-        """What refers to all of it. Analyses may name runs by number: they come only where numbers are kept."""
+        """Import what refers to runs; analyses only if run numbers are kept, because they may name runs by number."""
         self._labels()
         if kept_numbers:
             self._analyses(counts)
@@ -83,7 +83,7 @@ class Surroundings:
                 self._notes.append(f"the saved search {record.name} is another one here, and stays")
 
     def _analyses(self, counts: Counter[str]) -> None:
-        """Under the addresses that they have, to be computed by the worker."""
+        """Import analyses under their tokens, to be computed by the worker."""
         for content in self._archive.lines(layout.ANALYSES):
             record, source = lines.analysis_from_line(content)
             folder = AnalysisFolder(self._settings.analyses_folder / record.token)
@@ -93,7 +93,7 @@ class Surroundings:
                 self._store.write(lambda t: t.analyses.put(record))  # noqa: B023
 
     def experiment_name(self, name: str | None) -> str | None:
-        """What the experiment of this name in the archive is called here."""
+        """The name in this installation of an experiment of the archive."""
         return None if name is None else self._experiment_names.get(name)
 
     # -- datasets and algorithms -----------------------------------------------------------------------------------
@@ -113,7 +113,7 @@ class Surroundings:
                 self._notes.append(f"dataset {name} is another one here: runs of the archive were made on theirs")
 
     def _dataset_folder(self, name: str) -> bool:
-        """Make the folder, without the recording, if there is none; whether it was made."""
+        """Create the folder, without the recording, unless it exists; returns whether it was created."""
         members = self._archive.below(f"datasets/{name}/")
         folder = self._settings.datasets_folder / name
         if folder.exists() or f"datasets/{name}/{DATASET_FILE}" not in members:
@@ -164,7 +164,7 @@ class Surroundings:
             yield lines.configuration_from_line(content)
 
     def _labels(self) -> None:
-        """Names, notes and groups; a name or note that is here already stays."""
+        """Import names, notes and groups; existing names and notes do not change."""
         for line in self._configuration_lines():
             if line.name is None and not line.note and not line.groups:
                 continue
@@ -211,7 +211,7 @@ class Surroundings:
         counts["experiments"] += 1
 
     def _settled_state(self, record: ExperimentRecord) -> ExperimentState:
-        """Nothing of an experiment that is not whole must be queued again here."""
+        """The state of an experiment: an incomplete one counts as cancelled, so that nothing is queued for it."""
         whole = record.complete and self._contents.runs_of_experiment.get(record.name, 0) >= record.runs
         return record.state if whole else ExperimentState.CANCELLED
 
@@ -222,7 +222,7 @@ class Surroundings:
             taken = self._store.read(lambda t: t.experiments.find(name))  # noqa: B023
             if taken is None and (stamp is None or stamp.uid == record.uid):
                 return name
-        raise Conflict(f"there is no name left for experiment {record.name}")
+        raise Conflict(f"no free name is left for experiment {record.name}")
 
     def _cells(self) -> None:
         ids = {record.name: record.id for record in self._store.read(lambda t: t.experiments.all())}
@@ -242,7 +242,7 @@ class Surroundings:
 
 
 def _definitions(line: lines.ConfigurationLine, aliases: dict[tuple[str, str], Any]) -> list[Parameter]:
-    """How the parameters were defined; the general name of one that is defined here is the one it has here."""
+    """The definitions of the parameters; general names are those of this installation, if defined here."""
     algorithm = line.configuration.algorithm
     return [replace(entry, general=aliases.get((algorithm, entry.key), entry.general)) for entry in line.definitions]
 
