@@ -120,11 +120,8 @@ def _bare(hive: Hive, model: RunRecord) -> float:
     client = docker.from_env()
     with tempfile.TemporaryDirectory(prefix="slamhive-bare-") as result:
         volumes = {
-            result if mount.target == "/slamhive/result" else str(mount.source): {
-                "bind": mount.target,
-                "mode": "ro" if mount.read_only else "rw",
-            }
-            for mount in spec.mounts
+            **{str(entry.source): {"bind": entry.target, "mode": "ro"} for entry in spec.inputs},
+            result: {"bind": spec.output("result").target, "mode": "rw"},
         }
         options: dict[str, Any] = {
             "entrypoint": list(spec.command[:1]),

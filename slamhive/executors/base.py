@@ -1,26 +1,27 @@
-"""The executor seam: what every way of running an algorithm offers. See ``docs/executors.md``."""
+"""The executor seam: what each way of running algorithms offers. ``docs/executors.md`` explains it."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
-from datetime import datetime
+from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import ClassVar
 
+from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import SlamHiveError, Unavailable
-
-if TYPE_CHECKING:
-    from slamhive.domain.algorithm import AlgorithmPackage
-
-_FILE_SLACK_BYTES = 1_000_000
+from slamhive.evaluation.batch import BatchStarter
+from slamhive.evaluation.process_starter import ProcessStarter
+from slamhive.executors.spec import Limit, Limits, RunSpec
+from slamhive.executors.status import RunHandle, RunStatus, UsageSource
 
 ProgressCallback = Callable[[str], None]
-"""Called with one line of what is going on (a build step, a layer pulled)."""
+"""Takes one line about what is going on, such as a build step."""
 
 
 class ImageMissing(SlamHiveError):
-    """The image or environment of a package does not exist and could not be made."""
+    """The image or environment of a package does not exist and cannot be made."""
 
 
 class StartFailed(SlamHiveError):
@@ -28,198 +29,165 @@ class StartFailed(SlamHiveError):
 
 
 class EngineUnavailable(Unavailable):
-    """The engine does not answer now; the caller may try again, nothing is known to be lost."""
+    """The engine does not answer now. The caller may try again; nothing is known to be lost."""
+
+
+class PackageNeed(StrEnum):
+    """What an executor needs from an algorithm package."""
+
+    IMAGE = "container image"
+    ENVIRONMENT = "package environment"
+
+
+class EvaluationPlace(StrEnum):
+    """Where the evaluations of runs take place."""
+
+    CONTAINER = "evaluation image"
+    PROCESS = "process of the worker"
 
 
 @dataclass(frozen=True, slots=True)
-class Mount:
-    """A host path and where the container sees it."""
-
-    source: Path
-    target: str
-    read_only: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """What a run may use. None means no limit of ours. ``cpuset`` holds core numbers.
-
-    ``disk_bytes`` and ``files`` count what the run writes wherever it can, and are watched while it runs.
-    """
-
-    cpu_cores: float | None = None
-    memory_bytes: int | None = None
-    pids: int = 512
-    cpuset: tuple[int, ...] | None = None
-    disk_bytes: int | None = None
-    files: int | None = None
-
-    @property
-    def file_bytes(self) -> int | None:
-        """The size at which the kernel refuses one file: somewhat more than all may have, so that the watch sees it."""
-        return None if self.disk_bytes is None else self.disk_bytes + _FILE_SLACK_BYTES
-
-
-@dataclass(frozen=True, slots=True)
-class RunSpec:
-    """Everything an executor needs to start one run; frozen into the run folder before the start.
-
-    ``key`` identifies the run across restarts and installations; starting the same key twice yields the same
-    container. ``identity`` is the image digest, or the environment's hash for the process executor.
-    """
-
-    key: str
-    run_id: int
-    package: str
-    package_folder: Path
-    image: str
-    identity: str
-    command: tuple[str, ...]
-    mounts: tuple[Mount, ...]
-    environment: dict[str, str]
-    limits: Limits
-    timeout_s: float
-    log_path: Path
-
-
-@dataclass(frozen=True, slots=True)
-class Protections:
-    """By what a run is held within its limits, in words for the user.
+class Capabilities:
+    """What an executor promises. Callers ask for these; they never ask which executor it is.
 
     Attributes:
-        held_by: What holds the run as a whole: a container, a control group, a user of its own, the supervisor.
-        processes: What happens when it starts more processes and threads than it may.
-        memory: What holds it to its memory limit.
-        cpu: What holds it to its share of the processors.
-        end: How all of its processes are ended.
-        priority: How the supervisor gets its turn beside the run.
-        does_not_hold: Stronger ways that this machine does not allow, and why: {way: reason}.
+        isolates: A run sees nothing of the machine but its inputs and outputs.
+        limits: The limits that the executor enforces. It refuses a run with any other limit.
+        needs: What it needs from a package.
+        shares_files: Runs read and write the files of the controller, on the cores of its machine. Otherwise the
+            executor transfers inputs, outputs and the files that are watched meanwhile.
+        several_at_once: One worker may start several runs at the same time.
+        evaluates_in: Where evaluations take place.
+        preference: ``auto`` takes the usable executor with the lowest number; None if it must be asked for by name.
     """
 
-    held_by: str
-    processes: str
-    memory: str
-    cpu: str
-    end: str
-    priority: str
-    does_not_hold: dict[str, str] = field(default_factory=dict)
+    isolates: bool = False
+    limits: frozenset[Limit] = frozenset()
+    needs: PackageNeed = PackageNeed.ENVIRONMENT
+    shares_files: bool = True
+    several_at_once: bool = True
+    evaluates_in: EvaluationPlace = EvaluationPlace.PROCESS
+    preference: int | None = None
 
-    @property
-    def text(self) -> str:
-        """All of it in one line, except for what does not hold."""
-        parts = (f"processes {self.processes}", f"memory {self.memory}", f"CPU {self.cpu}", f"end: {self.end}")
-        return f"{self.held_by}: {'; '.join((*parts, self.priority))}"
+    def refusal(self, name: str, limits: Limits) -> str | None:
+        """In words, which of ``limits`` the executor ``name`` does not enforce; None if it enforces all."""
+        missing = sorted(limits.kinds() - self.limits)
+        return f"the executor {name} does not limit {' and '.join(missing)}" if missing else None
 
 
 @dataclass(frozen=True, slots=True)
-class RunHandle:
-    """What must be remembered to find a started run again after a restart: plain strings, stored with the run.
+class ExecutorContext:
+    """What every executor is made from.
 
-    ``data["started_at"]`` is when the engine started the run, ISO 8601 in UTC, the same for whoever adopts it; it is
-    not there if the engine does not say. ``protections`` are told by who starts the run, for its record.
+    Attributes:
+        data: The data root; environments and locks live below it.
+        project_root: The folder with ``algorithms/`` and ``docker/``.
+        installation: Tells the runs of this data root from those of another on the same engine.
+        log_max_bytes: How much of a run's output is kept.
     """
 
-    executor: str
-    data: dict[str, str] = field(default_factory=dict)
-    protections: Protections | None = None
+    data: Path
+    project_root: Path
+    installation: str
+    log_max_bytes: int = 10_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Running:
-    """The run is going on. ``process_limit``: it has been refused processes for so long that it is to be ended."""
-
-    process_limit: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Exited:
-    """The run has ended. ``exit_code`` is 128 + signal for a signal.
-
-    ``process_limit`` says that its supervisor ended it for asking for more processes than it may have,
-    ``refused_processes`` that it was refused some, as far as anybody saw.
-    """
-
-    exit_code: int
-    out_of_memory: bool = False
-    process_limit: bool = False
-    refused_processes: bool = False
-    started_at: datetime | None = None
-    ended_at: datetime | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Gone:
-    """Nothing answers to the handle any more and nobody knows how it ended."""
-
-    why: str
-
-
-RunStatus = Running | Exited | Gone
-
-
-class UsageSource(Protocol):
-    """Where CPU and memory figures of a started run come from.
-
-    ``on_this_machine``: the run is on the machine of this process, whose own counters then tell what else went on.
-    """
-
-    @property
-    def on_this_machine(self) -> bool:
-        """See above."""
-
-    def read(self) -> tuple[float, int] | None:
-        """CPU time used so far (s, summed over cores) and memory in use (bytes); None once the run is gone."""
-
-    def peak_memory_bytes(self) -> int | None:
-        """The kernel's own high-water mark, None where it keeps none."""
-
-    def close(self) -> None:
-        """Let go of files and connections."""
-
-
-class Executor(Protocol):
-    """One way of running algorithms. All methods may raise EngineUnavailable."""
+class Finding:
+    """One result of :meth:`Executor.examine`. A ``remedy`` means that something could be better."""
 
     name: str
+    found: str
+    remedy: str | None = None
 
+
+class Executor(ABC):
+    """One way of running algorithms. All methods may raise EngineUnavailable.
+
+    A new executor implements the abstract methods. The others have defaults that fit an executor which shares the file
+    system of the controller and keeps nothing between runs.
+    """
+
+    name: ClassVar[str]
+    capabilities: ClassVar[Capabilities]
+
+    def __init__(self, context: ExecutorContext) -> None:
+        self._context = context
+
+    # -- can it be used? ---------------------------------------------------------------------------------------------
+
+    @abstractmethod
     def unavailable_because(self) -> str | None:
         """Why this executor cannot be used on this machine, with the remedy; None if it can."""
 
-    def protections(self) -> Protections:
-        """By what runs are held within their limits on this machine. Raises Unavailable, with the remedy."""
+    def examine(self) -> list[Finding]:
+        """What ``slamhive doctor`` reports besides whether the executor can be used. Raises Unavailable."""
+        return []
 
+    def check_package(self, package: AlgorithmPackage) -> None:  # noqa: B027 - most take every package
+        """Raise ImageMissing if the package can never run here. Quick: it is called before a run is queued."""
+
+    # -- images and environments ---------------------------------------------------------------------------------------
+
+    @abstractmethod
     def identity(self, package: AlgorithmPackage) -> str | None:
-        """The image digest (or environment hash) that a start would use now; None if it has to be built."""
+        """The image digest or environment hash that a start would use now; None if it has to be built."""
 
+    @abstractmethod
     def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
-        """Make the image or environment unless it is there already; returns its identity. Raises ImageMissing."""
+        """Make the image or environment unless it exists; returns its identity. Raises ImageMissing."""
 
+    # -- the life of a run ---------------------------------------------------------------------------------------------
+
+    @abstractmethod
     def start(self, spec: RunSpec) -> RunHandle:
         """Start the run, or find the one that was started under ``spec.key``. Raises ImageMissing, StartFailed."""
 
+    @abstractmethod
     def poll(self, handle: RunHandle) -> RunStatus:
-        """How the run stands."""
+        """The status of the run."""
 
+    @abstractmethod
     def stop(self, handle: RunHandle, grace_s: float) -> None:
-        """End the run: politely, and by force after ``grace_s``. A run that has ended already is fine."""
+        """End the run: SIGTERM, then SIGKILL after ``grace_s``. Does nothing if the run has ended."""
 
+    @abstractmethod
     def save_log(self, handle: RunHandle, path: Path) -> None:
         """Write what the run has printed so far to ``path``."""
 
+    @abstractmethod
     def remove(self, handle: RunHandle) -> None:
-        """Remove what is left of the run in the engine. Nothing left is fine."""
+        """End the run and remove what is left of it in the engine. Does nothing if nothing is left."""
 
+    @abstractmethod
     def discard(self, spec: RunSpec) -> None:
-        """End and remove whatever was started under ``spec.key``, by whomever. Nothing there is fine."""
+        """Like :meth:`remove`, for a start whose handle was lost. Does nothing if nothing was started."""
 
-    def usage_source(self, handle: RunHandle) -> UsageSource | None:
-        """Where to sample the run's CPU and memory; None if it has ended."""
+    def refresh(self, spec: RunSpec, handle: RunHandle) -> None:  # noqa: B027 - nothing to do with shared files
+        """Bring the ``live`` files of the outputs up to date on the controller. Called at each look at a run."""
 
-    def hidden_bytes(self, handle: RunHandle) -> int:
-        """What the run has written where only the engine sees it; 0 if that is nowhere, or the run is gone."""
+    def collect(self, spec: RunSpec, handle: RunHandle) -> None:  # noqa: B027 - as above
+        """Bring the outputs of a run that has ended to their destinations. May be called again after a crash."""
 
-    def sweep(self, live_keys: Collection[str]) -> list[str]:
-        """Remove what is left in the engine of runs other than ``live_keys``; names of the removed."""
+    # -- measuring -----------------------------------------------------------------------------------------------------
 
-    def close(self) -> None:
-        """Close connections; runs go on. Not to be used any more."""
+    def usage_source(self, handle: RunHandle) -> UsageSource | None:  # noqa: ARG002 - the signature of the seam
+        """Measures the CPU and memory of the run; None if it has ended, or cannot be measured."""
+        return None
+
+    def hidden_bytes(self, handle: RunHandle) -> int:  # noqa: ARG002 - as above
+        """How much the run has written where only the executor can see it."""
+        return 0
+
+    # -- the executor as a whole ---------------------------------------------------------------------------------------
+
+    def evaluation_starter(self) -> BatchStarter:
+        """Starts evaluations in the place that ``capabilities.evaluates_in`` names."""
+        return ProcessStarter(self._context.project_root)
+
+    def sweep(self, live_keys: Collection[str]) -> list[str]:  # noqa: ARG002 - as above
+        """Remove what is left of runs of this installation other than ``live_keys``; returns names for the log."""
+        return []
+
+    def close(self) -> None:  # noqa: B027 - many keep no connection
+        """Close connections; runs go on. The executor is not used afterwards."""

@@ -5,56 +5,36 @@ from __future__ import annotations
 import fcntl
 import uuid
 from collections.abc import Callable
-from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 from slamhive.errors import Unavailable
-from slamhive.executors.base import Executor
+from slamhive.executors.base import Executor, ExecutorContext
 from slamhive.files import write_aside
 from slamhive.registry import Registry
 
 AUTO = "auto"
 _INSTALLATION_FILE = "installation"
 
-
-@dataclass(frozen=True, slots=True)
-class ExecutorContext:
-    """What every executor is made from.
-
-    Attributes:
-        data: Data root; environments and locks live below it.
-        project_root: Folder with ``algorithms/`` and ``docker/``.
-        installation: Tells the containers of this data root from those of another on the same engine.
-        log_max_bytes: Most bytes kept of a run's output.
-        containment: The one way to hold runs without a container, see ``containment.KINDS``; None for the strongest.
-    """
-
-    data: Path
-    project_root: Path
-    installation: str
-    log_max_bytes: int = 10_000_000
-    containment: str | None = None
-
-
 ExecutorFactory = Callable[[ExecutorContext], Executor]
+ExecutorFinder = Callable[[str], Executor]
+"""Returns the executor of a name, as :meth:`Hive.executor` does."""
 
 EXECUTORS: Registry[ExecutorFactory] = Registry("executor", "slamhive.executors")
 
 
-def _docker(context: ExecutorContext) -> Executor:
-    from slamhive.executors.docker.executor import DockerExecutor  # noqa: PLC0415 - the SDK takes 0.2 s to import
+def _loaded_late(module: str, class_name: str) -> ExecutorFactory:
+    """A class that is imported when the first executor is made from it: the Docker SDK takes 0.2 s to import."""
 
-    return DockerExecutor(context)
+    def make(context: ExecutorContext) -> Executor:
+        executor: Executor = getattr(import_module(module), class_name)(context)
+        return executor
 
-
-def _process(context: ExecutorContext) -> Executor:
-    from slamhive.executors.process.executor import ProcessExecutor  # noqa: PLC0415 - as above, kept alike
-
-    return ProcessExecutor(context)
+    return make
 
 
-EXECUTORS.register("docker", _docker)
-EXECUTORS.register("process", _process)
+EXECUTORS.register("docker", _loaded_late("slamhive.executors.docker.executor", "DockerExecutor"))
+EXECUTORS.register("process", _loaded_late("slamhive.executors.process.executor", "ProcessExecutor"))
 
 
 def open_executor(name: str, context: ExecutorContext) -> Executor:
@@ -62,33 +42,42 @@ def open_executor(name: str, context: ExecutorContext) -> Executor:
     return EXECUTORS.get(name)(context)
 
 
-def choose_executor(setting: str, executor: Callable[[str], Executor]) -> tuple[Executor, str]:
-    """The executor that ``setting`` means here, and the reason in words; ``executor`` gives the one of a name.
-
-    ``auto`` is Docker if an engine answers, the process executor otherwise. Raises NotFound for an unknown name and
-    Unavailable, with the remedy, if the executor asked for (or every one) cannot be used.
-    """
+def candidates(setting: str, find: ExecutorFinder) -> list[Executor]:
+    """The executors that ``setting`` can mean, the preferred one first. Raises NotFound for an unknown name."""
     if setting != AUTO:
-        chosen = executor(setting)
-        problem = chosen.unavailable_because()
-        if problem is not None:
-            raise Unavailable(problem)
-        return chosen, f"{setting}, as set"
-    docker = executor("docker")
-    docker_problem = docker.unavailable_because()
-    if docker_problem is None:
-        return docker, "docker: an engine answers"
-    process = executor("process")
-    process_problem = process.unavailable_because()
-    if process_problem is not None:
-        raise Unavailable(f"no executor can be used: docker: {docker_problem}; process: {process_problem}")
-    return process, f"process, because {docker_problem}"
+        return [find(setting)]
+    ranked = [(executor.capabilities.preference, executor.name, executor) for executor in map(find, EXECUTORS.names())]
+    return [executor for preference, _, executor in sorted(ranked, key=_rank) if preference is not None]
+
+
+def _rank(entry: tuple[int | None, str, Executor]) -> tuple[int, str]:
+    return entry[0] or 0, entry[1]
+
+
+def choose_executor(setting: str, find: ExecutorFinder) -> tuple[Executor, str]:
+    """The executor that ``setting`` means here, and the reason in words.
+
+    ``auto`` is the most preferred executor that can be used. Raises NotFound for an unknown name, and Unavailable with
+    the remedy if no executor that the setting can mean can be used.
+    """
+    problems: dict[str, str] = {}
+    for executor in candidates(setting, find):
+        problem = executor.unavailable_because()
+        if problem is None:
+            reason = f"because {'; '.join(problems.values())}" if problems else "the first choice"
+            return executor, f"{executor.name}, {'as set' if setting != AUTO else reason}"
+        problems[executor.name] = problem
+    if setting != AUTO:
+        raise Unavailable(problems[setting])
+    raise Unavailable(
+        f"no executor can be used: {'; '.join(f'{name}: {problem}' for name, problem in problems.items())}"
+    )
 
 
 def installation_id(data: Path) -> str:
     """The identifier of the data root, made on first use and kept in ``<data>/installation``.
 
-    All processes get the same one, whoever is first and whatever is killed meanwhile.
+    All processes get the same one, even if several ask at the same time or are killed.
     """
     path = data / _INSTALLATION_FILE
     try:
@@ -106,7 +95,7 @@ def installation_id(data: Path) -> str:
 
 
 def _read_id(path: Path) -> str:
-    """What the file says; empty if it is not there, or was left empty."""
+    """The content of the file; empty if there is none."""
     try:
         return path.read_text(encoding="ascii").strip()
     except FileNotFoundError:

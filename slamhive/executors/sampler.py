@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import IO
 
 from slamhive.clock import monotonic_s
-from slamhive.executors.base import EngineUnavailable, UsageSource
+from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.energy import EnergyLog
 from slamhive.executors.host_counters import HostLog
+from slamhive.executors.status import UsageSource
 
 logger = logging.getLogger(__name__)
 

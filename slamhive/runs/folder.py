@@ -141,9 +141,9 @@ class RunFolder:
         return (*own, self.covariances, self.keyframes, self.grid, self.map)
 
     @property
-    def scratch(self) -> Path:
-        """``work/tmp``: what a container sees as ``/tmp``."""
-        return self.work / "tmp"
+    def watched_files(self) -> tuple[Path, ...]:
+        """The files in ``result/`` that are read while the run goes on."""
+        return (self.finished, self.progress, self.frames)
 
     def evaluation(self, fingerprint: str) -> Path:
         """The folder of the evaluation under the protocol with this fingerprint."""

@@ -64,7 +64,7 @@ class Evidence:
         disk_exceeded: In words the limit of what a run may write that it exceeded; None if it did not.
         process_limit: It was ended because it kept asking for more than ``most_processes`` processes and threads.
         refused_processes: It was refused processes at that limit, now and then.
-        timed_out: The controller ended it at its time limit of ``timeout_s``.
+        timed_out: The controller, or the executor, ended it at its time limit of ``timeout_s``.
         ended_early: The stop rule for which the controller ended it.
         tracking_unseen: A stop rule asks for tracking, but the algorithm did not say which frames it tracks.
         lingered: It had written ``finished`` and was ended by the controller after a grace.

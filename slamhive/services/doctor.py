@@ -12,13 +12,10 @@ from enum import StrEnum
 from slamhive.errors import NotFound, SlamHiveError, Unavailable
 from slamhive.executors.energy import read_packages
 from slamhive.executors.host_counters import HostCounters, read_or_why, sources
+from slamhive.executors.registry import EXECUTORS
 from slamhive.services.data_root import REMEDY
 from slamhive.services.hive import Hive
 
-_HOLD_BETTER = (
-    "use Docker, or let control groups be written: start the worker as root, "
-    "or with systemd-run --user --scope -p Delegate=yes slamhive worker"
-)
 _CPU = "load of others and steal"
 
 
@@ -78,7 +75,7 @@ def _database(hive: Hive) -> list[Check]:
 
 def _executor(hive: Hive) -> list[Check]:
     checks = []
-    for name in ("docker", "process"):
+    for name in EXECUTORS.names():
         problem = hive.executors.get(name).unavailable_because()
         verdict = Verdict.OK if problem is None else Verdict.WARNING
         checks.append(Check(f"executor {name}", verdict, problem or "can be used"))
@@ -86,16 +83,13 @@ def _executor(hive: Hive) -> list[Check]:
     return [*checks, Check("executor in force", Verdict.OK, f"{chosen} ({reason})")]
 
 
-def _protections(hive: Hive) -> list[Check]:
-    """By what runs are held within their limits, for each executor that can be used."""
+def _executor_findings(hive: Hive) -> list[Check]:
+    """What each executor that can be used reports."""
     checks = []
-    for name in ("docker", "process"):
-        executor = hive.executors.get(name)
-        if executor.unavailable_because() is None:
-            held = executor.protections()
-            reasons = "; ".join(f"no {way}: {reason}" for way, reason in held.does_not_hold.items())
-            verdict, remedy = (Verdict.WARNING, f"{reasons}; {_HOLD_BETTER}") if reasons else (Verdict.OK, None)
-            checks.append(Check(f"protections {name}", verdict, held.text, remedy))
+    for executor in map(hive.executors.get, EXECUTORS.names()):
+        for finding in executor.examine() if executor.unavailable_because() is None else ():
+            verdict = Verdict.OK if finding.remedy is None else Verdict.WARNING
+            checks.append(Check(f"{finding.name} {executor.name}", verdict, finding.found, finding.remedy))
     return checks
 
 
@@ -161,7 +155,7 @@ _EXAMINATIONS: tuple[Callable[[Hive], list[Check]], ...] = (
     _data_root,
     _database,
     _executor,
-    _protections,
+    _executor_findings,
     _energy,
     _disturbance,
     _algorithms,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
-from slamhive.executors.base import Executor
-from slamhive.executors.registry import AUTO, ExecutorContext, choose_executor, installation_id, open_executor
+from slamhive.evaluation.runner import EvaluationRunner
+from slamhive.executors.base import Executor, ExecutorContext
+from slamhive.executors.registry import AUTO, choose_executor, installation_id, open_executor
 from slamhive.settings import Settings
 
 NO_INSTALLATION = "none"
@@ -57,13 +57,9 @@ class Executors:
         return executor.name, reason
 
     def evaluation_runner(self) -> EvaluationRunner:
-        """Evaluations run where runs do: in a container if Docker is in use, else in a process."""
-        name, _ = self.default()
-        if name == "docker":
-            from slamhive.executors.docker.batch import DockerStarter  # noqa: PLC0415 - the SDK takes 0.2 s to import
-
-            return EvaluationRunner(DockerStarter(self._context()))
-        return EvaluationRunner(ProcessStarter(self._project_root))
+        """Evaluations run where the executor in use wants them."""
+        executor, _ = choose_executor(self._settings.executor, self.get)
+        return EvaluationRunner(executor.evaluation_starter())
 
     def close(self) -> None:
         """Close the connections to engines."""

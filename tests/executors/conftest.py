@@ -3,17 +3,20 @@ from __future__ import annotations
 import os
 import stat
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
 
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.executors.base import Executor, Exited, Limits, Mount, RunHandle, Running, RunSpec
+from slamhive.executors.base import Executor, ExecutorContext
 from slamhive.executors.process.containment import KINDS, choose_containment
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold
-from slamhive.executors.registry import ExecutorContext, open_executor
+from slamhive.executors.process.executor import ProcessExecutor
+from slamhive.executors.registry import open_executor
+from slamhive.executors.spec import Input, Limits, Output, RunSpec
+from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.runs.folder import RunFolder
 from tests.waiting import eventually
 
@@ -56,6 +59,7 @@ class Bench:
     image: str
     identity: str
     executor: Executor
+    make: Callable[[], Executor]
     handles: list[RunHandle] = field(default_factory=list)
 
     def spec(self, script: str, limits: Limits | None = None, key: str | None = None) -> RunSpec:
@@ -76,16 +80,16 @@ class Bench:
             image=self.image,
             identity=self.identity,
             command=("python3", "/slamhive/mapping.py"),
-            mounts=(
-                Mount(scripts / "mapping.py", "/slamhive/mapping.py"),
-                Mount(folder.config, "/slamhive/config.yaml"),
-                Mount(bag, "/slamhive/dataset/bag.bag"),
-                Mount(folder.result, "/slamhive/result", read_only=False),
+            inputs=(
+                Input("script", scripts / "mapping.py", "/slamhive/mapping.py"),
+                Input("config", folder.config, "/slamhive/config.yaml"),
+                Input("recording", bag, "/slamhive/dataset/bag.bag"),
             ),
+            outputs=(Output("result", folder.result, "/slamhive/result", live=("ready",)),),
             environment={},
             limits=limits or Limits(),
             timeout_s=60.0,
-            log_path=folder.log,
+            work=folder.work,
         )
 
     def start(self, script: str, limits: Limits | None = None) -> tuple[RunSpec, RunHandle]:
@@ -95,11 +99,14 @@ class Bench:
         return spec, handle
 
     def result(self, spec: RunSpec) -> Path:
-        return RunFolder(spec.log_path.parent).result
+        return spec.output("result").destination
+
+    def log(self, spec: RunSpec) -> Path:
+        return RunFolder(spec.work.parent).log
 
     def again(self) -> Executor:
         """A new executor, as a restarted worker has."""
-        return open_executor(self.name, self.context)
+        return self.make()
 
 
 @pytest.fixture(scope="session")
@@ -135,8 +142,12 @@ def bench(request, tmp_path: Path, test_package: AlgorithmPackage, environment_d
     if containment == "user":
         open_to_other_users(tmp_path, environment_data)
     installation = uuid.uuid4().hex
-    context = ExecutorContext(environment_data, PROJECT_ROOT, installation, 100_000, containment or None)
-    executor = open_executor(name, context)
+    context = ExecutorContext(environment_data, PROJECT_ROOT, installation, 100_000)
+
+    def make() -> Executor:
+        return ProcessExecutor(context, containment) if containment else open_executor(name, context)
+
+    executor = make()
     image = request.getfixturevalue("base_image") if name == "docker" else test_package.image
     if name == "docker":
         from tests.services.docker_base import run_docker  # noqa: PLC0415 - the SDK takes long to load
@@ -144,7 +155,7 @@ def bench(request, tmp_path: Path, test_package: AlgorithmPackage, environment_d
         identity = run_docker("image", "inspect", "--format", "{{.Id}}", image).stdout.strip()
     else:
         identity = executor.build(test_package, lambda line: None)
-    bench = Bench(name, context, tmp_path, replace(test_package), image, identity, executor)
+    bench = Bench(name, context, tmp_path, replace(test_package), image, identity, executor, make)
     yield bench
     for handle in bench.handles:
         executor.remove(handle)

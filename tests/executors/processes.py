@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from slamhive.executors.base import RunHandle
 from slamhive.executors.process.paths import KEY_VARIABLE
 from slamhive.executors.process.table import all_processes, living
+from slamhive.executors.status import RunHandle
 
 
 def processes_of(handle: RunHandle) -> list[int]:

@@ -28,7 +28,7 @@ while not (result / "enough").exists():
 def test_load_of_others_is_told_from_that_of_the_run(bench: Bench, tmp_path: Path) -> None:
     with busy_machine():
         spec, handle = bench.start(WORK_UNTIL_TOLD)
-        folder = RunFolder(spec.log_path.parent)
+        folder = RunFolder(spec.work.parent)
         source = bench.executor.usage_source(handle)
         assert source is not None
         assert source.on_this_machine

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.executors.base import Gone, Limits, Running
 from slamhive.executors.process import containment
 from slamhive.executors.process.containment import choose_containment, found_again
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold
@@ -21,6 +20,8 @@ from slamhive.executors.process.survey import survey
 from slamhive.executors.process.table import all_processes, living, processes_of_user
 from slamhive.executors.process.tree_usage import ProcessTreeSource
 from slamhive.executors.process.user_limit import FIRST_UID, USERS
+from slamhive.executors.spec import Limits
+from slamhive.executors.status import Gone, Running
 from tests.executors.conftest import EVERYWHERE, HOLDING, REFUSING, open_to_other_users, wait_for_end
 from tests.executors.processes import processes_of
 from tests.executors.strangers import as_nobody

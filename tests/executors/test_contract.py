@@ -11,8 +11,10 @@ import numpy as np
 import psutil
 import pytest
 
-from slamhive.executors.base import Exited, Gone, ImageMissing, Limits, Running
+from slamhive.executors.base import ImageMissing
 from slamhive.executors.sampler import Sampler
+from slamhive.executors.spec import Limits
+from slamhive.executors.status import Exited, Gone, Running
 from tests.executors.conftest import wait_for_end
 from tests.waiting import eventually
 
@@ -41,8 +43,8 @@ def test_success_has_exit_code_times_and_log(bench):
     assert status.ended_at is not None
     assert status.ended_at >= status.started_at
     assert (bench.result(spec) / "traj.txt").read_text() == "x"
-    bench.executor.save_log(handle, spec.log_path)
-    assert sorted(spec.log_path.read_text().split()) == ["err", "out"]
+    bench.executor.save_log(handle, bench.log(spec))
+    assert sorted(bench.log(spec).read_text().split()) == ["err", "out"]
 
 
 def test_start_is_idempotent_and_survives_the_executor(bench):
@@ -65,8 +67,8 @@ def test_log_of_a_running_run(bench):
     wait_for(bench.result(spec) / "ready")
 
     def log() -> str:
-        bench.executor.save_log(handle, spec.log_path)
-        return str(spec.log_path.read_text())
+        bench.executor.save_log(handle, bench.log(spec))
+        return str(bench.log(spec).read_text())
 
     eventually(log, "the first line of the log")
     assert log() == "hello\n"
@@ -188,9 +190,9 @@ def test_discard_of_what_was_never_started(bench):
 def test_log_is_capped(bench):
     spec, handle = bench.start("for i in range(60000):\n    print('line', i)\n")
     assert wait_for_end(bench.executor, handle).exit_code == 0
-    bench.executor.save_log(handle, spec.log_path)
-    assert spec.log_path.stat().st_size < 160_000
-    assert spec.log_path.read_text().endswith("line 59999\n")
+    bench.executor.save_log(handle, bench.log(spec))
+    assert bench.log(spec).stat().st_size < 160_000
+    assert bench.log(spec).read_text().endswith("line 59999\n")
 
 
 def test_sampler_sees_cpu_and_memory(bench):
@@ -204,7 +206,7 @@ def test_sampler_sees_cpu_and_memory(bench):
     spec, handle = bench.start(script)
     source = bench.executor.usage_source(handle)
     assert source is not None
-    path = spec.log_path.parent / "profiling.csv"
+    path = spec.work.parent / "profiling.csv"
     sampler = Sampler(source, path)
     sampler.start()
     eventually(lambda: path.exists() and len(path.read_text().splitlines()) > 2, "the first samples")

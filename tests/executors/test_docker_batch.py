@@ -15,9 +15,9 @@ from docker.models.containers import Container
 
 from slamhive.errors import Unavailable
 from slamhive.evaluation.batch import Batch, BatchMount
+from slamhive.executors.base import ExecutorContext
 from slamhive.executors.docker.batch import DockerStarter
 from slamhive.executors.docker.engine import INSTALLATION_LABEL
-from slamhive.executors.registry import ExecutorContext
 from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.docker

@@ -3,21 +3,23 @@ from __future__ import annotations
 import math
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 import requests
 
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import NotFound, Unavailable
-from slamhive.executors.base import EngineUnavailable, ImageMissing, Limits, Mount, RunSpec, StartFailed
+from slamhive.executors.base import Capabilities, EngineUnavailable, ExecutorContext, ImageMissing, StartFailed
 from slamhive.executors.docker.build import follow_build
 from slamhive.executors.docker.engine import connect, container_name, engine_errors
 from slamhive.executors.docker.executor import container_options
 from slamhive.executors.docker.stats import parse_stats
 from slamhive.executors.process.capped_log import CappedLog, assemble
 from slamhive.executors.process.environment import Environments
-from slamhive.executors.registry import ExecutorContext, choose_executor, installation_id, open_executor
+from slamhive.executors.registry import choose_executor, installation_id, open_executor
 from slamhive.executors.sampler import HEADER, Sampler
+from slamhive.executors.spec import Limit, Limits, Output, RunSpec
 
 
 @pytest.fixture
@@ -30,28 +32,31 @@ def package(folder: Path, **changes) -> AlgorithmPackage:
 
 
 def spec(tmp_path: Path, limits: Limits) -> RunSpec:
-    mounts = (Mount(tmp_path, "/slamhive/result", read_only=False),)
+    outputs = (Output("result", tmp_path, "/slamhive/result"),)
     return RunSpec(
         "key", 7, "demo", tmp_path, "image:tag", "sha256:abc", ("python3", "/slamhive/mapping.py"),
-        mounts, {"A": "b"}, limits, 10.0, tmp_path / "log.txt",
+        (), outputs, {"A": "b"}, limits, 10.0, tmp_path / "work",
     )  # fmt: skip
 
 
-class FakeExecutor:
-    def __init__(self, name: str, problem: str | None) -> None:
+class Choice:
+    """As much of an executor as the choice looks at."""
+
+    def __init__(self, name: str, problem: str | None, preference: int | None) -> None:
         self.name = name
+        self.capabilities = Capabilities(preference=preference)
         self._problem = problem
 
     def unavailable_because(self) -> str | None:
         return self._problem
 
 
-def executors(docker: str | None, process: str | None):
-    made = {"docker": FakeExecutor("docker", docker), "process": FakeExecutor("process", process)}
+def executors(docker: str | None, process: str | None) -> Any:
+    made = {"docker": Choice("docker", docker, 10), "process": Choice("process", process, 20)}
     return made.__getitem__
 
 
-def test_auto_prefers_docker_and_says_why_not():
+def test_auto_prefers_the_lowest_number_and_says_why_not():
     assert choose_executor("auto", executors(None, None))[0].name == "docker"
     executor, reason = choose_executor("auto", executors("no engine answers", None))
     assert (executor.name, reason) == ("process", "process, because no engine answers")
@@ -59,11 +64,24 @@ def test_auto_prefers_docker_and_says_why_not():
         choose_executor("auto", executors("no engine answers", "no pip"))
 
 
+def test_auto_never_takes_an_executor_without_preference():
+    made: Any = {"docker": Choice("docker", None, None), "process": Choice("process", None, 20)}
+    assert choose_executor("auto", made.__getitem__) == (made["process"], "process, the first choice")
+
+
 def test_named_executor():
     find = executors("no engine answers", None)
     assert choose_executor("process", find)[0].name == "process"
     with pytest.raises(Unavailable, match="no engine answers"):
         choose_executor("docker", find)
+
+
+def test_limits_that_are_not_enforced_are_refused_in_words():
+    some = Capabilities(limits=frozenset({Limit.CORES}))
+    assert some.refusal("plain", Limits(cpu_cores=1.0, pids=None)) is None
+    refusal = some.refusal("plain", Limits(memory_bytes=1, pids=5))
+    assert refusal == "the executor plain does not limit memory and processes"
+    assert Limits(1.0, 1, 5, (0,), 1, 1).only(some.limits) == Limits(cpu_cores=1.0, pids=None, cpuset=(0,))
 
 
 def test_unknown_executor_lists_the_choices(context):

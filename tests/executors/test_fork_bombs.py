@@ -9,7 +9,8 @@ import time
 
 import pytest
 
-from slamhive.executors.base import Exited, Limits, Running
+from slamhive.executors.spec import Limits
+from slamhive.executors.status import Exited, Running
 from tests.executors.conftest import EVERYWHERE, wait_for_end
 from tests.executors.fork_bombs import BOMBS, FORKS, MOST_PROCESSES, started_by
 from tests.executors.processes import processes_of

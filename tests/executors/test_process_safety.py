@@ -10,12 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.executors.base import Limits
 from slamhive.executors.process import landlock, namespaces
 from slamhive.executors.process.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
 from slamhive.executors.process.shim import OUTPUT_FOLDER
 from slamhive.executors.registry import installation_id
-from slamhive.runs.folder import RunFolder
+from slamhive.executors.spec import Limits
 from slamhive.runs.log_line import last_error_line
 from tests.executors.conftest import wait_for_end
 
@@ -34,8 +33,8 @@ def test_too_many_threads_are_ended_and_the_log_says_so(bench):
     spec, handle = bench.start(script, Limits(pids=20))
     status = wait_for_end(bench.executor, handle)
     assert (status.exit_code, status.process_limit) == (137, True)
-    bench.executor.save_log(handle, spec.log_path)
-    assert "[killed at the limit of 20 processes and threads]" in spec.log_path.read_text()
+    bench.executor.save_log(handle, bench.log(spec))
+    assert "[killed at the limit of 20 processes and threads]" in bench.log(spec).read_text()
 
 
 @pytest.mark.integration
@@ -91,14 +90,14 @@ def test_installation_id_that_a_killed_process_left_empty_is_made_again(tmp_path
 def test_output_that_finds_no_room_loses_neither_the_run_nor_its_end(bench):
     """/dev/full in the place of the log says what a full disk says."""
     spec = bench.spec("import sys\nprint('x' * 5000, flush=True)\nsys.exit('error: cannot save')\n")
-    output = RunFolder(spec.log_path.parent).work / OUTPUT_FOLDER
+    output = spec.work / OUTPUT_FOLDER
     output.mkdir(parents=True)
     (output / "head").symlink_to("/dev/full")
     handle = bench.executor.start(spec)
     assert wait_for_end(bench.executor, handle).exit_code == 1
     (output / "head").unlink()
-    bench.executor.save_log(handle, spec.log_path)
-    text = spec.log_path.read_text()
+    bench.executor.save_log(handle, bench.log(spec))
+    text = bench.log(spec).read_text()
     assert "[output was lost: No space left on device; its end:]" in text
     assert last_error_line(text) == "cannot save"
 
@@ -155,7 +154,7 @@ def test_nothing_is_written_outside_of_the_folders_of_the_run(bench):
     assert wait_for_end(bench.executor, handle).exit_code == 0
     done = json.loads((bench.result(spec) / "done").read_text())
     assert done == ["result", "nested", "moved", "scratch", "null", "shared memory", "read"]
-    bag = next(mount.source for mount in spec.mounts if mount.target.endswith("bag.bag"))
+    bag = next(entry.source for entry in spec.inputs if entry.name == "recording")
     assert bag.read_bytes() == b"bag"
 
 

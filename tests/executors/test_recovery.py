@@ -16,13 +16,13 @@ import docker.errors
 import psutil
 import pytest
 
-from slamhive.executors.base import Gone, Limits, Running
 from slamhive.executors.docker import executor as docker_executor
 from slamhive.executors.docker.engine import EVALUATION_KEY, INSTALLATION_LABEL, KEY_LABEL
 from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.process.paths import KEY_VARIABLE
 from slamhive.executors.process.tree_usage import ProcessTreeSource
-from slamhive.runs.folder import RunFolder
+from slamhive.executors.spec import Limits
+from slamhive.executors.status import Gone, Running
 from tests.executors.conftest import wait_for_end
 from tests.waiting import eventually
 
@@ -62,7 +62,7 @@ def test_killed_supervisor_is_gone_and_takes_the_algorithm_along(bench):
 def test_start_that_was_killed_before_it_knew_the_supervisor(bench):
     script = "import os, time\nopen(os.environ['SLAMHIVE_RESULT'] + '/starts', 'a').write('x')\ntime.sleep(60)\n"
     spec = bench.spec(script)
-    work = RunFolder(spec.log_path.parent).work
+    work = spec.work
     environment = bench.executor._environments.find(spec.package, spec.identity)
     bench.executor._shim_spec(spec, environment, work).save(work)
     orphan = [sys.executable, "-m", "slamhive.executors.process.shim", str(work)]

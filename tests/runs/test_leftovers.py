@@ -118,9 +118,9 @@ def test_taking_the_surplus_away_can_be_cut_off_anywhere(folder: RunFolder, monk
 
 
 def test_scratch_space_counts_but_may_hold_anything(folder: RunFolder):
-    folder.scratch.mkdir()
-    (folder.scratch / "link").symlink_to("nowhere")
-    (folder.scratch / "file").write_bytes(b"1")
+    (folder.work / "tmp").mkdir()
+    ((folder.work / "tmp") / "link").symlink_to("nowhere")
+    ((folder.work / "tmp") / "file").write_bytes(b"1")
     found = survey(folder, NO_LIMITS)
     assert (found.files, found.strange) == (3, {})
     assert survey(folder, DiskLimits(files=2)).exceeded is not None

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from slamhive.executors.base import Exited, RunSpec
+from slamhive.executors.spec import RunSpec
+from slamhive.executors.status import Exited
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.host_load import COLUMNS
 from tests.services.fake_executor import FakeExecutor, write_trajectory
@@ -32,6 +33,6 @@ def beside_each(machine: Iterator[tuple[float, ...]], *, exit_code: int = 0) -> 
 
     def on_start(spec: RunSpec) -> None:
         leave(spec)
-        RunFolder(spec.log_path.parent).host.write_text(counters(*next(machine)))
+        RunFolder(spec.work.parent).host.write_text(counters(*next(machine)))
 
     return FakeExecutor([Exited(exit_code)], on_start)

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from slamhive.executors.base import Exited, Protections, RunHandle, Running, RunSpec, RunStatus
+from slamhive.evaluation.process_starter import ProcessStarter
+from slamhive.executors.base import Capabilities, Executor
+from slamhive.executors.spec import Limit, RunSpec
+from slamhive.executors.status import Exited, Protections, RunHandle, Running, RunStatus
+from slamhive.project import project_root
 
 PROTECTIONS = Protections("nothing", "none", "none", "none", "none", "none", {"cgroup": "it is a fake"})
 
 
 @dataclass
-class FakeExecutor:
+class FakeExecutor(Executor):
     """Statuses come from ``statuses``, the last one stays; an exception in the list is raised once."""
+
+    name = "process"
+    capabilities = Capabilities(limits=frozenset(Limit), preference=20)
 
     statuses: list[RunStatus | Exception] = field(default_factory=lambda: [Exited(0)])
     on_start: Callable[[RunSpec], None] = lambda spec: None
     build_error: Exception | None = None
     start_error: Exception | None = None
-    name: str = "process"
     starts: list[RunSpec] = field(default_factory=list)
     stopped: int = 0
     graces_s: list[float] = field(default_factory=list)
@@ -29,8 +35,8 @@ class FakeExecutor:
     def unavailable_because(self) -> str | None:
         return None
 
-    def protections(self) -> Protections:
-        return PROTECTIONS
+    def evaluation_starter(self) -> ProcessStarter:
+        return ProcessStarter(project_root())
 
     def identity(self, package) -> str | None:
         return "sha256:abc"
@@ -68,27 +74,22 @@ class FakeExecutor:
     def discard(self, spec: RunSpec) -> None:
         self.discarded.append(spec.key)
 
-    def usage_source(self, handle: RunHandle):
-        return None
 
-    def hidden_bytes(self, handle: RunHandle) -> int:
-        return 0
+class FakeDocker(FakeExecutor):
+    """The same under the other name."""
 
-    def close(self) -> None:
-        pass
-
-    def sweep(self, live_keys) -> list[str]:
-        return []
+    name = "docker"
+    capabilities = replace(FakeExecutor.capabilities, preference=10)
 
 
 def write_trajectory(poses: int = 3) -> Callable[[RunSpec], None]:
     """A start that leaves a trajectory on a curve, at timestamps of the tiny dataset."""
 
     def on_start(spec: RunSpec) -> None:
-        result = next(mount.source for mount in spec.mounts if mount.target == "/slamhive/result")
+        result = spec.output("result").destination
         (result / "traj.txt").write_text("".join(f"{100 + i / 3:.6f} {i} {i * i} 0 0 0 0 1\n" for i in range(poses)))
 
     return on_start
 
 
-__all__ = ["FakeExecutor", "Running", "write_trajectory"]
+__all__ = ["FakeDocker", "FakeExecutor", "Running", "write_trajectory"]

@@ -9,7 +9,7 @@ import pytest
 
 from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.run import RunState
-from slamhive.executors.base import Exited, RunHandle, Running
+from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex

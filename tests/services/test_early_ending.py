@@ -12,7 +12,8 @@ import pytest
 
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.stop_when import StopWhen
-from slamhive.executors.base import Exited, Running, RunSpec
+from slamhive.executors.spec import RunSpec
+from slamhive.executors.status import Exited, Running
 from slamhive.runs.outcome import UNSEEN
 from slamhive.services.configurations.submission import Submission, unwatchable
 from slamhive.services.worker.evidence import STOP_RULE, STOPPED_BECAUSE
@@ -32,7 +33,7 @@ def saying(**progress: float) -> Callable[[RunSpec], None]:
     """A start of an algorithm that says this of its progress."""
 
     def on_start(spec: RunSpec) -> None:
-        result = next(mount.source for mount in spec.mounts if mount.target == "/slamhive/result")
+        result = spec.output("result").destination
         (result / "progress.json").write_text(json.dumps(progress))
 
     return on_start

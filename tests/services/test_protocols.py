@@ -12,7 +12,8 @@ from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.evaluation.presets import PRESETS
-from slamhive.executors.base import Exited, RunSpec
+from slamhive.executors.spec import RunSpec
+from slamhive.executors.status import Exited
 from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex

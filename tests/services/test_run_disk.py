@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.executors.base import Exited, RunHandle, Running, RunSpec
+from slamhive.executors.spec import RunSpec
+from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.leftovers import DiskLimits
 from slamhive.services.runs.specification import disk_limit_bytes
@@ -26,7 +27,7 @@ __all__ = ["hive"]
 
 
 def folder_of(spec: RunSpec) -> RunFolder:
-    return RunFolder(spec.log_path.parent)
+    return RunFolder(spec.work.parent)
 
 
 def leave_a_link(spec: RunSpec) -> None:
@@ -97,7 +98,7 @@ def test_what_only_the_engine_sees_counts(hive):
     executor.stop = noted
     run = finish(hive, executor)
     assert run.reason is FailureReason.DISK_LIMIT
-    assert "MB into its container" in run.detail
+    assert "MB, as its executor counts" in run.detail
     assert graces == [0.0]
 
 

@@ -12,13 +12,15 @@ import pytest
 from slamhive.bags.variants.build import build_variant
 from slamhive.domain.run import RunState
 from slamhive.domain.variant import VariantStep
-from slamhive.executors.base import EngineUnavailable, Exited, Running, RunSpec
+from slamhive.executors.base import EngineUnavailable
+from slamhive.executors.spec import RunSpec
+from slamhive.executors.status import Exited, Running
 from slamhive.services.configurations.submission import Submission
 from slamhive.services.datasets import variants as variants_module
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.worker import turns as turns_module
-from tests.services.fake_executor import FakeExecutor, write_trajectory
+from tests.services.fake_executor import FakeDocker, FakeExecutor, write_trajectory
 from tests.services.test_variant_runs import HALF, hive
 from tests.waiting import PATIENCE_S, eventually
 
@@ -112,7 +114,7 @@ def test_a_paused_experiment_lets_the_run_end_that_goes_on(hive):
 
 
 def test_runs_of_other_executors_go_on_while_an_engine_is_away(hive):
-    docker: Any = FakeExecutor([Running(), Exited(0)], write_trajectory(), name="docker")
+    docker: Any = FakeDocker([Running(), Exited(0)], write_trajectory())
     process = FakeExecutor([Exited(0)], write_trajectory())
     hive.executors.opened.update(docker=docker, process=process)
     waiting, going = (
@@ -137,7 +139,7 @@ def test_runs_of_other_executors_go_on_while_an_engine_is_away(hive):
 def test_an_engine_that_comes_back_between_two_looks_leaves_no_run_behind(hive, monkeypatch):
     """It was away when the worker looked for a run, and there when the worker asked whether it may end."""
     monkeypatch.setattr("slamhive.services.worker.worker.TROUBLE_PAUSE_S", 0.0)
-    docker: Any = FakeExecutor([Running(), Exited(0)], write_trajectory(), name="docker")
+    docker: Any = FakeDocker([Running(), Exited(0)], write_trajectory())
     hive.executors.opened.update(docker=docker)
     (waiting,) = hive.runs.submit(Submission("tiny", "track", executor="docker", evaluate=False))
     docker.build_error = EngineUnavailable("no Docker engine answers")
@@ -153,7 +155,7 @@ def test_an_engine_that_comes_back_between_two_looks_leaves_no_run_behind(hive, 
 
 
 def test_a_run_that_waits_for_an_engine_can_be_cancelled(hive):
-    docker: Any = FakeExecutor(name="docker")
+    docker: Any = FakeDocker()
     hive.executors.opened["docker"] = docker
     (run,) = hive.runs.submit(Submission("tiny", "track", executor="docker", evaluate=False))
     docker.unavailable_because = lambda: "no Docker engine answers"

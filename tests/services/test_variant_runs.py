@@ -73,8 +73,8 @@ def finish(hive: Hive, executor: FakeExecutor | None = None, **changes: Any):
     return hive.runs.get(run_id)
 
 
-def mounts(executor: FakeExecutor) -> dict[str, Path]:
-    return {mount.target: mount.source for mount in executor.starts[0].mounts}
+def inputs(executor: FakeExecutor) -> dict[str, Path]:
+    return {entry.target: entry.source for entry in executor.starts[0].inputs}
 
 
 def test_a_run_sees_the_variant_and_its_calibration(hive):
@@ -82,9 +82,9 @@ def test_a_run_sees_the_variant_and_its_calibration(hive):
     run = finish(hive, executor)
     assert run.state is RunState.SUCCEEDED, run.detail
     (entry,) = hive.variants.entries()
-    bag = mounts(executor)["/slamhive/dataset/track.bag"]
+    bag = inputs(executor)["/slamhive/dataset/track.bag"]
     assert bag == hive.settings.variants_folder / entry.key / "track.bag"
-    assert mounts(executor)["/slamhive/dataset/dataset.yaml"].parent == bag.parent
+    assert inputs(executor)["/slamhive/dataset/dataset.yaml"].parent == bag.parent
     assert inspect_bag(bag).topics[0].count == SCANS // 2
     config = run_config.load(hive.runs.folder(run.id).config)
     assert config.dataset == "track"
@@ -140,7 +140,7 @@ def test_the_identity_is_the_dataset_itself(hive):
     run = finish(hive, executor, variant=same[1])
     assert run.variant == ()
     assert hive.runs.record(run.id)["dataset"]["variant"] == IDENTITY
-    assert mounts(executor)["/slamhive/dataset/track.bag"] == hive.catalogue.dataset("track").bag_path
+    assert inputs(executor)["/slamhive/dataset/track.bag"] == hive.catalogue.dataset("track").bag_path
     assert not hive.settings.variants_folder.exists()
     assert hive.store.read(lambda t: t.configurations.get(run.configuration_id)) == Configuration(
         "tiny", "track", dict(run.parameters), run.playback

@@ -13,7 +13,8 @@ import pytest
 from slamhive.clock import utc_now
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, Unavailable
-from slamhive.executors.base import EngineUnavailable, Exited, Gone, ImageMissing, Running, StartFailed
+from slamhive.executors.base import EngineUnavailable, ImageMissing, StartFailed
+from slamhive.executors.status import Exited, Gone, Running
 from slamhive.runs.folder import RunFolder
 from slamhive.services.configurations.submission import Submission
 from slamhive.services.hive import Hive, check_indexed, open_hive

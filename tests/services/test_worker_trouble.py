@@ -12,7 +12,8 @@ import pytest
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import Unavailable
 from slamhive.evaluation.runner import EvaluationRunner
-from slamhive.executors.base import EngineUnavailable, Exited, ImageMissing, RunHandle, Running
+from slamhive.executors.base import EngineUnavailable, ImageMissing
+from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.services.configurations.submission import Submission
 from slamhive.store import EvaluationState, Lease
 from tests.services.fake_executor import FakeExecutor, write_trajectory

@@ -21,7 +21,7 @@ from slamhive.errors import Unavailable
 from slamhive.evaluation.batch import IMAGE, Batch, LineCallback
 from slamhive.evaluation.image_context import evaluation_context_hash, stage_evaluation_context
 from slamhive.evaluation.line_feed import LineFeed
-from slamhive.executors.base import EngineUnavailable
+from slamhive.executors.base import EngineUnavailable, ExecutorContext
 from slamhive.executors.docker.build import build_image, content_of, get_image, name_image
 from slamhive.executors.docker.engine import (
     EVALUATION_KEY,
@@ -31,7 +31,6 @@ from slamhive.executors.docker.engine import (
     connect,
     engine_errors,
 )
-from slamhive.executors.registry import ExecutorContext
 from slamhive.files import temporary_folder
 
 logger = logging.getLogger(__name__)

@@ -21,21 +21,21 @@ from docker.types import LogConfig, Mount, Ulimit
 from slamhive.clock import utc_now
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import Unavailable
+from slamhive.evaluation.batch import BatchStarter
 from slamhive.executors.base import (
+    Capabilities,
     EngineUnavailable,
-    Exited,
-    Gone,
+    EvaluationPlace,
+    Executor,
+    ExecutorContext,
+    Finding,
     ImageMissing,
+    PackageNeed,
     ProgressCallback,
-    Protections,
-    RunHandle,
-    Running,
-    RunSpec,
-    RunStatus,
     StartFailed,
-    UsageSource,
 )
 from slamhive.executors.cgroup import cgroup_of
+from slamhive.executors.docker.batch import DockerStarter
 from slamhive.executors.docker.engine import (
     EVALUATION_KEY,
     HARDENING,
@@ -49,9 +49,10 @@ from slamhive.executors.docker.engine import (
 from slamhive.executors.docker.image import find_image, make_image
 from slamhive.executors.docker.refusals import RefusedProcesses, engine_protections
 from slamhive.executors.docker.stats import DockerStatsSource
-from slamhive.executors.registry import ExecutorContext
+from slamhive.executors.local_files import make_own_copies, read_places, written_places
+from slamhive.executors.spec import Limit, RunSpec
+from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
 from slamhive.files import remedy_of, write_aside
-from slamhive.runs.folder import RunFolder
 
 ROS_ENVIRONMENT = {"HOME": "/tmp", "ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://localhost:11311"}  # noqa: S108
 """HOME is /tmp: the user of the run has no other folder to write to."""
@@ -71,13 +72,20 @@ def _is_live(container: Any, live_keys: Collection[str]) -> bool:
     return created_at is not None and utc_now() - created_at < _START_PATIENCE
 
 
-class DockerExecutor:
+class DockerExecutor(Executor):
     """The executor ``docker``. Safe to share between threads."""
 
     name = "docker"
+    capabilities = Capabilities(
+        isolates=True,
+        limits=frozenset({Limit.CORES, Limit.MEMORY, Limit.PROCESSES, Limit.DISK}),
+        needs=PackageNeed.IMAGE,
+        evaluates_in=EvaluationPlace.CONTAINER,
+        preference=10,
+    )
 
     def __init__(self, context: ExecutorContext) -> None:
-        self._context = context
+        super().__init__(context)
         self._lock = threading.Lock()
         self._client: docker.DockerClient | None = None
         self._refused = RefusedProcesses()
@@ -91,10 +99,9 @@ class DockerExecutor:
             return str(error)
         return None
 
-    def protections(self) -> Protections:
-        """As far as the engine's kernel allows."""
-        with engine_errors("asking the Docker engine", EngineUnavailable):
-            return engine_protections(self._engine().info())
+    def examine(self) -> list[Finding]:
+        """How the engine's kernel enforces limits."""
+        return [Finding("protections", self._protections().text)]
 
     def identity(self, package: AlgorithmPackage) -> str | None:
         """The digest of the image of this version of the package; None if it has to be built or pulled."""
@@ -116,7 +123,7 @@ class DockerExecutor:
         started_at = None if started is None else _time(started.attrs["State"].get("StartedAt"))
         if started_at is not None:
             data["started_at"] = started_at.isoformat()
-        return RunHandle(self.name, data, self.protections())
+        return RunHandle(self.name, data, self._protections())
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """The state as the engine knows it."""
@@ -191,12 +198,20 @@ class DockerExecutor:
             self._remove(str(container.id))
         return [str(container.name) for container in stale]
 
+    def evaluation_starter(self) -> BatchStarter:
+        """Starts containers of the evaluation image."""
+        return DockerStarter(self._context)
+
     def close(self) -> None:
         """Close the connection to the engine."""
         with self._lock:
             if self._client is not None:
                 self._client.close()
                 self._client = None
+
+    def _protections(self) -> Protections:
+        with engine_errors("asking the Docker engine", EngineUnavailable):
+            return engine_protections(self._engine().info())
 
     def _engine(self) -> docker.DockerClient:
         with self._lock:
@@ -212,10 +227,12 @@ class DockerExecutor:
                 return None
 
     def _create(self, spec: RunSpec) -> Any:
+        scratch = _scratch(spec)
         try:
-            _scratch(spec).mkdir(parents=True, exist_ok=True)
+            scratch.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise Unavailable(f"{_scratch(spec)} cannot be made: {error.strerror}", remedy_of(error)) from None
+            raise Unavailable(f"{scratch} cannot be made: {error.strerror}", remedy_of(error)) from None
+        make_own_copies(spec)
         with engine_errors(f"starting run {spec.run_id}", StartFailed):
             try:
                 return self._engine().containers.create(**container_options(spec, self._context))
@@ -263,14 +280,7 @@ def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]
             INSTALLATION_LABEL: context.installation,
         },
         "environment": {**ROS_ENVIRONMENT, **spec.environment},
-        "mounts": [
-            *(
-                Mount(mount.target, str(mount.source.resolve()), type="bind", read_only=mount.read_only)
-                for mount in spec.mounts
-            ),
-            # Counted with the result, unlike the container's own layer; and no memory is used, unlike by a tmpfs.
-            Mount("/tmp", str(_scratch(spec)), type="bind"),  # noqa: S108 - the container's
-        ],
+        "mounts": _mounts(spec),
         "user": f"{os.getuid()}:{os.getgid()}",
         "pids_limit": limits.pids,
         "log_config": LogConfig(
@@ -290,8 +300,16 @@ def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]
     return options
 
 
+def _mounts(spec: RunSpec) -> list[Mount]:
+    """The mounts of a run. A mount below another one comes after it, and so shows in it."""
+    read_only = read_places(spec)
+    # /tmp counts with the result, unlike the container's own layer, and takes no memory, unlike a tmpfs.
+    places = {**read_only, **written_places(spec), "/tmp": _scratch(spec)}  # noqa: S108 - the container's
+    return [Mount(target, str(places[target]), type="bind", read_only=target in read_only) for target in sorted(places)]
+
+
 def _scratch(spec: RunSpec) -> Path:
-    return RunFolder(spec.log_path.resolve().parent).scratch
+    return spec.work.resolve() / "tmp"
 
 
 def _time(text: str | None) -> datetime | None:

@@ -8,10 +8,11 @@ from typing import Any, Protocol
 import docker.errors
 
 from slamhive.clock import monotonic_s
-from slamhive.executors.base import EngineUnavailable, Protections
+from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.cgroup import task_counter_of
 from slamhive.executors.docker.engine import engine_errors
-from slamhive.executors.process_limit import RefusalWatch
+from slamhive.executors.refusal_watch import RefusalWatch
+from slamhive.executors.status import Protections
 
 _ASK_EVERY_S = 1.0
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from slamhive.clock import monotonic_s
-from slamhive.executors.base import UsageSource
 from slamhive.executors.process.priority import urgent
 from slamhive.executors.process.table import ProcessEntry, descendants, living, read_process, tasks_on_machine
+from slamhive.executors.status import UsageSource
 
 _RESCAN_S = 0.5
 

@@ -25,17 +25,15 @@ import slamhive
 from slamhive.clock import monotonic_s
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import (
-    Exited,
-    Gone,
+    Capabilities,
+    EvaluationPlace,
+    Executor,
+    ExecutorContext,
+    Finding,
     ImageMissing,
+    PackageNeed,
     ProgressCallback,
-    Protections,
-    RunHandle,
-    Running,
-    RunSpec,
-    RunStatus,
     StartFailed,
-    UsageSource,
 )
 from slamhive.executors.process.capped_log import assemble
 from slamhive.executors.process.containment import found_again
@@ -49,25 +47,41 @@ from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.survey import survey
 from slamhive.executors.process.table import ProcessEntry, all_processes, end_all, living
 from slamhive.executors.process.tree_usage import ProcessTreeSource
-from slamhive.executors.registry import ExecutorContext
+from slamhive.executors.spec import Limit, RunSpec
+from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
 from slamhive.files import write_aside
-from slamhive.runs.folder import RunFolder
 from slamhive.tree import remove_tree
 
 logger = logging.getLogger(__name__)
 
+_CONTAIN_BETTER = (
+    "use Docker, or let control groups be written: start the worker as root, "
+    "or with systemd-run --user --scope -p Delegate=yes slamhive worker"
+)
 _START_WAIT_S = 15.0
 _KILL_WAIT_S = 5.0
 _STEP_S = 0.02
 
 
-class ProcessExecutor:
-    """The executor ``process``."""
+class ProcessExecutor(Executor):
+    """The executor ``process``.
+
+    Args:
+        context: Where environments lie, and whose runs these are.
+        containment: The only way to contain runs, one of ``containment.KINDS``; None for the strongest that works here.
+    """
 
     name = "process"
+    capabilities = Capabilities(
+        limits=frozenset({Limit.CORES, Limit.MEMORY, Limit.PROCESSES, Limit.DISK}),
+        needs=PackageNeed.ENVIRONMENT,
+        evaluates_in=EvaluationPlace.PROCESS,
+        preference=20,
+    )
 
-    def __init__(self, context: ExecutorContext) -> None:
-        self._context = context
+    def __init__(self, context: ExecutorContext, containment: str | None = None) -> None:
+        super().__init__(context)
+        self._containment = containment
         self._environments = Environments(context.data.resolve())
 
     def unavailable_because(self) -> str | None:
@@ -76,9 +90,15 @@ class ProcessExecutor:
             return f"the process executor needs Linux, this is {sys.platform}; use Docker"
         return pip_problem()
 
-    def protections(self) -> Protections:
-        """Tried out on this machine, as a supervisor would."""
-        return survey(self._context.installation, self._context.containment)
+    def examine(self) -> list[Finding]:
+        """How limits are enforced on this machine: tried out, as a supervisor does."""
+        protections = survey(self._context.installation, self._containment)
+        reasons = "; ".join(f"no {way}: {reason}" for way, reason in protections.does_not_hold.items())
+        return [Finding("protections", protections.text, f"{reasons}; {_CONTAIN_BETTER}" if reasons else None)]
+
+    def check_package(self, package: AlgorithmPackage) -> None:
+        """Raise ImageMissing if the package has no environment."""
+        self._environments.identity(package)
 
     def identity(self, package: AlgorithmPackage) -> str | None:
         """The environment's hashes if it is there, None if it has to be made. Raises ImageMissing if none can be."""
@@ -154,7 +174,8 @@ class ProcessExecutor:
             os.close(descriptor)
 
     def sweep(self, live_keys: Collection[str]) -> list[str]:
-        """End and remove the control groups of supervisors that were killed, if their run is over."""
+        """End and remove the control groups of runs that are over, and the remains of environments."""
+        self._environments.sweep()
         live = {group_name(self._context.installation, key) for key in live_keys}
         removed = []
         for name, group in left_over_groups(self._context.installation):
@@ -163,13 +184,6 @@ class ProcessExecutor:
                 group.remove()
                 removed.append(name)
         return removed
-
-    def hidden_bytes(self, handle: RunHandle) -> int:  # noqa: ARG002 - the seam's signature
-        """0: what is written outside of the run's folders is not known to be the run's."""
-        return 0
-
-    def close(self) -> None:
-        """Nothing: there is no connection."""
 
     def usage_source(self, handle: RunHandle) -> UsageSource | None:
         """The kernel's counters of the run's control group, else the tree of processes below the supervisor."""
@@ -180,11 +194,11 @@ class ProcessExecutor:
         return (None if containment is None else containment.usage()) or ProcessTreeSource(shim)
 
     def _shim_spec(self, spec: RunSpec, environment: Environment, work: Path) -> ShimSpec:
-        return shim_spec_of(spec, environment, work, self._context)
+        return shim_spec_of(spec, environment, work, self._context, self._containment)
 
 
 def _work_folder(spec: RunSpec) -> Path:
-    return RunFolder(spec.log_path.resolve().parent).work
+    return spec.work.resolve()
 
 
 def _remove_work(work: Path) -> None:

@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.clock import monotonic_s
-from slamhive.executors.base import UsageSource
 from slamhive.executors.cgroup import CGROUP_ROOT, CgroupV1, CgroupV2, TaskCounter, parse_flat, parse_memberships
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
 from slamhive.executors.process.table import ProcessEntry, end_all, living, read_process
-from slamhive.executors.process_limit import REFUSAL_PATIENCE_S
+from slamhive.executors.refusal_watch import REFUSAL_PATIENCE_S
+from slamhive.executors.status import UsageSource
 
 PREFIX = "slamhive-"
 _V1_CONTROLLERS = ("pids", "memory", "cpu", "cpuacct", "freezer")

@@ -30,7 +30,6 @@ from types import FrameType
 from typing import Any
 
 from slamhive.clock import monotonic_s, utc_now
-from slamhive.executors.base import Protections
 from slamhive.executors.process import namespaces
 from slamhive.executors.process.capped_log import CappedLog
 from slamhive.executors.process.containment import choose_containment
@@ -41,7 +40,8 @@ from slamhive.executors.process.linux import PR_SET_CHILD_SUBREAPER, PR_SET_NO_N
 from slamhive.executors.process.priority import raise_supervisor, urgent
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.table import end_all, send, send_to_group
-from slamhive.executors.process_limit import RefusalWatch
+from slamhive.executors.refusal_watch import RefusalWatch
+from slamhive.executors.status import Protections
 from slamhive.files import write_aside
 
 LOCK_FILE = "shim.lock"

@@ -6,10 +6,10 @@ import os
 import subprocess
 import sys
 
-from slamhive.executors.base import Protections
 from slamhive.executors.process import priority
 from slamhive.executors.process.containment import choose_containment
 from slamhive.executors.process.containment_base import ContainmentRequest
+from slamhive.executors.status import Protections
 
 _ANY_TASKS = 16
 

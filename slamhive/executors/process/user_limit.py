@@ -26,7 +26,7 @@ from slamhive.executors.process.linux import (
     prctl,
 )
 from slamhive.executors.process.table import ProcessEntry, end_all, living, processes_of_user
-from slamhive.executors.process_limit import REFUSAL_PATIENCE_S
+from slamhive.executors.refusal_watch import REFUSAL_PATIENCE_S
 
 FIRST_UID = 200_000
 USERS = 64

@@ -14,7 +14,7 @@ from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.services.evaluations import protocol_for
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.views import VariantNeed
-from slamhive.services.runs import check_disk, check_package, check_recorded, recorded_topics
+from slamhive.services.runs import RunLimits, check_disk, check_executor, check_recorded, recorded_topics
 from slamhive.sweep.binding import at
 from slamhive.sweep.expand import Expansion
 from slamhive.sweep.experiment import Experiment
@@ -59,6 +59,7 @@ def pair_problems(
     """What is wrong with recordings, packages and alignment, each told once with its place."""
     recorded: dict[str, Mapping[str, int] | None] = {}
     packages: set[str] = set()
+    asked = RunLimits(experiment.limits.cpu_cores, experiment.limits.memory_mb)
     for algorithm, dataset in expansion.pairs:
         if dataset.name not in recorded:
             try:
@@ -72,7 +73,7 @@ def pair_problems(
                 check_recorded(dataset, algorithm, topics)
             if algorithm.package.name not in packages:
                 packages.add(algorithm.package.name)
-                check_package(executor, context.executors.get, algorithm.package)
+                check_executor(context.executors.get(executor), algorithm.package, asked)
             protocol_of_pair(context, experiment, expansion, (algorithm.name, dataset.name))
         except SlamHiveError as error:
             yield at(experiment.datasets.place, error)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from types import UnionType
 from typing import Any
+
+from pydantic import TypeAdapter
 
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.disturbance import disturbance_from_json
@@ -16,7 +17,9 @@ from slamhive.domain.run import FailureReason, RunEvent, RunState
 from slamhive.domain.stop_when import stop_when_from_json, stop_when_to_json
 from slamhive.domain.variant import variant_from_json, variant_to_json
 from slamhive.errors import InvalidInput
-from slamhive.executors.base import Limits, Mount, RunHandle, RunSpec
+from slamhive.executors.spec import RunSpec
+from slamhive.executors.status import RunHandle
+from slamhive.runs.folder import RunFolder
 from slamhive.services.json_values import exact, plain
 from slamhive.store.records import RunFields, RunRecord, RunRequest, RunSnapshot
 
@@ -73,30 +76,31 @@ def events_to_json(events: Sequence[RunEvent]) -> list[dict[str, Any]]:
     ]
 
 
+_SPEC = TypeAdapter(RunSpec)
+
+
 def spec_to_json(spec: RunSpec) -> dict[str, Any]:
-    """The frozen specification, paths as text."""
-    content = asdict(spec)
-    content["mounts"] = [
-        {"source": str(mount.source), "target": mount.target, "read_only": mount.read_only} for mount in spec.mounts
-    ]
-    return {**content, "log_path": str(spec.log_path), "package_folder": str(spec.package_folder)}
+    """The specification, paths as text."""
+    content: dict[str, Any] = _SPEC.dump_python(spec, mode="json")
+    return content
 
 
 def spec_from_json(content: Mapping[str, Any]) -> RunSpec:
-    """The specification that :func:`spec_to_json` wrote."""
-    limits = dict(content["limits"])
-    limits["cpuset"] = None if limits["cpuset"] is None else tuple(limits["cpuset"])
-    mounts = tuple(Mount(Path(entry["source"]), entry["target"], entry["read_only"]) for entry in content["mounts"])
-    return RunSpec(
-        **{
-            **content,
-            "command": tuple(content["command"]),
-            "mounts": mounts,
-            "limits": Limits(**limits),
-            "log_path": Path(content["log_path"]),
-            "package_folder": Path(content["package_folder"]),
-        }
-    )
+    """The specification that :func:`spec_to_json` wrote; also one that an earlier version wrote with ``mounts``."""
+    return _SPEC.validate_python(_without_mounts(content) if "mounts" in content else content)
+
+
+def _without_mounts(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Mounts of earlier versions as inputs and outputs. A writable mount that is no result is a copy of an input."""
+    new = {key: value for key, value in content.items() if key not in ("mounts", "log_path")}
+    new |= {"inputs": [], "outputs": [], "work": str(RunFolder(Path(content["log_path"]).parent).work)}
+    for mount in content["mounts"]:
+        name, place = mount["target"].strip("/"), {"target": mount["target"]}
+        if mount["target"].endswith("/result"):
+            new["outputs"].append({"name": "result", "destination": mount["source"], **place})
+        else:
+            new["inputs"].append({"name": name, "source": mount["source"], "own_copy": not mount["read_only"], **place})
+    return new
 
 
 def handle_to_json(handle: RunHandle) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from slamhive.services.runs.progress import RunProgress, run_progress
 from slamhive.services.runs.record import handle_from_json
 from slamhive.services.runs.retrying import check_retriable, retry_request
 from slamhive.services.runs.series import RunSeries, run_series
-from slamhive.services.runs.specification import check_disk, check_package, check_recorded, recorded_topics
+from slamhive.services.runs.specification import RunLimits, check_disk, check_executor, check_recorded, recorded_topics
 from slamhive.settings import Settings
 from slamhive.store import Page, RunRecord, RunRequest, RunSort, Store, Transaction
 
@@ -61,7 +61,8 @@ class Runs:
         check_recorded(dataset, algorithm, recorded_topics(dataset))
         check_disk(self._settings)
         executor = self._executors.choose(submission.executor)
-        check_package(executor, self._executors.get, algorithm.package)
+        asked = RunLimits(submission.cpu_cores, submission.memory_mb)
+        check_executor(self._executors.get(executor), algorithm.package, asked)
         protocol = None
         if submission.alignment is not None:
             protocol = protocol_for(algorithm, dataset, self._settings, submission.alignment)

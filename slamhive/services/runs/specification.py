@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from slamhive import __version__
 from slamhive.bags.reader import inspect_bag
+from slamhive.bags.staging import checksum
 from slamhive.catalogue.algorithm_file import package_hash
 from slamhive.catalogue.run_config import build_run_config
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput, Unavailable
-from slamhive.executors.base import Executor, ImageMissing, Limits, Mount, RunSpec
-from slamhive.files import write_aside
+from slamhive.executors.base import Capabilities, Executor, ImageMissing
+from slamhive.executors.spec import Input, Limits, Output, RunSpec
+from slamhive.files import hash_files, write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.runtime.config import to_yaml
 from slamhive.runtime.paths import ORB_VOCABULARY_VARIABLE
@@ -27,6 +29,8 @@ from slamhive.settings import Settings
 CONTAINER_ROOT = "/slamhive"
 COMMAND = ("python3", f"{CONTAINER_ROOT}/mapping.py")
 CONTAINER_VOCABULARY = "/slamhive-vocabulary.txt"
+MOST_BYTES_HASHED = 1_000_000
+"""Larger inputs are hashed only if their hash is known already."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,14 +96,17 @@ def check_recorded(dataset: Dataset, algorithm: Algorithm, recorded: Mapping[str
             )
 
 
-def check_package(executor: str, executors: Callable[[str], Executor], package: AlgorithmPackage) -> None:
-    """Raise InvalidInput if the package can never run on ``executor``: it has no environment, only an image."""
-    if executor != "process":
-        return
+def check_executor(executor: Executor, package: AlgorithmPackage, asked: RunLimits) -> None:
+    """Raise InvalidInput if ``executor`` can never run the package, or does not enforce a limit that was asked for."""
     try:
-        executors(executor).identity(package)
+        executor.check_package(package)
     except ImageMissing as error:
         raise InvalidInput(error.message, error.remedy) from None
+    memory_bytes = None if asked.memory_mb is None else asked.memory_mb * 1_000_000
+    limits = Limits(asked.cpu_cores, memory_bytes, pids=None)
+    refusal = executor.capabilities.refusal(executor.name, limits)
+    if refusal is not None:
+        raise InvalidInput(refusal, "leave the limit out, or choose another executor")
 
 
 def write_config(job: Job, folder: RunFolder) -> None:
@@ -109,17 +116,33 @@ def write_config(job: Job, folder: RunFolder) -> None:
 
 
 def build_spec(
-    job: Job, folder: RunFolder, settings: Settings, identity: str, cores: tuple[int, ...] | None
+    job: Job,
+    folder: RunFolder,
+    settings: Settings,
+    identity: str,
+    cores: tuple[int, ...] | None,
+    capabilities: Capabilities,
 ) -> RunSpec:
-    """The frozen specification of the run.
+    """The specification of the run, as it is stored in the run folder.
 
     Args:
         job: What to run.
         folder: Its run folder; ``config.yaml`` has been written.
-        settings: Limits and time limits come from here where the run asks for none.
-        identity: Image digest or environment hash that will be used.
+        settings: The limits for runs that ask for none.
+        identity: The image digest or environment hash to use.
         cores: Core numbers of the worker's slot, None for all cores.
+        capabilities: Of the executor: default limits that it does not enforce are left out.
     """
+    # The numbers of this machine's cores mean nothing on another one.
+    limits = _limits(job, settings, cores if capabilities.shares_files else None).only(capabilities.limits)
+    results = Output(
+        "result",
+        folder.result,
+        f"{CONTAINER_ROOT}/result",
+        live=tuple(path.name for path in folder.watched_files),
+        max_bytes=limits.disk_bytes,
+        max_files=limits.files,
+    )
     return RunSpec(
         key=job.key,
         run_id=job.run_id,
@@ -128,11 +151,12 @@ def build_spec(
         image=job.algorithm.package.image,
         identity=identity,
         command=COMMAND,
-        mounts=_mounts(job, folder, settings),
+        inputs=tuple(_inputs(job, folder, settings)),
+        outputs=(results,),
         environment={ORB_VOCABULARY_VARIABLE: CONTAINER_VOCABULARY} if settings.orb_vocabulary else {},
-        limits=_limits(job, settings, cores),
+        limits=limits,
         timeout_s=time_limit_s(job, settings),
-        log_path=folder.log,
+        work=folder.work,
     )
 
 
@@ -166,25 +190,31 @@ def provenance(job: Job, identity: str) -> dict[str, Any]:
     }
 
 
-def _mounts(job: Job, folder: RunFolder, settings: Settings) -> tuple[Mount, ...]:
-    dataset = job.seen
+def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[Input]:
+    dataset, package = job.seen, job.algorithm.package
     inside = f"{CONTAINER_ROOT}/dataset"
-    mounts = [
-        Mount(folder.config, f"{CONTAINER_ROOT}/config.yaml"),
-        Mount(dataset.bag_path, f"{inside}/{dataset.bag}"),
-        Mount(folder.result, f"{CONTAINER_ROOT}/result", read_only=False),
-    ]
-    companions = (name for name in ("dataset.yaml", "rosbag_play.py") if (dataset.folder / name).is_file())
-    mounts.extend(Mount(dataset.folder / name, f"{inside}/{name}") for name in companions)
+    if not (package.folder / "Dockerfile").is_file():
+        # An image made for the published SLAM Hive does not hold its scripts. It gets a copy that it may change.
+        yield _input("slamhive", package.folder / "slamhive", CONTAINER_ROOT, own_copy=True)
+    yield _input("config", folder.config, f"{CONTAINER_ROOT}/config.yaml")
+    yield _input("recording", dataset.bag_path, f"{inside}/{dataset.bag}", content=dataset.checksum)
+    for name in ("dataset.yaml", "rosbag_play.py"):
+        if (dataset.folder / name).is_file():
+            yield _input(name, dataset.folder / name, f"{inside}/{name}")
     if settings.orb_vocabulary:
-        mounts.append(Mount(Path(settings.orb_vocabulary), CONTAINER_VOCABULARY))
-    scripts = job.algorithm.package.folder / "slamhive"
-    if not (job.algorithm.package.folder / "Dockerfile").is_file():
-        # An image made for the published SLAM Hive: its scripts are not baked in, it gets a copy of its own.
-        copy = folder.work / "slamhive"
-        shutil.copytree(scripts, copy, dirs_exist_ok=True)
-        mounts.insert(0, Mount(copy, CONTAINER_ROOT, read_only=False))
-    return tuple(mounts)
+        yield _input("vocabulary", Path(settings.orb_vocabulary), CONTAINER_VOCABULARY)
+
+
+def _input(name: str, source: Path, target: str, *, content: str | None = None, own_copy: bool = False) -> Input:
+    """An input with its size, and with its content's identity unless reading it would take long."""
+    try:
+        files = [path for path in source.rglob("*") if path.is_file()] if source.is_dir() else [source]
+        size_bytes = sum(path.stat().st_size for path in files)
+        if content is None and size_bytes <= MOST_BYTES_HASHED:
+            content = hash_files(source) if source.is_dir() else checksum(source)
+    except OSError as error:
+        raise InvalidInput(f"the {name} {source} cannot be read: {error.strerror}", "put it back") from None
+    return Input(name, source, target, size_bytes, content, own_copy)
 
 
 def _limits(job: Job, settings: Settings, cores: tuple[int, ...] | None) -> Limits:

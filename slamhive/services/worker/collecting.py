@@ -9,7 +9,7 @@ from slamhive.domain.disturbance import Disturbance, disturbance_to_json
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import RunEvent
 from slamhive.errors import SlamHiveError
-from slamhive.executors.base import Exited
+from slamhive.executors.status import Exited
 from slamhive.runs.outcome import Evidence, Outcome, decide
 from slamhive.runs.profiling import measure_run, write_plots
 from slamhive.services.json_values import exact
@@ -35,6 +35,7 @@ class Collecting:
         hand.check_owner()
         status = hand.executor.poll(hand.handle)
         hand.executor.save_log(hand.handle, hand.folder.log)
+        hand.executor.collect(hand.spec, hand.handle)
         settle_result(hand)
         saved = hand.saved()
         evidence = gather_evidence(hand.folder, status, saved, hand.run.stop_when)

@@ -41,7 +41,7 @@ class DiskWatch:
             hidden_bytes = self._hand.executor.hidden_bytes(self._hand.handle)
             self._hidden_due_s = monotonic_s() + _HIDDEN_INTERVAL_S
             if hidden_bytes > limit_bytes:
-                return f"more than {limit_bytes / 1e6:.0f} MB into its container"
+                return f"more than {limit_bytes / 1e6:.0f} MB, as its executor counts"
         if self._limits == DiskLimits() or monotonic_s() < self._folders_due_s:
             return None
         began_s = time.thread_time()

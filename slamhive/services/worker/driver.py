@@ -10,10 +10,11 @@ from datetime import datetime
 
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import SlamHiveError
-from slamhive.executors.base import EngineUnavailable, ImageMissing, RunHandle, StartFailed
+from slamhive.executors.base import EngineUnavailable, ImageMissing, StartFailed
+from slamhive.executors.status import RunHandle
 from slamhive.services.datasets import variant_key
 from slamhive.services.json_values import exact, timestamp
-from slamhive.services.runs import handle_to_json, spec_from_json
+from slamhive.services.runs import handle_to_json
 from slamhive.services.worker.collecting import Collecting
 from slamhive.services.worker.context import DriverContext
 from slamhive.services.worker.disk import remove_scratch, settle_result
@@ -93,7 +94,7 @@ class RunDriver:
         if hand.cancel_requested():
             hand.move(RunState.CANCELLING, CANCELLED_BY_USER)
             return
-        spec = spec_from_json(hand.saved()["spec"])
+        spec = hand.spec
         try:
             handle = hand.executor.start(spec)
         except ImageMissing as error:
@@ -120,12 +121,14 @@ class RunDriver:
         if hand.run.handle is not None:
             hand.executor.stop(hand.handle, self._context.settings.stop_grace_s)
             hand.executor.save_log(hand.handle, hand.folder.log)
+            if hand.keeper.readable():
+                hand.executor.collect(hand.spec, hand.handle)
             hand.executor.remove(hand.handle)
             settle_result(hand)
             remove_scratch(hand)
         elif hand.keeper.readable() and "spec" in hand.saved():
             # A start whose answer was lost may have started something all the same.
-            hand.executor.discard(spec_from_json(hand.saved()["spec"]))
+            hand.executor.discard(hand.spec)
             remove_scratch(hand)
 
 

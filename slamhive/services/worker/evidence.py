@@ -6,7 +6,7 @@ from typing import Any
 
 from slamhive.domain.run import FailureReason
 from slamhive.domain.stop_when import StopWhen
-from slamhive.executors.base import Exited, Gone, RunStatus
+from slamhive.executors.status import Exited, Gone, RunStatus
 from slamhive.runs.early_end import EarlyEnd
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.leftovers import Survey, removed_in_words
@@ -56,7 +56,7 @@ def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any],
         process_limit=cause == "process_limit" or (isinstance(status, Exited) and status.process_limit),
         refused_processes=isinstance(status, Exited) and status.refused_processes,
         most_processes=saved["spec"]["limits"]["pids"],
-        timed_out=cause == "timeout",
+        timed_out=cause == "timeout" or (isinstance(status, Exited) and status.timed_out),
         timeout_s=float(saved["spec"]["timeout_s"]),
         disk_exceeded=saved.get(DISK_LIMIT) or saved[LEFT]["exceeded"],
         removed=removed_in_words(saved[LEFT]["removed"]),

@@ -13,7 +13,6 @@ from slamhive.bags.staging import sweep_partial_folders
 from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Executor
-from slamhive.executors.process.environment import Environments
 from slamhive.files import sweep_asides, sweep_folder, sweep_temporary
 from slamhive.runs.folder import RunFolder
 from slamhive.services.datasets import Variants
@@ -47,7 +46,6 @@ def sweep_leftovers(settings: Settings, store: Store, variants: Variants, execut
         sweep_folder(aside)
     sweep_partial_folders(settings.datasets_folder)
     variants.sweep()
-    Environments(data).sweep()
     sweep_imports(settings.runs_folder)
     for run in store.read(lambda t: t.runs.get_many(t.queue.lately(LATEST))):
         _sweep_run(run, RunFolder(settings.runs_folder / str(run.id)), executors)

@@ -85,7 +85,8 @@ class Preparing:
         job = self._with_variant(job)
         identity = hand.executor.build(job.algorithm.package, self._show_build_line)
         write_config(job, hand.folder)
-        spec = build_spec(job, hand.folder, hand.context.settings, identity, hand.cores)
+        capabilities = hand.executor.capabilities
+        spec = build_spec(job, hand.folder, hand.context.settings, identity, hand.cores, capabilities)
         # The attempt is written down before the start: a worker that dies in the start may have started the run.
         prepared = {**provenance(job, identity), "spec": spec_to_json(spec), STARTED_BY: hand.run.attempt}
         host = self._register_version(job, identity)

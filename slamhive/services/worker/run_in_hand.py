@@ -9,10 +9,12 @@ from typing import Any
 
 from slamhive.domain.run import FailureReason, RunEvent, RunState
 from slamhive.errors import InvalidInput
-from slamhive.executors.base import Executor, RunHandle
+from slamhive.executors.base import Executor
+from slamhive.executors.spec import RunSpec
+from slamhive.executors.status import RunHandle
 from slamhive.runs.folder import RunFolder
 from slamhive.services.json_values import exact
-from slamhive.services.runs import RecordKeeper, handle_from_json
+from slamhive.services.runs import RecordKeeper, handle_from_json, spec_from_json
 from slamhive.services.worker.context import DriverContext, WorkerStopping
 from slamhive.store.records import LeaseLost, RunRecord
 
@@ -48,6 +50,11 @@ class RunInHand:
         if self.run.handle is None:
             raise InvalidInput(f"run {self.run.id} is {self.run.state} without a handle")
         return handle_from_json(self.run.handle)
+
+    @cached_property
+    def spec(self) -> RunSpec:
+        """What was prepared, as the record has it."""
+        return spec_from_json(self.saved()["spec"])
 
     @property
     def started_at(self) -> datetime:

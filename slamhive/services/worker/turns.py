@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 from slamhive.clock import monotonic_s
 from slamhive.domain.affinity import same_data
+from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Executor
 from slamhive.store.records import RunRecord
 
@@ -69,3 +72,32 @@ class AbsentExecutors:
                 self.note(name)
         with self._lock:
             return tuple(sorted(self._ask_at_s))
+
+
+class OneAtATime:
+    """Lets one run at a time use an executor that cannot have several. Safe to share between threads.
+
+    Args:
+        executors: The executor for a name.
+    """
+
+    def __init__(self, executors: Callable[[str], Executor]) -> None:
+        self._executors = executors
+        self._lock = threading.Lock()
+        self._turns: dict[str, threading.Lock] = {}
+
+    def busy(self) -> tuple[str, ...]:
+        """The executors whose only place is taken."""
+        with self._lock:
+            return tuple(sorted(name for name, turn in self._turns.items() if turn.locked()))
+
+    def turn(self, name: str) -> AbstractContextManager[Any]:
+        """Held while a run uses the executor ``name``. If two slots have claimed a run each, one of them waits here."""
+        try:
+            several = self._executors(name).capabilities.several_at_once
+        except SlamHiveError:
+            several = True  # whoever drives the run meets the same error, and ends the run with it
+        if several:
+            return nullcontext()
+        with self._lock:
+            return self._turns.setdefault(name, threading.Lock())

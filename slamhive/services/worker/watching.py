@@ -8,10 +8,10 @@ from datetime import datetime
 from typing import Any
 
 from slamhive.domain.run import RunState
-from slamhive.executors.base import Gone, Running, UsageSource
 from slamhive.executors.energy import EnergyLog
 from slamhive.executors.host_counters import HostCounters, HostLog
 from slamhive.executors.sampler import MachineLogs, Sampler
+from slamhive.executors.status import Gone, Running, UsageSource
 from slamhive.runs.early_end import Observation, broken_rule
 from slamhive.runs.outcome import is_finished
 from slamhive.services.runs import untracked_s
@@ -78,15 +78,14 @@ class Watch:
 
     def _machine_logs(self, source: UsageSource) -> MachineLogs:
         hand = self._hand
-        cores = hand.saved()["spec"]["limits"]["cpuset"]
-        counters = HostCounters(cores) if source.on_this_machine else None
+        counters = HostCounters(hand.spec.limits.cpuset) if source.on_this_machine else None
         return MachineLogs(EnergyLog(hand.folder.energy), HostLog(hand.folder.host, counters))
 
     def _wait_for_end(self) -> str:
         """Why the run has ended: ``exited``, ``gone``, ``cancelled``, or what :data:`STOPPED_BECAUSE` says."""
         hand = self._hand
         saved = hand.saved()
-        timeout_s = float(saved["spec"]["timeout_s"])
+        timeout_s = hand.spec.timeout_s
         disk = DiskWatch(hand, disk_limits(saved))
         engine_was_away = ENGINE_AWAY in saved
         while True:
@@ -102,6 +101,7 @@ class Watch:
             if STOPPED_BECAUSE in saved:
                 # A worker died between writing down why and stopping; what it had seen may have passed by now.
                 return self._stop(saved[STOPPED_BECAUSE])
+            hand.executor.refresh(hand.spec, hand.handle)
             cause = {STOPPED_BECAUSE: "process_limit"} if status.process_limit else self._cause_to_stop(timeout_s, disk)
             if cause is not None:
                 return self._stop_because(cause)

@@ -15,7 +15,7 @@ from slamhive.clock import monotonic_s
 from slamhive.domain.run import RunEvent, RunState
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.executors.base import EngineUnavailable, Executor
-from slamhive.executors.registry import AUTO
+from slamhive.executors.registry import candidates
 from slamhive.runs.folder import RunFolder
 from slamhive.search.build import matching
 from slamhive.services.analyses import AnalysisJobs
@@ -29,7 +29,7 @@ from slamhive.services.worker.held_runs import HeldRuns
 from slamhive.services.worker.leftovers import sweep_leftovers
 from slamhive.services.worker.lock import WorkerLock
 from slamhive.services.worker.slots import share_cores
-from slamhive.services.worker.turns import AbsentExecutors, Turns
+from slamhive.services.worker.turns import AbsentExecutors, OneAtATime, Turns
 from slamhive.settings import Settings
 from slamhive.store import Store, Transaction
 from slamhive.store.records import LeaseLost, RunRecord
@@ -75,6 +75,7 @@ class Worker:
         self._next_evaluation_s = 0.0
         self.owner = worker_identity()
         self._absent = AbsentExecutors(executors, TROUBLE_PAUSE_S)
+        self._one_at_a_time = OneAtATime(executors)
         self._context = DriverContext(
             settings=settings,
             store=store,
@@ -130,7 +131,7 @@ class Worker:
         turns = Turns()
         while not self._stopping.is_set():
             try:
-                away = self._absent.names()
+                away = (*self._absent.names(), *self._one_at_a_time.busy())
                 busy = self._work_once(cores, turns, away)
             except (SlamHiveError, OSError) as error:
                 logger.warning("%s; trying again in %.0f s", error, TROUBLE_PAUSE_S)
@@ -170,7 +171,8 @@ class Worker:
         self._held.add(run.id)
         logger.info("run %d: %s on %s, %s", run.id, run.algorithm, run.dataset, run.state)
         try:
-            ended = self._drive_through_trouble(run, cores)
+            with self._one_at_a_time.turn(run.executor):
+                ended = self._drive_through_trouble(run, cores)
         except (LeaseLost, WorkerStopping) as error:
             logger.info("%s", error)
             return
@@ -281,23 +283,23 @@ class Worker:
 
     def _sweep(self) -> None:
         """Remove what killed workers have left behind."""
-        self._sweep_containers()
+        self._sweep_executors()
         try:
             sweep_leftovers(self._settings, self._store, self._context.variants, self._context.executors)
         except (SlamHiveError, OSError) as error:
             logger.warning("what killed workers have left may still be there: %s", error)
 
-    def _sweep_containers(self) -> None:
-        """Remove containers and control groups whose runs have ended."""
+    def _sweep_executors(self) -> None:
+        """Remove what runs that have ended have left in their executors."""
         active = matching(states=tuple(state for state in RunState if state.active))
         records = self._store.read(lambda t: t.runs.page(active, limit=MOST_ACTIVE)).records
         names = {record.executor for record in records}
-        names.update(("docker", "process") if self._settings.executor == AUTO else (self._settings.executor,))
+        names.update(executor.name for executor in candidates(self._settings.executor, self._context.executors))
         for name in sorted(names):
             try:
                 removed = self._context.executors(name).sweep({record.uid for record in records})
             except SlamHiveError as error:
-                logger.info("left-over containers are not looked for: %s", str(error))
+                logger.info("what runs have left in %s is not removed now: %s", name, error)
             else:
                 if removed:
                     logger.info("removed %s, whose runs have ended", ", ".join(removed))

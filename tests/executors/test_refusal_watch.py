@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.executors.process_limit import RefusalWatch
+from slamhive.executors.refusal_watch import RefusalWatch
 
 P = 3.0
 

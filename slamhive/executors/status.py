@@ -1,0 +1,106 @@
+"""What an executor tells about a started run. The supervisor of a process imports this module, so it stays small."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class Protections:
+    """How the limits of a run are enforced, in words for the user.
+
+    Attributes:
+        held_by: What contains the run: a container, a control group, a user of its own, or its supervisor.
+        processes: What happens when it starts too many processes and threads.
+        memory: What enforces its memory limit.
+        cpu: What enforces its share of the processors.
+        end: How all of its processes are ended.
+        priority: How the supervisor gets processor time beside the run.
+        does_not_hold: Stronger ways that this machine does not allow: {way: reason}.
+    """
+
+    held_by: str
+    processes: str
+    memory: str
+    cpu: str
+    end: str
+    priority: str
+    does_not_hold: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """Everything except ``does_not_hold``, on one line."""
+        parts = (f"processes {self.processes}", f"memory {self.memory}", f"CPU {self.cpu}", f"end: {self.end}")
+        return f"{self.held_by}: {'; '.join((*parts, self.priority))}"
+
+
+@dataclass(frozen=True, slots=True)
+class RunHandle:
+    """What a restarted worker needs to find a run again: plain strings, stored with the run.
+
+    ``data["started_at"]`` is the time at which the engine started the run (ISO 8601, UTC). It is the same for each
+    worker that adopts the run, and absent if the engine does not know it. ``protections`` go into the record.
+    """
+
+    executor: str
+    data: dict[str, str] = field(default_factory=dict)
+    protections: Protections | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """The run goes on. ``process_limit`` says that it was refused processes for so long that the worker must end it."""
+
+    process_limit: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Exited:
+    """The run has ended.
+
+    Attributes:
+        exit_code: Of the algorithm; 128 + signal for a signal.
+        out_of_memory: The memory limit killed the run or one of its processes.
+        process_limit: The executor ended it because it kept asking for more processes than it may have.
+        refused_processes: It was refused processes, as far as anybody saw.
+        timed_out: The executor ended it at its time limit.
+        started_at: When the algorithm started.
+        ended_at: When it ended.
+    """
+
+    exit_code: int
+    out_of_memory: bool = False
+    process_limit: bool = False
+    refused_processes: bool = False
+    timed_out: bool = False
+    started_at: datetime | None = None
+    ended_at: datetime | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Gone:
+    """The run cannot be found any more, and nobody knows how it ended."""
+
+    why: str
+
+
+RunStatus = Running | Exited | Gone
+
+
+class UsageSource(Protocol):
+    """Measures CPU and memory of a started run."""
+
+    @property
+    def on_this_machine(self) -> bool:
+        """Whether the run is on the machine of this process, so that its counters show what disturbed the run."""
+
+    def read(self) -> tuple[float, int] | None:
+        """CPU time used so far (s, summed over cores) and memory in use (bytes); None once the run is gone."""
+
+    def peak_memory_bytes(self) -> int | None:
+        """The peak that the kernel recorded; None where it records none."""
+
+    def close(self) -> None:
+        """Close files and connections."""

@@ -1,0 +1,44 @@
+"""A specification survives its record, also one of a run that an earlier version had started."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from slamhive.executors.local_files import make_own_copies, written_places
+from slamhive.executors.spec import Input, Limits, Output, RunSpec
+from slamhive.services.runs.record import spec_from_json, spec_to_json
+
+
+def spec(root: Path) -> RunSpec:
+    return RunSpec(
+        key="k", run_id=7, package="tiny", package_folder=root / "tiny", image="i:1", identity="sha256:1",
+        command=("python3", "/slamhive/mapping.py"),
+        inputs=(Input("slamhive", root / "work" / "slamhive", "/slamhive", own_copy=True),
+                Input("slamhive/config.yaml", root / "config.yaml", "/slamhive/config.yaml")),
+        outputs=(Output("result", root / "result", "/slamhive/result"),),
+        environment={"A": "b"}, limits=Limits(1.0, 5, 6, (0, 1), 7, 8), timeout_s=9.0, work=root / "work",
+    )  # fmt: skip
+
+
+def test_there_and_back(tmp_path):
+    assert spec_from_json(spec_to_json(spec(tmp_path))) == spec(tmp_path)
+
+
+def test_a_record_with_mounts_is_read(tmp_path):
+    content = spec_to_json(spec(tmp_path))
+    del content["inputs"], content["outputs"], content["work"]
+    content["log_path"] = str(tmp_path / "log.txt")
+    content["mounts"] = [
+        {"source": str(tmp_path / "work" / "slamhive"), "target": "/slamhive", "read_only": False},
+        {"source": str(tmp_path / "config.yaml"), "target": "/slamhive/config.yaml", "read_only": True},
+        {"source": str(tmp_path / "result"), "target": "/slamhive/result", "read_only": False},
+    ]
+    read = spec_from_json(content)
+    assert read == spec(tmp_path)
+    # The earlier version has made the copy already.
+    (tmp_path / "work" / "slamhive").mkdir(parents=True)
+    make_own_copies(read)
+    assert written_places(read) == {
+        "/slamhive": tmp_path / "work" / "slamhive",
+        "/slamhive/result": tmp_path / "result",
+    }
