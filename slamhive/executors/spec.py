@@ -24,7 +24,7 @@ class Limit(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Input:
+class RunInput:
     """A file or folder that the algorithm reads.
 
     Attributes:
@@ -46,7 +46,7 @@ class Input:
 
 
 @dataclass(frozen=True, slots=True)
-class Output:
+class RunOutput:
     """A folder that the algorithm writes to and the controller keeps.
 
     Attributes:
@@ -135,13 +135,13 @@ class RunSpec:
     image: str
     identity: str
     command: tuple[str, ...]
-    inputs: tuple[Input, ...]
-    outputs: tuple[Output, ...]
+    inputs: tuple[RunInput, ...]
+    outputs: tuple[RunOutput, ...]
     environment: dict[str, str]
     limits: Limits
     timeout_s: float
     work: Path
 
-    def output(self, name: str) -> Output:
+    def output(self, name: str) -> RunOutput:
         """The output called ``name``."""
         return next(output for output in self.outputs if output.name == name)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import stat
+import sys
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -10,14 +11,15 @@ from pathlib import Path
 import pytest
 
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.executors.base import Executor, ExecutorContext
+from slamhive.executors.base import Executor, ExecutorContext, PackageNeed
 from slamhive.executors.process.containment import KINDS, choose_containment
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold
 from slamhive.executors.process.executor import ProcessExecutor
-from slamhive.executors.registry import open_executor
-from slamhive.executors.spec import Input, Limits, Output, RunSpec
+from slamhive.executors.registry import ExecutorFactory, open_executor
+from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.runs.folder import RunFolder
+from tests.executors.plugins import PLUGINS, Agent, distributions_in, install_plugins
 from tests.waiting import eventually
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
@@ -81,13 +83,13 @@ class Bench:
             identity=self.identity,
             command=("python3", "/slamhive/mapping.py"),
             inputs=(
-                Input("script", scripts / "mapping.py", "/slamhive/mapping.py"),
-                Input("config", folder.config, "/slamhive/config.yaml"),
-                Input("recording", bag, "/slamhive/dataset/bag.bag"),
+                RunInput("script", scripts / "mapping.py", "/slamhive/mapping.py"),
+                RunInput("config", folder.config, "/slamhive/config.yaml"),
+                RunInput("recording", bag, "/slamhive/dataset/bag.bag"),
             ),
-            outputs=(Output("result", folder.result, "/slamhive/result", live=("ready",)),),
+            outputs=(RunOutput("result", folder.result, "/slamhive/result", live=LIVE),),
             environment={},
-            limits=limits or Limits(),
+            limits=limits or self.limits,
             timeout_s=60.0,
             work=folder.work,
         )
@@ -98,6 +100,25 @@ class Bench:
         self.handles.append(handle)
         return spec, handle
 
+    def sees(self, spec: RunSpec, handle: RunHandle, name: str) -> bool:
+        """Whether the controller sees a live file of the result."""
+        self.executor.refresh(spec, handle)
+        return (self.result(spec) / name).exists()
+
+    def wait_for(self, spec: RunSpec, handle: RunHandle, name: str = "ready") -> None:
+        eventually(lambda: self.sees(spec, handle, name), name)
+
+    def end(self, spec: RunSpec, handle: RunHandle) -> Exited:
+        """How the run ended, with its outputs on the controller."""
+        status = wait_for_end(self.executor, handle)
+        self.executor.collect(spec, handle)
+        return status
+
+    @property
+    def limits(self) -> Limits:
+        """Limits that every run of these tests has where they are promised."""
+        return Limits().only(self.executor.capabilities.limits)
+
     def result(self, spec: RunSpec) -> Path:
         return spec.output("result").destination
 
@@ -107,6 +128,15 @@ class Bench:
     def again(self) -> Executor:
         """A new executor, as a restarted worker has."""
         return self.make()
+
+
+@dataclass(frozen=True)
+class Maker:
+    """How an executor is made, as often as a worker restarts."""
+
+    name: str
+    context: ExecutorContext
+    make: Callable[[], Executor]
 
 
 @pytest.fixture(scope="session")
@@ -126,6 +156,33 @@ def environment_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("data")
 
 
+@pytest.fixture(scope="session")
+def plugin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the executors of other packages are installed."""
+    return install_plugins(tmp_path_factory.mktemp("plugins"))
+
+
+@pytest.fixture(scope="session")
+def plugins(plugin_folder: Path) -> Iterator[dict[str, ExecutorFactory]]:
+    """The executors of other packages, as their entry points announce them."""
+    sys.path.append(str(plugin_folder))
+    found = {point.name: point.load() for point in distributions_in(plugin_folder)}
+    yield found
+    sys.path.remove(str(plugin_folder))
+
+
+@pytest.fixture
+def agent(tmp_path: Path, plugin_folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Agent]:
+    """An agent with files of its own."""
+    with Agent(tmp_path / "another-machine", plugin_folder) as agent:
+        for name, value in agent.variables.items():
+            monkeypatch.setenv(name, value)
+        yield agent
+
+
+LIVE = ("ready", "starts", "alive", "used")
+"""What the scripts of these tests write while they run."""
+
 HOLDING = tuple(kind for kind in KINDS if _holds(kind))
 """The containments that can be had on this machine by who runs the tests."""
 _DOCKER = pytest.param("docker", marks=pytest.mark.docker)
@@ -135,27 +192,51 @@ REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
 """Those where the kernel refuses a process; the supervisor can only end the run."""
 
 
-@pytest.fixture(params=["process", _DOCKER])
-def bench(request, tmp_path: Path, test_package: AlgorithmPackage, environment_data: Path) -> Iterator[Bench]:
-    """An executor by its name, or the process executor with one containment (``process-tree``)."""
+ALL = ["process", _DOCKER, "remote", "plain"]
+"""The parameters of ``bench`` for every executor: two that ship, one on another machine, one of the documentation."""
+
+
+@pytest.fixture
+def maker(request, tmp_path: Path, environment_data: Path) -> Maker:
+    """Makes the executor that a test asks for, from its name or as ``process-<containment>``."""
     name, _, containment = request.param.partition("-")
     if containment == "user":
         open_to_other_users(tmp_path, environment_data)
-    installation = uuid.uuid4().hex
-    context = ExecutorContext(environment_data, PROJECT_ROOT, installation, 100_000)
+    context = ExecutorContext(environment_data, PROJECT_ROOT, uuid.uuid4().hex, 100_000)
+    if containment:
+        return Maker(name, context, lambda: ProcessExecutor(context, containment))
+    if name in PLUGINS:
+        plugin = request.getfixturevalue("plugins")[name]
+        if name == "remote":
+            request.getfixturevalue("agent")
+        return Maker(name, context, lambda: plugin(context))
+    return Maker(name, context, lambda: open_executor(name, context))
 
-    def make() -> Executor:
-        return ProcessExecutor(context, containment) if containment else open_executor(name, context)
 
-    executor = make()
-    image = request.getfixturevalue("base_image") if name == "docker" else test_package.image
-    if name == "docker":
+@pytest.fixture
+def bench(request, maker: Maker, tmp_path: Path, test_package: AlgorithmPackage) -> Iterator[Bench]:
+    """An executor by its name, or the process executor with one containment (``process-tree``)."""
+    executor = maker.make()
+    if executor.capabilities.needs is PackageNeed.IMAGE:
         from tests.services.docker_base import run_docker  # noqa: PLC0415 - the SDK takes long to load
 
+        image = request.getfixturevalue("base_image")
         identity = run_docker("image", "inspect", "--format", "{{.Id}}", image).stdout.strip()
     else:
-        identity = executor.build(test_package, lambda line: None)
-    bench = Bench(name, context, tmp_path, replace(test_package), image, identity, executor, make)
+        image, identity = test_package.image, executor.build(test_package, lambda line: None)
+    bench = Bench(maker.name, maker.context, tmp_path, replace(test_package), image, identity, executor, maker.make)
     yield bench
     for handle in bench.handles:
         executor.remove(handle)
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Tests that name no executor run on the two that ship; those of the contract on all."""
+    if "maker" in metafunc.fixturenames and not _chosen(metafunc):
+        contract = metafunc.module.__name__.endswith("test_contract")
+        metafunc.parametrize("maker", ALL if contract else ["process", _DOCKER], indirect=True)
+
+
+def _chosen(metafunc: pytest.Metafunc) -> bool:
+    marks = metafunc.definition.iter_markers("parametrize")
+    return any("maker" in str(mark.args[0]).split(",") for mark in marks)

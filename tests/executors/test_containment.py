@@ -46,21 +46,21 @@ LINGERING = RESULT + (
 )
 
 
-@pytest.mark.parametrize("bench", REFUSING, indirect=True)
+@pytest.mark.parametrize("maker", REFUSING, indirect=True)
 def test_a_run_that_only_touches_its_limit_goes_on(bench):
     _, handle = bench.start(TOUCH, Limits(pids=16))
     status = wait_for_end(bench.executor, handle)
     assert (status.exit_code, status.process_limit, status.refused_processes) == (0, False, True)
 
 
-@pytest.mark.parametrize("bench", REFUSING, indirect=True)
+@pytest.mark.parametrize("maker", REFUSING, indirect=True)
 def test_a_run_that_fails_after_a_refusal_was_refused(bench):
     _, handle = bench.start(TOUCH + "sys.exit(3)\n", Limits(pids=16))
     status = wait_for_end(bench.executor, handle)
     assert (status.exit_code, status.process_limit, status.refused_processes) == (3, False, True)
 
 
-@pytest.mark.parametrize("bench", EVERYWHERE, indirect=True)
+@pytest.mark.parametrize("maker", EVERYWHERE, indirect=True)
 def test_a_run_with_as_many_threads_as_it_may_have_is_left_alone(bench):
     # An init process of a container counts too.
     script = RESULT + (
@@ -72,7 +72,7 @@ def test_a_run_with_as_many_threads_as_it_may_have_is_left_alone(bench):
     assert (status.exit_code, status.process_limit, status.refused_processes) == (0, False, False)
 
 
-@pytest.mark.parametrize("bench", WITHOUT_CONTAINER, indirect=True)
+@pytest.mark.parametrize("maker", WITHOUT_CONTAINER, indirect=True)
 @pytest.mark.parametrize("of", ["itself", "a child"])
 def test_memory_limit(bench, of):
     grow = "x = []\nimport time\nwhile True:\n    x.append(bytearray(b'1' * 4_000_000))\n    time.sleep(0.01)\n"
@@ -82,7 +82,7 @@ def test_memory_limit(bench, of):
     assert (status.exit_code, status.out_of_memory, status.process_limit) == (137, True, False)
 
 
-@pytest.mark.parametrize("bench", WITHOUT_CONTAINER, indirect=True)
+@pytest.mark.parametrize("maker", WITHOUT_CONTAINER, indirect=True)
 def test_cpu_limit(bench):
     script = RESULT + (
         "import threading\nend_s = time.monotonic() + 2\n"
@@ -103,7 +103,7 @@ def kernel_holds_cpu(handle) -> bool:
     return "enforced by the kernel" in handle.protections.cpu
 
 
-@pytest.mark.parametrize("bench", WITHOUT_CONTAINER, indirect=True)
+@pytest.mark.parametrize("maker", WITHOUT_CONTAINER, indirect=True)
 def test_what_a_killed_supervisor_leaves_is_ended(bench):
     spec, handle = bench.start(LINGERING)
     eventually((bench.result(spec) / "ready").exists, "the start")
@@ -120,7 +120,7 @@ def folders_of(handle) -> list[Path]:
     return [folder for folder in Path("/sys/fs/cgroup").glob(f"**/slamhive-*{handle.data['key']}") if folder.exists()]
 
 
-@pytest.mark.parametrize("bench", WITHOUT_CONTAINER, indirect=True)
+@pytest.mark.parametrize("maker", WITHOUT_CONTAINER, indirect=True)
 def test_a_run_that_has_ended_leaves_nothing_behind(bench):
     spec, handle = bench.start(LINGERING.replace("time.sleep(100)\n", ""))
     assert wait_for_end(bench.executor, handle).exit_code == 0
@@ -129,7 +129,7 @@ def test_a_run_that_has_ended_leaves_nothing_behind(bench):
     assert (bench.result(spec) / "ready").stat().st_uid == os.getuid()
 
 
-@pytest.mark.parametrize("bench", WITHOUT_CONTAINER, indirect=True)
+@pytest.mark.parametrize("maker", WITHOUT_CONTAINER, indirect=True)
 def test_sweep_ends_the_groups_of_runs_that_nobody_knows(bench):
     kept, kept_handle = bench.start(LINGERING)
     lost, lost_handle = bench.start(LINGERING)
@@ -147,7 +147,7 @@ def test_sweep_ends_the_groups_of_runs_that_nobody_knows(bench):
     assert isinstance(bench.executor.poll(kept_handle), Running)
 
 
-@pytest.mark.parametrize("bench", WITHOUT_CONTAINER, indirect=True)
+@pytest.mark.parametrize("maker", WITHOUT_CONTAINER, indirect=True)
 def test_a_user_of_its_own_has_its_files_while_it_lives(bench):
     script = RESULT + (
         "folder = result / 'folder'\nfolder.mkdir()\n(folder / 'link').symlink_to('/etc/passwd')\n"
@@ -200,7 +200,7 @@ def test_what_no_supervisor_would_describe_is_not_touched(description):
     assert found_again(description) is None
 
 
-@pytest.mark.parametrize("bench", ["process"], indirect=True)
+@pytest.mark.parametrize("maker", ["process"], indirect=True)
 def test_supervisors_of_earlier_versions_are_found_again(bench):
     """They tell who they are, and nothing of a containment."""
     spec, handle = bench.start(LINGERING)

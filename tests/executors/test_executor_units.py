@@ -19,7 +19,7 @@ from slamhive.executors.process.capped_log import CappedLog, assemble
 from slamhive.executors.process.environment import Environments
 from slamhive.executors.registry import choose_executor, installation_id, open_executor
 from slamhive.executors.sampler import HEADER, Sampler
-from slamhive.executors.spec import Limit, Limits, Output, RunSpec
+from slamhive.executors.spec import Limit, Limits, RunOutput, RunSpec
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def package(folder: Path, **changes) -> AlgorithmPackage:
 
 
 def spec(tmp_path: Path, limits: Limits) -> RunSpec:
-    outputs = (Output("result", tmp_path, "/slamhive/result"),)
+    outputs = (RunOutput("result", tmp_path, "/slamhive/result"),)
     return RunSpec(
         "key", 7, "demo", tmp_path, "image:tag", "sha256:abc", ("python3", "/slamhive/mapping.py"),
         (), outputs, {"A": "b"}, limits, 10.0, tmp_path / "work",

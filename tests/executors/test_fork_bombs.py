@@ -38,7 +38,7 @@ def end_of(executor, handle) -> tuple[Exited, bool, float]:
     return status, at_limit or status.process_limit, slowest_s
 
 
-@pytest.mark.parametrize("bench", EVERYWHERE, indirect=True)
+@pytest.mark.parametrize("maker", EVERYWHERE, indirect=True)
 @pytest.mark.parametrize(("bomb", "limit"), [*((bomb, 64) for bomb in BOMBS), ("forks", 200)])
 def test_fork_bomb(bench, bomb, limit):
     spec, handle = bench.start(BOMBS[bomb], Limits(pids=limit))
@@ -61,7 +61,7 @@ def test_fork_bomb(bench, bomb, limit):
         assert started_by(bench.result(spec)) < MOST_PROCESSES, "it was its own bound that held it"
 
 
-@pytest.mark.parametrize("bench", EVERYWHERE, indirect=True)
+@pytest.mark.parametrize("maker", EVERYWHERE, indirect=True)
 def test_a_fork_bomb_beside_another_run_ends_alone(bench):
     busy = (
         "import os, pathlib, threading, time\n"

@@ -18,8 +18,8 @@ from slamhive.executors.spec import Limits
 from slamhive.runs.log_line import last_error_line
 from tests.executors.conftest import wait_for_end
 
-process_only = pytest.mark.parametrize("bench", ["process"], indirect=True)
-counted_by_the_supervisor = pytest.mark.parametrize("bench", ["process-tree"], indirect=True)
+process_only = pytest.mark.parametrize("maker", ["process"], indirect=True)
+counted_by_the_supervisor = pytest.mark.parametrize("maker", ["process-tree"], indirect=True)
 
 
 @pytest.mark.integration

@@ -30,9 +30,9 @@ pytestmark = pytest.mark.integration
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 SLEEP = "import time\ntime.sleep(60)\n"
-process_only = pytest.mark.parametrize("bench", ["process"], indirect=True)
-counted_by_the_supervisor = pytest.mark.parametrize("bench", ["process-tree"], indirect=True)
-docker_only = pytest.mark.parametrize("bench", [pytest.param("docker", marks=pytest.mark.docker)], indirect=True)
+process_only = pytest.mark.parametrize("maker", ["process"], indirect=True)
+counted_by_the_supervisor = pytest.mark.parametrize("maker", ["process-tree"], indirect=True)
+docker_only = pytest.mark.parametrize("maker", [pytest.param("docker", marks=pytest.mark.docker)], indirect=True)
 
 
 def with_key(key: str) -> list[psutil.Process]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from slamhive.executors.local_files import make_own_copies, written_places
-from slamhive.executors.spec import Input, Limits, Output, RunSpec
+from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.services.runs.record import spec_from_json, spec_to_json
 
 
@@ -13,9 +13,9 @@ def spec(root: Path) -> RunSpec:
     return RunSpec(
         key="k", run_id=7, package="tiny", package_folder=root / "tiny", image="i:1", identity="sha256:1",
         command=("python3", "/slamhive/mapping.py"),
-        inputs=(Input("slamhive", root / "work" / "slamhive", "/slamhive", own_copy=True),
-                Input("slamhive/config.yaml", root / "config.yaml", "/slamhive/config.yaml")),
-        outputs=(Output("result", root / "result", "/slamhive/result"),),
+        inputs=(RunInput("slamhive", root / "work" / "slamhive", "/slamhive", own_copy=True),
+                RunInput("slamhive/config.yaml", root / "config.yaml", "/slamhive/config.yaml")),
+        outputs=(RunOutput("result", root / "result", "/slamhive/result"),),
         environment={"A": "b"}, limits=Limits(1.0, 5, 6, (0, 1), 7, 8), timeout_s=9.0, work=root / "work",
     )  # fmt: skip
 

@@ -18,7 +18,7 @@ from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.executors.base import Capabilities, Executor, ImageMissing
-from slamhive.executors.spec import Input, Limits, Output, RunSpec
+from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.files import hash_files, write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.runtime.config import to_yaml
@@ -135,13 +135,13 @@ def build_spec(
     """
     # The numbers of this machine's cores mean nothing on another one.
     limits = _limits(job, settings, cores if capabilities.shares_files else None).only(capabilities.limits)
-    results = Output(
+    results = RunOutput(
         "result",
         folder.result,
         f"{CONTAINER_ROOT}/result",
         live=tuple(path.name for path in folder.watched_files),
-        max_bytes=limits.disk_bytes,
-        max_files=limits.files,
+        max_bytes=limits.file_bytes,
+        max_files=None if limits.files is None else limits.files + 1,
     )
     return RunSpec(
         key=job.key,
@@ -190,7 +190,7 @@ def provenance(job: Job, identity: str) -> dict[str, Any]:
     }
 
 
-def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[Input]:
+def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInput]:
     dataset, package = job.seen, job.algorithm.package
     inside = f"{CONTAINER_ROOT}/dataset"
     if not (package.folder / "Dockerfile").is_file():
@@ -205,7 +205,7 @@ def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[Input]:
         yield _input("vocabulary", Path(settings.orb_vocabulary), CONTAINER_VOCABULARY)
 
 
-def _input(name: str, source: Path, target: str, *, content: str | None = None, own_copy: bool = False) -> Input:
+def _input(name: str, source: Path, target: str, *, content: str | None = None, own_copy: bool = False) -> RunInput:
     """An input with its size, and with its content's identity unless reading it would take long."""
     try:
         files = [path for path in source.rglob("*") if path.is_file()] if source.is_dir() else [source]
@@ -214,7 +214,7 @@ def _input(name: str, source: Path, target: str, *, content: str | None = None, 
             content = hash_files(source) if source.is_dir() else checksum(source)
     except OSError as error:
         raise InvalidInput(f"the {name} {source} cannot be read: {error.strerror}", "put it back") from None
-    return Input(name, source, target, size_bytes, content, own_copy)
+    return RunInput(name, source, target, size_bytes, content, own_copy)
 
 
 def _limits(job: Job, settings: Settings, cores: tuple[int, ...] | None) -> Limits:

@@ -1,0 +1,135 @@
+"""Archives that carry the inputs of a run to a machine that does not see our files, and its outputs back.
+
+Inputs come from the controller and are trusted. Outputs come from an algorithm: only plain files and folders below the
+output folder are taken over, up to the bounds of the output.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tarfile
+from collections.abc import Collection
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from typing import IO, Any
+
+from slamhive.executors.spec import RunOutput, RunSpec
+from slamhive.files import write_aside
+from slamhive.tree import remove_tree, walk
+
+_INPUTS, _OUTPUTS, _WORK, _PACKAGE = "inputs", "outputs", "work", "package"
+_PLAIN_FILE, _PLAIN_FOLDER = 0o644, 0o755
+
+
+def pack_inputs(spec: RunSpec, stream: IO[bytes]) -> None:
+    """Write an archive with all inputs of the run and the scripts of its package."""
+    with tarfile.open(fileobj=stream, mode="w|") as archive:
+        for entry in spec.inputs:
+            archive.add(entry.source.resolve(), f"{_INPUTS}/{entry.name}")
+        scripts = spec.package_folder / "slamhive"
+        if scripts.is_dir():
+            archive.add(scripts.resolve(), f"{_PACKAGE}/slamhive")
+
+
+def unpack_inputs(stream: IO[bytes], root: Path) -> None:
+    """Unpack what :func:`pack_inputs` wrote, and make the run's other folders. Raises OSError, tarfile.TarError."""
+    with tarfile.open(fileobj=stream, mode="r|") as archive:
+        archive.extractall(root, filter="data")
+    for name in (_OUTPUTS, _WORK, _PACKAGE):
+        (root / name).mkdir(exist_ok=True)
+
+
+def relocated(spec: RunSpec, root: Path) -> RunSpec:
+    """The specification with the paths that it has on the other machine, after :func:`unpack_inputs` into ``root``."""
+    return replace(
+        spec,
+        package_folder=root / _PACKAGE,
+        inputs=tuple(replace(entry, source=root / _INPUTS / entry.name) for entry in spec.inputs),
+        outputs=tuple(replace(output, destination=root / _OUTPUTS / output.name) for output in spec.outputs),
+        work=root / _WORK,
+    )
+
+
+def pack_folder(folder: Path, stream: IO[bytes], only: Collection[str] | None = None) -> None:
+    """Write an archive of the plain files and folders below ``folder``; no link is followed.
+
+    Args:
+        folder: An output of a run on this machine.
+        stream: The archive.
+        only: The names of the files in ``folder`` that are wanted; None for all of it.
+    """
+    with tarfile.open(fileobj=stream, mode="w|") as archive:
+        for entry in walk(folder):
+            info = tarfile.TarInfo(entry.place)
+            info.mtime = int(entry.status.st_mtime)
+            if entry.is_folder and only is None:
+                info.type, info.mode = tarfile.DIRTYPE, _PLAIN_FOLDER
+                archive.addfile(info)
+            elif entry.is_file and (only is None or entry.place in only):
+                _add_file(archive, info, entry.name, entry.folder)
+
+
+def unpack_output(stream: IO[bytes], output: RunOutput, work: Path) -> None:
+    """Replace the output's folder with the content of an archive. Can be done again after a crash.
+
+    What would exceed the bounds of the output is left out. Raises OSError, tarfile.TarError.
+
+    Args:
+        stream: What :func:`pack_folder` wrote.
+        output: Where it belongs, and its bounds.
+        work: A folder on the same file system for what is not complete yet.
+    """
+    fresh, old = work / f"incoming-{output.name}", work / f"replaced-{output.name}"
+    for left in (fresh, old):
+        remove_tree(left)
+    fresh.mkdir(parents=True)
+    files, size_bytes = 0, 0
+    with tarfile.open(fileobj=stream, mode="r|") as archive:
+        for info in archive:
+            files, size_bytes = files + 1, size_bytes + info.size
+            if _fits(output, files, size_bytes):
+                _take(archive, info, fresh)
+            else:
+                files, size_bytes = files - 1, size_bytes - info.size
+    if output.destination.exists():
+        output.destination.rename(old)
+    fresh.rename(output.destination)
+    remove_tree(old)
+
+
+def unpack_live(stream: IO[bytes], output: RunOutput, most_bytes: int = 100_000_000) -> None:
+    """Replace the live files of an output, each in one step; others in the archive are left out."""
+    with tarfile.open(fileobj=stream, mode="r|") as archive:
+        for info in archive:
+            content = archive.extractfile(info) if info.isreg() else None
+            if content is not None and info.name in output.live and info.size <= most_bytes:
+                write_aside(output.destination / info.name, content.read())
+
+
+def _add_file(archive: tarfile.TarFile, info: tarfile.TarInfo, name: str, folder: int) -> None:
+    """Add a file as long as it is now: the algorithm may be writing to it."""
+    descriptor = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
+    with os.fdopen(descriptor, "rb") as content:
+        info.size = os.fstat(descriptor).st_size
+        archive.addfile(info, content)
+
+
+def _fits(output: RunOutput, files: int, size_bytes: int) -> bool:
+    within_bytes = output.max_bytes is None or size_bytes <= output.max_bytes
+    return within_bytes and (output.max_files is None or files <= output.max_files)
+
+
+def _take(archive: tarfile.TarFile, info: tarfile.TarInfo, root: Path) -> None:
+    parts = PurePosixPath(info.name).parts
+    if info.name.startswith("/") or ".." in parts or not parts:
+        raise tarfile.TarError(f"the archive names {info.name!r}, which is outside of the result")
+    place = root.joinpath(*parts)
+    content: IO[Any] | None = archive.extractfile(info) if info.isreg() else None
+    if info.isdir():
+        place.mkdir(parents=True, exist_ok=True)
+    elif content is not None:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with place.open("wb") as stream:
+            shutil.copyfileobj(content, stream)
+        place.chmod(_PLAIN_FILE)
