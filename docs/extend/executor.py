@@ -14,6 +14,7 @@ from pathlib import Path
 
 import psutil
 
+from slamhive.clock import monotonic_s
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import (
     Capabilities,
@@ -172,9 +173,9 @@ def _time(path: Path) -> str:
 
 
 def _wait_until(condition: Callable[[], bool], patience_s: float) -> bool:
-    deadline_s = time.monotonic() + patience_s
+    deadline_s = monotonic_s() + patience_s
     while not condition():
-        if time.monotonic() >= deadline_s:
+        if monotonic_s() >= deadline_s:
             return False
         time.sleep(0.02)
     return True
