@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from slamhive.executors.process.executor import ProcessExecutor
 from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluations.service import Evaluations
 from slamhive.services.hive import open_hive
@@ -48,7 +47,7 @@ def main(fatal_step: int) -> None:
     for owner, names in (
         (RunFolder, ("write_record",)),
         (Store, ("write",)),
-        (ProcessExecutor, ("build", "start", "save_log", "remove", "stop")),
+        (type(hive.executors.get(hive.settings.executor)), ("build", "start", "save_log", "collect", "remove", "stop")),
     ):
         for name in names:
             setattr(owner, name, countdown.around(getattr(owner, name)))
