@@ -82,7 +82,7 @@ class ExecutorContext:
     Attributes:
         data: The data root; environments and locks live below it.
         project_root: The folder with ``algorithms/`` and ``docker/``.
-        installation: Tells the runs of this data root from those of another on the same engine.
+        installation: Distinguishes the runs of this data root from those of another on the same engine.
         log_max_bytes: How much of a run's output is kept.
     """
 

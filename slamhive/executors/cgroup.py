@@ -1,10 +1,9 @@
 """CPU and memory of a container from the kernel's control-group files, versions 1 and 2.
 
-Memory in use is the working set: usage minus inactive file cache, as ``docker stats`` and Kubernetes count it, since
-the kernel takes that cache back whenever somebody needs the memory. The peak is the kernel's own counter
-(``memory.max_usage_in_bytes``, ``memory.peak``) and includes file cache: an algorithm that reads a large recording
-through the page cache shows it. The project's player drops the pages behind itself, so that the peak tells of the
-algorithm; see ``docs/executors.md``.
+Memory in use is the working set: usage minus inactive file cache, as ``docker stats`` and Kubernetes count it. The
+kernel takes that cache back whenever somebody needs the memory. The peak is the kernel's own counter
+(``memory.max_usage_in_bytes``, ``memory.peak``), which includes file cache. The project's player drops the pages that
+it has read, so that the peak is that of the algorithm; see ``docs/executors.md``.
 """
 
 from __future__ import annotations

@@ -1,17 +1,17 @@
-"""When a run that is refused more processes is ended. Pure, and the same for containers and processes.
+"""Decides when to end a run that is refused processes. Pure, and the same for containers and processes.
 
-A run that touches its limit of processes for a moment may go on: it was refused some and got along without them. One
-that still asks for more seconds later is either a fork bomb or so crippled that its result would say nothing.
+A run that reaches its limit of processes for a moment may go on. One that still asks for more seconds later is a fork
+bomb, or lacks so much that its result would mean nothing.
 """
 
 from __future__ import annotations
 
 REFUSAL_PATIENCE_S = 3.0
-"""A run is ended when it has been refused processes for this long, without a calm of the same length in between."""
+"""A run is ended after refusals for this long, unless there were none for the same time in between."""
 
 
 class RefusalWatch:
-    """Collects whether the run is being refused processes, and says when it is to be ended.
+    """Collects refusals, and says when the run must end.
 
     Args:
         patience_s: For how long refusals are tolerated; 0 ends the run at the first.

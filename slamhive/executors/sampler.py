@@ -38,7 +38,7 @@ class Sampler:
     A file that is there already (the worker was restarted) is continued; the time that nobody sampled is a gap in it.
 
     Args:
-        source: Where the figures come from; closed at the end.
+        source: What is sampled; closed at the end.
         path: ``profiling.csv``.
         interval_s: Time between samples.
         offset_s: How long the run has been going on already.

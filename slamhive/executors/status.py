@@ -1,4 +1,4 @@
-"""What an executor tells about a started run. The supervisor of a process imports this module, so it stays small."""
+"""What an executor reports about a started run. Supervisors import this module, so it stays small."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Protections:
         memory: What enforces its memory limit.
         cpu: What enforces its share of the processors.
         end: How all of its processes are ended.
-        priority: How the supervisor gets processor time beside the run.
+        priority: How the supervisor gets CPU time beside the run.
         does_not_hold: Stronger ways that this machine does not allow: {way: reason}.
     """
 

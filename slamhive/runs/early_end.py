@@ -1,4 +1,4 @@
-"""Whether a run is to end early: its stop rules against what can be seen of it. Pure."""
+"""Decides whether a run ends early, by its stop rules and what was observed. Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from slamhive.domain.stop_when import StopWhen
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What is seen of a run that goes on; None is what cannot be seen (yet).
+    """What is known of a run that goes on; None stands for what is not known yet.
 
     Attributes:
         elapsed_s: Wall-clock time since it started.
@@ -25,7 +25,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class EarlyEnd:
-    """Why a run ends early: the reason, and in words the rule and the figure that broke it."""
+    """Why a run ends early: the reason, and in words the rule and the value that broke it."""
 
     reason: FailureReason
     detail: str

@@ -51,7 +51,7 @@ class RunFolder:
 
     @property
     def host(self) -> Path:
-        """``host.csv``: what else the machine did meanwhile, see :mod:`slamhive.runs.host_load`."""
+        """``host.csv``: the load of the machine during the run, see :mod:`slamhive.runs.host_load`."""
         return self.root / "host.csv"
 
     @property
@@ -136,7 +136,7 @@ class RunFolder:
 
     @property
     def contract_files(self) -> tuple[Path, ...]:
-        """The files in ``result/`` that the container contract names, the most wanted first."""
+        """The files in ``result/`` that the container contract names, the most important first."""
         own = (self.trajectory, self.finished, self.about, self.playback, self.progress, self.frames)
         return (*own, self.covariances, self.keyframes, self.grid, self.map)
 
@@ -151,7 +151,7 @@ class RunFolder:
 
     @property
     def current_protocol(self) -> Path:
-        """``evaluations/current``: the fingerprint of the protocol whose figures are shown for the run."""
+        """``evaluations/current``: the fingerprint of the protocol whose metrics pages show for the run."""
         return self.root / "evaluations" / "current"
 
     def create(self) -> None:

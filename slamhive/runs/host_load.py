@@ -1,6 +1,6 @@
-"""``host.csv``: the counters of the machine while a run ran, and what they say of it.
+"""Reads ``host.csv``, the counters of the machine during a run.
 
-The counters only grow, so a gap between two lines (the worker was restarted) loses nothing but resolution.
+The counters only grow, so a gap between two lines, as when the worker restarts, costs nothing but resolution.
 """
 
 from __future__ import annotations

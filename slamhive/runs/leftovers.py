@@ -1,4 +1,4 @@
-"""What a run leaves in its folders: how much, and what of it is no plain file; measured, and removed."""
+"""Measures what a run left in its folders, and removes what is no plain file."""
 
 from __future__ import annotations
 
@@ -51,10 +51,7 @@ class Survey:
 
 
 def survey(folder: RunFolder, limits: DiskLimits) -> Survey:
-    """Look at all that a run has in its result and its scratch space, as far as ``limits`` allow.
-
-    Cheap: nothing is opened but folders.
-    """
+    """Measure the result and the scratch space of a run, up to ``limits``. Opens nothing but folders."""
     found = Survey()
     owner = _owner(folder.result)
     for part in (folder.result, folder.work):
@@ -71,10 +68,10 @@ def survey(folder: RunFolder, limits: DiskLimits) -> Survey:
 
 
 def strange_kind(status: os.stat_result, owner: int | None) -> str | None:
-    """What kind of thing it is that must not stay in a result, in words; None for a plain file or folder.
+    """The kind of a file that must not stay in a result; None for a plain file or folder.
 
-    Links lead elsewhere, now or when the folder is copied; whoever opens a pipe or a device may wait for ever; a hard
-    link, or a file of another user, is somebody else's file; and what runs as its owner would run as the worker.
+    Links lead elsewhere, now or after the folder is copied. Whoever opens a pipe or a device may wait for ever. A hard
+    link, or a file of another user, belongs to somebody else. A file that runs as its owner would run as the worker.
     """
     kind = next((words for test, words in _KINDS if test(status.st_mode)), None)
     if kind is not None:
@@ -90,10 +87,10 @@ def strange_kind(status: os.stat_result, owner: int | None) -> str | None:
 
 
 def settle(folder: RunFolder, found: Survey, limits: DiskLimits) -> list[str]:
-    """Take what must not stay out of the result of a run that has ended; in words what could not be removed.
+    """Remove what must not stay in the result of a run that has ended; returns in words what could not be removed.
 
-    Of a run that exceeded a limit stay the files that the contract names, as far as they fit; the rest is moved into
-    its scratch space, which takes no time however much it is. Raises OSError.
+    If the run exceeded a limit, only the files of the contract stay, as far as they fit. The rest moves into its
+    scratch space, which takes no time whatever its size. Raises OSError.
     """
     if found.exceeded is not None:
         _set_aside(folder, limits)

@@ -1,4 +1,4 @@
-"""From evidence to outcome: did the run succeed, and if not, why. Pure, except for reading the trajectory.
+"""Judges evidence: whether the run succeeded, and if not, why. Pure, except for reading the trajectory.
 
 Rules, first match wins:
 
@@ -7,10 +7,10 @@ Rules, first match wins:
 3. It was ended because it kept asking for more processes than it may have: ``process_limit``.
 4. It ran into the wall-clock limit: ``timeout``.
 5. One of its stop rules was broken and the controller ended it: the reason of that rule.
-6. The handle is gone and nobody knows the exit code: ``lost``, unless the algorithm had said ``finished`` and left a
-   valid trajectory (the result is complete, only the way it ended is unknown).
-7. It was ended by the controller after its grace because it lingered behind ``finished``: the exit code then tells of
-   our signal, not of the algorithm, and is ignored.
+6. The handle is gone and nobody knows the exit code: ``lost``. If the algorithm had said ``finished`` and left a valid
+   trajectory, the result is complete, and the run goes on to rule 9.
+7. The controller ended it because it kept running after ``finished``: the exit code then comes from our signal, and is
+   ignored.
 8. Exit code other than 0: ``process_limit`` if it was refused processes, ``nonzero_exit`` otherwise, whatever files are
    there.
 9. Exit code 0 (or rule 7): ``traj.txt`` decides. ``finished`` alone proves nothing: upstream images create it even when

@@ -1,4 +1,4 @@
-"""What was measured while a run ran: figures out of its folder, and two plots of CPU and memory over time."""
+"""The metrics that were measured during a run, and two plots of CPU and memory over time."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def measure_run(
     peak_memory_bytes: int | None,
     evidence: Evidence,
 ) -> dict[str, float]:
-    """The figures of a run that need no evaluation, keyed as in :mod:`slamhive.domain.metrics`.
+    """The metrics of a run that need no evaluation, keyed as in :mod:`slamhive.domain.metrics`.
 
     What could not be measured is absent.
 

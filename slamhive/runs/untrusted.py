@@ -1,4 +1,4 @@
-"""Reading what an algorithm left behind, without trusting it: no links, no pipes, nothing huge, no odd numbers."""
+"""Reads what an algorithm left, without trusting it: no links, no pipes, nothing huge, no odd numbers."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def read_regular_file(path: Path, limit_bytes: int) -> bytes | None:
 
 
 def too_much_because(data: bytes) -> str | None:
-    """Why reading ``data`` as lines would take more memory than its size tells, in words; None if it would not."""
+    """In words, why lines of ``data`` would take far more memory than its size; None if they would not."""
     lines = sum(data.count(end.encode()) for end in _LINE_ENDS)
     if lines > MOST_LINES:
         return f"has {lines} lines, more than the {MOST_LINES} that are read"

@@ -1,4 +1,4 @@
-"""Runs a batch of evaluations in a container of the evaluation image, as hardened as a run, always removed."""
+"""Runs a batch of evaluations in a container of the evaluation image. It is hardened like a run, and always removed."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class DockerStarter:
     """Starts the evaluation image; see :class:`slamhive.evaluation.batch.BatchStarter`.
 
     Args:
-        context: Tells the containers of this installation from others.
+        context: Names the installation, for the labels of containers.
         image: The evaluation image.
     """
 
@@ -117,7 +117,7 @@ class DockerStarter:
 
 
 def _started(container: Any) -> Any:
-    """Start the container; what it prints, to be closed by who reads it."""
+    """Start the container and return its output, which the reader closes."""
     with engine_errors("starting the evaluation", Unavailable):
         # Attached before the start: following the log instead loses the last words of a short container.
         output = container.attach(stdout=True, stderr=False, stream=True)
@@ -130,9 +130,9 @@ def _started(container: Any) -> Any:
 
 
 def _lines_of(output: Any) -> Iterator[str]:
-    """An attached standard output line by line; ends also if the connection breaks: the exit code tells the rest.
+    """The lines of an attached standard output. A broken connection ends them too; the exit code says how it went.
 
-    The engine ends it with the container. Who reads it closes it then: somebody else would close it under the reader.
+    The engine ends the output with the container. The reader closes it, so that nobody else closes it while it is read.
     """
     rest = b""
     try:
@@ -149,7 +149,7 @@ def _lines_of(output: Any) -> Iterator[str]:
 
 
 def _hang_up(output: Any) -> None:
-    """Close the connection of an attached output: the SDK closes its socket, and not the file that still holds it."""
+    """Close the connection of an attached output. The SDK closes the socket but not the file that holds it."""
     with contextlib.suppress(OSError):  # the engine has hung up already
         output.close()
     output._response.close()

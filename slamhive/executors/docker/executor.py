@@ -1,8 +1,7 @@
 """Runs algorithms in Docker containers, hardened as the container contract says.
 
-The engine is the memory: a container is found again by its name, which follows from the run's key, and carries the key,
-the run and the installation as labels. A reply of "no such container" (404) or "exists already" (409) is therefore an
-answer and not an error.
+The engine remembers what runs: the name of a container follows from the run's key, and its labels hold the key, the run
+and the installation. "No such container" (404) and "exists already" (409) are therefore answers, not errors.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ def _is_live(container: Any, live_keys: Collection[str]) -> bool:
         return key in live_keys
     if container.status != "created":
         return bool(container.status == "running")
-    # Whoever made it is about to start it, unless that was long ago.
+    # Its worker is about to start it, unless the container is old.
     created_at = _time(container.attrs.get("Created"))
     return created_at is not None and utc_now() - created_at < _START_PATIENCE
 
@@ -126,7 +125,7 @@ class DockerExecutor(Executor):
         return RunHandle(self.name, data, self._protections())
 
     def poll(self, handle: RunHandle) -> RunStatus:
-        """The state as the engine knows it."""
+        """The state that the engine reports."""
         container = self._find(handle.data["container"])
         if container is None:
             return Gone("the container was removed from outside")
@@ -189,7 +188,7 @@ class DockerExecutor(Executor):
         return sum(int(entry.get("SizeRw") or 0) for entry in found)
 
     def sweep(self, live_keys: Collection[str]) -> list[str]:
-        """Remove containers of this installation whose run is over; an evaluation that still works is let be."""
+        """Remove containers of this installation whose run is over, but no evaluation that is still running."""
         label = f"{INSTALLATION_LABEL}={self._context.installation}"
         with engine_errors("listing containers", EngineUnavailable):
             containers = self._engine().containers.list(all=True, filters={"label": label}, ignore_removed=True)
@@ -266,7 +265,7 @@ class DockerExecutor(Executor):
 
 
 def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]:
-    """The arguments of ``containers.create`` for a run: pure, so that a test can read them."""
+    """The arguments of ``containers.create`` for a run. Pure, so that a test can check them."""
     limits = spec.limits
     options: dict[str, Any] = {
         **HARDENING,
@@ -313,7 +312,7 @@ def _scratch(spec: RunSpec) -> Path:
 
 
 def _time(text: str | None) -> datetime | None:
-    """A time as the engine writes it, with nanoseconds; None for one that is not set."""
+    """Parse a time of the engine, which has nanoseconds; None if it is not set."""
     if not text or text.startswith(_UNSET_TIME):
         return None
     seconds, _, fraction = text.rstrip("Z").partition(".")

@@ -21,7 +21,7 @@ MAPPING_SCRIPT = "/slamhive/mapping.py"
 def find_image(client: docker.DockerClient, package: AlgorithmPackage, project_root: Path) -> str | None:
     """The digest (image id) that a start would use now; None if the image is missing or out of date.
 
-    A package without a Dockerfile uses an image made elsewhere (for the published SLAM Hive), taken as it is.
+    A package without a Dockerfile uses an image of the published SLAM Hive, without regard to its labels.
     """
     image = get_image(client, package.image)
     if image is None:

@@ -1,4 +1,4 @@
-"""Whether containers are refused processes: read while they run, since the counters go with them."""
+"""Whether the kernel refuses processes to containers. The counters vanish with a container, so they are read before."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class _Counter(Protocol):
 
 
 class _EngineCounter:
-    """Asks an engine on another machine, which knows how many there are but not whether more were refused."""
+    """Asks an engine on another machine, which knows the number of processes but not whether more were refused."""
 
     def __init__(self, container: Any) -> None:
         self._container = container
@@ -79,7 +79,7 @@ def is_full(stats: dict[str, Any]) -> bool:
 
 
 def engine_protections(info: dict[str, Any]) -> Protections:
-    """By what containers are held, from what the engine says of its kernel (``docker info``)."""
+    """How the engine enforces limits, by what it reports about its kernel (``docker info``)."""
 
     def enforced(able: str, file: str) -> str:
         return f"enforced by the kernel ({file})" if info.get(able) else "not enforced: the engine's kernel cannot"

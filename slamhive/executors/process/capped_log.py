@@ -1,4 +1,4 @@
-"""A log that never grows beyond its limit: the beginning and the end are kept, the middle is left out."""
+"""A log with a size limit: it keeps the beginning and the end, and leaves out the middle."""
 
 from __future__ import annotations
 

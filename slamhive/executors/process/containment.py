@@ -1,4 +1,4 @@
-"""Which containment a run without a container gets: the first of those in :data:`KINDS` that holds on this machine."""
+"""Chooses the containment of a run: the first of :data:`KINDS` that this machine allows."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ KINDS: dict[str, Callable[[ContainmentRequest], Containment]] = {
     "user": _make_user,
     "tree": TreeLimit.make,
 }
-"""From the strongest to the one that holds everywhere."""
+"""From the strongest to the one that works everywhere."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """The containment that holds, and why those before it do not: {kind: reason}."""
+    """The containment in use, and why stronger ones are not: {kind: reason}."""
 
     containment: Containment
     does_not_hold: dict[str, str]
 
 
 def choose_containment(request: ContainmentRequest, kind: str | None = None) -> Chosen:
-    """Make the strongest containment that holds on this machine.
+    """Make the strongest containment that this machine allows.
 
     Args:
         request: What it is for.
@@ -56,7 +56,7 @@ def choose_containment(request: ContainmentRequest, kind: str | None = None) -> 
 
 
 def found_again(description: dict[str, Any]) -> Containment | None:
-    """The containment of a run whose supervisor is gone; None if that left nothing to find its processes by."""
+    """The containment of a run whose supervisor is gone; None if it cannot identify the processes."""
     if description.get("kind") == RunCgroup.kind:
         return RunCgroup.found_again(description)
     if description.get("kind") == "user":

@@ -1,4 +1,4 @@
-"""What holds a run without a container within its limits: the seam between the supervisor and its several ways."""
+"""The ways in which a supervisor can contain a run that has no container."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ _RESCAN_S = 0.5
 
 
 class DoesNotHold(Exception):
-    """This way of containing a run cannot be had on this machine; the text says why."""
+    """This machine does not allow this way of containing a run; the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContainmentRequest:
-    """What a containment is to be made for.
+    """The run that a containment is made for, and its limits.
 
     Attributes:
-        installation: Tells the groups of this data root from those of another on the same machine.
+        installation: Distinguishes the groups of this data root from those of another on the same machine.
         key: The run.
         tasks: Most processes and threads.
         memory_bytes: Most memory, None for no limit.
         cpu_cores: Most cores in use, None for no limit.
-        readable: What the run must be able to read, whichever user it is.
+        readable: Paths that the run must be able to read as any user.
         writable: Folders that the run writes to.
     """
 
@@ -44,7 +44,7 @@ class ContainmentRequest:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What one look at a run shows: is it refused processes (or has too many), has a memory limit killed any of it?"""
+    """The state of a run: whether it is refused processes or has too many, and whether a memory limit killed any."""
 
     refused: bool = False
     out_of_memory: bool = False
@@ -52,7 +52,7 @@ class Look:
 
 @dataclass
 class ProcessTree:
-    """The processes below the supervisor: listed twice a second, and at once when the machine has many new ones."""
+    """The processes below the supervisor, listed twice a second, and at once if the machine has many new ones."""
 
     root: int
     sudden_tasks: int = 100
@@ -73,7 +73,7 @@ class ProcessTree:
                 self.members, self._listed_at_s, self._tasks_then = descendants(self.root), now_s, tasks
 
     def tasks(self) -> int:
-        """Processes and threads, zombies included as the kernel does, as last listed."""
+        """The number of processes and threads in the last list. Zombies count, as they do for the kernel."""
         self.refresh()
         return sum(entry.threads for entry in self.members)
 
@@ -117,7 +117,7 @@ class Containment(Protocol):
         """The kernel's own counters of the run; None if there are none."""
 
     def describe(self) -> dict[str, Any]:
-        """What :func:`~slamhive.executors.containment.found_again` needs, as JSON."""
+        """What :func:`~slamhive.executors.process.containment.found_again` needs, as JSON."""
 
     def words(self) -> dict[str, str]:
         """By what each limit is held, for the user: ``processes``, ``memory``, ``cpu``, ``end``."""

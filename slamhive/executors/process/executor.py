@@ -1,7 +1,7 @@
-"""Runs algorithms as processes of this machine, where no container engine answers.
+"""Runs algorithms as processes of this machine.
 
-Each run has a supervisor of its own (:mod:`slamhive.executors.process.shim`) that outlives the worker. What isolation a
-container gives is missing here: the algorithm sees the file system and the network with the rights of this user.
+Each run has a supervisor (:mod:`slamhive.executors.process.shim`) that outlives the worker. A run is not isolated
+like a container: it can read what its user can read.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class ProcessExecutor(Executor):
         self._environments.identity(package)
 
     def identity(self, package: AlgorithmPackage) -> str | None:
-        """The environment's hashes if it is there, None if it has to be made. Raises ImageMissing if none can be."""
+        """The hashes of the environment; None if it has to be made. Raises ImageMissing if that is impossible."""
         identity = self._environments.identity(package)
         return identity if self._environments.find(package.name, identity).ready else None
 
@@ -110,7 +110,7 @@ class ProcessExecutor(Executor):
         return self._environments.build(package, progress)
 
     def start(self, spec: RunSpec) -> RunHandle:
-        """Start the run's supervisor, or find the one that was started under the key."""
+        """Start a supervisor for the run, or find the one that was started under the key."""
         work = _work_folder(spec)
         identity = _read_json(work / IDENTITY_FILE)
         if identity is None:
@@ -122,7 +122,7 @@ class ProcessExecutor(Executor):
         return _handle(spec, work, identity)
 
     def poll(self, handle: RunHandle) -> RunStatus:
-        """``exit.json`` tells how it ended; a supervisor that is gone without one tells nothing."""
+        """``exit.json`` says how the run ended. A supervisor without one was killed."""
         exited = _read_exit(handle)
         if exited is not None:
             return exited
@@ -157,14 +157,14 @@ class ProcessExecutor(Executor):
         _remove_work(Path(handle.data["work"]))
 
     def discard(self, spec: RunSpec) -> None:
-        """As :meth:`remove`, for whoever supervises the run; one that is just starting is waited for."""
+        """End and remove the run, whichever supervisor it has. Waits for one that is just starting."""
         work = _work_folder(spec)
         try:
             descriptor = os.open(work / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except FileNotFoundError:
             return
         try:
-            # While the lock is ours no supervisor begins; if one has it, it will say who it is.
+            # While this process has the lock, no supervisor begins. One that has the lock writes its identity soon.
             _wait_until(lambda: _try_lock(descriptor) or (work / IDENTITY_FILE).exists(), _START_WAIT_S)
             identity = _read_json(work / IDENTITY_FILE)
             if identity is not None:
@@ -186,7 +186,7 @@ class ProcessExecutor(Executor):
         return removed
 
     def usage_source(self, handle: RunHandle) -> UsageSource | None:
-        """The kernel's counters of the run's control group, else the tree of processes below the supervisor."""
+        """Counters of the run's control group if there is one, else of the processes below the supervisor."""
         shim = _shim(handle)
         if shim is None:
             return None
@@ -211,14 +211,14 @@ def _remove_work(work: Path) -> None:
 def _handle(spec: RunSpec, work: Path, identity: dict[str, Any]) -> RunHandle:
     data = {"work": str(work), "key": spec.key}
     data |= {name: str(identity[name]) for name in ("pid", "birth", "started_at")}
-    # A supervisor of an earlier version, which still lives, tells nothing of these.
+    # The supervisor of an earlier version, which may still live, does not write these.
     data["containment"] = json.dumps(identity.get("containment", {}))
     protections = identity.get("protections")
     return RunHandle(ProcessExecutor.name, data, None if protections is None else Protections(**protections))
 
 
 def _containment(handle: RunHandle) -> Containment | None:
-    """How the run is held, as far as that helps who is not its supervisor."""
+    """The containment of the run, if others than its supervisor can use it."""
     return found_again(json.loads(handle.data.get("containment", "{}")))
 
 
@@ -231,7 +231,7 @@ def _try_lock(descriptor: int) -> bool:
 
 
 def _launch(work: Path) -> dict[str, Any]:
-    """Start a supervisor for ``work`` and wait until one (this, or an earlier one) has said who it is."""
+    """Start a supervisor for ``work``, and wait until it or an earlier one has written its identity."""
     errors = work / "shim-errors.txt"
     package_root = str(Path(slamhive.__file__).parent.parent)
     environment = {key: os.environ[key] for key in INHERITED if key in os.environ}
@@ -276,7 +276,7 @@ def _read_exit(handle: RunHandle) -> Exited | None:
 
 
 def _shim(handle: RunHandle) -> psutil.Process | None:
-    """The supervisor if it lives: same pid, same birth."""
+    """The supervisor if it is alive; a process with its pid may be another one, so the start time counts too."""
     pid = int(handle.data["pid"])
     if process_birth(pid) != handle.data["birth"]:
         return None
@@ -287,7 +287,7 @@ def _shim(handle: RunHandle) -> psutil.Process | None:
 
 
 def _kill_leftovers(handle: RunHandle) -> None:
-    """What is left if the supervisor was killed: all that its containment held, and what carries the run's key."""
+    """Kill what a killed supervisor leaves: the members of its containment, and processes with the run's key."""
     shim = _shim(handle)
     if shim is not None:
         _send(shim, signal.SIGKILL)
@@ -319,7 +319,7 @@ def _send(process: psutil.Process, number: signal.Signals) -> None:
 
 
 def _wait_until(condition: Callable[[], bool], patience_s: float) -> bool:
-    """Whether ``condition`` came true within ``patience_s``."""
+    """Wait for ``condition``; returns whether it came true within ``patience_s``."""
     deadline_s = monotonic_s() + patience_s
     while not condition():
         if monotonic_s() >= deadline_s:

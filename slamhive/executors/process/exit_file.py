@@ -1,4 +1,4 @@
-"""How a process ended, written down even where the disk is full: its room is taken before the process starts."""
+"""Records how a process ended, even on a full disk: the space is reserved before the process starts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_LOST_BYTES = 2000
 
 
 def reserve(work: Path) -> None:
-    """Take the room of ``exit.json``. Raises OSError."""
+    """Reserve the space of ``exit.json``. Raises OSError."""
     with (work / _RESERVED).open("wb") as stream:
         stream.write(b" " * _ROOM_BYTES)
         stream.flush()
@@ -23,7 +23,7 @@ def reserve(work: Path) -> None:
 
 
 def write_exit(work: Path, content: dict[str, Any]) -> None:
-    """Write ``content`` into the room that was taken, then rename it: a reader sees all of it or nothing."""
+    """Write ``content`` into the reserved space, then rename it: a reader sees all of it or nothing."""
     data = json.dumps(content).encode().ljust(_ROOM_BYTES)
     with (work / _RESERVED).open("r+b") as stream:
         stream.write(data)

@@ -1,7 +1,7 @@
-"""A network and a shared memory of its own for a run without a container, by namespaces of the kernel.
+"""Gives a run its own network and shared memory, by namespaces of the kernel.
 
-As in a container: loopback alone, and a ``/dev/shm`` of limited size that is gone with the run. Root makes them itself;
-other users make them within a user namespace of their own, which some systems do not allow.
+As in a container, the network is loopback alone, and ``/dev/shm`` has a limited size and vanishes with the run. Users
+other than root make them inside a user namespace, which some systems do not allow.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ def refused_because() -> str | None:
 
 
 def enter_namespaces() -> None:
-    """Part with the network and the shared memory of the machine. Raises OSError, and is then good for nothing more.
+    """Leave the network and the shared memory of the machine. After an OSError the process must end.
 
-    For a process that is about to start the algorithm, while it has all its rights; what it starts stays with it.
+    A process calls this before it becomes the algorithm, while it has all its rights. Its children stay inside.
     """
     uid, gid = os.getuid(), os.getgid()
     if uid == 0:

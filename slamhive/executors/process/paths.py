@@ -58,7 +58,7 @@ class LocalPaths:
 def shim_spec_of(
     spec: RunSpec, environment: Environment, work: Path, context: ExecutorContext, containment: str | None
 ) -> ShimSpec:
-    """What the supervisor of ``spec`` is told. Makes the folders and copies that the run needs."""
+    """The orders for the supervisor of ``spec``. Makes the folders and copies that the run needs."""
     home, dataset = work / "home", work / "dataset"
     for folder in (home, dataset):
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
-"""The supervisor's place before the run it supervises: it must get its turn whatever the run does.
+"""Makes sure that a supervisor gets CPU time whatever its run does.
 
-Rather the supervisor is raised than the run lowered: a run that is measured should get what any program gets. Only
-where this is refused and the run shares its share of the processors with the supervisor, the run is one step nicer.
+The supervisor's priority is raised, rather than the run's lowered: a run that is measured should get what any program
+gets. Only if raising is refused, and both share CPU time, the run is one step nicer.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _NOT_SPARED = "; the kernel may kill the supervisor when the machine runs out of
 
 @dataclass(frozen=True, slots=True)
 class Priority:
-    """What was before, for the run, and what came of raising the supervisor."""
+    """The values before, for the run, and which of them could be raised for the supervisor."""
 
     nice_before: int
     oom_score_before: str | None
@@ -67,7 +67,7 @@ def raise_supervisor() -> Priority:
 
 @contextlib.contextmanager
 def urgent() -> Iterator[None]:
-    """Before everybody else for a moment, as far as this is allowed: to count and end processes that are too many."""
+    """Run before all other programs for a moment, if allowed: to count processes and end those that are too many."""
     before = os.sched_getscheduler(0)
     try:
         os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(1))

@@ -1,8 +1,8 @@
-"""A control group for each run without a container: the kernel itself holds the limits, and ends the run as a whole.
+"""A control group for each run: the kernel enforces the limits and ends the run as a whole.
 
-Version 1 has a tree for each controller, version 2 one for all; apart from the names of files both work alike. The
-group is made below the group of this process, so that limits set by an administrator hold for runs too; under version 2
-that is possible only beside it, in the nearest group around it that this user may write to (a delegated slice).
+Version 1 has a tree for each controller, version 2 has one for all. Otherwise both work alike. Under version 1 the
+group is below that of this process, so that an administrator's limits apply to runs too. Version 2 allows it only
+beside this process: in the nearest group above that this user may write to (a delegated slice).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _PAUSE_S = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Parents:
-    """Where groups of runs are made: the folder of each controller that can be had."""
+    """Where groups of runs are made: a folder for each controller that is available."""
 
     version: int
     folders: dict[str, Path]
@@ -81,7 +81,7 @@ def _v2_parent(root: Path, own: str) -> tuple[list[str], Path]:
 
 
 def _enable(folder: Path) -> list[str]:
-    """The controllers that groups below ``folder`` have; they are asked for only where nobody else manages them."""
+    """The controllers of groups below ``folder``. They are enabled unless somebody else manages them."""
     switch = folder / "cgroup.subtree_control"
     if "pids" not in switch.read_text(encoding="ascii").split():
         for controller in _V2_CONTROLLERS:
@@ -106,7 +106,7 @@ class RunCgroup:
     Args:
         version: Of the control groups.
         folders: The group's folder for each controller; under version 2 always the same.
-        limited: The controllers that hold the run to its limit, if it has one.
+        limited: The controllers that enforce a limit of the run.
     """
 
     kind = "cgroup"
@@ -121,17 +121,17 @@ class RunCgroup:
 
     @property
     def holds_memory(self) -> bool:
-        """Whether the kernel holds the run to its memory limit."""
+        """Whether the kernel enforces the memory limit."""
         return "memory" in self._limited
 
     @property
     def holds_cpu(self) -> bool:
-        """Whether the kernel holds the run to its share of the processors."""
+        """Whether the kernel enforces the limit of cores."""
         return "cpu" in self._limited
 
     @classmethod
     def make(cls, request: ContainmentRequest, parents: Parents) -> RunCgroup:
-        """Make the group with its limits, and find out that processes can be put into it. Raises DoesNotHold."""
+        """Make the group with its limits, and check that processes can enter it. Raises DoesNotHold."""
         name = group_name(request.installation, request.key)
         folders = {controller: parent / name for controller, parent in parents.folders.items()}
         try:
@@ -146,7 +146,7 @@ class RunCgroup:
 
     @classmethod
     def found_again(cls, description: dict[str, Any]) -> RunCgroup | None:
-        """The group that :meth:`describe` told of; None if that is no group of a run."""
+        """The group that :meth:`describe` described; None if it is no group of a run."""
         folders = {controller: Path(folder) for controller, folder in description["folders"].items()}
         if not all(folder.name.startswith(PREFIX) and folder.is_absolute() for folder in folders.values()):
             return None
@@ -190,14 +190,14 @@ class RunCgroup:
         return living(entry for pid in pids if (entry := read_process(int(pid))) is not None)
 
     def end(self, patience_s: float) -> bool:
-        """See :class:`Containment`. Nothing can be started in the group from the first moment on."""
+        """See :class:`Containment`. At once, nothing new can start in the group."""
         self._try_to_write("pids", "pids.max", "0")
         if not self.members():
             return True
         if (self._tasks / "cgroup.kill").exists():
             self._try_to_write("pids", "cgroup.kill", "1")
         elif self._freeze():
-            # The frozen take their signals when they thaw; until then they leave the processors alone.
+            # Frozen processes use no CPU time, and receive their signals when they thaw.
             for entry in self.members():
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(entry.pid, signal.SIGKILL)
@@ -220,7 +220,7 @@ class RunCgroup:
         return None
 
     def _try_to_enter(self) -> None:
-        """Put a process into the group that does nothing. Raises OSError."""
+        """Put an idle process into the group. Raises OSError."""
         probe = os.posix_spawnp("sleep", ["sleep", "60"], os.environ)
         try:
             for folder in set(self._folders.values()):
@@ -246,7 +246,7 @@ class RunCgroup:
         return file if file.exists() else None
 
     def _freeze(self) -> bool:
-        """Whether the group is frozen (what a process does in the kernel may take it a moment)."""
+        """Freeze the group; returns whether that worked. A process inside a system call may take a moment."""
         file = self._freezer()
         if file is None:
             return False

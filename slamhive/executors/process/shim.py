@@ -1,13 +1,16 @@
 """The supervisor of one algorithm process: ``python -m slamhive.executors.process.shim <work folder>``.
 
-It outlives the worker that started it, so that a restarted worker finds out how the algorithm ended. Files in the work
-folder are the whole interface: ``shim-spec.json`` in, ``shim.lock`` held while it lives, ``shim.json`` (who
-am I, since when),
-``output/`` (what the algorithm prints, capped), ``exit.json`` (how it ended; its room is taken beforehand, since an
-algorithm may fill the disk).
+It outlives the worker that started it, so that a restarted worker finds out how the algorithm ended. They communicate
+by files in the work folder:
 
-Every descendant of the algorithm stays below the shim (it is their "subreaper"), so none can get away by forking twice
-or by opening a session of its own, and the CPU time of each is added up when it is reaped.
+- ``shim-spec.json``: the orders.
+- ``shim.lock``: locked while the supervisor is alive.
+- ``shim.json``: which process it is, and since when.
+- ``output/``: what the algorithm prints, capped.
+- ``exit.json``: how it ended. Its disk space is reserved before the start, since an algorithm may fill the disk.
+
+The supervisor is the "subreaper" of all descendants of the algorithm. None can escape by forking twice or by opening
+a session, and the CPU time of each counts when it is reaped.
 
 Signals: SIGTERM is passed on to all descendants, SIGUSR1 kills them.
 """
@@ -57,7 +60,7 @@ _FILE_BYTES = 256 * 2**30
 
 
 class Supervisor:
-    """Starts the algorithm, watches it and its descendants, and writes down how it ended."""
+    """Starts the algorithm, watches it and its descendants, and records how it ended."""
 
     def __init__(self, work: Path, spec: ShimSpec) -> None:
         self._work = work
@@ -80,7 +83,7 @@ class Supervisor:
         self._checked_at_s = 0.0
 
     def introduction(self, started_at: datetime) -> dict[str, Any]:
-        """What ``shim.json`` says: who this is, and how the run is held."""
+        """The content of ``shim.json``: which process this is, and how it enforces limits."""
         protections = Protections(
             **self._containment.words(),
             priority=self._priority.words(shares_processors=not self._containment.holds_cpu),
@@ -120,7 +123,7 @@ class Supervisor:
         write_exit(self._work, content)
 
     def _spawn(self) -> int:
-        """Fork the algorithm; returns the end of the pipe that its output comes out of."""
+        """Fork the algorithm; returns the end of the pipe to read its output from."""
         reader, writer = os.pipe()
         os.set_blocking(reader, False)
         self._pid = os.fork()
@@ -130,18 +133,18 @@ class Supervisor:
         return reader
 
     def _become_algorithm(self, writer: int) -> None:
-        """In the child: limits, a group of its own, then the command. Never returns."""
+        """In the child: set limits, enter the containment, become the command. Never returns."""
         try:
-            os.setsid()  # where the kernel shares the processors by session, it competes with nobody in this one
+            os.setsid()  # kernels may share CPU time by session
             self._priority.give_back(shares_processors=not self._containment.holds_cpu)
             if cores := self._cores():
                 os.sched_setaffinity(0, cores)
             if self._apart:
                 namespaces.enter_namespaces()
             self._containment.enter()
-            # After that: a change of user would undo it.
+            # Only now: a change of user would undo it.
             prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-            # As containers: what becomes another user could neither be measured nor ended by this one.
+            # As in containers. This user could neither measure nor end a process of another user.
             prctl(PR_SET_NO_NEW_PRIVS, 1)
             for number in (signal.SIGTERM, signal.SIGUSR1, signal.SIGPIPE):
                 signal.signal(number, signal.SIG_DFL)
@@ -158,13 +161,13 @@ class Supervisor:
             os._exit(_EXIT_CANNOT_START)
 
     def _cores(self) -> list[int] | None:
-        """The cores to be bound to: the slot's; or as many as the limit rounds up to, unless the kernel holds it."""
+        """The cores to bind to: the slot's, or enough for the limit if the kernel does not enforce it."""
         if self._spec.cores or self._spec.cpu_cores is None or self._containment.holds_cpu:
             return self._spec.cores
         return sorted(os.sched_getaffinity(0))[: math.ceil(self._spec.cpu_cores)]
 
     def listen(self) -> None:
-        """Take on the descendants and the signals. Before anybody is told whom to send them to."""
+        """Adopt descendants and handle signals. Called before the identity is published, since signals follow it."""
         prctl(PR_SET_CHILD_SUBREAPER, 1)
         signal.signal(signal.SIGTERM, self._pass_on)
         signal.signal(signal.SIGUSR1, self._kill_on_signal)
@@ -180,7 +183,7 @@ class Supervisor:
             self._check_limits()
 
     def _copy_output(self, reader: int) -> bool:
-        """Copy what has been printed to the log; False if there is nothing (more)."""
+        """Copy new output to the log; returns whether there was any."""
         try:
             data = os.read(reader, _READ_BYTES)
         except BlockingIOError:
@@ -189,14 +192,14 @@ class Supervisor:
         return bool(data)
 
     def _write_log(self, data: bytes) -> None:
-        """A log that cannot be written is no reason to leave the algorithm without supervisor."""
+        """Write to the log. If that fails, keep the end of the output and go on supervising."""
         try:
             self._log.write(data)
         except OSError as error:
             self._lost.add(data, error.strerror or str(error))
 
     def _reap(self) -> None:
-        """Wait for whatever has ended; the algorithm's own status is kept."""
+        """Reap what has ended, and keep the exit status of the algorithm."""
         while True:
             try:
                 pid, status = os.waitpid(-1, os.WNOHANG)
@@ -227,7 +230,7 @@ class Supervisor:
         return self._tree.resident_bytes() > limit_bytes
 
     def _last_look(self) -> None:
-        """What the kernel has counted up to the end, before the run's processes and counters go."""
+        """Read the kernel's counters a last time, before they vanish with the run."""
         look = self._containment.look(self._tree)
         self._out_of_memory |= look.out_of_memory
         self._refusals.see(refused=look.refused, now_s=monotonic_s())
@@ -238,7 +241,7 @@ class Supervisor:
         self._kill_all()
 
     def _end_descendants(self) -> None:
-        """Kill and reap what the algorithm left behind."""
+        """Kill and reap the processes that the algorithm left."""
         while True:
             self._kill_all()
             self._reap()
@@ -246,10 +249,10 @@ class Supervisor:
                 return
 
     def _kill_all(self) -> None:
-        """By the containment, then what got out of it but not out of the tree."""
+        """Kill the members of the containment, then what is left below the supervisor."""
         with urgent():
             if self._status is None:
-                # Most of what multiplies, at once and without counting it. Once reaped, the number may be another's.
+                # Stops most of a fork bomb at once. After the algorithm is reaped, its pid may be another process.
                 send_to_group(self._pid, signal.SIGSTOP)
             self._containment.end(_KILL_PATIENCE_S)
             end_all(self._tree.living, _KILL_PATIENCE_S)
@@ -266,7 +269,7 @@ def _megabytes(limit_bytes: int | None) -> str:
 
 
 def _limit_resources(file_bytes: int) -> None:
-    """Of the calling process and what it starts: no core dumps; few and small enough files for a usable machine."""
+    """Limit the calling process and what it starts: no core dumps, not too many open files, none too large."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     for kind, wanted in ((resource.RLIMIT_NOFILE, _OPEN_FILES), (resource.RLIMIT_FSIZE, file_bytes)):
         hard = resource.getrlimit(kind)[1]
@@ -275,9 +278,9 @@ def _limit_resources(file_bytes: int) -> None:
 
 
 def process_birth(pid: int) -> str | None:
-    """What tells a process from any other with its pid: this boot, and the clock tick it started at.
+    """Identifies a process beyond its pid: the boot and the kernel's count of time at its start.
 
-    Unlike a time of day it stays the same when the clock is set. None for a process that has ended.
+    Setting the clock does not change it. None for a process that has ended.
     """
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
@@ -290,8 +293,8 @@ def process_birth(pid: int) -> str | None:
 def main(work: Path) -> None:
     """Supervise the run of this work folder, unless another shim does or did.
 
-    The process that was started ends at once and leaves the work to a child in a session of its own, which therefore
-    belongs to nobody: neither the end of the worker nor that of its terminal reaches it.
+    The calling process ends at once. A child in a session of its own does the work, so that neither the end of the
+    worker nor that of its terminal reaches it.
     """
     if os.fork() > 0:
         os._exit(0)

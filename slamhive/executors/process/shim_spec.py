@@ -1,4 +1,4 @@
-"""What a supervisor is told: a file in the work folder, from the executor to the supervisor."""
+"""The orders of a supervisor: a file in the work folder, written by the executor."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ SPEC_FILE = "shim-spec.json"
 
 @dataclass(frozen=True, slots=True)
 class ShimSpec:
-    """What to start: command, environment, folder to start in, and limits.
+    """What to start, and its limits.
 
-    ``cores`` are the ones to be bound to. ``tasks`` counts processes and threads, as a container's limit of pids does.
-    What comes after ``cpu_cores`` is for the containment, see ``ContainmentRequest``.
+    ``cores`` are those to bind to. ``tasks`` counts processes and threads, as a container's limit of pids does. The
+    fields after ``cpu_cores`` are for the containment, see ``ContainmentRequest``.
     """
 
     command: list[str]
@@ -45,7 +45,7 @@ class ShimSpec:
         return cls(**json.loads((work / SPEC_FILE).read_text(encoding="utf-8")))
 
     def containment_request(self) -> ContainmentRequest:
-        """What the run is to be held to."""
+        """What the containment has to enforce."""
         return ContainmentRequest(
             self.installation,
             self.key,

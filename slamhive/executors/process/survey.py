@@ -1,4 +1,4 @@
-"""By what runs without a container would be held on this machine: tried out, for ``slamhive doctor``."""
+"""Tries out how limits are enforced on this machine, for ``slamhive doctor``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ANY_TASKS = 16
 
 
 def survey(installation: str, kind: str | None = None) -> Protections:
-    """By what a run would be held that is started on this machine now, tried out and given back.
+    """Make the containment that a run would get now, describe it, and remove it.
 
     Raises DoesNotHold as :func:`choose_containment`.
     """
@@ -31,7 +31,7 @@ def survey(installation: str, kind: str | None = None) -> Protections:
 
 
 def _priority_here(*, shares_processors: bool) -> str:
-    """What a supervisor's priority would come to, in words: tried out by a process that ends at once."""
+    """The priority that a supervisor would get, in words. A process that ends at once tries it."""
     command = [sys.executable, "-m", priority.__name__, *(["shares"] if shares_processors else [])]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment).stdout.strip()

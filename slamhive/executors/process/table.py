@@ -1,4 +1,4 @@
-"""The processes of this machine as ``/proc`` lists them, and how a set of them is ended without one getting away."""
+"""Lists the processes of this machine from ``/proc``, and ends a set of them so that none escapes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PAUSE_S = 0.005
 class ProcessEntry:
     """A process: its parent, process group, number of threads and resident memory.
 
-    A zombie has ended, but its parent has not asked how; the kernel still counts it.
+    A zombie has ended but was not reaped by its parent; the kernel still counts it.
     """
 
     pid: int
@@ -45,7 +45,7 @@ def read_process(pid: int) -> ProcessEntry | None:
 
 
 def living(entries: Iterable[ProcessEntry]) -> list[ProcessEntry]:
-    """Those that are no zombies."""
+    """The entries without zombies."""
     return [entry for entry in entries if not entry.zombie]
 
 

@@ -1,7 +1,7 @@
-"""Where neither control groups nor a user of its own can be had: the supervisor counts the processes below it itself.
+"""The last resort, without control groups and without a user for each run: the supervisor counts processes.
 
-The kernel still sets a ceiling for whoever is not root (RLIMIT_NPROC over all processes of the user), well above the
-limit, since the user's other processes are none of this run's business.
+For users other than root the kernel still enforces a ceiling (RLIMIT_NPROC). It counts all processes of the user, so
+the ceiling is well above the limit of the run.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class TreeLimit:
     Args:
         root: The supervisor.
         tasks: Most processes and threads; a run with more is ended at once.
-        ceiling: Most processes and threads of this user, None where the kernel would not hold it.
+        ceiling: Most processes and threads of this user; None where the kernel does not enforce it.
     """
 
     kind = "tree"
@@ -45,7 +45,7 @@ class TreeLimit:
         return cls(os.getpid(), request.tasks, now + 2 * request.tasks + _ROOM_FOR_OTHERS)
 
     def describe(self) -> dict[str, Any]:
-        """See :class:`Containment`: a supervisor that was killed leaves nothing to find the processes by."""
+        """See :class:`Containment`: after a supervisor was killed, nothing here identifies its processes."""
         return {"kind": self.kind}
 
     def words(self) -> dict[str, str]:

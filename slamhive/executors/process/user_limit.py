@@ -1,8 +1,8 @@
-"""A user of its own for each run: the kernel counts the user's processes (RLIMIT_NPROC) and refuses more.
+"""A user for each run: the kernel counts the user's processes (RLIMIT_NPROC) and refuses more.
 
-For a supervisor that is root where control groups cannot be written, such as in most containers. The folders that the
-run writes to belong to its user while it lives. Where that user could not read what the run needs (an interpreter or a
-data root below ``/root``), it keeps root's right to read. Memory is watched by the supervisor.
+For a supervisor that is root where control groups cannot be written, as in most containers. While the run is alive, its
+user owns the folders that it writes to. If the user cannot read what the run needs, such as an interpreter below
+``/root``, the run keeps root's right to read. The supervisor watches the memory.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ _CHECK_LIMIT_S = 10.0
 
 
 class UserLimit:
-    """One of the users that are kept for runs, while its lock is held.
+    """One of the users that are reserved for runs, while its lock is held.
 
     Args:
         uid: The user, and a group of the same number.
         tasks: Most processes and threads.
-        lock: Descriptor of the lock file, None for whoever cleans up after the supervisor.
+        lock: Descriptor of the lock file; None when cleaning up after a killed supervisor.
         writable: Folders that belong to the user while the run lives.
         reads_with: The capability that the run keeps to read what it needs, None if it needs none.
     """
@@ -77,7 +77,7 @@ class UserLimit:
 
     @classmethod
     def found_again(cls, description: dict[str, Any]) -> UserLimit | None:
-        """The user that :meth:`describe` told of; None if it is none of those that are kept for runs."""
+        """The user that :meth:`describe` described; None if it is not reserved for runs."""
         uid = int(description["uid"])
         if not FIRST_UID <= uid < FIRST_UID + USERS:
             return None
@@ -114,7 +114,7 @@ class UserLimit:
         return Look(refused=tree.tasks() > self._tasks)
 
     def members(self) -> list[ProcessEntry]:
-        """See :class:`Containment`. None if the user is in another run's hands by now."""
+        """See :class:`Containment`. Empty if another run has the user by now."""
         if self._lock is not None:
             return living(processes_of_user(self._uid))
         try:
@@ -133,7 +133,7 @@ class UserLimit:
         return end_all(self.members, patience_s)
 
     def remove(self) -> None:
-        """See :class:`Containment`: the folders go back to whom they belong."""
+        """See :class:`Containment`: gives the folders back to their owner."""
         for folder in self._writable:
             with suppress(OSError):  # the result can be read all the same
                 _change_owner(folder, self._uid, self._owner)
