@@ -10,15 +10,17 @@ import shutil
 import sqlite3
 import threading
 import zipfile
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from flask import Response
 
 from slamhive.analysis.forms import FORMS
 from slamhive.errors import Unavailable
+from slamhive.services.analyses import REPORT, AnalysisFolder
 from slamhive.services.analyses.jobs import AnalysisJobs
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
@@ -29,7 +31,6 @@ from slamhive.web.caching import PageCache
 from slamhive.web.context import COMPUTER_EXTENSION
 from slamhive.web.security import API_HEADER
 from slamhive.web.views.help import OF_PAGE
-from tests.waiting import eventually
 from tests.web import web_world as world
 from tests.web.test_web_security import VALUES
 from tests.web.web_world import HOSTILE, Web, make_web
@@ -138,17 +139,23 @@ def test_few_wait_for_files_and_what_was_made_comes_at_once(computed: tuple[Web,
     web, token = computed
     files = AnalysisFiles(web.hive)
     made = files.get(token, "report.html")
-    go_on = threading.Event()
-    monkeypatch.setattr(AnalysisFiles, "_make", lambda *_: b"" if go_on.wait(60) else b"late")
-    names = list(web.hive.stored_analyses.folder(token).read_result("page.json.gz")["files"])[: 1 + MOST_WAITING]
-    with ThreadPoolExecutor() as pool:
-        waiting = [pool.submit(files.get, token, name) for name in names]
-        eventually(lambda: files._places._value == 0, "all places were taken")
+    go_on, read = threading.Event(), AnalysisFolder.read_result
+
+    def read_when_allowed(folder: AnalysisFolder, name: str) -> Any:
+        assert name != REPORT or go_on.wait(60)
+        return read(folder, name)
+
+    monkeypatch.setattr(AnalysisFolder, "read_result", read_when_allowed)
+    names = list(web.hive.stored_analyses.folder(token).read_result("page.json.gz")["files"])[: 2 + MOST_WAITING]
+    with ThreadPoolExecutor(len(names)) as pool:
+        asked = [pool.submit(files.get, token, name) for name in names]
+        refused, waiting = wait(asked, timeout=60, return_when=FIRST_COMPLETED)
         with pytest.raises(Unavailable, match="many files"):
-            files.get(token, "report.zip")
+            refused.pop().result()
+        assert not refused
         assert files.get(token, "report.html") == made
         go_on.set()
-        assert [future.result() for future in waiting] == [b""] * len(names)
+        assert all(future.result() for future in waiting)
 
 
 @pytest.mark.parametrize("token", ["x", "0" * 32, "..%2f..%2fruns", "0" * 5000])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -88,7 +90,13 @@ def test_a_failed_build_says_why_on_the_page(track: Web):
 
 def test_one_at_a_time(track: Web, monkeypatch: pytest.MonkeyPatch):
     maker, go_on = track.app.extensions[VARIANTS_EXTENSION], threading.Event()
-    monkeypatch.setattr(maker, "_make", lambda _dataset, _variant: go_on.wait(60))
+
+    @contextmanager
+    def hold(*_arguments: object) -> Iterator[None]:
+        assert go_on.wait(60)
+        yield
+
+    monkeypatch.setattr(track.hive.variants, "hold", hold)
     dataset = track.hive.catalogue.dataset("track")
     thread = maker.start(dataset, ())
     with pytest.raises(Conflict, match="a variant of track is being made; wait"):
