@@ -26,7 +26,7 @@ from slamhive.store.records import LeaseLost
 
 logger = logging.getLogger(__name__)
 
-CHILD = "slamhive.services.analyses.child"
+CHILD = "slamhive.services.analysis_process"
 LOOK_S = 0.1
 BEAT_S = 1.0
 MOST_ATTEMPTS = 3

@@ -1,7 +1,9 @@
-"""The process that computes one analysis: ``python -m slamhive.services.analyses.child FOLDER``.
+"""The process that computes one analysis: ``python -m slamhive.services.analysis_process FOLDER``.
 
-It reads the settings from the first line of its input, limits itself, and tells the end in one line of JSON. It ends
-when its input does: whoever started it is gone then.
+It reads the settings from the first line of its input, limits its own resources, and prints the result as one line of
+JSON. It ends when its input closes, because the process that started it is gone then.
+
+It lies outside the packages of use cases and imports inside functions, so that the limits hold for its imports, too.
 """
 
 from __future__ import annotations
@@ -22,26 +24,30 @@ PROGRESS_INTERVAL_S = 0.3
 
 
 def main() -> int:
-    """Compute; 0 if there is a report, 1 if there is a reason why not."""
+    """Compute the analysis; returns 0 if there is a report, 1 if there is an error."""
     asked = json.loads(sys.stdin.readline())
     limit_process(asked["memory_bytes"], asked["time_limit_s"])
     threading.Thread(target=_end_with_input, daemon=True).start()
+    too_large = f"the analysis needs more than {asked['memory_bytes'] // 10**6} MB of memory"
     try:
         outcome = {"content_hash": _compute(asked, Path(sys.argv[1]))}
     except MemoryError:
-        outcome = {"error": f"the analysis needs more than {asked['memory_bytes'] // 10**6} MB of memory"}
+        outcome = {"error": too_large}
     except Exception as error:
         from slamhive.errors import SlamHiveError  # noqa: PLC0415 - the limits hold for what is imported, too
 
-        if not isinstance(error, SlamHiveError):
+        if isinstance(error, SlamHiveError):
+            outcome = {"error": str(error)}
+        elif _memory_is_used_up(asked["memory_bytes"]):
+            outcome = {"error": too_large}
+        else:
             raise
-        outcome = {"error": str(error)}
     sys.stdout.write(json.dumps(outcome) + "\n")
     return int("error" in outcome)
 
 
 def limit_process(memory_bytes: int, time_limit_s: float) -> None:
-    """Bound address space, CPU time, and the size of files; let everything else on the machine go first."""
+    """Limit address space, CPU time and file sizes, and lower the priority."""
     cpu_s = int(2 * time_limit_s) + 10
     for kind, most in (
         (resource.RLIMIT_AS, memory_bytes),
@@ -55,8 +61,18 @@ def limit_process(memory_bytes: int, time_limit_s: float) -> None:
     os.nice(10)
 
 
+def _memory_is_used_up(memory_bytes: int) -> bool:
+    """Whether the process has come close to its limit. An import that finds no memory may raise anything."""
+    try:
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return False
+    peak_kb = next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmPeak:")), 0)
+    return peak_kb * 1024 > 0.9 * memory_bytes
+
+
 def _compute(asked: dict[str, Any], root: Path) -> str:
-    from slamhive.services.analyses import folder as parts  # noqa: PLC0415
+    from slamhive.services.analyses import FIGURES, PAGE, REPORT, AnalysisFolder  # noqa: PLC0415
     from slamhive.services.datasets import Catalogue  # noqa: PLC0415
     from slamhive.services.reports import (  # noqa: PLC0415
         Analyses,
@@ -68,7 +84,7 @@ def _compute(asked: dict[str, Any], root: Path) -> str:
     from slamhive.settings import load_settings  # noqa: PLC0415
     from slamhive.store.store import open_store  # noqa: PLC0415
 
-    folder = parts.AnalysisFolder(root)
+    folder = AnalysisFolder(root)
     settings = load_settings(Path(asked["project_root"]), environment={}, options=asked["settings"])
     store = open_store(settings.effective_database_url, settings.database_retry_s, upgrade=False)
     catalogue = Catalogue(settings, Path(asked["project_root"]))
@@ -80,22 +96,22 @@ def _compute(asked: dict[str, Any], root: Path) -> str:
     digest.update(analysis.source.encode())
     content_hash = digest.hexdigest()
     for token in store.read(lambda t: t.analyses.same(content_hash)):
-        other = parts.AnalysisFolder(root.parent / token)
+        other = AnalysisFolder(root.parent / token)
         if token != root.name and other.whole:
             folder.link_results(other)
             return content_hash
     limits = AnalysisLimits(settings.analysis_max_runs, settings.analysis_time_limit_s)
     report = analyses.compute(analysis, limits, lambda share, doing: tell(0.8 * share, doing))
     tell(0.8, "drawing")
-    folder.write_result(parts.FIGURES, figures_json(report))
+    folder.write_result(FIGURES, figures_json(report))
     tell(0.9, "storing")
-    folder.write_result(parts.PAGE, page_json(report))
-    folder.write_result(parts.REPORT, report)
+    folder.write_result(PAGE, page_json(report))
+    folder.write_result(REPORT, report)
     return content_hash
 
 
 class _Teller:
-    """Writes progress, not more often than anybody looks."""
+    """Writes the progress at most every `PROGRESS_INTERVAL_S`."""
 
     def __init__(self, folder: Any) -> None:
         self._folder = folder
