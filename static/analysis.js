@@ -1,4 +1,4 @@
-// The editor of analysis files: line numbers, a check while typing; and a page that waits for its report.
+// The editor of analysis files: line numbers and a check while typing. Also reloads a page that waits for its report.
 "use strict";
 (() => {
   const DELAY_MS = 500;
@@ -42,7 +42,7 @@
 
   const plan = () => {
     clearTimeout(timer);
-    timer = setTimeout(() => check().catch(() => { verdict.textContent = "The server does not answer."; }), DELAY_MS);
+    timer = setTimeout(() => check().catch(() => { verdict.textContent = "The server does not respond."; }), DELAY_MS);
   };
   text.addEventListener("input", () => { number(); plan(); });
   text.addEventListener("scroll", () => { gutter.scrollTop = text.scrollTop; });

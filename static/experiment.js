@@ -1,5 +1,5 @@
-// The experiment builder: fields and YAML follow each other through the server, which also says what a start would do.
-// One exchange at a time; what is typed meanwhile wins over an answer that is on its way.
+// The experiment builder: the server turns fields into YAML and YAML into fields, and returns the preview.
+// One request at a time; input typed meanwhile wins over a pending response.
 "use strict";
 (() => {
   const builder = document.getElementById("builder");
@@ -7,7 +7,7 @@
   if (!builder) return;
   const DELAY_MS = 350;
   const WRITE = "write";
-  const NO_ANSWER = "The server does not answer.";
+  const NO_ANSWER = "The server does not respond.";
   const fields = document.getElementById("fields");
   const text = document.getElementById("yaml");
   const gutter = document.getElementById("gutter");
@@ -153,7 +153,7 @@
   file.addEventListener("change", async () => {
     const [chosen] = file.files;
     if (!chosen) return;
-    if (chosen.size > most) { say(`${chosen.name} is larger than ${most} characters; is it the right file?`); return; }
+    if (chosen.size > most) { say(`${chosen.name} has more than ${most} characters. Is it the right file?`); return; }
     text.value = await chosen.text();
     file.value = "";
     plan(editor, "preview");

@@ -1,4 +1,4 @@
-// Draws the figures of a page from the JSON at data-figures, in the colours of light or dark that report.js knows.
+// Draws the plots of a page from the JSON at data-figures, in the light or dark colours defined in report.js.
 "use strict";
 (() => {
   const WHILE_ACTIVE_MS = 5000;
@@ -20,7 +20,7 @@
     const key = place.dataset.figure;
     const figure = content.figures[key === "path" ? VIEWS[view] : key];
     if (!figure) {
-      say(place, content.reasons[key === "path" ? "estimate" : key] || "There is no data for this figure.");
+      say(place, content.reasons[key === "path" ? "estimate" : key] || "No data for this plot.");
       place.classList.add("without");
       return;
     }
@@ -62,7 +62,7 @@
       if (!answer.ok) throw new Error(body.error.message);
       content = body;
     } catch (error) {
-      document.querySelectorAll("[data-figure]").forEach((place) => say(place, `No figure: ${error.message}`));
+      document.querySelectorAll("[data-figure]").forEach((place) => say(place, `The plot could not be drawn: ${error.message}`));
       return;
     }
     view ??= new URLSearchParams(location.hash.slice(1)).get("view") || content.best_plane;

@@ -1,4 +1,4 @@
-// The form that starts runs: parameters of the chosen algorithm, and what pressing the button will do.
+// The web form that starts runs: parameters of the selected algorithm, and the preview.
 "use strict";
 (() => {
   const form = document.getElementById("start");
@@ -44,7 +44,7 @@
     const problems = Object.keys(errors).length;
     document.getElementById("preview").textContent =
       text || (form.elements.algorithm.value && form.elements.dataset.value
-        ? `${problems} field${problems === 1 ? "" : "s"} cannot be used.` : "Choose an algorithm and a dataset.");
+        ? `${problems} ${problems === 1 ? "field has" : "fields have"} an invalid value.` : "Select an algorithm and a dataset.");
   }
 
   form.addEventListener("input", (event) => {
@@ -55,7 +55,7 @@
     }
     clearTimeout(timer);
     timer = setTimeout(() => preview().catch(() => {
-      document.getElementById("preview").textContent = "The server does not answer.";
+      document.getElementById("preview").textContent = "The server does not respond.";
     }), 250);
   });
   form.addEventListener("submit", () => {

@@ -1,4 +1,4 @@
-// Puts in place what a page leaves for later because it takes long to count; again while things go on, never often.
+// Loads the part of a page that takes long to compute, and refreshes it now and then while runs are active.
 "use strict";
 (() => {
   const SLOWER = 10;

@@ -1,5 +1,5 @@
-// Keeps the page up to date. Progress is put in place from each event; when the set of runs or their states change,
-// the page is fetched once and its parts marked data-swap replace the old ones, without a reload and without a jump.
+// Keeps the page up to date. Each event updates the progress. When the set of runs or their states change, the page
+// is fetched once, and its parts marked data-swap replace the old ones without a reload or a jump.
 "use strict";
 (() => {
   const POLL_MS = 5000;

@@ -1,5 +1,5 @@
-// Draws the charts of a report from the JSON beside them, in the colours of light or dark; a click opens the run.
-// Pages of runs and datasets, whose figures.js draws, take the colours from here.
+// Draws the plots of a report from the JSON in the page, in light or dark colours. A click on a point opens its run.
+// figures.js, which draws the plots of runs and datasets, takes its colours from here.
 "use strict";
 (() => {
   const preferred = window.matchMedia("(prefers-color-scheme: dark)");
@@ -116,7 +116,7 @@
     });
   }
 
-  // Charts far down the page are drawn when they come near: the first ones need not wait for them.
+  // Draw plots far down the page only when they come near, so the first ones do not wait for them.
   const watcher = new IntersectionObserver((entries) => {
     for (const entry of entries) {
       if (!entry.isIntersecting) continue;
@@ -126,7 +126,7 @@
   }, { rootMargin: "800px" });
   const places = () => document.querySelectorAll("[data-chart]");
   const begin = () => places().forEach((place) => watcher.observe(place));
-  // A policy of the server forbids styles in attributes; the room is taken before anything is drawn, so nothing jumps.
+  // The server's policy forbids style attributes. Reserve the space before drawing, so nothing jumps.
   places().forEach((place) => {
     place.style.minHeight = `${place.dataset.height}px`;
     if (place.dataset.leastWidth > 0) place.style.minWidth = `${place.dataset.leastWidth}px`;

@@ -1,4 +1,4 @@
-// The table of runs of a site without a server: searched, sorted and paged here. Every cell is text, never markup.
+// The run table of a static site: search, sort and paging happen here. Cells are always text, never markup.
 "use strict";
 (() => {
   const PAGE = 100;
@@ -41,7 +41,7 @@
       return line;
     }));
     const last = Math.min(first + PAGE, shown.length);
-    document.getElementById("found").textContent = shown.length ? `${first + 1} to ${last} of ${shown.length}` : "no run is like that";
+    document.getElementById("found").textContent = shown.length ? `${first + 1} to ${last} of ${shown.length}` : "no run matches";
     document.getElementById("back").disabled = first === 0;
     document.getElementById("on").disabled = last >= shown.length;
     [...table.tHead.rows[0].cells].forEach((head, place) => {

@@ -1,4 +1,4 @@
-// Light or dark: the choice of this browser, else the system's. Loaded before anything is drawn.
+// Light or dark: the choice stored in this browser, else the system's. Loaded before anything is drawn.
 "use strict";
 (() => {
   const system = matchMedia("(prefers-color-scheme: dark)");

@@ -21,7 +21,8 @@ _DOCSTRING_START = re.compile(_BLOCK_START.pattern + r"|^\s*(?:Args|Returns|Rais
 _HTML_BLOCKS = re.compile(r"</?(?!(?:a|b|i|em|strong|span|abbr|time|small|code|kbd|var)\b)[a-z][^>]*>", re.IGNORECASE)
 _HTML_CODE = re.compile(r"<(code|pre|script|style|kbd|svg)\b.*?</\1>", re.DOTALL | re.IGNORECASE)
 _SPOKEN_ATTRIBUTE = re.compile(r'\b(?:title|alt|placeholder|aria-label)="([^"]*)"')
-_JINJA_STRING = re.compile(r"'((?:[^'\\]|\\.)* (?:[^'\\]|\\.)*)'")
+_JINJA_BLOCK = re.compile(r"\{[{%].*?[}%]\}", re.DOTALL)
+_JINJA_STRING = re.compile(r"'((?:[^'\\]|\\.)*)'")
 _NOQA = re.compile(r"\b(?:noqa|type: ignore|pragma|mypy:).*")
 
 
@@ -86,12 +87,13 @@ def plain(text: str) -> str:
 
 def template(text: str) -> Iterator[Passage]:
     """The text between tags, the attributes that are read out, and strings in expressions."""
-    for pattern in (_SPOKEN_ATTRIBUTE, _JINJA_STRING):
-        for found in pattern.finditer(text):
-            if "{" not in found[1] and "/" not in found[1]:
-                yield Passage(_line(text, found.start()), plain(found[1]))
-    text = _blank(re.compile(r"\{%.*?%\}", re.DOTALL), text, "\0")
-    text = _blank(re.compile(r"\{\{.*?\}\}", re.DOTALL), text, CODE)
+    for found in _SPOKEN_ATTRIBUTE.finditer(text):
+        yield Passage(_line(text, found.start()), plain(_JINJA_BLOCK.sub(CODE, found[1])))
+    for block in _JINJA_BLOCK.finditer(text):
+        for found in _JINJA_STRING.finditer(block[0]):
+            if " " in found[1]:
+                yield Passage(_line(text, block.start()), plain(found[1]))
+    text = _JINJA_BLOCK.sub(lambda found: (CODE if found[0][1] == "{" else "\0") + "\n" * found[0].count("\n"), text)
     text = _blank(re.compile(r"\{#|#\}"), text, "\0")
     text = _blank(_HTML_CODE, text, CODE)
     text = _blank(_HTML_BLOCKS, text, "\0")

@@ -1,1 +1,1 @@
-"""Pages and the web API. The only layer that knows Flask; it talks to :class:`slamhive.services.hive.Hive` alone."""
+"""Pages and the web API. The only layer that uses Flask; it calls :class:`slamhive.services.hive.Hive` alone."""

@@ -1,4 +1,4 @@
-"""What computes the analyses of visitors in view-only mode, where no worker runs: one thread, one process at a time."""
+"""Computes the analyses of visitors on a view-only server, where no worker runs: one thread, one process at a time."""
 
 from __future__ import annotations
 
@@ -16,11 +16,7 @@ TROUBLE_S = 5.0
 
 
 class AnalysisComputer:
-    """Takes analyses out of the queue as a worker does; begins with the first :meth:`wake`.
-
-    Args:
-        hive: The services.
-    """
+    """Takes analyses from the queue as a worker does. The thread starts with the first :meth:`wake`."""
 
     def __init__(self, hive: Hive) -> None:
         self._hive = hive
@@ -31,7 +27,7 @@ class AnalysisComputer:
         self._thread: threading.Thread | None = None
 
     def wake(self) -> None:
-        """There may be something to compute."""
+        """Look for work now."""
         self._asked.set()
         with self._lock:
             if self._thread is None and not self._stopping.is_set():
@@ -39,7 +35,7 @@ class AnalysisComputer:
                 self._thread.start()
 
     def close(self) -> None:
-        """End; what is being computed goes back into the queue."""
+        """Stop. The analysis in progress returns to the queue."""
         self._stopping.set()
         self._asked.set()
         with self._lock:
@@ -55,11 +51,11 @@ class AnalysisComputer:
                 while not self._stopping.is_set() and self._hive.analysis_jobs.work_once(self._owner, self._stopping):
                     pass
             except SlamHiveError as error:
-                logger.warning("analyses: %s; trying again in %.0f s", error, TROUBLE_S)
+                logger.warning("analyses: %s; retrying in %.0f s", error, TROUBLE_S)
                 self._stopping.wait(TROUBLE_S)
                 continue
             except Exception:
-                logger.exception("a fault while computing analyses; trying again in %.0f s", TROUBLE_S)
+                logger.exception("unexpected error while computing analyses; retrying in %.0f s", TROUBLE_S)
                 self._stopping.wait(TROUBLE_S)
                 continue
             self._asked.wait(IDLE_S)

@@ -1,4 +1,4 @@
-"""Files of a stored analysis, made when they are asked for: one at a time, since printing a figure takes a second."""
+"""Creates the files of a stored analysis on request, one at a time: printing a plot takes a second."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from slamhive.services.hive import Hive
 
 MOST_WAIT_S = 30.0
 MOST_WAITING = 3
-"""Threads of the server that one may hold who asks for many files at once; the others are left for pages."""
+"""Server threads that may wait for files at once. The others stay free for pages."""
 MOST_KEPT_BYTES = 50_000_000
 MEDIA_TYPES = {
     "pdf": "application/pdf",
@@ -30,11 +30,7 @@ PAGE_FILE, ZIP_FILE = "report.html", "report.zip"
 
 
 class AnalysisFiles:
-    """Makes files and keeps the latest that were made in memory; nothing is written.
-
-    Args:
-        hive: The services.
-    """
+    """Creates files and keeps the latest ones in memory; writes nothing to disk."""
 
     def __init__(self, hive: Hive) -> None:
         self._hive = hive
@@ -44,14 +40,14 @@ class AnalysisFiles:
         self._kept_bytes = 0
 
     def get(self, token: str, name: str) -> bytes:
-        """One file; raises NotFound for a name that the analysis does not have, Unavailable while too much is made."""
+        """One file; raises NotFound for an unknown name, and Unavailable while too many files are being created."""
         record = self._hive.stored_analyses.get(token)
         folder = self._hive.stored_analyses.folder(token)
         if name == SOURCE:
             return folder.source.encode()
         place = None if name in (PAGE_FILE, ZIP_FILE) else folder.read_result(PAGE)["files"].get(name)
         if place is None and name not in (PAGE_FILE, ZIP_FILE):
-            raise NotFound(f"the analysis has no file {name[:100]!r}", "its page lists them")
+            raise NotFound(f"the analysis has no file {name[:100]!r}", "see the list on its page")
         key = token, name, str(record.ended_at)
         content = self._kept.get(key)
         if content is not None:
@@ -64,7 +60,7 @@ class AnalysisFiles:
         return content
 
     def _make(self, folder: AnalysisFolder, name: str, place: tuple[int, str] | None) -> bytes:
-        # matplotlib, pandas and plotly take two seconds to load, which no other page should wait for.
+        # matplotlib, pandas and plotly take two seconds to load. No other page should wait for that.
         from slamhive.analysis.print_chart import FORMATS, print_chart  # noqa: PLC0415
         from slamhive.analysis.result_json import from_json  # noqa: PLC0415
         from slamhive.services.reports import report_page, table_csv, table_latex, table_parquet, zipped  # noqa: PLC0415  # noqa: PLC0415
@@ -91,7 +87,7 @@ class AnalysisFiles:
 
     @contextmanager
     def _one_at_a_time(self) -> Iterator[None]:
-        busy = Unavailable("many files of analyses are being made", "try again in a minute")
+        busy = Unavailable("too many analysis files are being created", "try again in a minute")
         if not self._places.acquire(blocking=False):
             raise busy
         try:

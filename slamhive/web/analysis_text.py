@@ -1,4 +1,4 @@
-"""Analysis files that pages write: a first one for a search, the constraint selector; and what each form takes."""
+"""Analysis files written by pages: a first one for a search, the constraint selector; and help on plot types."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from slamhive.search.reader import quoted
 
 FIRST = """name: A first look
 text: |
-  What you want to say, in Markdown.
+  Write your text here, in Markdown.
 select:
   runs: {where: %s}
 forms:
@@ -27,19 +27,19 @@ forms:
     metrics: [ate.rmse]
 """
 ALL = "id >= 1"
-"""A filter that finds every run."""
+"""A filter that matches every run."""
 BOUNDS = {
     "max_cores": ("cpu.mean", "<=", 1.0),
     "max_memory_mb": ("ram.max", "<=", 1e6),
     "min_tracked": ("tracked_fraction", ">=", 1.0),
     "max_ate_m": ("ate.rmse", "<=", 1.0),
 }
-"""Fields of the selector: metric, sign, and what one of the field's unit is in the metric's."""
+"""Fields of the selector: metric, comparison, and the factor from the field's unit to the metric's unit."""
 
 
 @dataclass(frozen=True, slots=True)
 class OptionHelp:
-    """One option of a form as the page shows it."""
+    """One option of a plot type."""
 
     name: str
     kind: str
@@ -49,7 +49,7 @@ class OptionHelp:
 
 @dataclass(frozen=True, slots=True)
 class FormHelp:
-    """One form as the page shows it; ``example`` is the least that a file must say."""
+    """One plot type; ``example`` is the shortest valid entry in an analysis file."""
 
     key: str
     title: str
@@ -59,12 +59,12 @@ class FormHelp:
 
 
 def first_text(where: str) -> str:
-    """An analysis of the runs that a filter finds; an empty one finds all."""
-    return FIRST % json.dumps(where.strip() or ALL, ensure_ascii=False)  # text of JSON is quoted text of YAML
+    """An analysis file for the runs that match a filter; an empty filter matches all."""
+    return FIRST % json.dumps(where.strip() or ALL, ensure_ascii=False)  # a JSON string is a quoted YAML string
 
 
 def form_helps() -> list[FormHelp]:
-    """Every form with its options, out of their models."""
+    """All plot types with their options, from their models."""
     from slamhive.analysis.forms import FORMS  # noqa: PLC0415 - pandas and scipy take two seconds to load
 
     return [_form_help(form) for _, form in FORMS]
@@ -100,12 +100,12 @@ def _kind(described: Mapping[str, Any]) -> str:
 
 
 def selector_text(fields: Mapping[str, str], sensors: list[str], datasets: list[str]) -> str:
-    """The analysis that asks for configurations within bounds; raises InvalidInput naming the field.
+    """An analysis file that asks for configurations within limits; raises InvalidInput naming the field.
 
     Args:
-        fields: Of :data:`BOUNDS`, as typed; empty ones do not bind.
-        sensors: Set-ups to choose from, all if empty.
-        datasets: Datasets that count, all if empty.
+        fields: Typed text of the fields in :data:`BOUNDS`; empty means no limit.
+        sensors: Sensor setups to consider; empty means all.
+        datasets: Datasets to consider; empty means all.
     """
     bounds = []
     for name, (metric, sign, factor) in BOUNDS.items():
@@ -113,17 +113,17 @@ def selector_text(fields: Mapping[str, str], sensors: list[str], datasets: list[
         if text:
             bounds.append(f"{metric} {sign} {_number(name, text) * factor:g}")
     if not bounds:
-        raise InvalidInput("no bound is given", "fill at least one of the fields")
+        raise InvalidInput("no limit is set", "fill in at least one field")
     for name in sensors:
         if name not in list(SensorSetup):
-            raise InvalidInput(f"sensors {name[:40]!r} are not known", f"choose of {', '.join(SensorSetup)}")
+            raise InvalidInput(f"unknown sensors {name[:40]!r}", f"use one of {', '.join(SensorSetup)}")
     conditions = []
     if sensors:
         conditions.append(f"sensor in ({', '.join(sensors)})")
     if datasets:
         conditions.append(f"dataset in ({', '.join(quoted(name[:100]) for name in datasets)})")
     content = {
-        "name": "Configurations within bounds",
+        "name": "Configurations within limits",
         "select": {"candidates": {"where": " and ".join(conditions) or ALL}},
         "forms": [{"form": "selector", "bounds": bounds}],
     }
@@ -136,5 +136,5 @@ def _number(name: str, text: str) -> float:
     except ValueError:
         number = math.nan
     if not 0 <= number < 1e12:
-        raise InvalidInput(f"{name.replace('_', ' ')} {text[:40]!r} is not a number from 0", "write for example 1.5")
+        raise InvalidInput(f"{name.replace('_', ' ')} {text[:40]!r} is not a positive number", "for example, enter 1.5")
     return number

@@ -1,4 +1,4 @@
-"""The Flask application: put together here, written elsewhere."""
+"""Assembles the Flask application."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ MOST_STREAMS = 8
 
 
 def create_app(hive: Hive, host: str | None = None) -> Flask:
-    """The web application on these services.
+    """Create the web application.
 
     Args:
-        hive: The services; the only thing that pages talk to.
-        host: Address the server binds to, which decides the Host headers it answers; the settings' if None.
+        hive: The services, the only interface that pages use.
+        host: Address the server binds to; it decides which Host headers are accepted. None: from the settings.
     """
     root = hive.catalogue.project_root
     app = Flask("slamhive.web", template_folder=str(root / "templates"), static_folder=str(root / "static"))
@@ -133,19 +133,19 @@ def _show_one_moment(app: Flask, store: Store) -> None:
 
 
 def _analysis_computer(hive: Hive) -> AnalysisComputer | None:
-    """In view-only mode no worker runs, and the web server computes the analyses of visitors, if any are taken."""
+    """On a view-only server that accepts analyses, the web server computes them, because no worker runs."""
     if hive.settings.mode is not Mode.VIEW_ONLY or not may_analyse(hive.settings):
         return None
     return AnalysisComputer(hive)
 
 
 def _add_template_words(app: Flask, hive: Hive) -> None:
-    """The filters and names that every template may use."""
+    """Add filters and names for all templates."""
     app.jinja_env.filters.update(
         duration=formatting.duration,
         exact_time=formatting.exact_time,
         iso_time=formatting.iso_time,
-        markdown=lambda text: Markup(markdown_html(text)),  # noqa: S704 - HTML in it is shown as text
+        markdown=lambda text: Markup(markdown_html(text)),  # noqa: S704 - markdown_html escapes HTML
         plural=formatting.plural,
         significant=formatting.significant,
         size=formatting.size,

@@ -1,4 +1,4 @@
-"""Styles and scripts, all from this machine, at addresses that change with their content."""
+"""Styles and scripts, served locally at addresses that change with their content."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ YEAR_S = 365 * 86_400
 
 
 def asset_url(name: str) -> str:
-    """The address of a file in ``static/``, with its content's hash so that browsers may keep it for long."""
+    """Address of a file in ``static/``. It contains a hash of the content, so browsers can cache the file for long."""
     folder = current_app.static_folder or ""
     path = Path(folder) / name
     return url_for("static", filename=name, v=_content_hash(path, path.stat().st_mtime_ns))
@@ -32,7 +32,7 @@ def _plotly_address() -> dict[str, str]:
 
 @blueprint.get("/assets/plotly-<version>.min.js")
 def plotly_js(version: str) -> Response:
-    """Plotly.js out of the installed package."""
+    """Plotly.js from the installed package."""
     if version != get_plotlyjs_version():
         raise NotFound(f"plotly.js {version} is not installed", "reload the page")
     response = send_file(PLOTLY_FILE, mimetype="text/javascript", max_age=YEAR_S)
@@ -42,5 +42,5 @@ def plotly_js(version: str) -> Response:
 
 @cache
 def _content_hash(path: Path, _modified_ns: int) -> str:
-    """The time of change makes an edited file a new one."""
+    """Hash of the content; the modification time makes an edited file a new cache entry."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:12]

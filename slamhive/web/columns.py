@@ -18,7 +18,7 @@ from slamhive.web.formatting import DASH, Cell, display_unit, exact_time, metric
 
 
 class Kind(StrEnum):
-    """How the template draws a cell; everything but TEXT and NUMBER has a drawing of its own."""
+    """How the template draws a cell. All kinds but TEXT and NUMBER have their own markup."""
 
     TEXT = "text"
     NUMBER = "number"
@@ -34,7 +34,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: its heading, unit, how to sort by it (None: it has no order) and the cell for a run."""
+    """One column: heading, unit, sort key (None if not sortable), and the function that makes its cell for a run."""
 
     key: str
     title: str
@@ -46,7 +46,7 @@ class Column:
 
     @property
     def numeric(self) -> bool:
-        """Right-aligned with tabular digits."""
+        """Whether cells are right-aligned with tabular digits."""
         return self.kind in (Kind.NUMBER, Kind.RUN)
 
 
@@ -69,13 +69,15 @@ DEFAULT_COLUMNS = (
 
 @cache
 def all_columns() -> Mapping[str, Column]:
-    """Every column by key, in the order in which they are offered and shown."""
+    """Every column by key, in display order."""
     own = (
         Column("id", "Run", Kind.RUN, lambda run: Cell(str(run.id)), sort="id"),
         Column("algorithm", "Algorithm", Kind.ALGORITHM, lambda run: Cell(run.algorithm), sort="algorithm"),
         Column("dataset", "Dataset", Kind.DATASET, lambda run: Cell(run.dataset), sort="dataset"),
-        Column("variant", "Variant", Kind.TEXT, variant_cell, help="pre-processing that the dataset went through"),
-        Column("parameters", "Parameters", Kind.PARAMETERS, _parameters, help="those that differ from the default"),
+        Column("variant", "Pre-processing", Kind.TEXT, variant_cell, help="steps applied to the dataset"),
+        Column(
+            "parameters", "Parameters", Kind.PARAMETERS, _parameters, help="only values that differ from the default"
+        ),
         Column(
             "configuration",
             "Configuration",
@@ -84,25 +86,25 @@ def all_columns() -> Mapping[str, Column]:
             sort="configuration",
         ),
         Column(
-            "experiment", "Experiment", Kind.EXPERIMENT, _experiment, sort="experiment", help="what asked for the run"
+            "experiment", "Experiment", Kind.EXPERIMENT, _experiment, sort="experiment", help="experiment of the run"
         ),
         Column("executor", "Executor", Kind.TEXT, lambda run: Cell(run.executor), sort="executor"),
         Column("playback", "Playback", Kind.TEXT, _playback),
         Column("seed", "Seed", Kind.NUMBER, lambda run: Cell(str(run.seed)), sort="seed"),
         Column("state", "State", Kind.STATE, lambda run: Cell(run.state.value), sort="state"),
-        Column("reason", "Reason", Kind.TEXT, _reason, sort="reason", help="why a run failed"),
+        Column("reason", "Reason", Kind.TEXT, _reason, sort="reason", help="why the run failed"),
         Column("verdict", "Verdict", Kind.VERDICT, _verdict, help=DEFAULT_RULE.words),
-        Column("disturbed", "Disturbed", Kind.TEXT, _disturbed, help="whether the machine was disturbed, and by what"),
+        Column("disturbed", "Disturbed", Kind.TEXT, _disturbed, help="whether other load disturbed the run, and which"),
         _time_column("created_at", "Created"),
         _time_column("started_at", "Started"),
         _time_column("ended_at", "Ended"),
-        Column("protocol", "Protocol", Kind.TEXT, _protocol, help="association and alignment of the errors shown"),
+        Column("protocol", "Protocol", Kind.TEXT, _protocol, help="protocol of the errors shown"),
     )
     return MappingProxyType({column.key: column for column in (*own, *map(_metric_column, CATALOGUE.values()))})
 
 
 def column(key: str, vocabulary: Vocabulary | None = None) -> Column:
-    """The column called ``key``, which may be a parameter; raises NotFound that lists the near ones."""
+    """The column ``key``, which may be a parameter; raises NotFound with similar names."""
     columns = all_columns()
     if key in columns:
         return columns[key]
@@ -114,7 +116,7 @@ def column(key: str, vocabulary: Vocabulary | None = None) -> Column:
 
 
 def _parameter_column(key: str, name: str, vocabulary: Vocabulary) -> Column:
-    """A parameter by its own key, or by the general name that several algorithms know theirs under."""
+    """A parameter column, by key or by a general name that several algorithms share."""
     own_keys = vocabulary.own_keys.get(name, (name,))
     first = vocabulary.parameters[name][0]
 
@@ -124,7 +126,7 @@ def _parameter_column(key: str, name: str, vocabulary: Vocabulary) -> Column:
 
     kind = Kind.NUMBER if first.kind is FieldKind.NUMBER else Kind.TEXT
     sort = key if first.kind is FieldKind.NUMBER else None
-    return Column(key, name, kind, cell, first.unit, sort, "a parameter of the algorithm")
+    return Column(key, name, kind, cell, first.unit, sort, "parameter of the algorithm")
 
 
 def _time_column(key: str, title: str) -> Column:
@@ -144,9 +146,9 @@ def _metric_column(metric: Metric) -> Column:
 
 
 def variant_cell(run: RunRecord) -> Cell:
-    """The steps in brief, with their sensors on hover; a dash where the dataset is used as it is."""
+    """The steps in short, with their sensors on hover; a dash for the original dataset."""
     text = "; ".join(step.brief for step in run.variant)
-    return Cell(text, "; ".join(map(str, run.variant))) if text else Cell(DASH, "the dataset as it is", missing=True)
+    return Cell(text, "; ".join(map(str, run.variant))) if text else Cell(DASH, "original dataset", missing=True)
 
 
 def _parameters(run: RunRecord) -> Cell:
@@ -171,7 +173,7 @@ def _reason(run: RunRecord) -> Cell:
 def _verdict(run: RunRecord) -> Cell:
     verdict = run.verdict
     if verdict is None:
-        return Cell(DASH, "not judged: cancelled, not ended or not evaluated", missing=True)
+        return Cell(DASH, "not judged: cancelled, unfinished or not evaluated", missing=True)
     return Cell(verdict.kind.label, verdict.words)
 
 

@@ -1,4 +1,4 @@
-"""The address of the configurations page: filters and place, read from it and written back to it."""
+"""The query in the address of the configurations page: filters and page position."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slamhive.store import ConfigurationFilter
 from slamhive.web.formatting import plural, thousands
 
 CONFIGURATION_ID = "<int(max=9007199254740991):configuration_id>"
-"""Numbers that JSON and every database can hold."""
+"""Configuration numbers up to what JSON and every database can store."""
 PAGE_LENGTH = 50
 LARGEST_PAGE = 500
 _USED = {"": None, "yes": True, "no": False}
@@ -22,7 +22,7 @@ _USED = {"": None, "yes": True, "no": False}
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationQuery:
-    """What the configurations page shows. Equal queries have equal addresses. ``where`` is a condition a line."""
+    """What the configurations page shows. Equal queries have equal addresses."""
 
     filter: ConfigurationFilter
     after: str | None
@@ -30,10 +30,10 @@ class ConfigurationQuery:
 
     @classmethod
     def from_args(cls, args: MultiDict[str, str]) -> ConfigurationQuery:
-        """Read an address; raises InvalidInput naming the value that cannot be used."""
+        """Read an address; raises InvalidInput naming the invalid value."""
         used = args.get("used", "")
         if used not in _USED:
-            raise InvalidInput(f"used {used[:40]!r} is not known", "use yes or no")
+            raise InvalidInput(f"unknown value {used[:40]!r} for used", "use yes or no")
         conditions = [part for text in args.getlist("where") for part in text.replace(";", "\n").splitlines()]
         return cls(
             filter=ConfigurationFilter(
@@ -49,7 +49,7 @@ class ConfigurationQuery:
         )
 
     def args(self) -> dict[str, Any]:
-        """The address as arguments, defaults left out."""
+        """The query as arguments of an address, without defaults."""
         wanted = self.filter
         everything = {
             "algorithm": list(wanted.algorithms),
@@ -65,20 +65,20 @@ class ConfigurationQuery:
 
     @property
     def where(self) -> str:
-        """The conditions as they are typed."""
+        """The conditions as typed."""
         return "; ".join(map(str, self.filter.conditions))
 
     @property
     def restricted(self) -> bool:
-        """Whether any filter is in force."""
+        """Whether any filter is set."""
         return self.filter != ConfigurationFilter()
 
     def at(self, after: str | None) -> ConfigurationQuery:
-        """The page after this key; None is the first."""
+        """The same query after this key; None is the first page."""
         return replace(self, after=after)
 
     def summary(self, shown: int, total: int) -> str:
-        """What the page shows, in words."""
+        """What the page shows, as a sentence."""
         wanted = self.filter
         parts = [
             *(
@@ -86,7 +86,7 @@ class ConfigurationQuery:
                 for kind, names in (("algorithm", wanted.algorithms), ("dataset", wanted.datasets))
                 if names
             ),
-            *([f"in the group {wanted.group}"] if wanted.group else []),
+            *([f"in group {wanted.group}"] if wanted.group else []),
             *([f"“{wanted.text}” in name or note"] if wanted.text else []),
             *([] if wanted.used is None else ["with runs" if wanted.used else "without runs"]),
             *map(str, wanted.conditions),

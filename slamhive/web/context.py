@@ -1,4 +1,4 @@
-"""What views and templates reach for: the services and the live hub of this application."""
+"""Access to the services and helpers of the current application."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ def hive() -> Hive:
 
 
 def live_hub() -> LiveHub:
-    """The live hub of this application."""
+    """The hub of live updates."""
     return cast("LiveHub", current_app.extensions[LIVE_EXTENSION])
 
 
 def variant_maker() -> VariantMaker:
-    """What makes variants for the pages of this application."""
+    """The background creator of variants."""
     return cast("VariantMaker", current_app.extensions[VARIANTS_EXTENSION])
 
 
 def analysis_computer() -> AnalysisComputer | None:
-    """What computes analyses in this process; None where a worker does."""
+    """The thread that computes analyses; None where a worker does."""
     return cast("AnalysisComputer | None", current_app.extensions[COMPUTER_EXTENSION])
 
 
 def analysis_files() -> AnalysisFiles:
-    """What makes files of analyses."""
+    """The creator of analysis files."""
     return cast("AnalysisFiles", current_app.extensions[FILES_EXTENSION])
 
 
 def rate_limit(name: str) -> RateLimit:
-    """How often visitors may ask for something."""
+    """The rate limit with this name."""
     return cast("dict[str, RateLimit]", current_app.extensions[RATES_EXTENSION])[name]

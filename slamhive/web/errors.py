@@ -1,4 +1,4 @@
-"""Every mistake as one clear page, or one JSON object for programs."""
+"""Shows every error as a page, or as JSON for programs."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ STATUS: dict[type[SlamHiveError], int] = {
     Unavailable: 503,
 }
 TITLES = {
-    400: "That cannot be used",
-    403: "Not allowed here",
+    400: "Invalid request",
+    403: "Not allowed",
     404: "Not found",
-    405: "Not possible that way",
-    409: "Not now",
+    405: "Method not allowed",
+    409: "Not possible now",
     413: "Too large",
-    500: "Something went wrong here",
-    503: "Not available at the moment",
+    500: "Internal error",
+    503: "Temporarily unavailable",
 }
 
 
@@ -38,12 +38,12 @@ def handle_errors(app: Flask) -> None:
 
 
 def status_of(error: SlamHiveError) -> int:
-    """The HTTP status of an explained error; 500 for a kind that no user causes."""
+    """The HTTP status of an explained error; 500 for a kind that users cannot cause."""
     return next((STATUS[kind] for kind in type(error).__mro__ if kind in STATUS), 500)
 
 
 def wants_json() -> bool:
-    """The API speaks JSON always, other addresses where the client asks for nothing else."""
+    """The API always answers in JSON, other addresses when the client prefers it."""
     if request.path.startswith("/api/"):
         return True
     best = request.accept_mimetypes.best_match(["text/html", "application/json"], default="text/html")
@@ -64,15 +64,15 @@ def _http(error: HTTPException) -> Response:
 
 def _bug(error: Exception) -> Response:
     logger.error("%s %s failed", request.method, request.path, exc_info=error)
-    return _answer(500, "an unexpected error; it has been written to the server's log", "try again, or report it")
+    return _answer(500, "an unexpected error occurred; see the server's log", "try again, or report it")
 
 
 def _answer(status: int, message: str, remedy: str | None) -> Response:
     if wants_json():
         body = jsonify(error={"status": status, "message": message, "remedy": remedy})
         return make_response(body, status)
-    title = TITLES.get(status, "That did not work")
-    if isinstance(request.routing_exception, BadRequest):  # no page can be made for a Host that is none
+    title = TITLES.get(status, "Error")
+    if isinstance(request.routing_exception, BadRequest):  # without a valid Host header no page can be rendered
         return make_response(f"{title}: {message}", status, {"Content-Type": "text/plain; charset=utf-8"})
     return make_response(
         render_template("errors/error.html", status=status, title=title, message=message, remedy=remedy), status

@@ -1,4 +1,4 @@
-"""An experiment that is being written: its text, the fields that show it, what a start would do or what is wrong."""
+"""An experiment being edited: its YAML, the fields, and the preview or the error."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from slamhive.web.presenters.experiment_builder import new_step
 from slamhive.web.request_input import form_text, uploaded_text
 
 MOST_TEXT = 200_000
-"""Characters of an experiment's YAML."""
+"""Characters in the YAML of an experiment."""
 
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """What is on the page. ``text`` alone counts; ``fields`` is None where the text cannot be shown in fields.
+    """The content of the page. ``text`` is what starts; ``fields`` is None if the text cannot be shown in fields.
 
-    Either ``preview`` is there, or ``error`` says what is wrong: at ``line`` of the text, whose content is
-    ``excerpt``, and at the field called ``field``, where these are known. An empty draft has neither.
+    A draft has either a ``preview`` or an ``error``. ``line``, ``excerpt`` and ``field`` locate the error, if known.
+    An empty draft has neither.
     """
 
     text: str
@@ -46,12 +46,12 @@ class Draft:
 
 
 def empty_draft() -> Draft:
-    """Nothing typed yet."""
+    """A draft without content."""
     return Draft("", ExperimentFields())
 
 
 def copied(hive: Hive, name: str) -> Draft:
-    """A copy of the experiment called ``name``, under a name that is free; raises NotFound."""
+    """A copy of the experiment ``name`` under an unused name; raises NotFound."""
     text = hive.experiments.source(name).text
     taken = {status.name for status in hive.experiments.list()}
     stem = name[:56]
@@ -60,7 +60,7 @@ def copied(hive: Hive, name: str) -> Draft:
 
 
 def draft_from_form(hive: Hive, form: MultiDict[str, str]) -> Draft:
-    """What the form asks for: ``from`` says whether the fields or the text were edited, ``do`` what is to be done."""
+    """The edited draft: ``from`` names the side that was edited, ``do`` the button that was pressed."""
     action = form.get("do", "")
     if form.get("from") == "fields":
         fields = _changed(fields_from_form(form), action, form.get("kind", ""))
@@ -70,9 +70,9 @@ def draft_from_form(hive: Hive, form: MultiDict[str, str]) -> Draft:
 
 
 def draft_from_text(hive: Hive, text: str) -> Draft:
-    """The draft of a text; one that is too long is not taken over."""
+    """A draft from YAML. Text that is too long is rejected."""
     if len(text) > MOST_TEXT:
-        return Draft("", None, error=f"the text has more than {MOST_TEXT:,} characters; is it the right file?")
+        return Draft("", None, error=f"the text has more than {MOST_TEXT:,} characters; is this the right file?")
     if not text.strip():
         return empty_draft()
     try:
@@ -83,7 +83,7 @@ def draft_from_text(hive: Hive, text: str) -> Draft:
 
 
 def with_error(draft: Draft, error: SlamHiveError) -> Draft:
-    """The draft with what is wrong with it, and where."""
+    """The draft with an error and its location."""
     line = line_of(error.message)
     lines = draft.text.splitlines()
     return Draft(
@@ -106,7 +106,7 @@ def _checked(hive: Hive, text: str, fields: ExperimentFields) -> Draft:
 
 
 def _changed(fields: ExperimentFields, action: str, kind: str) -> ExperimentFields:
-    """The fields after a button of theirs was pressed."""
+    """The fields after one of their buttons was pressed."""
     what, _, number = action.partition(":")
     index = int(number) if number.isascii() and number.isdigit() and len(number) < 4 else -1
     if what == "add":
@@ -122,5 +122,5 @@ def _changed(fields: ExperimentFields, action: str, kind: str) -> ExperimentFiel
 def _opened() -> str:
     uploaded = uploaded_text("file", 4 * MOST_TEXT)
     if uploaded is None:
-        raise InvalidInput("no file was chosen", "choose one, then press the button again")
+        raise InvalidInput("no file is selected", "select one, then press the button again")
     return uploaded[1]

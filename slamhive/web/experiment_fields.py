@@ -1,4 +1,4 @@
-"""The fields of the experiment builder: filled from YAML, and written as YAML, which alone is the truth."""
+"""The fields of the experiment builder: read from YAML and written as YAML. The YAML is what counts."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from slamhive.web.formatting import value_text
 KeyPath = tuple[str | int, ...]
 
 SOURCE = "experiment.yaml"
-"""What messages call the text of the form."""
+"""Name of the text in messages."""
 
 MOST_STEPS = 50
 
 _WORDS = ("name", "description", "executor")
-"""Fields whose text is taken as it stands."""
+"""Fields with plain text."""
 
 _VALUES = ("seeds", "repeats", "repeat_disturbed", "priority")
 _SECTIONS = {
@@ -51,7 +51,7 @@ class StepFields:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentFields:
-    """What the builder holds: text by field name, which is the path of the key in the YAML (``limits/memory_mb``)."""
+    """The fields of the builder: text by name, where a name is the path of the YAML key (``limits/memory_mb``)."""
 
     values: Mapping[str, str] = field(default_factory=dict)
     algorithms: tuple[str, ...] = ()
@@ -59,16 +59,16 @@ class ExperimentFields:
     steps: tuple[StepFields, ...] = ()
 
     def value(self, name: str) -> str:
-        """The text of a field; empty if nothing was typed."""
+        """The text of a field, or an empty string."""
         return self.values.get(name, "")
 
     @property
     def has_limits(self) -> bool:
-        """Whether any limit or rule to stop by is typed."""
+        """Whether any limit or stop rule is set."""
         return any(text for name, text in self.values.items() if name.startswith(("limits/", "stop_when/")))
 
     def with_step(self, step: StepFields) -> ExperimentFields:
-        """One more step, at the end, under a name that is still free."""
+        """Append a step under an unused name."""
         taken = {entry.name for entry in self.steps}
         names = [step.name, *(f"{step.name}_{number}" for number in range(2, len(taken) + 3))]
         free = next(name for name in names if name not in taken)
@@ -79,7 +79,7 @@ class ExperimentFields:
         return replace(self, steps=self.steps[:index] + self.steps[index + 1 :])
 
     def with_step_earlier(self, index: int) -> ExperimentFields:
-        """The step at ``index`` changes places with the one before."""
+        """Swap the step at ``index`` with the one before it."""
         if not 0 < index < len(self.steps):
             return self
         before, step = self.steps[index - 1 : index + 1]
@@ -87,7 +87,7 @@ class ExperimentFields:
 
 
 def fields_from_form(form: MultiDict[str, str]) -> ExperimentFields:
-    """What was typed into the builder."""
+    """Read the fields of the web form."""
     steps: dict[int, dict[str, str]] = {}
     values: dict[str, str] = {}
     for name, text in form.items():
@@ -105,9 +105,9 @@ def fields_from_form(form: MultiDict[str, str]) -> ExperimentFields:
 
 
 def fields_from_yaml(text: str) -> ExperimentFields:
-    """What the builder shows of an experiment; raises InvalidInput where ``text`` is no mapping in YAML.
+    """The fields of an experiment in YAML; raises InvalidInput if ``text`` is not a YAML mapping.
 
-    What has another form than the builder knows is left out: the check of the experiment says what is wrong with it.
+    Entries of an unexpected type are skipped here: the check of the experiment reports them.
     """
     content = strict_yaml.parse(text, SOURCE)
     values = {name: _text(content[name]) for name in (*_WORDS, *_VALUES) if name in content}
@@ -134,7 +134,7 @@ def fields_from_yaml(text: str) -> ExperimentFields:
 
 
 def yaml_from_fields(fields: ExperimentFields) -> str:
-    """The experiment that the fields state; empty fields are left to their defaults."""
+    """Write the fields as YAML, without empty ones."""
     content: dict[str, Any] = {name: fields.value(name).strip() for name in _WORDS[:2]}
     content["algorithms"] = _one_or_list(fields.algorithms)
     content["datasets"] = _one_or_list(fields.datasets)
@@ -153,7 +153,7 @@ def yaml_from_fields(fields: ExperimentFields) -> str:
 
 
 def renamed(text: str, name: str) -> str:
-    """The same experiment under another name; comments and layout stay where the name has a line of its own."""
+    """Rename an experiment. Comments and layout stay if the name has a line of its own."""
     _, lines = strict_yaml.parse_with_lines(text, SOURCE)
     written = text.splitlines()
     place = lines.get(("name",), 0) - 1
@@ -165,13 +165,13 @@ def renamed(text: str, name: str) -> str:
 
 
 def line_of(message: str) -> int | None:
-    """The line that a message about the text names, None if it names none."""
+    """The line number in an error message, or None."""
     match = _LINE.match(message)
     return None if match is None else int(match[1])
 
 
 def field_at(text: str, line: int, fields: ExperimentFields) -> str | None:
-    """The field that ``line`` of the YAML belongs to, None if there is none or the text cannot be read."""
+    """The field for a line of the YAML, or None."""
     try:
         _, lines = strict_yaml.parse_with_lines(text, SOURCE)
     except InvalidInput:
@@ -207,7 +207,7 @@ def _step_content(step: StepFields) -> dict[str, Any]:
 
 
 def _parameter_content(fields: ExperimentFields) -> dict[str, Any]:
-    """Shared ones first, then those of one algorithm."""
+    """Shared parameters first, then those of single algorithms."""
     content: dict[str, Any] = {}
     for name, text in fields.values.items():
         if not name.startswith(_PARAMETERS) or not text.strip():
@@ -240,7 +240,7 @@ def _without_empty(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _value(text: str) -> object:
-    """What a field stands for: a list in brackets, a number or word, or an expression for later."""
+    """The value of a field: a list in brackets, a number, a word, or an expression that is expanded later."""
     text = text.strip()
     if text.startswith("["):
         try:
@@ -251,7 +251,7 @@ def _value(text: str) -> object:
 
 
 def _text(raw: object) -> str:
-    """The text of a field that :func:`_value` reads as the same values."""
+    """The text for a field. :func:`_value` reads it back as the same values."""
     if not isinstance(raw, list):
         return "" if raw is None else value_text(raw)
     if all(isinstance(item, str | int | float) for item in raw):

@@ -1,4 +1,4 @@
-"""What the addresses of experiment pages ask for: axes of the grid, and the part of the table."""
+"""The queries in the addresses of experiment pages: axes of the grid, and position in the table."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class GridQuery:
 
     @classmethod
     def from_args(cls, args: MultiDict[str, str], axes: Mapping[str, int]) -> GridQuery | None:
-        """The axes asked for, or those that tell most; None if there are none. Raises NotFound for another name.
+        """The requested axes, or the most informative ones; None without axes. Raises NotFound for unknown names.
 
         ``axes``: {name: number of values}.
         """
@@ -41,30 +41,30 @@ class GridQuery:
         return cls(_axis(args.get("rows"), axes, rows), _axis(args.get("columns"), axes, columns))
 
     def args(self) -> dict[str, str]:
-        """As arguments of an address."""
+        """The query as arguments of an address."""
         return {"rows": self.rows, "columns": self.columns}
 
 
 @dataclass(frozen=True, slots=True)
 class CellsQuery:
-    """The part of the table of configurations: those after number ``after``."""
+    """A page of the table of configurations: those after number ``after``."""
 
     after: int = 0
     limit: int = CELLS_LENGTH
 
     @classmethod
     def from_args(cls, args: MultiDict[str, str]) -> CellsQuery:
-        """Raises InvalidInput naming the argument."""
+        """Read an address; raises InvalidInput naming the argument."""
         after = whole_number(args.get("after", "0"), "after", 0, MOST_NUMBER)
         return cls(after, whole_number(args.get("limit", str(CELLS_LENGTH)), "limit", 1, MOST_CELLS))
 
     def args(self) -> dict[str, str]:
-        """As arguments of an address, without the place in the table."""
+        """The query as arguments of an address, without the position."""
         return {} if self.limit == CELLS_LENGTH else {"limit": str(self.limit)}
 
 
 def page_number(args: MultiDict[str, str], pages: int) -> int:
-    """The page asked for; raises InvalidInput for one that does not exist."""
+    """The requested page; raises InvalidInput if it does not exist."""
     return whole_number(args.get("page", "1"), "page", 1, pages)
 
 
@@ -74,7 +74,7 @@ def repeats_count(form: MultiDict[str, str]) -> int:
 
 
 def stated_axes(experiment: Experiment) -> dict[str, int]:
-    """{axis: number of values} as the file states them, without a look at the cells."""
+    """{axis: number of values} from the experiment file, without reading the cells."""
     options = (option for step in experiment.steps for option in step.options)
     named = (experiment.algorithms, experiment.datasets, *options, *experiment.parameters)
     return {axis.name: len(axis.values) for axis in named}
@@ -83,10 +83,10 @@ def stated_axes(experiment: Experiment) -> dict[str, int]:
 def search_of(
     experiment: Experiment, values: Mapping[str, Value | None], configurations: Sequence[int]
 ) -> dict[str, str] | None:
-    """The arguments of the runs page that find the runs with these values; None if a search cannot name them.
+    """Arguments of the runs page that find the runs with these values; None if no filter can express them.
 
-    Algorithms, datasets and parameters are searched for by name. Not so the options of steps: one that changes nothing
-    leaves no trace to search by, and which does depends on the recording. ``configurations`` are listed then.
+    Algorithms, datasets and parameters have names to search for. Options of steps do not: a step that changes nothing
+    is not stored, and which steps change nothing depends on the recording. In that case ``configurations`` are listed.
     """
     parameters = {axis.name for axis in experiment.parameters if axis.algorithm is None}
     chosen = {"experiment": experiment.name}

@@ -1,4 +1,4 @@
-"""The interactive figures, as Plotly JSON. Colours that depend on light or dark are filled in by ``report.js``."""
+"""The interactive plots of runs and datasets, as Plotly JSON. ``report.js`` fills in light or dark colours."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Figure = dict[str, Any]
 
 
 def best_plane(track: Track) -> str:
-    """The plane that shows most of the path: its two longest extents."""
+    """The plane spanned by the two largest extents of the path."""
     extents = np.ptp(track.positions_m, axis=0)
     dropped = int(np.argmin(extents))
     return {2: "xy", 1: "xz", 0: "yz"}[dropped]
 
 
 def run_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
-    """Every figure that the run has data for: ``path_xy``, ``path_xz``, ``path_yz``, ``path_3d``, ``error`` ..."""
+    """All plots that the run has data for: ``path_xy``, ``path_xz``, ``path_yz``, ``path_3d``, ``error`` ..."""
     figures: dict[str, Figure] = {}
     estimate = None if series.estimate is None else (name, series.estimate, colour)
     if estimate is not None or series.groundtruth is not None:
@@ -48,7 +48,7 @@ def run_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
 
 
 def still_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
-    """The two figures of a run on a page without a server: ``path`` in its best plane, and ``error``."""
+    """The two plots of a run on a static site: ``path`` in its best plane, and ``error``."""
     figures: dict[str, Figure] = {}
     estimate = None if series.estimate is None else (name, series.estimate, colour)
     shown = series.groundtruth or series.estimate
@@ -74,7 +74,7 @@ def path_figures(groundtruth: Track | None, estimate: tuple[str, Track, str] | N
 
 
 def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
-    """Under each figure: what was done to the data, and how many points there are."""
+    """The caption of each plot: number of points and how they were processed."""
     texts: dict[str, str] = {}
     if series.estimate is not None:
         how = f"aligned with {protocol}" if series.aligned else "in its own frame, not aligned to any ground truth"
@@ -82,7 +82,7 @@ def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
             f"{plural(series.estimate.poses, 'matched pose' if series.aligned else 'pose')} of the estimate, {how}."
         )
         if series.estimate.pieces[-1]:
-            gaps = plural(int(series.estimate.pieces[-1]), "pause")
+            gaps = plural(int(series.estimate.pieces[-1]), "gap")
             texts["path"] += f" Dotted: {gaps} of more than {significant(series.gap_s, 3)} s without a pose."
     if series.groundtruth is not None:
         texts["path"] = texts.get("path", "") + f" Ground truth dashed, {plural(series.groundtruth.poses, 'pose')}."
@@ -101,7 +101,7 @@ def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
 
 
 def figure_table(series: RunSeries, figure: str) -> tuple[list[str], list[Sequence[float | str]]] | None:
-    """The data that a figure draws, as a header and rows; None if there is none."""
+    """The data of a plot as a header and rows; None if there is none."""
     if figure == "path":
         tracks = [(name, track) for name, track in _named_tracks(series) if track is not None]
         rows: list[Sequence[float | str]] = [
@@ -154,7 +154,7 @@ def _plane_line(plane: str, points: np.ndarray[Any, Any], **look: Any) -> Any:
 
 
 def _plane_ends(plane: str, groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> list[Any]:
-    """Start (circle) and end (square) of the estimate, of the ground truth if there is no estimate."""
+    """Markers for start (circle) and end (square) of the estimate, or of the ground truth without an estimate."""
     first, second = PLANES[plane]
     track, colour = _marked(groundtruth, estimate)
     ends = (("start", "circle-open", 13, track.positions_m[0]), ("end", "square", 7, track.positions_m[-1]))
@@ -200,7 +200,7 @@ def _space_figure(groundtruth: Track | None, estimate: tuple[str, Track, str] | 
 
 
 def _equal_scene(tracks: Sequence[Track]) -> dict[str, Any]:
-    """Axes of one scale whose box always fits into the view: Plotly's own equal aspect cuts long, flat paths off."""
+    """Equal-scale axes with a box that always fits the view. Plotly's own equal aspect clips long, flat paths."""
     positions_m = np.concatenate([track.positions_m for track in tracks])
     low, high = positions_m.min(axis=0), positions_m.max(axis=0)
     longest_m = max(float((high - low).max()), 1e-3)
@@ -223,7 +223,7 @@ def _marked(groundtruth: Track | None, estimate: tuple[str, Track, str] | None) 
     if estimate is not None:
         return estimate[1], estimate[2]
     if groundtruth is None:
-        raise ValueError("a path figure needs a path")
+        raise ValueError("a plot of a path needs a path")
     return groundtruth, None
 
 
@@ -247,7 +247,7 @@ def _over_time(samples: Samples, name: str, colour: str, x_title: str, y_title: 
 
 
 _LOST = "tracking lost"
-"""Between the pieces of an estimate."""
+"""Label of the dotted lines between the pieces of an estimate."""
 
 
 def _bridge_line(colour: str, width: float) -> dict[str, Any]:
@@ -255,12 +255,12 @@ def _bridge_line(colour: str, width: float) -> dict[str, Any]:
 
 
 def _broken(points: Array, pieces: Places) -> np.ndarray[Any, Any]:
-    """The points (n, k) with a row of NaN, which breaks a line, wherever a piece begins."""
+    """The points (n, k) with a row of NaN, which breaks the line, before each new piece."""
     return np.insert(_short(points), np.flatnonzero(np.diff(pieces)) + 1, np.nan, axis=0)
 
 
 def _bridges(points: Array, pieces: Places) -> np.ndarray[Any, Any]:
-    """Straight lines over the gaps: the last point of a piece, the first of the next, NaN, and so on."""
+    """Straight lines across the gaps: last point of a piece, first point of the next, NaN, and so on."""
     last = np.flatnonzero(np.diff(pieces))
     nothing = np.full((len(last), points.shape[1]), np.nan)
     return _short(np.stack([points[last], points[last + 1], nothing], axis=1).reshape(-1, points.shape[1]))
@@ -275,12 +275,12 @@ def _plane_hover(plane: str) -> str:
 
 
 def _short(values: Array) -> np.ndarray[Any, Any]:
-    """Single precision is more than a screen shows, and half the bytes on the way."""
+    """Single precision is enough for a screen and halves the transfer."""
     return values.astype(np.float32)
 
 
 def _plain(figure: go.Figure) -> Figure:
-    """Data and layout without Plotly's default template, which would bring colours of its own."""
+    """Data and layout without Plotly's default template and its colours."""
     figure.update_layout(template="none")
     content: Figure = json.loads(figure.to_json(validate=False))
     content["layout"].pop("template", None)

@@ -1,4 +1,4 @@
-"""Numbers, times and sizes in words: short on the page, exact on hover."""
+"""Numbers, times and sizes as text: short on the page, exact on hover."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from slamhive.domain.metrics import Metric
-from slamhive.domain.numbers import plural as plural  # noqa: PLC0414 - offered beside the others here
+from slamhive.domain.numbers import plural as plural  # noqa: PLC0414 - re-exported
 
 DASH = "–"
 PERCENT_METRICS = frozenset(
@@ -17,7 +17,7 @@ PERCENT_METRICS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """What a table shows: ``text`` on the page with a smaller ``note`` behind it, ``exact`` on hover."""
+    """A table cell: ``text`` with a smaller ``note`` after it, and ``exact`` on hover."""
 
     text: str
     exact: str = ""
@@ -27,14 +27,14 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class DisplayUnit:
-    """The unit that a page shows a figure in, and the factor from the stored unit."""
+    """The unit in which pages show a metric, and the factor from its stored unit."""
 
     unit: str
     factor: float = 1.0
 
 
 def display_unit(metric: Metric) -> DisplayUnit:
-    """Bytes are shown in MB, shares in percent; everything else as it is stored."""
+    """Bytes are shown in MB and shares in percent; other units as stored."""
     if metric.key in PERCENT_METRICS:
         return DisplayUnit("%", 100.0)
     if metric.unit == "bytes":
@@ -43,7 +43,7 @@ def display_unit(metric: Metric) -> DisplayUnit:
 
 
 def metric_cell(metric: Metric, value: float | None) -> Cell:
-    """A figure with four significant digits; the stored value and its unit on hover."""
+    """A value with four significant digits; the stored value and its unit on hover."""
     if value is None:
         return Cell(DASH, f"no {metric.label} known", missing=True)
     shown = display_unit(metric)
@@ -51,20 +51,17 @@ def metric_cell(metric: Metric, value: float | None) -> Cell:
 
 
 def mean_text(mean: float, std: float | None) -> str:
-    """``0.112 ± 0.010``, or the mean alone where no deviation is known."""
+    """``0.112 ± 0.010``, or the mean alone without a standard deviation."""
     return significant(mean) if std is None else f"{significant(mean)} ± {significant(std, 2)}"
 
 
 def median_text(n: int, median: float) -> str:
-    """``median 0.11``; empty for one or two values, whose median is their mean."""
+    """``median 0.11``; empty for one or two values, where it equals the mean."""
     return f"median {significant(median)}" if n > 2 else ""
 
 
 def significant(value: float, digits: int = 4) -> str:
-    """``value`` with ``digits`` significant digits, never in powers of ten between 1e-4 and 1e7.
-
-    Whole numbers keep all their digits.
-    """
+    """``value`` with ``digits`` significant digits; no exponent between 1e-4 and 1e7. Integers keep all digits."""
     if not math.isfinite(value):
         return str(value)
     if value == int(value) and abs(value) < 1e7:
@@ -116,12 +113,12 @@ def exact_time(at: datetime | None) -> str:
 
 
 def iso_time(at: datetime) -> str:
-    """For the ``datetime`` attribute."""
+    """For the ``datetime`` attribute of HTML."""
     return at.astimezone(UTC).isoformat(timespec="seconds")
 
 
 def relative_time(at: datetime | None, now: datetime) -> str:
-    """``just now``, ``5 min ago``, ``3 h ago``, ``2 d ago``, later the date itself."""
+    """``just now``, ``5 min ago``, ``3 h ago``, ``2 d ago``; the date after a month."""
     if at is None:
         return DASH
     seconds = (now - at).total_seconds()
@@ -134,7 +131,7 @@ def relative_time(at: datetime | None, now: datetime) -> str:
 
 
 def value_text(value: object) -> str:
-    """A parameter value as it would be typed."""
+    """A parameter value as a user would type it."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, tuple | list):

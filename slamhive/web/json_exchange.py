@@ -1,4 +1,4 @@
-"""JSON in and out of the web API."""
+"""JSON requests and responses of the web API."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Body = TypeVar("Body", bound=BaseModel)
 
 
 def read_body(kind: type[Body]) -> Body:
-    """The body of this request as ``kind``; raises InvalidInput that names what does not fit."""
+    """The request body as ``kind``; raises InvalidInput naming the invalid field."""
     try:
         return kind.model_validate(body_object())
     except ValidationError as error:
@@ -23,5 +23,5 @@ def read_body(kind: type[Body]) -> Body:
 
 
 def answer(content: dict[str, Any], status: int = 200) -> Response:
-    """``content`` as the answer."""
+    """A JSON response."""
     return make_response(jsonify(content), status)

@@ -1,4 +1,4 @@
-"""Live updates: one poller thread a server looks at the services, every open page listens to it."""
+"""Live updates: one polling thread per server reads the state, and every open page listens to it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ KEEPALIVE_S = 10.0
 
 
 class LiveHub:
-    """Takes a snapshot of what is going on once per interval while somebody listens, and hands it to all streams.
+    """Takes a snapshot once per interval while pages listen, and sends it to all streams.
 
     Args:
         hive: The services.
-        most_streams: Streams at a time; each holds a thread of the web server, so some must stay free for pages.
+        most_streams: Limit on open streams. Each occupies a server thread, so some must stay free for pages.
         interval_s: Time between two snapshots.
     """
 
@@ -41,14 +41,14 @@ class LiveHub:
         self._closed = False
 
     def latest(self) -> dict[str, Any]:
-        """A snapshot of now, for pages that poll."""
+        """The current snapshot, for pages that poll."""
         return with_version(snapshot(self._hive))
 
     def open(self) -> LiveStream:
-        """A new stream, to be closed by its reader; raises Unavailable if there are too many or the server ends."""
+        """Open a stream; the reader must close it. Raises Unavailable if too many are open or the server is closing."""
         with self._changed:
             if self._closed or self._streams >= self._most_streams:
-                raise Unavailable("too many live pages are open on this server", "this page polls instead")
+                raise Unavailable("too many live pages are open", "this page polls instead")
             self._streams += 1
             if self._poller is None:
                 self._poller = threading.Thread(target=self._poll, name="slamhive-live", daemon=True)
@@ -56,30 +56,30 @@ class LiveHub:
         return LiveStream(self)
 
     def close(self) -> None:
-        """End every stream and the poller; new streams are refused."""
+        """End all streams and the polling thread; refuse new streams."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     @property
     def open_streams(self) -> int:
-        """How many streams are open now."""
+        """Number of open streams."""
         return self._streams
 
     def wait(self, seen: int) -> tuple[int, str] | None:
-        """The number and text of the latest snapshot once it is not ``seen``, or after a while; None at the end."""
+        """Number and text of the latest snapshot when it differs from ``seen`` or after a timeout; None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._ended or self._tick != seen, timeout=KEEPALIVE_S)
             return None if self._ended else (self._tick, self._message)
 
     def leave(self) -> None:
-        """One stream less."""
+        """Count one stream less."""
         with self._changed:
             self._streams -= 1
 
     @property
     def _ended(self) -> bool:
-        """Whether streams end: the server does, or their poller broke. A page then asks anew, which starts another."""
+        """Whether streams end because the server closes or polling broke. Pages then reconnect and restart polling."""
         return self._closed or self._poller is None
 
     def _poll(self) -> None:
@@ -107,7 +107,7 @@ class LiveHub:
                 self._changed.wait_for(lambda: self._closed, timeout=left_s)
 
     def _look(self) -> str | None:
-        """The snapshot as one line of JSON; None while the database does not answer."""
+        """The snapshot as one line of JSON; None while the database is unavailable."""
         try:
             return json.dumps(self.latest(), separators=(",", ":"))
         except SlamHiveError as error:
@@ -116,14 +116,14 @@ class LiveHub:
 
 
 class LiveStream:
-    """One reader of a hub. :meth:`close` may be called at any time, also before anything was read."""
+    """One reader of a hub. :meth:`close` may be called at any time."""
 
     def __init__(self, hub: LiveHub) -> None:
         self._hub = hub
         self._open = True
 
     def events(self) -> Iterator[str]:
-        """Server-sent events until the reader goes away or the hub closes; comments in between keep the line open."""
+        """Server-sent events until the reader leaves or the hub closes. Comments keep the connection open."""
         yield "retry: 3000\n\n"
         seen = 0
         while self._open and (news := self._hub.wait(seen)) is not None:
@@ -132,14 +132,14 @@ class LiveStream:
             seen = tick
 
     def close(self) -> None:
-        """Give the place back, once."""
+        """Leave the hub; safe to call twice."""
         if self._open:
             self._open = False
             self._hub.leave()
 
 
 def with_version(state: dict[str, Any]) -> dict[str, Any]:
-    """The snapshot with a ``version`` that changes when a page has to be drawn anew, not with mere progress."""
+    """The snapshot with a ``version`` that changes only when pages need more than new progress values."""
     lasting = {key: value for key, value in state.items() if key != "active"}
     lasting["active"] = [[run["id"], run["state"]] for run in state["active"]]
     text = json.dumps(lasting, sort_keys=True)

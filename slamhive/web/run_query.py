@@ -1,4 +1,4 @@
-"""The address of the runs page: search, sort, columns and place, read from it and written back to it."""
+"""The query in the address of the runs page: search, sort order, columns and page position."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DEFAULT_LIMIT = 50
 LARGEST_LIMIT = 500
 EXPORT_LIMIT = 1000
 LISTS = ("state", "reason", "verdict", "algorithm", "dataset", "sensor", "executor", "experiment")
-"""Names that are chosen from lists; several values are joined by "or"."""
+"""Fields with lists of names; several values mean "or"."""
 
 GROUPED_SORT = RunSort("configuration")
 _SINGLE = {
@@ -43,8 +43,7 @@ _BOUNDS = {"min.": Sign.AT_LEAST, "max.": Sign.AT_MOST}
 class RunQuery:
     """What the runs page shows. Equal queries have equal addresses.
 
-    ``where`` is the filter as typed, ``fields`` what was chosen in the form beside it: {name: values}. Both together
-    are ``search``.
+    ``where`` is the typed filter, ``fields`` the values of the search fields: {name: values}. ``search`` combines both.
     """
 
     where: str
@@ -60,7 +59,7 @@ class RunQuery:
     def from_args(
         cls, args: MultiDict[str, str], vocabulary: Vocabulary, largest_limit: int = LARGEST_LIMIT
     ) -> RunQuery:
-        """Read an address; raises InvalidInput or NotFound naming the value that cannot be used."""
+        """Read an address; raises InvalidInput or NotFound naming the invalid value."""
         keys = _many(args, "columns") or DEFAULT_COLUMNS
         grouped = _grouped(args)
         default = GROUPED_SORT if grouped else RunSort()
@@ -79,7 +78,7 @@ class RunQuery:
 
     @classmethod
     def unread(cls, args: MultiDict[str, str]) -> RunQuery:
-        """What was typed, for a page that says why it cannot be read."""
+        """The typed text alone, for a page that shows why it is invalid."""
         columns = _many(args, "columns") or DEFAULT_COLUMNS
         where = args.get("where", "").strip()
         return cls(
@@ -87,7 +86,7 @@ class RunQuery:
         )
 
     def args(self) -> dict[str, Any]:
-        """The address as arguments, defaults left out."""
+        """The query as arguments of an address, without defaults."""
         default = GROUPED_SORT if self.grouped else RunSort()
         all_args = {
             "where": [self.where] if self.where else [],
@@ -102,34 +101,34 @@ class RunQuery:
         return {name: values for name, values in all_args.items() if values}
 
     def sorted_by(self, chosen: Column) -> RunQuery:
-        """From the first page, by this column; the other way round if it is the one already."""
+        """The first page sorted by this column; in reverse order if it is the current one."""
         return self.sorted_by_key(chosen.sort or "id")
 
     def sorted_by_key(self, key: str) -> RunQuery:
-        """The same by what the list can be sorted by."""
+        """The first page sorted by this key."""
         default = GROUPED_SORT if self.grouped else RunSort()
         descending = not self.sort.descending if self.sort.key == key else key == default.key
         return replace(self, sort=RunSort(key, descending=descending), after=None)
 
     def at(self, after: str | None) -> RunQuery:
-        """The page after this key; None is the first."""
+        """The same query after this key; None is the first page."""
         return replace(self, after=after)
 
     def as_text(self) -> RunQuery:
-        """The same search with everything written into the filter."""
+        """The same search, written entirely as a filter."""
         return replace(self, where=self.search.text, fields={}, after=None)
 
     def grouped_or_not(self, *, grouped: bool) -> RunQuery:
-        """The same runs one by one, or by configuration."""
+        """The same runs one by one, or grouped by configuration."""
         return replace(self, grouped=grouped, sort=GROUPED_SORT if grouped else RunSort(), after=None)
 
     @property
     def restricted(self) -> bool:
-        """Whether any filter is in force."""
+        """Whether any filter is set."""
         return self.search.tree is not None
 
     def in_words(self) -> str:
-        """The search and the order as the end of a sentence: ``state failed, sorted by ATE RMSE, smallest first``."""
+        """Search and order as a phrase: ``state failed, sorted by ATE RMSE, smallest first``."""
         return ", ".join(part for part in (in_words(self.search), self._order_in_words()) if part)
 
     def _order_in_words(self) -> str:
@@ -139,7 +138,7 @@ class RunQuery:
 
 
 def form_fields(args: MultiDict[str, str]) -> dict[str, tuple[str, ...]]:
-    """What an address asks for beside the filter, in a fixed order, empty fields left out."""
+    """The search fields in an address besides the filter, without empty ones, in a fixed order."""
     found = {name: _many(args, name) for name in LISTS}
     for name in (*_SINGLE, *(f"{bound}{key}" for key in CATALOGUE for bound in _BOUNDS)):
         text = args.get(name, "").strip()
@@ -148,14 +147,14 @@ def form_fields(args: MultiDict[str, str]) -> dict[str, tuple[str, ...]]:
 
 
 def summary(query: RunQuery, shown: int, count: Count, left_out: LeftOut) -> str:
-    """What the page shows, how many, and what it leaves out, in words."""
+    """What the page shows, how many runs, and what is left out, as text."""
     return summary_in_words(
         shown, count, query.in_words(), left_out, grouped=query.grouped, further=query.after is not None
     )
 
 
 def _search(where: str, fields: Mapping[str, tuple[str, ...]], vocabulary: Vocabulary) -> Search:
-    """The filter and the fields joined by "and". A mistake is told in the text that it stands in."""
+    """The filter and the fields joined by "and". Errors quote the text that contains them."""
     typed = parse_filter(where)
     bind(typed, where, vocabulary)
     parts = [] if typed is None else [typed]
@@ -182,7 +181,7 @@ def _comparison(name: str, values: tuple[str, ...]) -> Filter:
 
 
 def _many(args: MultiDict[str, str], name: str) -> tuple[str, ...]:
-    """All values of an argument, given once or several times, commas between them or not."""
+    """All values of an argument, repeated or separated by commas."""
     parts = [part.strip() for value in args.getlist(name) for part in value.split(",")]
     return tuple(dict.fromkeys(part for part in parts if part))
 
@@ -195,12 +194,12 @@ def _integer(args: MultiDict[str, str], name: str, minimum: int, maximum: int) -
 def _grouped(args: MultiDict[str, str]) -> bool:
     text = args.get("group", "")
     if text not in {"", "configuration"}:
-        raise InvalidInput(f"group {text[:40]!r} is not known", "use configuration")
+        raise InvalidInput(f"unknown group {text[:40]!r}", "use configuration")
     return bool(text)
 
 
 def _order(args: MultiDict[str, str], *, default_descending: bool) -> bool:
     text = args.get("order", "")
     if text not in {"", "asc", "desc"}:
-        raise InvalidInput(f"order {text[:40]!r} is not known", "use asc or desc")
+        raise InvalidInput(f"unknown order {text[:40]!r}", "use asc or desc")
     return default_descending if not text else text == "desc"

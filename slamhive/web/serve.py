@@ -1,4 +1,4 @@
-"""The web server: waitress, with streams that end when it does."""
+"""The web server: waitress, with live streams that end with it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from slamhive.web.context import COMPUTER_EXTENSION, LIVE_EXTENSION
 from slamhive.web.live import LiveHub
 
 THREADS = MOST_STREAMS + 8
-"""Each live stream holds a thread; eight are always left for pages."""
+"""Each live stream occupies a thread; eight stay free for pages."""
 MOST_CONNECTIONS = 200
 WAKE_S = 1.0
 
@@ -33,14 +33,14 @@ logger = logging.getLogger(__name__)
 
 
 class _Parser(HTTPRequestParser):  # type: ignore[misc]
-    """Waitress's parser, which answers what Python's parsers refuse instead of hanging up with a traceback."""
+    """Waitress's parser, which answers malformed requests instead of closing the connection with a traceback."""
 
     def parse_header(self, header_plus: bytes) -> None:
-        """Read the head of a request: its address may be no URL, its length a number that Python does not read."""
+        """Parse the head of a request. Python rejects some addresses and lengths that waitress passes on."""
         try:
             super().parse_header(header_plus)
         except ValueError:
-            raise ParsingError("the head of the request cannot be read") from None
+            raise ParsingError("the head of the request is malformed") from None
 
 
 class _Channel(HTTPChannel):  # type: ignore[misc]
@@ -48,14 +48,14 @@ class _Channel(HTTPChannel):  # type: ignore[misc]
 
 
 class WebServer:
-    """A bound server, not yet answering; :meth:`run` answers until :meth:`close` or a signal.
+    """A server bound to its address; :meth:`run` serves until :meth:`close` or a signal.
 
-    Raises Unavailable if the address is taken, InvalidInput if it is not one of this machine.
+    Raises Unavailable if the address is in use, InvalidInput if this machine does not have it.
 
     Args:
         hive: The services.
         host: Address to bind to.
-        port: Port to bind to; 0 takes a free one, see ``url``.
+        port: Port to bind to; 0 selects a free one, see ``url``.
     """
 
     def __init__(self, hive: Hive, host: str, port: int) -> None:
@@ -78,7 +78,7 @@ class WebServer:
         self.url = f"http://{f'[{host}]' if ':' in host else host}:{listener.getsockname()[1]}"
 
     def run(self) -> None:
-        """Answer requests; returns after SIGINT or SIGTERM (in the main thread), or after :meth:`close`."""
+        """Serve requests until SIGINT or SIGTERM (in the main thread) or :meth:`close`."""
         if self._computer is not None:
             self._computer.wake()
         with self._ended_by_signals():
@@ -91,10 +91,10 @@ class WebServer:
             self._computer.close()
 
     def close(self) -> None:
-        """Make :meth:`run` return; may be called from any thread, and more than once."""
+        """End :meth:`run`. Safe to call from any thread, and repeatedly."""
         self._ended.set()
         self._hub.close()
-        with contextlib.suppress(OSError):  # the server has ended already
+        with contextlib.suppress(OSError):  # already closed
             self._server.pull_trigger()
 
     @contextlib.contextmanager
@@ -115,7 +115,7 @@ class WebServer:
 
 
 def serve(hive: Hive, host: str, port: int) -> None:
-    """Serve the pages until the process is asked to end."""
+    """Serve the pages until the process is stopped."""
     server = WebServer(hive, host, port)
     logger.info("serving %s", server.url)
     server.run()
@@ -123,7 +123,7 @@ def serve(hive: Hive, host: str, port: int) -> None:
 
 def _bind(host: str, port: int) -> socket.socket:
     if not 0 <= port <= 65535:
-        raise InvalidInput(f"port {port} does not exist", "choose a --port from 1 to 65535")
+        raise InvalidInput(f"port {port} is not valid", "choose a --port from 1 to 65535")
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family, backlog=128)
@@ -133,7 +133,7 @@ def _bind(host: str, port: int) -> socket.socket:
 
 def _explained(error: OSError, host: str, port: int) -> InvalidInput | Unavailable:
     if error.errno == errno.EADDRINUSE:
-        return Unavailable(f"port {port} on {host} is taken", "end what uses it, or choose another --port")
+        return Unavailable(f"port {port} on {host} is in use", "stop the other program, or choose another --port")
     if error.errno == errno.EACCES:
         return Unavailable(f"port {port} on {host} is not allowed for this user", "choose a --port above 1023")
     return InvalidInput(f"cannot bind to {host}:{port}: {error.strerror or error}", "choose another --host or --port")

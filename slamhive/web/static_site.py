@@ -1,4 +1,4 @@
-"""A site of runs that needs no server: a table, a page for each run, a page for each analysis, all plain files."""
+"""A static site of runs: a table, a page per run and a page per analysis, all plain files."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from slamhive.web.presenters.runs import metric_rows, outcome, parameter_rows, w
 BATCH = 100
 _MOST_ANALYSES = 1000
 POINTS = 600
-"""Points of a line in a figure: a page of a run stays below 100 kB."""
+"""Points per line in a plot. A run's page then stays below 100 kB."""
 MARK = "site.json"
-"""A folder with this file is a site of ours, and may be made anew."""
+"""A folder with this file is a site of ours and may be replaced."""
 _RUN_PAGE = "../runs/{}.html"
 _ASSETS = ("report.css", "report.js", "site.css", "site.js")
 _METRICS = ("ate.rmse", "ate.max", "rpe.trans_rmse", "tracked_fraction", "cpu.mean", "ram.max", "duration")
-"""Come first in the table, if any run has them; all others are on the pages of the runs."""
+"""First metrics in the table, if any run has them. The pages of runs show all others."""
 
 Progress = Callable[[int, int], None]
-"""Called with how many runs are done, and how many there are."""
+"""Receives the number of finished runs and the total."""
 
 
 @dataclass(frozen=True, slots=True)
 class SiteRequest:
-    """What to publish: the runs with these numbers (None: all) that have ended; ``query`` says which in words."""
+    """What to publish: finished runs with these numbers (None: all). ``query`` describes the selection."""
 
     folder: Path
     run_ids: Sequence[int] | None = None
@@ -55,12 +55,7 @@ class SiteRequest:
 
 
 class StaticSite:
-    """Writes one site; a folder that is there already must be an older one of ours.
-
-    Args:
-        hive: The installation.
-        request: What to publish, and where.
-    """
+    """Writes one site; an existing folder must be an older site or empty."""
 
     def __init__(self, hive: Hive, request: SiteRequest) -> None:
         self._hive = hive
@@ -69,16 +64,16 @@ class StaticSite:
         self._root = hive.catalogue.project_root
 
     def write(self, progress: Progress) -> int:
-        """Write the site aside and put it in place; how many runs it has.
+        """Write the site to a temporary folder and move it into place; returns its number of runs.
 
-        Raises Conflict if the folder holds something else, InvalidInput if there is no run, or Unavailable.
+        Raises Conflict if the folder contains something else, InvalidInput if there is no run, or Unavailable.
         """
         folder = self._request.folder.absolute()
         if folder.exists() and not (folder / MARK).is_file() and (not folder.is_dir() or any(folder.iterdir())):
-            raise Conflict(f"{folder} holds something that is no site", "choose an empty folder, or a new one")
+            raise Conflict(f"{folder} is not empty and not a published site", "choose an empty or a new folder")
         run_ids = self._run_ids()
         if not run_ids:
-            raise InvalidInput("there is no run to publish that has ended", "slamhive runs lists them")
+            raise InvalidInput("there are no finished runs to publish", "list runs with: slamhive runs")
         aside = folder.with_name(f".{folder.name}.partial")
         try:
             shutil.rmtree(aside, ignore_errors=True)
@@ -87,7 +82,7 @@ class StaticSite:
                 shutil.rmtree(folder)
             aside.rename(folder)
         except OSError as error:
-            raise Unavailable(f"{folder} cannot be written: {error.strerror}", "check space and rights") from None
+            raise Unavailable(f"{folder} cannot be written: {error.strerror}", "check space and permissions") from None
         finally:
             shutil.rmtree(aside, ignore_errors=True)
         return len(run_ids)
@@ -126,7 +121,7 @@ class StaticSite:
         (folder / MARK).write_text(json.dumps(site, indent=1) + "\n", encoding="utf-8")
 
     def _analyses(self, folder: Path, page: Template, site: dict[str, Any]) -> list[AnalysisRecord]:
-        """Write a page for each listed analysis that was computed, if all runs are published; which ones."""
+        """Write a page for each listed, finished analysis if all runs are published; returns those analyses."""
         if self._request.run_ids is not None:
             return []
         listed = self._hive.store.read(lambda t: t.analyses.listed(_MOST_ANALYSES))
@@ -157,7 +152,7 @@ class StaticSite:
             reasons=series.reasons,
             metrics=[
                 ("Accuracy", metric_rows(run, needs_protocol=True)),
-                ("Measured while it ran", metric_rows(run, needs_protocol=False)),
+                ("Measured during the run", metric_rows(run, needs_protocol=False)),
             ],
             parameters=parameter_rows(run, self._algorithms.get(run.algorithm)),
             facts=_facts(run, self._algorithms.get(run.algorithm)),
@@ -165,13 +160,13 @@ class StaticSite:
 
 
 def _facts(run: RunRecord, algorithm: Algorithm | None) -> list[tuple[str, object]]:
-    """What is known of a run besides figures and parameters; what is not known is left out."""
+    """Facts about a run besides metrics and parameters; unknown ones are left out."""
     facts: list[tuple[str, object]] = [
         ("Run", run.uid),
         ("Algorithm", run.algorithm if algorithm is None else f"{run.algorithm}: {algorithm.title}"),
         ("Dataset", run.dataset),
         ("Dataset checksum", run.dataset_checksum),
-        ("Variant of the dataset", "; ".join(map(str, run.variant)) or None),
+        ("Pre-processing", "; ".join(map(str, run.variant)) or None),
         ("Experiment", run.experiment),
         ("Repeats run", run.retry_of),
         ("State", run.state.value),
@@ -191,7 +186,7 @@ def _facts(run: RunRecord, algorithm: Algorithm | None) -> list[tuple[str, objec
 
 
 def _row(run: RunRecord) -> dict[str, Any]:
-    """A run in the table; figures in the unit in which they are shown."""
+    """A row of the table; metrics in their display unit."""
     figures = run.metrics or {}
     return {
         "id": run.id,
@@ -206,7 +201,7 @@ def _row(run: RunRecord) -> dict[str, Any]:
 
 
 def _table_script(rows: list[dict[str, Any]]) -> str:
-    """The table as a script, since pages out of a folder cannot fetch files."""
+    """The table as a script: pages opened from a folder cannot fetch files."""
     present = {key for row in rows for key, value in row.items() if value is not None}
     plain = ("id", "algorithm", "dataset", "state", "experiment", "parameters", "protocol")
     columns = [{"key": key, "label": key, "unit": ""} for key in plain if key in present]

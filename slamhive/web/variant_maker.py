@@ -1,4 +1,4 @@
-"""Variants that are made because a page asked for it: one at a time, while the page is answered already."""
+"""Creates variants requested on a page, one at a time in the background."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Making:
-    """The latest request. ``fraction`` goes from 0 to 1; ``problem`` says why it ended without a variant."""
+    """The latest request. ``fraction`` is from 0 to 1; ``problem`` says why it failed."""
 
     dataset: str
     variant: Variant
@@ -26,7 +26,7 @@ class Making:
 
 
 class VariantMaker:
-    """Makes one variant at a time in a thread of its own; runs that need the same one wait for it as for any other."""
+    """Creates one variant at a time in a thread. Runs that need the same variant wait for it."""
 
     def __init__(self, hive: Hive) -> None:
         self._hive = hive
@@ -34,17 +34,17 @@ class VariantMaker:
         self._latest: Making | None = None
 
     def start(self, dataset: Dataset, variant: Variant) -> threading.Thread:
-        """Begin to make ``variant``, which has been checked; raises Conflict while another is being made."""
+        """Start creating ``variant``, which is already checked; raises Conflict while another one is being created."""
         with self._lock:
             if self._latest is not None and not self._latest.done:
-                raise Conflict(f"a variant of {self._latest.dataset} is being made", "wait until it is done")
+                raise Conflict(f"a variant of {self._latest.dataset} is being created", "wait until it is finished")
             self._latest = Making(dataset.name, variant)
         thread = threading.Thread(target=self._make, args=(dataset, variant), name="variant", daemon=True)
         thread.start()
         return thread
 
     def latest(self, dataset: str) -> Making | None:
-        """The latest request for ``dataset`` that is under way or has failed."""
+        """The latest request for ``dataset`` that is in progress or has failed."""
         making = self._latest
         if making is None or making.dataset != dataset or (making.done and making.problem is None):
             return None
@@ -61,6 +61,6 @@ class VariantMaker:
         except SlamHiveError as error:
             problem = str(error)
         except Exception:
-            logger.exception("a variant of %s was not made", dataset.name)
-            problem = "an unexpected error; it has been written to the server's log"
+            logger.exception("a variant of %s could not be created", dataset.name)
+            problem = "an unexpected error; see the server's log"
         self._latest = Making(dataset.name, variant, 1.0, done=True, problem=problem)

@@ -1,4 +1,4 @@
-"""Algorithms and datasets as pages and forms show them."""
+"""Algorithms and datasets for pages and web forms."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from slamhive.web.formatting import DASH, value_text
 
 @dataclass(frozen=True, slots=True)
 class DatasetChoice:
-    """A dataset for one algorithm; ``lacks`` says what is missing, None if it fits."""
+    """A dataset for one algorithm; ``lacks`` says what is missing, None if nothing is."""
 
     dataset: Dataset
     lacks: str | None
 
 
 def dataset_choices(algorithm: Algorithm | None, datasets: tuple[Dataset, ...]) -> list[DatasetChoice]:
-    """All datasets, those first that have the sensors."""
+    """All datasets, compatible ones first."""
     choices = [DatasetChoice(dataset, lacking(algorithm, dataset)) for dataset in datasets]
     return sorted(choices, key=lambda choice: choice.lacks is not None)
 
@@ -58,7 +58,7 @@ def sensors_in_words(dataset: Dataset) -> str:
 
 @dataclass(frozen=True, slots=True)
 class StepKind:
-    """A pre-processing step as a form explains it."""
+    """The description of a pre-processing step."""
 
     kind: str
     help: str
@@ -84,7 +84,7 @@ def range_in_words(parameter: Parameter) -> str:
 
 
 def calibration_rows(sensor: Sensor) -> list[tuple[str, str]]:
-    """The sensor's calibration as names and texts; the pose on the body too where it is not the identity."""
+    """The calibration of a sensor as names and texts, including a pose other than the identity."""
     found = [(key, value_text(value)) for key, value in sensor.calibration.items()]
     if sensor.T_body_sensor != IDENTITY4:
         matrix = sensor.T_body_sensor

@@ -1,4 +1,4 @@
-"""Configurations as tables and pages show them."""
+"""Configurations for tables and pages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RUN_COLUMNS = tuple(
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationRow:
-    """One configuration in a table: the parameters that differ from their defaults, and the steps in words."""
+    """One configuration in a table: parameters that differ from their defaults, and the steps."""
 
     record: ConfigurationRecord
     parameters: Cell
@@ -32,7 +32,7 @@ class ConfigurationRow:
 
 @dataclass(frozen=True, slots=True)
 class StoredParameterRow:
-    """One value beside the definition it was stored under; ``default`` is today's."""
+    """One stored value with its definition at that time; ``default`` is the current one."""
 
     key: str
     general: str
@@ -63,7 +63,7 @@ def run_rows(runs: Iterable[RunRecord], algorithms: Iterable[Algorithm]) -> list
 
 
 def parameter_rows(record: ConfigurationRecord, algorithm: Algorithm | None) -> list[StoredParameterRow]:
-    """Every value, those that differ from the default marked."""
+    """All values, with those that differ from the default marked."""
     known = {} if algorithm is None else {parameter.key: parameter for parameter in algorithm.parameters}
     found = []
     for key, value in record.configuration.parameters.items():
@@ -84,10 +84,10 @@ def parameter_rows(record: ConfigurationRecord, algorithm: Algorithm | None) -> 
 
 
 def outdated(record: ConfigurationRecord, algorithm: Algorithm | None) -> str | None:
-    """Why the configuration cannot be run any more, None if it can."""
+    """Why the configuration can no longer be run, None if it can."""
     content = record.configuration
     if algorithm is None:
-        return f"there is no algorithm {content.algorithm} any more"
+        return f"algorithm {content.algorithm} no longer exists"
     try:
         check_stored(algorithm.name, algorithm.parameters, content.parameters)
     except InvalidInput as error:
@@ -96,7 +96,7 @@ def outdated(record: ConfigurationRecord, algorithm: Algorithm | None) -> str | 
 
 
 def held_by(record: ConfigurationRecord) -> str | None:
-    """What keeps a configuration from being deleted, None if nothing does."""
+    """Why the configuration cannot be deleted, None if it can."""
     if record.experiments:
         return f"it is part of experiment {record.experiments[0]}"
     return f"it has {plural(record.runs, 'run')}" if record.runs else None

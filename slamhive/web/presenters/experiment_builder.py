@@ -1,4 +1,4 @@
-"""What the experiment builder offers: algorithms by set-up, datasets, parameters of the chosen ones, kinds of steps."""
+"""What the experiment builder offers: algorithms, datasets, parameters and kinds of steps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _AXIS_PREFIX = {SensorKind.CAMERA: "image", SensorKind.DEPTH: "image", SensorKin
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Something to tick. ``note`` says more, ``warning`` what speaks against it."""
+    """A checkbox with a note or a warning."""
 
     name: str
     title: str
@@ -34,7 +34,7 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class ParameterField:
-    """One parameter to give values for; ``name`` is the field's, ``owners`` the algorithms that know it."""
+    """One parameter; ``name`` is its field, ``owners`` the algorithms that have it."""
 
     name: str
     label: str
@@ -47,7 +47,7 @@ class ParameterField:
 
 @dataclass(frozen=True, slots=True)
 class StepRow:
-    """One step of the experiment with every option of its kind, and options that the kind does not have."""
+    """One step with every option of its kind, and options that the kind does not have."""
 
     fields: StepFields
     summary: str
@@ -57,10 +57,9 @@ class StepRow:
 
 @dataclass(frozen=True, slots=True)
 class Builder:
-    """The builder as a whole.
+    """The content of the builder.
 
-    ``own`` are the parameters of each algorithm alone; ``strange`` the fields of parameters that none of the chosen
-    algorithms has.
+    ``own``: parameters by algorithm. ``strange``: parameters that no selected algorithm has.
     """
 
     fields: ExperimentFields
@@ -73,12 +72,12 @@ class Builder:
     kinds: Mapping[str, list[tuple[str, str]]]
 
     def typed(self, entries: Iterable[ParameterField]) -> bool:
-        """Whether a value is given for any of these."""
+        """Whether any of these parameters has a value."""
         return any(self.fields.value(entry.name) for entry in entries)
 
 
 def builder(fields: ExperimentFields, algorithms: Sequence[Algorithm], datasets: Sequence[Dataset]) -> Builder:
-    """The builder for ``fields`` in an installation with these algorithms and datasets."""
+    """The builder for these fields, algorithms and datasets."""
     chosen = [algorithm for algorithm in algorithms if algorithm.name in fields.algorithms]
     shared = shared_parameters(chosen)
     own = {algorithm.name: own_parameters(algorithm) for algorithm in chosen}
@@ -98,7 +97,7 @@ def builder(fields: ExperimentFields, algorithms: Sequence[Algorithm], datasets:
 
 
 def shared_parameters(algorithms: Iterable[Algorithm]) -> list[ParameterField]:
-    """Each parameter once, under its general name where it has one, for all algorithms that know it."""
+    """Each parameter once, under its general name if it has one, with all algorithms that have it."""
     found: dict[str, list[tuple[str, Parameter]]] = {}
     for algorithm in algorithms:
         for parameter in algorithm.parameters:
@@ -107,7 +106,7 @@ def shared_parameters(algorithms: Iterable[Algorithm]) -> list[ParameterField]:
 
 
 def own_parameters(algorithm: Algorithm) -> list[ParameterField]:
-    """The parameters of one algorithm, for values that hold for it alone."""
+    """The parameters of one algorithm, for values that apply to it alone."""
     return [
         _field(f"parameters/{algorithm.name}/{parameter.key}", parameter.key, [(algorithm.name, parameter)])
         for parameter in algorithm.parameters
@@ -115,10 +114,7 @@ def own_parameters(algorithm: Algorithm) -> list[ParameterField]:
 
 
 def new_step(kind: str) -> StepFields:
-    """A step of ``kind`` to begin with: the sensors that it is mostly used on, its required options to be filled in.
-
-    Raises NotFound for an unknown kind.
-    """
+    """A new step of ``kind`` with its usual sensors and empty options; raises NotFound for an unknown kind."""
     kinds = _sensor_kinds(kind)
     sensor = kinds[0]
     everything = len(kinds) == len(SensorKind)
@@ -132,7 +128,7 @@ def new_step(kind: str) -> StepFields:
 
 @cache
 def kinds_by_sensor() -> dict[str, list[tuple[str, str]]]:
-    """The kinds of steps and what they do, under the kinds of sensors that they treat."""
+    """{kinds of sensors: steps that apply to them, with descriptions}."""
     found: dict[str, list[tuple[str, str]]] = {ANY_SENSOR: []}
     for kind in STEPS.names():
         kinds = _sensor_kinds(kind)
@@ -153,7 +149,7 @@ def _algorithm_choices(fields: ExperimentFields, algorithms: Iterable[Algorithm]
         choice = Choice(algorithm.name, algorithm.title, algorithm.name in fields.algorithms)
         groups.setdefault(algorithm.setup.value, []).append(choice)
     known = {algorithm.name for algorithm in by_setup}
-    unknown = [Choice(name, "", True, warning="not in this installation") for name in fields.algorithms]
+    unknown = [Choice(name, "", True, warning="not installed") for name in fields.algorithms]
     if missing := [choice for choice in unknown if choice.name not in known]:
         groups["unknown"] = missing
     return groups
@@ -165,16 +161,12 @@ def _dataset_choices(
     choices = []
     for dataset in datasets:
         unfit = [algorithm.name for algorithm in chosen if lacking(algorithm, dataset) is not None]
-        warning = f"lacks sensors for {', '.join(unfit)}" if unfit else ""
+        warning = f"missing sensors for {', '.join(unfit)}" if unfit else ""
         kinds = ", ".join(dict.fromkeys(sensor.kind.value for sensor in dataset.sensors))
         note = f"{dataset.duration_s:.0f} s; {kinds or 'no sensors'}"
         choices.append(Choice(dataset.name, "", dataset.name in fields.datasets, note, warning))
     known = {choice.name for choice in choices}
-    choices += [
-        Choice(name, "", chosen=True, warning="not in this installation")
-        for name in fields.datasets
-        if name not in known
-    ]
+    choices += [Choice(name, "", chosen=True, warning="not installed") for name in fields.datasets if name not in known]
     return choices
 
 
@@ -183,14 +175,14 @@ def _shared_field(label: str, entries: Sequence[tuple[str, Parameter]]) -> Param
 
 
 def _field(name: str, label: str, entries: Sequence[tuple[str, Parameter]]) -> ParameterField:
-    """What the definitions agree on, and that they differ where they do."""
+    """The common properties of the definitions; says where they differ."""
     definitions = [parameter for _, parameter in entries]
     return ParameterField(
         name=name,
         label=label,
-        unit=_agreed([parameter.unit for parameter in definitions], "unit differs"),
+        unit=_agreed([parameter.unit for parameter in definitions], "units differ"),
         default=_agreed([value_text(parameter.default) or "empty" for parameter in definitions], "differs"),
-        hint=_agreed([parameter.expectation for parameter in definitions], "range differs by algorithm"),
+        hint=_agreed([parameter.expectation for parameter in definitions], "ranges differ"),
         help=definitions[0].help,
         owners=tuple(owner for owner, _ in entries),
     )

@@ -1,4 +1,4 @@
-"""Experiments as tables and pages show them: progress, the grid over two axes, cells with their figures."""
+"""Experiments for tables and pages: progress, the grid over two axes, results by configuration."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ from slamhive.web.formatting import (
 )
 
 MOST_ROWS, MOST_COLUMNS = 50, 25
-"""Of a grid on a page; the words say what was left out."""
+"""Limits of the grid on a page."""
 
 Search = Callable[[Mapping[str, Value | None], Sequence[int]], dict[str, str] | None]
-"""The arguments of the runs page, by the values of a place of the grid and the numbers of its configurations."""
+"""Arguments of the runs page for a place in the grid, from its axis values and configuration numbers."""
 _DRAWN = (Phase.GOOD, Phase.UNJUDGED, Phase.FAILED, Phase.CANCELLED, Phase.RUNNING, Phase.QUEUED)
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A stretch of a progress bar 100 wide."""
+    """A segment of a progress bar that is 100 wide."""
 
     phase: Phase
     start: float
@@ -55,10 +55,9 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class GridEntry:
-    """One place of the grid.
+    """One place in the grid.
 
-    ``number`` is that of the cell if it is a single one, ``search`` the arguments of the runs page that find the runs
-    of several, None if there are none.
+    ``number``: the cell, if there is exactly one. ``search``: arguments of the runs page for several cells, or None.
     """
 
     total: int
@@ -72,7 +71,7 @@ class GridEntry:
 
 @dataclass(frozen=True, slots=True)
 class GridView:
-    """The grid with its headings; ``lines`` hold None where there is nothing. ``left_out`` says what is not shown."""
+    """The grid with its headings. ``lines`` contain None for missing combinations; ``left_out`` is what it omits."""
 
     row_axis: str
     column_axis: str
@@ -83,7 +82,7 @@ class GridView:
 
 @dataclass(frozen=True, slots=True)
 class CellLine:
-    """One line of the table of results: a cell under one protocol (a cell without figures has one line too)."""
+    """One line of the results: a cell under one protocol. A cell without metrics also has one line."""
 
     cell: ExperimentCell
     first: bool
@@ -96,7 +95,7 @@ class CellLine:
 
 
 def segments(counts: Mapping[Phase, int]) -> tuple[Segment, ...]:
-    """The stretches of a bar: what has ended first, what waits last."""
+    """The segments of a bar: finished runs first, waiting runs last."""
     total = sum(counts.values())
     found: list[Segment] = []
     start = 0.0
@@ -109,49 +108,49 @@ def segments(counts: Mapping[Phase, int]) -> tuple[Segment, ...]:
 
 
 def counts_in_words(counts: Mapping[Phase, int]) -> str:
-    """``3 good, 1 failed, 2 queued``; nothing for what there is none of."""
+    """``3 good, 1 failed, 2 queued``."""
     return ", ".join(f"{thousands(counts[phase])} {phase.label}" for phase in _DRAWN if counts.get(phase)) or "no runs"
 
 
 def failures_in_words(failures: Mapping[Failure, int]) -> str:
-    """``2 nonzero exit, 1 diverged``, the most frequent first."""
+    """``2 nonzero exit, 1 diverged``, most frequent first."""
     ordered = sorted(failures.items(), key=lambda entry: (-entry[1], entry[0].value))
     return ", ".join(f"{thousands(count)} {failure_words(failure)}" for failure, count in ordered if count)
 
 
 def status_in_words(status: ExperimentStatus) -> str:
-    """How far the experiment is, in one sentence."""
-    text = f"{thousands(status.ended)} of {plural(status.runs, 'run')} ended: {counts_in_words(status.counts)}."
+    """The progress of an experiment as text."""
+    text = f"{thousands(status.ended)} of {plural(status.runs, 'run')} finished: {counts_in_words(status.counts)}."
     if status.retried:
-        text += f" Not counted: {plural(status.retried, 'failed or disturbed run')} that another run replaces."
+        text += f" Not counted: {plural(status.retried, 'failed or disturbed run')} replaced by another run."
     if status.disturbed:
         text += f" Measured on a disturbed machine: {plural(status.disturbed, 'run')}."
     if status.missing:
-        text += f" {plural(status.missing, 'run')} not stored yet: the start was interrupted, or is under way."
+        text += f" {plural(status.missing, 'run')} not stored yet: the start is in progress or was interrupted."
     if status.ended < status.runs and status.left_s is not None:
         text += f" About {duration(status.left_s)} left."
     return text
 
 
 def varying(axes: Mapping[str, int]) -> list[str]:
-    """The axes that take several values, out of {axis: number of values}."""
+    """Names of the axes with several values, from {axis: number of values}."""
     return [name for name, values in axes.items() if values > 1]
 
 
 def default_axes(axes: Mapping[str, int]) -> tuple[str, str]:
-    """What the grid shows if nothing was chosen: the first two axes that vary and fit on a page."""
+    """The default axes of the grid: the first two that vary and fit on a page."""
     fitting = [name for name in varying(axes) if axes[name] <= MOST_COLUMNS]
     names = list(dict.fromkeys([*fitting, *varying(axes), *axes]))
     return names[0], names[1] if len(names) > 1 else names[0]
 
 
 def axis_text(value: Value | None) -> str:
-    """A value as a heading; None where the axis has no meaning."""
+    """An axis value as a heading; None means that the axis does not apply."""
     return DASH if value is None else value_text(value)
 
 
 def grid_view(grid: Grid, search: Search) -> GridView:
-    """The grid as the page draws it, cut to what a page holds. ``search`` finds the runs with some values."""
+    """The grid cut to the limits of a page. ``search`` finds the runs with given values."""
     rows, columns = grid.rows[:MOST_ROWS], grid.columns[:MOST_COLUMNS]
     lines = tuple(
         (
@@ -174,7 +173,7 @@ def grid_view(grid: Grid, search: Search) -> GridView:
 def cell_lines(
     cells: Iterable[ExperimentCell], axes: Sequence[str], metrics: Sequence[Metric], labels: Mapping[str, str]
 ) -> list[CellLine]:
-    """Table lines, with a value for each of these axes and metrics. ``labels``: {fingerprint: name of a protocol}."""
+    """Lines of the results table for these axes and metrics. ``labels``: {fingerprint: name of the protocol}."""
     lines: list[CellLine] = []
     for cell in cells:
         values = tuple(axis_text(cell.values.get(axis)) for axis in axes)
@@ -196,13 +195,13 @@ def cell_lines(
 
 
 def preview_facts(preview: ExperimentPreview) -> list[tuple[str, str]]:
-    """What a start would do, as names and texts."""
+    """The preview as names and texts."""
     combined = f"{thousands(preview.cells)} of {plural(preview.combinations, 'combination')}"
     identical = f", {thousands(preview.merged)} identical to another" if preview.merged else ""
     return [
         ("Configurations", combined + identical),
         ("Runs", thousands(preview.runs) + _repetitions(preview)),
-        ("There already", _known(preview)),
+        ("Existing", _known(preview)),
         ("Time", f"about {duration(preview.time_s)} on {plural(preview.slots, 'slot')}; {_time_basis(preview)}"),
         ("Variants", _variants(preview)),
         ("Run folders", f"about {size(preview.run_bytes)}"),
@@ -212,18 +211,18 @@ def preview_facts(preview: ExperimentPreview) -> list[tuple[str, str]]:
 
 
 def preview_axes(preview: ExperimentPreview) -> list[str]:
-    """The columns of the table of first configurations: algorithm, dataset, and what varies."""
+    """Columns of the preview table: algorithm, dataset and everything that varies."""
     varied = [name for axis in preview.axes for name in axis.split(" + ")]
     return list(dict.fromkeys(["algorithm", "dataset", *varied]))
 
 
 def unit_of(metric: Metric) -> str:
-    """The unit that pages show a metric in."""
+    """The display unit of a metric."""
     return display_unit(metric).unit
 
 
 def phase_count(status: ExperimentStatus, phase: str) -> int:
-    """The runs of an experiment in one phase."""
+    """Number of runs in one phase."""
     return status.counts.get(Phase(phase), 0)
 
 
@@ -242,7 +241,7 @@ def _protocol(figures: CellFigures, labels: Mapping[str, str]) -> str:
 def _repetitions(preview: ExperimentPreview) -> str:
     if not preview.repeat_disturbed:
         return ""
-    return f"; each disturbed one is repeated up to {plural(preview.repeat_disturbed, 'time')}, not counted here"
+    return f"; up to {plural(preview.repeat_disturbed, 'repeat')} of each disturbed run, not counted here"
 
 
 def _known(preview: ExperimentPreview) -> str:
@@ -255,19 +254,19 @@ def _time_basis(preview: ExperimentPreview) -> str:
     if preview.measured_runs == preview.runs:
         return "from earlier runs"
     if preview.measured_runs:
-        return f"{thousands(preview.measured_runs)} runs from earlier ones, the others as long as they play"
-    return "as long as the recordings play"
+        return f"{thousands(preview.measured_runs)} runs from earlier ones, the others from recording time"
+    return "from recording time"
 
 
 def _variants(preview: ExperimentPreview) -> str:
     if not preview.variants:
-        return "none: the recordings as they are"
+        return "none"
     made = sum(need.made for need in preview.variants)
-    text = "none to make"
+    text = "none to create"
     if to_make := len(preview.variants) - made:
         takes = f"about {duration(preview.variant_time_s)} of the time"
-        text = f"{thousands(to_make)} to make, at most {size(preview.variant_bytes)} and {takes}"
-    return f"{text}; {thousands(made)} made already" if made else text
+        text = f"{thousands(to_make)} to create, at most {size(preview.variant_bytes)} and {takes}"
+    return f"{text}; {plural(made, 'variant')} exist already" if made else text
 
 
 def _entry(found: GridCell | None, values: Mapping[str, Value | None], search: Search) -> GridEntry | None:
@@ -290,7 +289,7 @@ def _entry(found: GridCell | None, values: Mapping[str, Value | None], search: S
 
 
 def _figure(metric: Metric, spread: Spread | None) -> Cell:
-    """Mean, standard deviation and median where there are several; all digits and the number of runs on hover."""
+    """Mean, standard deviation and median of several runs; all digits and the number of runs on hover."""
     if spread is None:
         return Cell(DASH, f"no {metric.label} known", missing=True)
     factor = display_unit(metric).factor

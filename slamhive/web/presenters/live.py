@@ -1,4 +1,4 @@
-"""What is going on now, as JSON for open pages."""
+"""The current activity as JSON for open pages."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ MOST_ACTIVE = 50
 
 
 def active_runs(hive: Hive) -> tuple[RunRecord, ...]:
-    """The runs in a worker's hands, oldest first."""
+    """The active runs, oldest first."""
     return hive.runs.page(matching(states=ACTIVE_STATES), RunSort("id", descending=False), None, MOST_ACTIVE).records
 
 
 def snapshot(hive: Hive) -> dict[str, Any]:
-    """Counts by state, whether a worker lives, and how far the active runs are."""
+    """Counts by state, whether a worker runs, and the progress of active runs."""
     return {
         "counts": {state.value: count for state, count in sorted(hive.runs.counts().items())},
         "unevaluated": hive.searches.unevaluated(),
@@ -34,7 +34,7 @@ def snapshot(hive: Hive) -> dict[str, Any]:
 
 
 def progress_json(progress: RunProgress | None) -> dict[str, Any]:
-    """A run's progress as texts that a page puts in place as they are; ``percent`` is None while unknown."""
+    """Progress as texts for the page; ``percent`` is None while unknown."""
     if progress is None:
         return {"percent": None, "text": "", "elapsed": DASH, "left": DASH, "cpu": DASH, "memory": DASH}
     cores = progress.cpu_cores

@@ -1,4 +1,4 @@
-"""A run's figures by protocol, and the way published tools count, as its page shows them."""
+"""Metrics of a run by protocol and by published tool, for its page."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from slamhive.web.presenters.runs import MetricRow, metric_rows
 
 @dataclass(frozen=True, slots=True)
 class ProtocolChoice:
-    """One protocol that a run has figures under.
+    """A protocol under which a run has metrics.
 
-    ``preset``: what it is called, empty for one without a name; ``current``: lists show it; ``chosen``: this page does.
+    ``preset``: its name, or empty. ``current``: lists show it. ``chosen``: this page shows it.
     """
 
     fingerprint: str
@@ -29,7 +29,7 @@ class ProtocolChoice:
 
 @dataclass(frozen=True, slots=True)
 class ToolRow:
-    """What one tool would print."""
+    """The metrics that one tool would report."""
 
     tool: ToolFigures
     figures: tuple[MetricRow, ...]
@@ -38,7 +38,7 @@ class ToolRow:
 def protocol_choices(
     run: RunRecord, evaluations: Iterable[EvaluationRecord], asked: str | None
 ) -> list[ProtocolChoice]:
-    """The protocols that the run has figures under, oldest first; the one asked for is chosen, else the current."""
+    """The protocols under which the run has metrics, oldest first. The requested or the current one is chosen."""
     succeeded = (entry.protocol for entry in evaluations if entry.state is EvaluationState.SUCCEEDED)
     labels = {protocol.fingerprint: protocol.label for protocol in succeeded}
     current = None if run.protocol is None else run.protocol.fingerprint
@@ -52,7 +52,7 @@ def protocol_choices(
 def accuracy_rows(
     run: RunRecord, choices: Iterable[ProtocolChoice], figures: Mapping[str, dict[str, float]]
 ) -> dict[str, list[MetricRow]]:
-    """The figures of the chosen protocol: {what they are about: rows}, in the order of the catalogue's groups."""
+    """The metrics of the chosen protocol by group, in the order of the catalogue."""
     chosen = next((entry.fingerprint for entry in choices if entry.chosen), None)
     if chosen is None:
         return {}
@@ -62,7 +62,7 @@ def accuracy_rows(
 
 
 def missing_by_reason(missing: Mapping[str, str]) -> dict[str, list[str]]:
-    """{why metrics are missing: their keys}."""
+    """{reason: keys of the missing metrics}."""
     keys: dict[str, list[str]] = {}
     for key, reason in missing.items():
         keys.setdefault(reason, []).append(key)
@@ -70,7 +70,7 @@ def missing_by_reason(missing: Mapping[str, str]) -> dict[str, list[str]]:
 
 
 def tool_rows(tools: Iterable[ToolFigures]) -> list[ToolRow]:
-    """The figures of each tool, in the units of the pages."""
+    """The metrics of each tool, in display units."""
     return [
         ToolRow(
             tool,
@@ -89,13 +89,13 @@ def tool_rows(tools: Iterable[ToolFigures]) -> list[ToolRow]:
 
 
 def waiting(tools: Iterable[ToolFigures]) -> int:
-    """How many of the tools' protocols have not been tried on the run."""
+    """Number of tools whose protocol has not been evaluated for the run."""
     return sum(tool.note == NOT_EVALUATED for tool in tools)
 
 
 def protocol_groups() -> dict[str, dict[str, str]]:
-    """What a run can be evaluated under: {group: {name: label}}."""
+    """Protocols to evaluate under: {group: {name: label}}."""
     return {
-        "alignment, the rest by default": {alignment.value: label for alignment, label in ALIGNMENT_LABELS.items()},
-        "as a published tool counts": {name: preset.title for name, preset in presets()},
+        "alignment, otherwise defaults": {alignment.value: label for alignment, label in ALIGNMENT_LABELS.items()},
+        "published tools": {name: preset.title for name, preset in presets()},
     }

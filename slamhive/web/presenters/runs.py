@@ -1,4 +1,4 @@
-"""Runs as tables and pages show them."""
+"""Runs for tables and pages."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from slamhive.web.columns import Column, Kind
 from slamhive.web.formatting import DASH, Cell, display_unit, duration, metric_cell, plural, significant, value_text
 
 _PROTECTIONS = {
-    "held_by": "Held by",
+    "held_by": "Enforced by",
     "processes": "Processes and threads",
     "memory": "Memory",
     "cpu": "CPU",
-    "end": "How it is killed",
+    "end": "Killed by",
     "priority": "Priority",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One run in a table: the record, and its cells in the order of the columns."""
+    """One run in a table: the record, and its cells in column order."""
 
     run: RunRecord
     cells: tuple[tuple[Column, Cell], ...]
@@ -38,7 +38,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class ParameterRow:
-    """One parameter of a run beside its definition."""
+    """One parameter of a run with its definition."""
 
     key: str
     value: str
@@ -50,7 +50,7 @@ class ParameterRow:
 
 @dataclass(frozen=True, slots=True)
 class MetricRow:
-    """One metric of a run; ``sample`` says over how many pairs or segments, empty for a metric without."""
+    """One metric of a run; ``sample`` says how many pairs or segments it uses, empty if it uses none."""
 
     metric: Metric
     cell: Cell
@@ -59,7 +59,7 @@ class MetricRow:
 
 
 def rows(runs: Iterable[RunRecord], columns: Iterable[Column], algorithms: Iterable[Algorithm]) -> list[Row]:
-    """Table rows. ``algorithms`` tell which parameter values differ from their defaults."""
+    """Table rows. ``algorithms`` define the default parameter values."""
     defaults = {algorithm.name: algorithm.parameters for algorithm in algorithms}
     chosen = tuple(columns)
     return [
@@ -80,15 +80,15 @@ def rows(runs: Iterable[RunRecord], columns: Iterable[Column], algorithms: Itera
 
 
 def parameter_rows(run: RunRecord, algorithm: Algorithm | None) -> list[ParameterRow]:
-    """Every parameter of the run, those that differ from the default marked."""
+    """All parameters of the run, with those that differ from the default marked."""
     known = {} if algorithm is None else {parameter.key: parameter for parameter in algorithm.parameters}
     return [_parameter_row(key, value, known.get(key)) for key, value in run.parameters.items()]
 
 
 def metric_rows(run: RunRecord, *, needs_protocol: bool) -> list[MetricRow]:
-    """The metrics that the run has: those of its evaluation, or those measured while it ran.
+    """Metrics of the evaluation (``needs_protocol``), or those measured during the run.
 
-    Numbers of pairs and segments stand beside the metrics that are taken over them, and have no row of their own.
+    Numbers of pairs and segments are shown next to their metrics and have no row of their own.
     """
     values = run.metrics or {}
     shown = [metric for key, metric in CATALOGUE.items() if key in values and metric.needs_protocol is needs_protocol]
@@ -101,7 +101,7 @@ def metric_rows(run: RunRecord, *, needs_protocol: bool) -> list[MetricRow]:
 
 
 def outcome(run: RunRecord) -> str:
-    """How the run stands, in one sentence."""
+    """The state of the run as a sentence."""
     if run.state is RunState.SUCCEEDED:
         return _success(run)
     if run.state is RunState.FAILED:
@@ -111,11 +111,11 @@ def outcome(run: RunRecord) -> str:
         return f"Cancelled. {run.detail or ''}".strip()
     if run.state is RunState.QUEUED:
         return "Waiting for a worker."
-    return f"In a worker's hands: {run.state.value}."
+    return f"In progress: {run.state.value}."
 
 
 def verdict(run: RunRecord, evaluations: Sequence[EvaluationRecord]) -> Verdict | None:
-    """Whether the run is good, and if not why; None if it has not been judged, or if its outcome says the same."""
+    """The verdict of the run; None without a verdict, or if the outcome already says it."""
     found = run.verdict
     if found is None or run.state is RunState.FAILED:
         return None
@@ -126,7 +126,7 @@ def verdict(run: RunRecord, evaluations: Sequence[EvaluationRecord]) -> Verdict 
 
 
 def disturbed(run: RunRecord) -> str:
-    """Why the run counts as disturbed, what that means, and what to do; empty if it does not."""
+    """Why the run is disturbed, what that affects, and what to do; empty if it is not."""
     if run.disturbance is None or not run.disturbance.disturbed:
         return ""
     affected = "CPU time, duration and latency depend on the load"
@@ -135,25 +135,25 @@ def disturbed(run: RunRecord) -> str:
     else:
         meaning = f"{affected}, and dropped frames and errors do too, because playback was in real time"
     remedies = "; ".join(run.disturbance.remedies)
-    return f"Measured on a disturbed machine: {run.disturbance.words}. {meaning}. Remedy: {remedies}."
+    return f"Measured on a disturbed machine: {run.disturbance.words}. {meaning}. {remedies[:1].upper()}{remedies[1:]}."
 
 
 def machine(run: RunRecord) -> Cell | None:
-    """Whether the machine was disturbed during a run that has ended, and what was not recorded, on hover why."""
+    """Whether a finished run was disturbed, and what was not recorded, with the reasons on hover."""
     if run.executor == IMPORTED or run.state not in (RunState.SUCCEEDED, RunState.FAILED):
         return None
     if run.disturbance is None:
         return Cell("disturbance not recorded")
     not_measured, exact = run.disturbance.not_measured, "; ".join(run.disturbance.not_measured)
     if run.disturbance.disturbed is None:
-        return Cell(f"disturbance not known: {not_measured[0]}" if not_measured else "disturbance not known", exact)
+        return Cell(f"disturbance unknown: {not_measured[0]}" if not_measured else "disturbance unknown", exact)
     words = "disturbed" if run.disturbance.disturbed else "undisturbed"
     missing = ", ".join(text.partition(":")[0] for text in not_measured)
     return Cell(f"{words} (not recorded: {missing})" if missing else words, exact)
 
 
 def protections(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """By what a run was held within its limits, in rows; empty for a run of earlier versions, or made elsewhere."""
+    """How the limits of the run were enforced, in rows; empty for imported runs and runs of early versions."""
     told = record.get("protections")
     if not isinstance(told, Mapping):
         return []
@@ -165,14 +165,14 @@ def protections(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def wall_time_s(run: RunRecord, now: datetime) -> float | None:
-    """From the start to the end, or to now while the run goes on."""
+    """Time from the start to the end, or to now for an active run."""
     if run.started_at is None:
         return None
     return ((run.ended_at or now) - run.started_at).total_seconds()
 
 
 def flatten(record: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Nested provenance as dotted names and texts, in its own order; empty parts are shown as a dash."""
+    """Nested provenance as dotted names and texts, in its own order; empty values become a dash."""
     found: list[tuple[str, str]] = []
     for key, value in record.items():
         name = f"{prefix}{key}"
@@ -203,7 +203,7 @@ def _success(run: RunRecord) -> str:
 def changed_cell(
     algorithm: str, parameters: Mapping[str, Value], definitions: Mapping[str, tuple[Parameter, ...]]
 ) -> Cell:
-    """The parameters that differ from their defaults; all of them on hover."""
+    """Parameters that differ from their defaults; all of them on hover."""
     everything = ", ".join(f"{key}={value_text(value)}" for key, value in parameters.items())
     known = definitions.get(algorithm)
     if known is None:

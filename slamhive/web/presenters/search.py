@@ -1,4 +1,4 @@
-"""The search page: choices of its form, saved searches, groups as table rows."""
+"""The search page: search fields, saved searches, groups as table rows."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from slamhive.services.exports import by_protocol
 from slamhive.store.records import GroupRecord, ProtocolLabel, SavedSearchRecord, Spread
 from slamhive.web.formatting import DASH, Cell, display_unit, mean_text, median_text, plural, significant, value_text
 
-GONE = "no longer there"
-"""The group of names that runs have and no folder."""
+GONE = "no longer exists"
+"""Group of the names that runs refer to but no folder provides."""
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A list of the form: {group: values}, "" for values without one."""
+    """A selection list: {group: values}, with "" for values without a group."""
 
     name: str
     title: str
@@ -32,7 +32,7 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class RangeField:
-    """Least and largest value of a metric, as typed."""
+    """Minimum and maximum of a metric, as typed."""
 
     metric: Metric
     minimum: str
@@ -64,7 +64,7 @@ def choices(
     datasets: Sequence[Dataset],
     stored: tuple[list[str], list[str]],
 ) -> list[Choice]:
-    """What can be chosen from lists, grouped; ``stored`` algorithms and datasets whose folders are gone stay."""
+    """The selection lists, grouped. Names in ``stored`` without a folder stay selectable."""
     there = ({entry.name for entry in algorithms}, {entry.name for entry in datasets})
     gone = [[(GONE, name, name) for name in stored[place] if name not in there[place]] for place in (0, 1)]
     found = {
@@ -75,7 +75,7 @@ def choices(
         "dataset": ("Datasets", _grouped([*((_sensors(d), d.name, d.name) for d in datasets), *gone[1]])),
         "sensor": ("Sensors", _plain(SensorSetup)),
         "state": ("State", _plain(RunState)),
-        "reason": ("Reason of failure", _plain(FailureReason)),
+        "reason": ("Failure reason", _plain(FailureReason)),
         "verdict": ("Verdict", _verdicts()),
         "executor": ("Executor", _plain(EXECUTORS.names())),
         "experiment": ("Experiment", {}),
@@ -84,7 +84,7 @@ def choices(
 
 
 def ranges(fields: Mapping[str, tuple[str, ...]], stored: Iterable[str]) -> dict[str, list[RangeField]]:
-    """{group of metrics: their fields}, for the metrics that runs have values of, and those that were typed in."""
+    """{group: fields} of the metrics that runs have, or that the user typed a limit for."""
     offered = set(stored)
     found: dict[str, list[RangeField]] = {}
     for key, metric in CATALOGUE.items():
@@ -104,24 +104,22 @@ def saved_args(record: SavedSearchRecord) -> dict[str, str]:
 
 
 def group_columns(columns: Sequence[str]) -> list[GroupColumn]:
-    """The metrics among the chosen columns."""
+    """The metrics among the selected columns."""
     return [GroupColumn(CATALOGUE[key], display_unit(CATALOGUE[key]).unit) for key in columns if key in CATALOGUE]
 
 
 def group_rows(groups: Iterable[GroupRecord], columns: Sequence[GroupColumn]) -> list[GroupRow]:
-    """A row for each configuration, and one more for each further protocol that its runs were evaluated under."""
+    """A row per configuration, and another for each further protocol of its runs."""
     return [row for group in groups for row in _rows_of(group, columns)]
 
 
 def protocol_warning(labels: Iterable[ProtocolLabel | None]) -> str:
-    """A sentence where errors under several protocols stand in one list; empty otherwise."""
+    """A warning if a list mixes errors of several protocols; empty otherwise."""
     several = sorted({label.fingerprint for label in labels if label is not None})
     if len(several) < 2:
         return ""
     choice = " or ".join(f"protocol = {fingerprint}" for fingerprint in several[:3])
-    return (
-        f"Errors under {len(several)} protocols stand here side by side and cannot be compared. Choose one: {choice}."
-    )
+    return f"This list mixes errors of {len(several)} protocols, which are not comparable. Filter by {choice}."
 
 
 def _rows_of(group: GroupRecord, columns: Sequence[GroupColumn]) -> list[GroupRow]:
@@ -134,13 +132,13 @@ def _rows_of(group: GroupRecord, columns: Sequence[GroupColumn]) -> list[GroupRo
 
 
 def _spread_cell(metric: Metric, spread: Spread | None) -> Cell:
-    """Mean, standard deviation and median over the runs that did not fail; how many, and the extremes, on hover."""
+    """Mean, standard deviation and median of the good runs; their number and range on hover."""
     if spread is None:
         return Cell(DASH, f"no {metric.label} known", missing=True)
     shown = display_unit(metric)
     text = mean_text(spread.mean * shown.factor, None if spread.std is None else spread.std * shown.factor)
     low, high = (significant(value * shown.factor) for value in (spread.minimum, spread.maximum))
-    exact = f"mean of {plural(spread.n, 'run')} that did not fail, {low} to {high} {shown.unit}".strip()
+    exact = f"mean of {plural(spread.n, 'good run')}, {low} to {high} {shown.unit}".strip()
     return Cell(text, exact, note=median_text(spread.n, spread.median * shown.factor))
 
 
@@ -156,7 +154,7 @@ def _plain(values: Iterable[str]) -> dict[str, tuple[tuple[str, str], ...]]:
 
 def _verdicts() -> dict[str, tuple[tuple[str, str], ...]]:
     kinds = tuple((kind.value, kind.label) for kind in VerdictKind)
-    return {"": tuple((name, f"{name}, all kinds") for name in GROUPS), "one by one": kinds}
+    return {"": tuple((name, f"{name}, all kinds") for name in GROUPS), "single kinds": kinds}
 
 
 def _grouped(entries: Iterable[tuple[str, str, str]]) -> dict[str, tuple[tuple[str, str], ...]]:
@@ -171,5 +169,5 @@ def _algorithm(algorithm: Algorithm) -> tuple[str, str, str]:
 
 
 def _sensors(dataset: Dataset) -> str:
-    """The attribute that datasets are grouped by: which kinds of sensor they hold."""
+    """The group of a dataset: its kinds of sensors."""
     return " + ".join(sorted({sensor.kind.value for sensor in dataset.sensors})) or "no sensors"

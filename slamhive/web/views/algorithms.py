@@ -15,7 +15,7 @@ blueprint = Blueprint("algorithms", __name__, url_prefix="/algorithms")
 
 @blueprint.get("")
 def index() -> str:
-    """All algorithms, and packages that cannot be read."""
+    """List all algorithms, and packages that cannot be read."""
     catalogue = hive().catalogue
     algorithms = catalogue.algorithms()
     return render_template(
@@ -28,7 +28,7 @@ def index() -> str:
 
 @blueprint.get("/<name>")
 def show(name: str) -> str:
-    """One algorithm: what it needs, what can be set, where it comes from."""
+    """Show one algorithm: inputs, parameters and origin."""
     services = hive()
     algorithm = services.catalogue.algorithm(name)
     runs = services.runs.page(matching(algorithms=(name,)), RunSort(), None, 1)

@@ -1,4 +1,4 @@
-"""Analyses: the list, a new one, one page each at a permanent address, its files, and what can be done to it."""
+"""Analyses: the list, the editor, the page of one analysis, its files, and actions."""
 
 from __future__ import annotations
 
@@ -28,32 +28,32 @@ _LINE = re.compile(r" line (\d+)")
 
 @blueprint.get("")
 def index() -> str:
-    """The listed analyses."""
+    """List the listed analyses."""
     return render_template("analyses/index.html", analyses=hive().stored_analyses.listed(), taken=_taken())
 
 
 @blueprint.get("/new")
 def new() -> str:
-    """An editor with a first analysis, of the runs that ``where`` finds."""
+    """The editor with a first analysis of the runs that ``where`` selects."""
     return _editor(first_text(request.args.get("where", "")[:50_000]))
 
 
 @blueprint.post("/check")
 def check() -> Response:
-    """Whether a text can be used: its name, or what is wrong with it and where. Nothing is stored."""
-    _count(CHECKS, "texts to check")
+    """Check an analysis file without saving it; returns its name, or the error and its line."""
+    _count(CHECKS, "checks")
     try:
         name = hive().stored_analyses.check(_text())
     except SlamHiveError as error:
         found = _LINE.search(error.message)
         line = int(found[1]) if found else None
         return make_response(jsonify(ok=False, message=error.message, remedy=error.remedy, line=line))
-    return make_response(jsonify(ok=True, message=f"{name}: this can be computed.", remedy=None, line=None))
+    return make_response(jsonify(ok=True, message=f"{name}: valid.", remedy=None, line=None))
 
 
 @blueprint.post("")
 def create() -> Response:
-    """Store the analysis in the form, and go to its page."""
+    """Save the analysis and redirect to its page."""
     services = hive()
     text = _text()
     if request.form.get("do") == "check":
@@ -71,7 +71,7 @@ def create() -> Response:
 
 @blueprint.get("/select")
 def select() -> str:
-    """The constraint selector: bounds in, an analysis file out."""
+    """Turn limits into an analysis file for the constraint selector."""
     args = request.args
     text, problem = "", None
     asked = any(args.get(name) for name in (*BOUNDS, "sensors", "datasets"))
@@ -89,7 +89,7 @@ def select() -> str:
 
 @blueprint.get("/<token>")
 def show(token: str) -> Response:
-    """The report; how far it is while it is computed; why there is none."""
+    """Show the report, its progress, or why it failed."""
     services = hive()
     record = services.stored_analyses.get(token)
     folder = services.stored_analyses.folder(token)
@@ -116,7 +116,7 @@ def show(token: str) -> Response:
 
 @blueprint.get("/<token>/figures.json")
 def figures(token: str) -> Response:
-    """All figures of the report, as plotly draws them."""
+    """All plots of the report as Plotly JSON."""
     services = hive()
     record = services.stored_analyses.get(token)
     content = services.stored_analyses.folder(token).result_bytes(FIGURES)
@@ -127,7 +127,7 @@ def figures(token: str) -> Response:
 
 @blueprint.get("/<token>/files/<name>")
 def file(token: str, name: str) -> Response:
-    """A figure for print, a table, the self-contained page, or everything as a zip file."""
+    """A plot for print, a table, the self-contained page, or everything as a zip file."""
     content = context.analysis_files().get(token, name)
     response = Response(content, mimetype=MEDIA_TYPES[name.rpartition(".")[2]])
     response.headers["Content-Disposition"] = f'attachment; filename="{name}"'
@@ -136,23 +136,23 @@ def file(token: str, name: str) -> Response:
 
 @blueprint.post("/<token>/list")
 def put_in_list(token: str) -> Response:
-    """Show it in the list, or only at its address."""
+    """List the analysis, or unlist it."""
     listed = request.form.get("listed") == "yes"
     hive().stored_analyses.list_or_not(token, listed=listed)
-    flash("The analysis is in the list." if listed else "The analysis is found at its address alone.", "success")
+    flash("The analysis is listed." if listed else "The analysis is unlisted; keep its address.", "success")
     return _to_page(token)
 
 
 @blueprint.post("/<token>/recompute")
 def recompute(token: str) -> Response:
-    """Compute it anew, over the runs that there are now."""
+    """Compute the analysis again from the current runs."""
     hive().stored_analyses.recompute(token)
     return _to_page(token)
 
 
 @blueprint.post("/<token>/delete")
 def delete(token: str) -> Response:
-    """Delete it for good."""
+    """Delete the analysis permanently."""
     hive().stored_analyses.delete(token)
     flash("The analysis is deleted.", "info")
     return make_response(redirect(address("analyses.index"), 303))
@@ -175,12 +175,12 @@ def _editor(text: str, error: InvalidInput | None = None, notice: str | None = N
 
 
 def _checked(text: str) -> Response:
-    """The answer to the button, for browsers without scripts."""
+    """The result of the Check button for browsers without scripts."""
     try:
         name = hive().stored_analyses.check(text)
     except InvalidInput as error:
         return make_response(_editor(text, error), status_of(error))
-    return make_response(_editor(text, notice=f"{name}: this can be computed."))
+    return make_response(_editor(text, notice=f"{name}: valid."))
 
 
 def _text() -> str:
@@ -189,11 +189,11 @@ def _text() -> str:
 
 
 def _count(limit: str, what: str) -> None:
-    """Visitors may ask so often; the owner as often as wanted."""
+    """Apply the rate limit for visitors of a view-only server."""
     settings = hive().settings
     if settings.mode is Mode.VIEW_ONLY:
         if not may_analyse(settings):
-            raise Forbidden("this installation takes no new analyses", "use one of your own")
+            raise Forbidden("this server accepts no new analyses", "compute it in your own installation")
         context.rate_limit(limit).take(request.remote_addr or "", what)
 
 

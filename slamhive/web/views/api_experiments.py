@@ -23,7 +23,7 @@ CHANGE = "<any('pause', 'resume', 'cancel', 'retry-failed'):action>"
 
 
 class _SourceBody(BaseModel):
-    """An experiment as YAML; ``executor`` overrides the one that it names."""
+    """An experiment as YAML; ``executor`` overrides the one in it."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
     yaml: Annotated[str, Field(max_length=MOST_TEXT)]
@@ -38,7 +38,7 @@ class _PreviewBody(BaseModel):
 
 
 class _RepeatsBody(BaseModel):
-    """How many repeats to add for each configuration and seed."""
+    """How many repeats to add per configuration and seed."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
     count: Annotated[int, Field(ge=1, le=MAX_REPEATS)]
@@ -46,20 +46,20 @@ class _RepeatsBody(BaseModel):
 
 @blueprint.get("")
 def experiments() -> Response:
-    """All experiments, the newest first."""
+    """All experiments, newest first."""
     return answer({"experiments": [status_to_json(status) for status in hive().experiments.list()]})
 
 
 @blueprint.post("/preview")
 def preview() -> Response:
-    """What starting the experiment would do; nothing is stored."""
+    """Preview an experiment without saving it."""
     body = read_body(_PreviewBody)
     return answer(preview_to_json(hive().experiments.preview(ExperimentSource(body.yaml, SOURCE))))
 
 
 @blueprint.post("")
 def start() -> Response:
-    """Store the experiment and queue its runs."""
+    """Save the experiment and queue its runs."""
     body = read_body(_SourceBody)
     started = hive().experiments.start(ExperimentSource(body.yaml, SOURCE), body.executor)
     return answer(status_to_json(started), 201)
@@ -67,7 +67,7 @@ def start() -> Response:
 
 @blueprint.get("/<name>")
 def experiment(name: str) -> Response:
-    """How far one experiment is, its file and its axes."""
+    """Progress of one experiment, its file and its axes."""
     services = hive().experiments
     content = status_to_json(services.status(name))
     content["yaml"] = services.source(name).text
@@ -77,7 +77,7 @@ def experiment(name: str) -> Response:
 
 @blueprint.get("/<name>/cells")
 def cells(name: str) -> Response:
-    """A page of configurations with their runs and figures; ``next`` leads to the page after."""
+    """A page of configurations with runs and metrics; ``next`` is the address of the following page."""
     query = CellsQuery.from_args(request.args)
     page = hive().experiments.cells(name, query.after, query.limit)
     following = None
@@ -96,7 +96,7 @@ def grid(name: str) -> Response:
 
 @blueprint.post(f"/<name>/{CHANGE}")
 def change(name: str, action: str) -> Response:
-    """Pause, resume, cancel, or try failed runs again."""
+    """Pause, resume or cancel, or queue failed runs again."""
     services = hive().experiments
     changes = {
         "pause": services.pause,

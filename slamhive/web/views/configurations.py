@@ -1,4 +1,4 @@
-"""Configurations: the list, one page each, the form, YAML in and out, and what can be done to them."""
+"""Configurations: the list, one page each, the web form, YAML import and export, and actions."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from slamhive.web.run_form import RunForm, form_values, read_form
 blueprint = Blueprint("configurations", __name__, url_prefix="/configurations")
 RUNS_SHOWN = 20
 MOST_TEXT_BYTES = 200_000
-"""Of the YAML of a configuration: more of it would take longer to read than a request may."""
+"""Longer YAML would take too long to parse within a request."""
 LABELS = ("name", "note", "group")
 
 
 @blueprint.get("")
 def index() -> str:
-    """The configurations that the address asks for."""
+    """List the configurations that match the query in the address."""
     services = hive()
     query = ConfigurationQuery.from_args(request.args)
     page = services.configurations.page(query.filter, query.after, query.limit)
@@ -47,7 +47,7 @@ def index() -> str:
 
 @blueprint.get(f"/{CONFIGURATION_ID}")
 def show(configuration_id: int) -> str:
-    """One configuration: content, what is said about it, its latest runs."""
+    """Show one configuration with its description and latest runs."""
     service = hive().configurations
     record = service.get(configuration_id)
     algorithm = _algorithms().get(record.configuration.algorithm)
@@ -66,7 +66,7 @@ def show(configuration_id: int) -> str:
 
 @blueprint.get("/new")
 def new() -> str:
-    """The form for a new configuration; ``copy=12`` fills it with what configuration 12 holds."""
+    """The web form for a new configuration; ``copy=12`` fills it from configuration 12."""
     values = request.args.to_dict()
     reference = values.pop("copy", "")
     if reference:
@@ -76,21 +76,21 @@ def new() -> str:
 
 @blueprint.post("/new")
 def create() -> Response | tuple[str, int]:
-    """Store the configuration, or show the form again with what is wrong."""
+    """Save the configuration, or show the web form again with its errors."""
     form = _read(request.form.to_dict())
     return _stored_or_form(form, None, hive().configurations.create)
 
 
 @blueprint.get("/new/preview")
 def check() -> Response:
-    """Whether the configuration of the form as it stands is there already, for the open page."""
+    """JSON for the open page: does this configuration exist already, and which fields are invalid?"""
     form = _read(request.args.to_dict())
     return make_response(jsonify(preview=_preview(form), errors=form.errors))
 
 
 @blueprint.get(f"/{CONFIGURATION_ID}/edit")
 def edit(configuration_id: int) -> str:
-    """The form with the content of a configuration, to put a changed one in its place."""
+    """The web form filled from a configuration that is to be edited."""
     record = hive().configurations.get(configuration_id)
     said = {"name": record.name or "", "note": record.note}
     return _form(_read({**_values_of(record), **said, **request.args.to_dict()}, only_given=True), record)
@@ -98,7 +98,7 @@ def edit(configuration_id: int) -> str:
 
 @blueprint.post(f"/{CONFIGURATION_ID}/edit")
 def modify(configuration_id: int) -> Response | tuple[str, int]:
-    """Put the changed configuration in the place of the old one, or beside it if runs hold that."""
+    """Replace a configuration, or save a new one if runs depend on the old one."""
     record = hive().configurations.get(configuration_id)
 
     def store(submission: Submission, label: Label) -> Stored:
@@ -118,26 +118,26 @@ def modify(configuration_id: int) -> Response | tuple[str, int]:
 
 @blueprint.post(f"/{CONFIGURATION_ID}/describe")
 def describe(configuration_id: int) -> Response:
-    """Set name and note."""
+    """Set the name and the note."""
     record = hive().configurations.describe(
         configuration_id, Label(request.form.get("name", ""), request.form.get("note", ""))
     )
-    flash(f"{record.label.capitalize()} is described.", "success")
+    flash(f"{record.label.capitalize()} is updated.", "success")
     return _to(configuration_id)
 
 
 @blueprint.post(f"/{CONFIGURATION_ID}/group")
 def group(configuration_id: int) -> Response:
-    """Put it into a group, or take it out."""
+    """Add the configuration to a group, or remove it."""
     name, remove = request.form.get("group", ""), bool(request.form.get("remove"))
     hive().configurations.group(name, [configuration_id], remove=remove)
-    flash(f"It is {'no longer ' if remove else ''}in the group {name.strip()}.", "success")
+    flash(f"{'Removed from' if remove else 'Added to'} group {name.strip()}.", "success")
     return _to(configuration_id)
 
 
 @blueprint.post(f"/{CONFIGURATION_ID}/delete")
 def delete(configuration_id: int) -> Response:
-    """Remove one that nothing depends on."""
+    """Delete a configuration that nothing depends on."""
     service = hive().configurations
     record = service.get(configuration_id)
     service.delete([configuration_id])
@@ -147,7 +147,7 @@ def delete(configuration_id: int) -> Response:
 
 @blueprint.get(f"/{CONFIGURATION_ID}/configuration.yaml")
 def export(configuration_id: int) -> Response:
-    """The configuration as a file that the import reads."""
+    """The configuration as YAML that the import accepts."""
     response = Response(hive().configurations.export_yaml(configuration_id), mimetype="application/yaml")
     response.headers["Content-Disposition"] = f'attachment; filename="configuration-{configuration_id}.yaml"'
     return response
@@ -155,18 +155,18 @@ def export(configuration_id: int) -> Response:
 
 @blueprint.get("/import")
 def import_form() -> str:
-    """Where YAML is pasted or a file is chosen."""
+    """The page to paste YAML or to select a file."""
     return render_template("configurations/import.html", text="", problem=None)
 
 
 @blueprint.post("/import")
 def import_() -> Response | tuple[str, int]:
-    """Store what the YAML states, or show it again with what is wrong."""
+    """Save the configuration in the YAML, or show the page again with the error."""
     text = form_text("text")
     try:
         source, text = uploaded_text("file", MOST_TEXT_BYTES) or ("the text", text)
         if not text.strip():
-            raise InvalidInput("nothing was pasted and no file was chosen")
+            raise InvalidInput("there is no YAML to import", "paste it or select a file")
         stored = hive().configurations.import_yaml(text, source)
     except SlamHiveError as error:
         return render_template("configurations/import.html", text=text, problem=str(error)), status_of(error)
@@ -194,7 +194,7 @@ def _tell(stored: Stored) -> Response:
 
 
 def _read(values: Mapping[str, str], *, only_given: bool = False) -> RunForm:
-    """The form; ``only_given`` checks only the fields that hold something."""
+    """Read the web form; ``only_given`` reports errors only for fields with a value."""
     form = read_form(hive(), values, content_only=True)
     if only_given:
         form.errors = {name: text for name, text in form.errors.items() if values.get(name)}
@@ -223,11 +223,11 @@ def _preview(form: RunForm) -> str | None:
         same = hive().configurations.same_as(form.submission)
     except SlamHiveError as error:
         return str(error)
-    return "There is no such configuration yet." if same is None else f"The same as {same.label}."
+    return "This configuration does not exist yet." if same is None else f"Identical to {same.label}."
 
 
 def _values_of(record: ConfigurationRecord) -> dict[str, str]:
-    """The fields of the form; what the algorithm no longer has is left out."""
+    """The values of the web form; only algorithm and dataset if the configuration is outdated."""
     try:
         return form_values(hive().configurations.submission(record.id)[0])
     except SlamHiveError:
@@ -236,7 +236,7 @@ def _values_of(record: ConfigurationRecord) -> dict[str, str]:
 
 
 def _form_address(record: ConfigurationRecord) -> str:
-    """The form that starts runs, filled with this configuration."""
+    """Address of the web form that starts runs, filled from this configuration."""
     fields: dict[str, Any] = {name: text for name, text in _values_of(record).items() if text}
     return address("start.form", **fields)
 
@@ -246,7 +246,7 @@ def _algorithms() -> dict[str, Algorithm]:
 
 
 def _changed(name: str, before: str) -> str | None:
-    """What the form says about the configuration, None if that was said before."""
+    """The submitted text, or None if it is unchanged."""
     text = request.form.get(name, before)
     return None if text.replace("\r\n", "\n").strip() == before else text
 

@@ -1,4 +1,4 @@
-"""The first page, and what keeps open pages up to date."""
+"""The dashboard, and the events that keep open pages up to date."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ENDED_STATES = tuple(state for state in RunState if state.ended)
 
 @blueprint.get("/")
 def index() -> str:
-    """What is queued, what runs, what came out last."""
+    """Show the queue, active runs and the latest results."""
     services = hive()
     algorithms = services.catalogue.algorithms()
     ended = services.runs.page(matching(states=ENDED_STATES), RunSort("ended_at"), None, LIST_LENGTH)
@@ -62,7 +62,7 @@ def index() -> str:
 
 @blueprint.get("/events")
 def events() -> Response:
-    """Server-sent events: a ``state`` event whenever the poller has looked."""
+    """Server-sent events: a ``state`` event after every poll of the database."""
     stream = live_hub().open()
     response = Response(stream.events(), mimetype="text/event-stream")
     response.headers["Cache-Control"] = "no-store"
@@ -73,12 +73,12 @@ def events() -> Response:
 
 @blueprint.get("/live.json")
 def live() -> Response:
-    """The same once, for pages that found no free stream."""
+    """The current state as JSON, for pages that could not open a stream."""
     return make_response(jsonify(live_hub().latest()))
 
 
 @blueprint.get("/healthz")
 def health() -> Response:
-    """200 while the server and its database answer."""
+    """Answer 200 while the server and its database work."""
     hive().runs.counts()
     return make_response(jsonify(status="ok"))

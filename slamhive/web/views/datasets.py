@@ -20,7 +20,7 @@ blueprint = Blueprint("datasets", __name__, url_prefix="/datasets")
 
 @blueprint.get("")
 def index() -> str:
-    """All datasets, and folders that cannot be read."""
+    """List all datasets, and folders that cannot be read."""
     catalogue = hive().catalogue
     return render_template(
         "datasets/index.html",
@@ -31,7 +31,7 @@ def index() -> str:
 
 @blueprint.get("/<name>")
 def show(name: str) -> str:
-    """One dataset: sensors, calibration, ground truth, which algorithms can use it."""
+    """Show one dataset: sensors, calibration, ground truth, variants and compatible algorithms."""
     services = hive()
     dataset = services.catalogue.dataset(name)
     runs = services.runs.page(matching(datasets=(name,)), RunSort(), None, 1)
@@ -49,39 +49,39 @@ def show(name: str) -> str:
 
 @blueprint.post("/<name>/variants")
 def make_variant(name: str) -> Response:
-    """Begin to make a variant; everything that can be checked beforehand is."""
+    """Start creating a variant, after all checks that are possible in advance."""
     services = hive()
     services.check_writable()
     dataset = services.catalogue.dataset(name)
     variant = services.variants.resolve(dataset, read_steps(request.form.get("steps", "")))
     if not variant:
-        raise InvalidInput(f"these steps change nothing in {name}", "give a step with a factor other than 1")
+        raise InvalidInput(f"these steps change nothing in {name}", "add a step that changes the data")
     check_dataset_files(dataset)
     services.variants.check(dataset, variant)
     variant_maker().start(dataset, variant)
-    flash("The variant is being made; it appears in the list when it is done.", "info")
+    flash("The variant is being created. It appears in the list when it is finished.", "info")
     return _to_variants(name)
 
 
 @blueprint.post("/<name>/variants/<key>/drop")
 def drop_variant(name: str, key: str) -> Response:
-    """Remove a variant of this dataset that nothing uses."""
+    """Remove a variant that nothing uses."""
     services = hive()
     services.check_writable()
     entry = services.variants.find(key)
     if entry.dataset != name:
-        raise NotFound(f"variant {key[:40]!r} is none of {name}")
+        raise NotFound(f"{name} has no variant {key[:40]!r}")
     services.variants.drop(entry.key)
-    flash("The variant is removed; runs that need it make it again.", "success")
+    flash("The variant is removed. Runs that need it create it again.", "success")
     return _to_variants(name)
 
 
 @blueprint.get("/<name>/figures.json")
 def figures(name: str) -> Response:
-    """The ground-truth path in its planes and in 3D."""
+    """The ground-truth path in all planes and in 3D."""
     track = read_dataset_path(hive().catalogue.dataset(name))
     if track is None:
-        raise NotFound(f"dataset {name} has no ground truth that can be drawn")
+        raise NotFound(f"dataset {name} has no ground truth to draw")
     return make_response(
         jsonify(
             figures=path_figures(track, None),

@@ -1,4 +1,4 @@
-"""The builder of experiments: fields and YAML side by side, a preview, and the start."""
+"""The experiment builder: fields and YAML side by side, a preview, and the start."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from slamhive.web.formatting import plural
 from slamhive.web.presenters.experiment_builder import Builder, builder
 
 blueprint = Blueprint("experiment_builder", __name__, url_prefix="/new-experiment")
-"""Not below ``/experiments``, where every name may be that of an experiment."""
+"""Not below ``/experiments``, where any name may be an experiment."""
 
 
 @blueprint.get("")
 def new() -> str:
-    """The builder: empty, or with a copy of the experiment that ``copy`` names."""
+    """Show an empty builder, or one with a copy of the experiment ``copy``."""
     services = hive()
     services.check_writable()
     source = request.args.get("copy")
@@ -33,7 +33,7 @@ def new() -> str:
 
 @blueprint.post("")
 def draft() -> Response | tuple[str, int]:
-    """The builder after an edit, as a page or in parts for the open one; nothing is stored but by ``do=start``."""
+    """Return the edited draft as a page, or as JSON for the open one. Only ``do=start`` saves anything."""
     edited = draft_from_form(hive(), request.form)
     if request.form.get("do") == "start" and request.form.get("from") == "text":
         return _start(edited)
@@ -49,7 +49,7 @@ def _start(edited: Draft) -> Response | tuple[str, int]:
         started = hive().experiments.start(ExperimentSource(edited.text, SOURCE))
     except SlamHiveError as error:
         return _builder_page(with_error(edited, error)), status_of(error)
-    flash(f"{started.name} is started: {plural(started.runs, 'run')}.", "success")
+    flash(f"Started {started.name} with {plural(started.runs, 'run')}.", "success")
     return make_response(redirect(address("experiments.show", name=started.name), 303))
 
 
@@ -58,7 +58,7 @@ def _builder_page(edited: Draft) -> str:
 
 
 def _parts(edited: Draft) -> dict[str, Any]:
-    """What the open page puts in place."""
+    """The parts that the open page replaces."""
     words = _builder_words(edited)
     return {
         "yaml": edited.text,
@@ -71,12 +71,12 @@ def _parts(edited: Draft) -> dict[str, Any]:
 
 
 def _builder_words(edited: Draft) -> dict[str, Any]:
-    alignments = [("", "by sensor"), *((alignment.value, label) for alignment, label in ALIGNMENT_LABELS.items())]
+    alignments = [("", "default for the sensors"), *((entry.value, label) for entry, label in ALIGNMENT_LABELS.items())]
     return {
         "draft": edited,
         "builder": _builder(edited),
         "alignments": alignments,
-        "executors": [("", "as the settings say"), *((name, name) for name in EXECUTORS.names())],
+        "executors": [("", "from the settings"), *((name, name) for name in EXECUTORS.names())],
         "most_text": MOST_TEXT,
     }
 

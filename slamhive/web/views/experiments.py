@@ -1,4 +1,4 @@
-"""Experiments: the list, the builder, one page each, and what can be done to them."""
+"""Experiments: the list, one page each, and actions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ blueprint = Blueprint("experiments", __name__, url_prefix="/experiments")
 
 PAGE_LENGTH = 50
 LARGE = 5000
-"""Configurations above which the grid is counted only after the page is there."""
+"""With more configurations than this, a second request computes the grid."""
 
 ACTION = "<any('pause', 'resume', 'cancel', 'retry-failed', 'add-repeats'):action>"
 CELL_NUMBER = "<int(max=2147483647):number>"
@@ -36,7 +36,7 @@ def _words_of_experiments() -> dict[str, Any]:
 
 @blueprint.get("")
 def index() -> str:
-    """All experiments, a page at a time."""
+    """List all experiments, in pages."""
     found = hive().experiments.list()
     pages = max(1, -(-len(found) // PAGE_LENGTH))
     page = page_number(request.args, pages)
@@ -51,7 +51,7 @@ def index() -> str:
 
 @blueprint.get("/<name>")
 def show(name: str) -> str:
-    """One experiment: how far it is over two axes, and the results of its configurations."""
+    """Show the progress of one experiment over two axes, and the results of its configurations."""
     experiments = hive().experiments
     status = experiments.status(name)
     stated = parse_experiment(experiments.source(name).text)
@@ -81,7 +81,7 @@ def show(name: str) -> str:
 
 @blueprint.get(f"/<name>/cells/{CELL_NUMBER}")
 def cell(name: str, number: int) -> Response:
-    """The runs of one configuration of the experiment."""
+    """Redirect to the runs of one configuration of the experiment."""
     found = hive().experiments.cells(name, max(0, number - 1), 1).cells
     if not found or found[0].number != number:
         raise NotFound(f"experiment {name} has no configuration {number}")
@@ -91,7 +91,7 @@ def cell(name: str, number: int) -> Response:
 
 @blueprint.get("/<name>/experiment.yaml")
 def download(name: str) -> Response:
-    """The experiment's file as it was given."""
+    """The experiment file as it was submitted."""
     response = Response(hive().experiments.source(name).text, mimetype="application/yaml")
     response.headers["Content-Disposition"] = f'attachment; filename="{name}.yaml"'
     return response
@@ -103,20 +103,20 @@ def act(name: str, action: str) -> Response:
     experiments = hive().experiments
     if action == "pause":
         experiments.pause(name)
-        flash(f"{name} is paused; a run under way goes on to its end.", "info")
+        flash(f"{name} is paused. Runs in progress continue to their end.", "info")
     elif action == "resume":
         experiments.resume(name)
-        flash(f"{name} goes on.", "success")
+        flash(f"{name} is resumed.", "success")
     elif action == "cancel":
         experiments.cancel(name)
         flash(f"{name} is cancelled.", "info")
     elif action == "retry-failed":
         count = experiments.retry_failed(name)
-        flash(f"{plural(count, 'failed run')} of {name} tried again." if count else "No run has failed.", "info")
+        flash(f"{plural(count, 'failed run')} of {name} queued again." if count else "No run has failed.", "info")
     else:
         count = repeats_count(request.form)
         experiments.add_repeats(name, count)
-        flash(f"{plural(count, 'repeat')} of each configuration of {name} are queued.", "success")
+        flash(f"{plural(count, 'repeat')} of each configuration of {name} queued.", "success")
     return make_response(redirect(address("experiments.show", name=name), 303))
 
 
@@ -126,13 +126,13 @@ def _grid(wanted: GridQuery, stated: Experiment) -> presenter.GridView:
 
 
 def with_time_left(found: Iterable[ExperimentStatus]) -> list[ExperimentStatus]:
-    """The same, with the time left of those that go on."""
+    """The same experiments, with the time left for active ones."""
     experiments = hive().experiments
     return [experiments.status(entry.name) if entry.standing is Standing.ACTIVE else entry for entry in found]
 
 
 def _protocol_labels(cells: Iterable[Cell]) -> dict[str, str]:
-    """What the protocols of these cells are called, by fingerprint; a run of each knows."""
+    """{fingerprint: label} of the protocols in these cells."""
     runs = {run.protocol: run.id for cell in cells for run in cell.runs if run.protocol is not None}
     protocols = [hive().runs.get(run_id).protocol for run_id in runs.values()]
     return {protocol.fingerprint: protocol.label for protocol in protocols if protocol is not None}

@@ -1,4 +1,4 @@
-"""The documentation inside the product: the files of ``docs/``, without the network."""
+"""The documentation in ``docs/``, rendered as pages that work offline."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ OF_PAGE = {
     "datasets": "dataset-format",
     "analyses": "analysis",
 }
-"""The help page of each part of the pages, by blueprint."""
+"""The help page for each blueprint."""
 
 _ADDRESS = re.compile(r"(?P<name>[\w-]+)\.md(?P<part>#.*)?")
 
@@ -37,7 +37,7 @@ _ADDRESS = re.compile(r"(?P<name>[\w-]+)\.md(?P<part>#.*)?")
 @blueprint.get("/")
 @blueprint.get("/<name>")
 def page(name: str = FIRST) -> str:
-    """One page of the documentation."""
+    """Show one page of the documentation."""
     known = _pages(hive().catalogue.project_root)
     if name not in known:
         raise unknown("help page", name[:100], list(known))
@@ -48,13 +48,13 @@ def page(name: str = FIRST) -> str:
 
 
 def _pages(root: Path) -> dict[str, Path]:
-    """Every page by its name; a name is never made into a path."""
+    """Path of every page by name. A name from an address is looked up here, never joined to a path."""
     return {path.stem: path for path in (root / "docs").glob("*.md") if path.is_file()}
 
 
 @lru_cache(maxsize=100)
 def _rendered(path: Path, _modified_ns: int) -> tuple[str, str]:
-    """Title and HTML; rendered anew when the file has changed."""
+    """Title and HTML of a page; the modification time makes a changed file a new cache entry."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -64,6 +64,6 @@ def _rendered(path: Path, _modified_ns: int) -> tuple[str, str]:
 
 
 def _link(target: str) -> str:
-    """Other pages of the documentation are pages here."""
+    """Turn links between documentation files into links between help pages."""
     found = _ADDRESS.fullmatch(target)
     return address("help.page", name=found["name"]) + (found["part"] or "") if found else target

@@ -1,4 +1,4 @@
-"""Runs: the list, one page each with its figures and files, and what can be done to them."""
+"""Runs: the list, the page of a run with its plots and files, and the actions on runs."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ blueprint = Blueprint("runs", __name__, url_prefix="/runs")
 LOG_TAIL_BYTES = 32_000
 LARGEST_RUN_ID = 2**53 - 1
 RUN_ID = f"<int(max={LARGEST_RUN_ID}):run_id>"
-"""Run numbers that JSON and every database can hold."""
+"""Run numbers up to what JSON and every database can store."""
 
 
 @blueprint.get("")
 def index() -> Response:
-    """The runs that the address asks for."""
+    """List the runs that match the query in the address."""
     services = hive()
     vocabulary = services.searches.vocabulary()
     try:
@@ -100,12 +100,12 @@ def _group_page(services: Hive, query: RunQuery, shown: list[Column]) -> str:
 
 
 def _analysis_url(query: RunQuery) -> str:
-    """Where an analysis of these runs begins."""
+    """Address of a new analysis of these runs."""
     return address("analyses.new", where=query.search.text)
 
 
 def _search_page(services: Hive, query: RunQuery, **content: Any) -> str:
-    """The page with its form; without rows it says what could not be read."""
+    """Render the search page. Without rows it shows why the query is invalid."""
     return render_template(
         "runs/index.html",
         query=query,
@@ -128,7 +128,7 @@ def _search_page(services: Hive, query: RunQuery, **content: Any) -> str:
 
 @blueprint.get(f"/{RUN_ID}")
 def show(run_id: int) -> str:
-    """Everything about one run."""
+    """Show everything about one run."""
     services = hive()
     run = services.runs.get(run_id)
     evaluations = services.evaluations.of_run(run_id)
@@ -171,7 +171,7 @@ def show(run_id: int) -> str:
 
 @blueprint.get(f"/{RUN_ID}/figures.json")
 def figures(run_id: int) -> Response:
-    """All figures of a run, their captions, and why any is missing."""
+    """All plots of a run, with captions and the reasons for missing ones."""
     services = hive()
     run = services.runs.get(run_id)
     series = services.runs.series(run_id)
@@ -189,10 +189,10 @@ def figures(run_id: int) -> Response:
 
 @blueprint.get(f"/{RUN_ID}/figures/<figure>.csv")
 def figure_data(run_id: int, figure: str) -> Response:
-    """The data that a figure draws."""
+    """The data of one plot as CSV."""
     table = figure_table(hive().runs.series(run_id), figure)
     if table is None:
-        raise NotFound(f"run {run_id} has no data for a figure {figure!r}")
+        raise NotFound(f"run {run_id} has no data for the plot {figure!r}")
     header, lines = table
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -205,7 +205,7 @@ def figure_data(run_id: int, figure: str) -> Response:
 
 @blueprint.get(f"/{RUN_ID}/files/<key>")
 def download(run_id: int, key: str) -> Response:
-    """One known file of the run folder."""
+    """Download one of the known files in the run folder."""
     services = hive()
     services.runs.get(run_id)
     found, stream = open_download(
@@ -220,7 +220,7 @@ def download(run_id: int, key: str) -> Response:
 
 @blueprint.post(f"/{RUN_ID}/cancel")
 def cancel(run_id: int) -> Response:
-    """Ask for the run to be ended."""
+    """Request the cancellation of a run."""
     run = hive().runs.cancel(run_id)
     flash(f"Run {run_id} is {'cancelled' if run.state is RunState.CANCELLED else 'being cancelled'}.", "info")
     return _to_run(run_id)
@@ -228,7 +228,7 @@ def cancel(run_id: int) -> Response:
 
 @blueprint.post(f"/{RUN_ID}/retry")
 def retry(run_id: int) -> Response:
-    """Queue the same again as a new run."""
+    """Queue a new run with the same configuration."""
     again = hive().runs.retry(run_id)
     flash(f"Run {again.id} repeats run {run_id}.", "success")
     return _to_run(again.id)
@@ -236,45 +236,45 @@ def retry(run_id: int) -> Response:
 
 @blueprint.post(f"/{RUN_ID}/evaluate")
 def evaluate(run_id: int) -> Response:
-    """Evaluate one run, under the protocol of its sensors or the one that was chosen."""
+    """Evaluate one run under the selected protocol, or the default for its sensors."""
     queued = hive().evaluations.queue([run_id], request.form.get("protocol") or None)
-    flash("The evaluation is queued." if queued else "This evaluation is queued or done already.", "info")
+    flash("The evaluation is queued." if queued else "This evaluation is already queued or finished.", "info")
     return _to_run(run_id)
 
 
 @blueprint.post(f"/{RUN_ID}/compare")
 def compare(run_id: int) -> Response:
-    """Evaluate one run the way each published tool counts."""
+    """Evaluate one run under the protocols of all published tools."""
     services = hive()
     services.check_writable()
     queued = len(services.comparisons.queue(run_id))
-    flash(f"{plural(queued, 'evaluation')} queued." if queued else "Every tool's figures are there already.", "info")
+    flash(f"{plural(len(queued), "evaluation")} queued." if queued else "The metrics of every tool exist already.", "info")
     return _to_run(run_id)
 
 
 @blueprint.post(f"/{RUN_ID}/protocol")
 def use_protocol(run_id: int) -> Response:
-    """Show the figures of another protocol in lists and searches."""
+    """Make lists and searches show the metrics of another protocol."""
     services = hive()
     services.check_writable()
     services.current_protocols.use([run_id], request.form.get("fingerprint", ""))
-    flash(f"Lists show run {run_id} under this protocol now.", "success")
+    flash(f"Lists now show run {run_id} under this protocol.", "success")
     return _to_run(run_id)
 
 
 @blueprint.post("/evaluate")
 def evaluate_many() -> Response:
-    """Evaluate the runs that were ticked, or all that have not been evaluated."""
+    """Evaluate the selected runs, or all that are not evaluated."""
     if request.form.get("all"):
         queued = hive().evaluations.queue(None)
     else:
-        queued = hive().evaluations.queue(_ticked(request.form.getlist("run")))
-    flash(f"{plural(len(queued), 'evaluation')} queued." if queued else "There was nothing to evaluate.", "info")
+        queued = hive().evaluations.queue(_selected(request.form.getlist("run")))
+    flash(f"{plural(len(queued), "evaluation")} queued." if queued else "There is nothing to evaluate.", "info")
     return make_response(redirect(address("runs.index"), 303))
 
 
 def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:
-    """The figures as published tools count; none for a run whose dataset or algorithm has left the installation."""
+    """The metrics under each tool's protocol; none if the dataset or algorithm no longer exists."""
     if run.state is not RunState.SUCCEEDED:
         return []
     try:
@@ -283,9 +283,9 @@ def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:
         return []
 
 
-def _ticked(texts: list[str]) -> list[int]:
+def _selected(texts: list[str]) -> list[int]:
     if not texts:
-        raise InvalidInput("no run is ticked", "tick the runs to evaluate, then press the button again")
+        raise InvalidInput("no run is selected", "select the runs to evaluate, then press the button again")
     return [whole_number(text, "run", 1, LARGEST_RUN_ID) for text in texts]
 
 

@@ -1,4 +1,4 @@
-"""Saved searches, and the runs that a search finds as files."""
+"""Saved searches, and the export of search results."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ blueprint = Blueprint("searches", __name__, url_prefix="/searches")
 
 @blueprint.get("/export.<name>")
 def export(name: str) -> Response:
-    """All runs of a search as a file, or their configurations; the arguments are those of the runs page."""
+    """Export all matching runs, or their configurations; takes the arguments of the runs page."""
     if name not in list(Format):
         raise unknown("format", name, list(Format))
     kind = Format(name)
@@ -37,13 +37,13 @@ def export(name: str) -> Response:
 
 @blueprint.post("")
 def save() -> Response:
-    """Save the search that the form carries under a name."""
+    """Save the current search under a name."""
     name = request.form.get("name", "").strip()
     args = MultiDict([(key, value) for key, value in request.form.items(multi=True) if key != "name"])
     services = hive()
     query = RunQuery.from_args(args, services.searches.vocabulary())
     if not name:
-        raise InvalidInput("the search has no name", "write one beside the button")
+        raise InvalidInput("the search has no name", "enter a name next to the button")
     record = SavedSearchRecord(name, query.search.text, query.columns, query.sort, query.grouped)
     new = services.searches.save(record)
     flash(f"Search {name} is {'saved' if new else 'replaced'}.", "success")
@@ -75,7 +75,7 @@ def _group_pages(services: Hive, query: RunQuery, metrics: Sequence[str]) -> Pag
 
 
 def _file(name: str, kind: Format, content: TableExport[Record], pages: Page[Record]) -> Response:
-    first = pages(None)  # what can be refused is refused before the answer begins
+    first = pages(None)  # raises errors before the response starts
 
     def page(after: str | None) -> tuple[Sequence[Record], str | None]:
         return first if after is None else pages(after)
@@ -90,11 +90,11 @@ def _file(name: str, kind: Format, content: TableExport[Record], pages: Page[Rec
 
 
 def _parquet(content: TableExport[Record], page: Page[Record]) -> Response:
-    """A Parquet file is written whole, since its table of contents is at the end; it goes with the answer."""
+    """Write the whole Parquet file first, because its index is at its end; it is deleted after the response."""
     with temporary_folder() as folder:
         path = folder / "table.parquet"
         content.parquet(page, path)
-        stream = path.open("rb")  # outlives the folder: the file goes when it is closed
+        stream = path.open("rb")  # stays readable after the folder is removed
     response = send_file(stream, mimetype=Format.PARQUET.media_type)
     response.call_on_close(stream.close)
     return response

@@ -1,4 +1,4 @@
-"""The form that starts runs."""
+"""The web form that starts runs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from slamhive.errors import SlamHiveError
 from slamhive.executors.registry import EXECUTORS
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of
-from slamhive.web.formatting import plural
 from slamhive.web.presenters.catalogue import dataset_choices, step_kinds
 from slamhive.web.run_form import RunForm, preview, read_form
 
@@ -19,7 +18,7 @@ blueprint = Blueprint("start", __name__, url_prefix="/runs/new")
 
 @blueprint.get("")
 def form() -> str:
-    """The form, filled with what the address holds; only fields that it holds are checked."""
+    """Show the web form with the values from the address; only those are checked."""
     values = request.args.to_dict()
     filled = read_form(hive(), values)
     filled.errors = {name: text for name, text in filled.errors.items() if values.get(name)}
@@ -28,14 +27,14 @@ def form() -> str:
 
 @blueprint.get("/preview")
 def check() -> Response:
-    """What the form as it stands would do, and what is wrong with it, for the open page."""
+    """The preview and the invalid fields, as JSON for the open page."""
     filled = read_form(hive(), request.args.to_dict())
     return make_response(jsonify(preview=_preview(filled), errors=filled.errors))
 
 
 @blueprint.post("")
 def submit() -> Response | tuple[str, int]:
-    """Queue the runs, or show the form again with what was typed and what is wrong."""
+    """Queue the runs, or show the web form again with its errors."""
     values = request.form.to_dict()
     filled = read_form(hive(), values)
     if filled.submission is None:
@@ -48,7 +47,7 @@ def submit() -> Response | tuple[str, int]:
     if len(runs) == 1:
         flash(f"Run {runs[0].id} is queued.", "success")
         return make_response(redirect(url_for("runs.show", run_id=runs[0].id), 303))
-    flash(f"{plural(len(runs), 'run')} are queued: {runs[0].id} to {runs[-1].id}.", "success")
+    flash(f"Runs {runs[0].id} to {runs[-1].id} are queued.", "success")
     return make_response(redirect(url_for("runs.index", configuration=runs[0].configuration_id), 303))
 
 
