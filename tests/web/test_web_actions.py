@@ -43,7 +43,7 @@ def test_the_form_starts_runs_and_redirects(web: Web):
     assert {run.state for run in page.records} == {RunState.QUEUED}
     assert page.records[0].parameters["solver"] == "gn"
     assert not page.records[0].evaluate
-    assert "3 runs are queued" in web.client.get(answer.location).text
+    assert "Runs 5 to 7 are queued." in web.client.get(answer.location).text
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_evaluate_one_some_and_all(web: Web):
     assert send(web, f"/runs/{done}/evaluate", protocol="magic").status_code == 404
     assert send(web, "/runs/evaluate", all="1").status_code == 303
     assert [entry.state for entry in web.hive.evaluations.of_run(bare)] == ["queued"]
-    assert "The evaluation is under way." in web.client.get(f"/runs/{bare}").text
+    assert "The evaluation is in progress." in web.client.get(f"/runs/{bare}").text
     assert web.hive.searches.unevaluated() == 0
 
 

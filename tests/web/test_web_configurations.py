@@ -51,7 +51,7 @@ def test_the_form_stores_and_tells_what_is_the_same(web: Web):
         web, "/configurations/new", **{**FORM, "name": "other"}, steps="rate hz=10\nresolution@camera0 scale=.5"
     )
     page = unescaped(web.client.get(again.location).text)
-    assert "The same as configuration 2 (mine)." in page
+    assert "Identical to configuration 2 (mine)." in page
     assert "It keeps the name 'mine'." in page
     assert web.hive.configurations.page().total == 2
 
@@ -59,9 +59,9 @@ def test_the_form_stores_and_tells_what_is_the_same(web: Web):
 def test_the_preview_knows_what_is_there(shown: Web):
     known = {"algorithm": "eye-slam-stereo", "dataset": "room", "parameter.nFeatures": "2000"}
     answer = shown.client.get("/configurations/new/preview", query_string=known).get_json()
-    assert answer == {"preview": "The same as configuration 1.", "errors": {}}
+    assert answer == {"preview": "Identical to configuration 1.", "errors": {}}
     new = shown.client.get("/configurations/new/preview", query_string=FORM).get_json()
-    assert new["preview"] == "There is no such configuration yet."
+    assert new["preview"] == "This configuration does not exist yet."
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_groups_names_and_notes(web: Web):
     assert send(web, "/configurations/1/group", group="night").status_code == 303
     assert send(web, "/configurations/1/describe", name="one", note="x").status_code == 303
     page = unescaped(web.client.get("/configurations?group=night").text)
-    assert "Showing 1 of 1 configuration: in the group night, newest first." in page
+    assert "Showing 1 of 1 configuration: in group night, newest first." in page
     assert send(web, "/configurations/1/group", group="night", remove="1").status_code == 303
     assert send(web, "/configurations/1/group", group="").status_code == 400
     assert "No configuration matches this filter." in web.client.get("/configurations?group=night").text
@@ -215,14 +215,14 @@ def test_the_run_form_takes_steps_and_the_run_tells_them(web: Web):
     form = web.client.get(start).text
     assert "resolution@camera0,camera1 interpolation=area scale=0.5" in form
     preview = web.client.get(start.replace("/runs/new?", "/configurations/new/preview?")).get_json()
-    assert preview["preview"] == "The same as configuration 2."
+    assert preview["preview"] == "Identical to configuration 2."
 
 
 def test_a_configuration_that_no_longer_fits_says_so(web: Web):
     path = web.hive.catalogue.project_root / "algorithms" / "eye-slam" / "algorithm.yaml"
     path.write_text(path.read_text().replace("maximum: 10000", "maximum: 1000"))
     page = unescaped(web.client.get("/configurations/1").text)
-    assert "It cannot be run any more: nFeatures=2000 is stored, eye-slam-stereo now wants int, 100 to 1000" in page
+    assert "This configuration can no longer be run: nFeatures=2000 is stored, eye-slam-stereo now wants int, 100 to 1000" in page
     assert "Run it" not in page
 
 

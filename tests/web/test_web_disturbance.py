@@ -53,7 +53,7 @@ def test_an_old_run_is_unknown_not_undisturbed(marked: Web) -> None:
 def test_a_run_that_was_not_watched_says_why_that_is_not_known(marked: Web) -> None:
     put(marked, "failed", Disturbance(known=False, not_measured=("the machine was not watched", "and more")))
     text = page(marked, f"/runs/{marked.runs['failed']}")
-    assert "disturbance not known: the machine was not watched</dd>" in text
+    assert "disturbance unknown: the machine was not watched</dd>" in text
 
 
 def test_lists_mark_runs_and_count_them_in_groups(marked: Web) -> None:
@@ -61,7 +61,7 @@ def test_lists_mark_runs_and_count_them_in_groups(marked: Web) -> None:
     assert BADGE in page(marked, "/")
     rows = marked.client.get("/searches/export.json?group=configuration").get_json()
     assert sum(row["disturbed"] for row in {row["configuration"]: row for row in rows}.values()) == 1
-    assert '<td title="measured on a disturbed machine; their figures are among the means">1</td>' in page(
+    assert '<td title="Measured on a disturbed machine; included in the means">1</td>' in page(
         marked, "/runs?group=configuration"
     )
 

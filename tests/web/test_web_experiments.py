@@ -102,7 +102,7 @@ def test_the_builder_asks_for_repetitions_of_disturbed_runs(web: Web):
     fields = {"from": "fields", "do": "write", "name": "mine", "algorithms": "eye-slam-mono", "datasets": "room"}
     state = edit(web, **fields, repeat_disturbed="2")
     assert "repeat_disturbed: 2\n" in state["yaml"]
-    assert "each disturbed one is repeated up to 2 times, not counted here" in words(state["preview"])
+    assert "up to 2 repeats of each disturbed run, not counted here" in words(state["preview"])
     assert 'name="repeat_disturbed"' in web.client.get("/new-experiment").text
     wrong = edit(web, **fields, repeat_disturbed="many")
     assert "repeat_disturbed" in wrong["error"]
@@ -114,7 +114,7 @@ def test_the_yaml_fills_the_fields(web: Web):
     assert 'name="parameters/nFeatures" id="field-parameters/nFeatures" value="500 | 1000 | 1500"' in state["builder"]
     assert 'value="eye-slam-stereo" checked' in state["builder"]
     assert 'value="beam-odometry" checked' not in state["builder"]
-    assert "lacks sensors for eye-slam-mono, eye-slam-stereo" in words(state["builder"])
+    assert "missing sensors for eye-slam-mono, eye-slam-stereo" in words(state["builder"])
 
 
 def test_a_mistake_is_told_with_its_line_and_at_its_field(web: Web):
@@ -182,7 +182,7 @@ def test_start_stores_it_and_leads_to_its_page(web: Web):
     assert web.hive.runs.counts()[RunState.QUEUED] == 12 + 1
     assert sum(web.hive.runs.counts().values()) == before + 12
     assert web.hive.experiments.source("trial").text == TRIAL
-    assert "trial is started: 12 runs." in words(web.client.get(answer.location).text)
+    assert "Started trial with 12 runs." in words(web.client.get(answer.location).text)
 
 
 def test_what_exists_already_is_told(trial: Web):
@@ -409,7 +409,7 @@ def test_many_configurations_make_a_small_page(web: Web):
     page = web.client.get("/experiments/trial").text
     assert len(page) < 150_000
     assert "Configurations 1 to 50 of 2,000" in words(page)
-    assert "Left out:" in words(web.client.get("/experiments/trial?rows=nFeatures&columns=algorithm").text)
+    assert "Not shown:" in words(web.client.get("/experiments/trial?rows=nFeatures&columns=algorithm").text)
     following = re.search(r'rel="next" href="([^"]+)"', page)
     assert following is not None
     assert "Configurations 51 to 100 of 2,000" in words(web.client.get(html.unescape(following[1])).text)
@@ -448,7 +448,7 @@ def test_disturbed_runs_are_counted_until_another_replaces_them(trial: Web):
     assert "<td>1 not evaluated, 1 queued; 1 disturbed</td>" in text
     trial.hive.runs.retry(first)
     text = trial.client.get("/experiments/trial").text
-    assert "Not counted: 1 failed or disturbed run that another run replaces." in text
+    assert "Not counted: 1 failed or disturbed run replaced by another run." in text
     assert "; 1 disturbed" not in text
     assert "<td>2 queued</td>" in text
 

@@ -154,7 +154,7 @@ def test_a_request_for_headers_only_leaves_no_stream_open(shown: Web):
 
 def test_events_refused_beyond_the_limit_are_503(shown: Web, monkeypatch: pytest.MonkeyPatch):
     def full(hub: LiveHub) -> LiveStream:
-        raise Unavailable("too many live pages are open on this server")
+        raise Unavailable("too many live pages are open")
 
     monkeypatch.setattr(LiveHub, "open", full)
     assert shown.client.get("/events").status_code == 503
@@ -220,12 +220,12 @@ def test_a_huge_body_is_refused_before_it_is_sent(shown: Web):
 
 
 def test_a_port_that_is_taken_is_said_in_one_line(shown: Web):
-    with serving(shown.hive) as (_, port, _thread), pytest.raises(Unavailable, match=f"port {port} .* is taken; .*--p"):
+    with serving(shown.hive) as (_, port, _thread), pytest.raises(Unavailable, match=f"port {port} .* is in use; .*--p"):
         WebServer(shown.hive, "127.0.0.1", port)
 
 
 @pytest.mark.parametrize(("host", "port"), [("192.0.2.1", 0), ("no such host", 0), ("127.0.0.1", 70000)])
 def test_an_address_that_is_not_ours_is_said_in_one_line(shown: Web, host: str, port: int):
-    with pytest.raises(InvalidInput, match=r"cannot bind|does not exist") as caught:
+    with pytest.raises(InvalidInput, match=r"cannot bind|is not valid") as caught:
         WebServer(shown.hive, host, port)
     assert isinstance(caught.value, SlamHiveError)

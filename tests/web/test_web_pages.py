@@ -72,7 +72,7 @@ def test_dashboard_shows_queue_progress_and_results(shown: Web):
     text = shown.client.get("/").text
     assert 'aria-valuenow="50.0"' in text
     assert "slamhive worker" in text
-    assert "Evaluate all 1 un-evaluated" in text
+    assert "Evaluate 1 pending" in text
     assert "Showing 1 of 1 queued run, oldest first." in text
     assert "0.04567" in text
     assert "no trajectory" in text

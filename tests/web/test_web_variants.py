@@ -53,7 +53,7 @@ def wait(name: str = "variant") -> None:
 
 
 def test_a_variant_is_made_listed_and_removed(track: Web):
-    assert "None in the cache." in track.client.get("/datasets/track").text
+    assert "The cache contains no variants of this dataset." in track.client.get("/datasets/track").text
     assert send(track, "/datasets/track/variants", steps="rate every=2").status_code == 303
     wait()
     (entry,) = track.hive.variants.entries("track")
@@ -85,7 +85,7 @@ def test_a_failed_build_says_why_on_the_page(track: Web):
     bag.write_bytes(bag.read_bytes()[:2000])
     assert send(track, "/datasets/track/variants", steps="rate every=2").status_code == 303
     wait()
-    assert "Not made: " in track.client.get("/datasets/track").text
+    assert "The variant could not be created: " in track.client.get("/datasets/track").text
 
 
 def test_one_at_a_time(track: Web, monkeypatch: pytest.MonkeyPatch):
@@ -99,9 +99,9 @@ def test_one_at_a_time(track: Web, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(track.hive.variants, "hold", hold)
     dataset = track.hive.catalogue.dataset("track")
     thread = maker.start(dataset, ())
-    with pytest.raises(Conflict, match="a variant of track is being made; wait"):
+    with pytest.raises(Conflict, match="a variant of track is being created; wait"):
         maker.start(dataset, ())
-    assert "Being made, 0 % done" in track.client.get("/datasets/track").text
+    assert "Creating a variant, 0 % done" in track.client.get("/datasets/track").text
     go_on.set()
     thread.join()
 

@@ -248,7 +248,7 @@ def compare(run_id: int) -> Response:
     services = hive()
     services.check_writable()
     queued = len(services.comparisons.queue(run_id))
-    flash(f"{plural(len(queued), "evaluation")} queued." if queued else "The metrics of every tool exist already.", "info")
+    flash(f"{plural(queued, 'evaluation')} queued." if queued else "The metrics of every tool exist already.", "info")
     return _to_run(run_id)
 
 
@@ -269,7 +269,7 @@ def evaluate_many() -> Response:
         queued = hive().evaluations.queue(None)
     else:
         queued = hive().evaluations.queue(_selected(request.form.getlist("run")))
-    flash(f"{plural(len(queued), "evaluation")} queued." if queued else "There is nothing to evaluate.", "info")
+    flash(f"{plural(len(queued), 'evaluation')} queued." if queued else "There is nothing to evaluate.", "info")
     return make_response(redirect(address("runs.index"), 303))
 
 
