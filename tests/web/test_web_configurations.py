@@ -51,7 +51,7 @@ def test_the_form_stores_and_tells_what_is_the_same(web: Web):
         web, "/configurations/new", **{**FORM, "name": "other"}, steps="rate hz=10\nresolution@camera0 scale=.5"
     )
     page = unescaped(web.client.get(again.location).text)
-    assert "Identical to configuration 2 (mine)." in page
+    assert "The same as configuration 2 (mine)." in page
     assert "It keeps the name 'mine'." in page
     assert web.hive.configurations.page().total == 2
 
@@ -129,7 +129,7 @@ def test_what_has_runs_cannot_be_deleted(web: Web):
     assert "no: it has 5 runs" in web.client.get("/configurations/1").text
     refused = send(web, "/configurations/1/delete")
     assert refused.status_code == 409
-    assert "what runs tell of must stay" in refused.text
+    assert "what runs tell of must stay" in refused.text.lower()
     free = web.hive.configurations.create(Submission("eye-slam-mono", "room")).record.id
     gone = send(web, f"/configurations/{free}/delete")
     assert gone.location == "/configurations"
@@ -178,7 +178,7 @@ def test_yaml_pasted_or_uploaded(web: Web):
 
 @pytest.mark.parametrize(
     ("text", "status", "words"),
-    [("", 400, "nothing was pasted"), ("a: &x 1\nb: *x", 400, "the text line 1: anchors and aliases"),
+    [("", 400, "there is no YAML to import"), ("a: &x 1\nb: *x", 400, "the text line 1: anchors and aliases"),
      ("slam-hive-algorithm: vins\nslam-hive-dataset: room\n", 404, "unknown algorithm 'vins'"),
      ("algorithm: <b>x</b>\ndataset: room\n", 404, "unknown algorithm '<b>x</b>'"),
      ("algorithm: eye-slam-mono\ndataset: room\nparameters: {nFeatures: x}", 400, "nFeatures='x' is not allowed")],

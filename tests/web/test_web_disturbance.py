@@ -34,7 +34,7 @@ def test_the_page_of_a_run_says_why_and_what_to_do(marked: Web) -> None:
     text = page(marked, f"/runs/{marked.runs['done']}")
     assert BADGE in text
     assert f"Measured on a disturbed machine: {WORDS}." in text
-    assert "Remedy: stop other programs and run it again." in text
+    assert "Stop other programs and run it again." in text
     assert "dropped frames and errors do too, because playback was in real time" in text
 
 

@@ -188,7 +188,7 @@ def test_start_stores_it_and_leads_to_its_page(web: Web):
 def test_what_exists_already_is_told(trial: Web):
     state = write(trial, TRIAL.replace("name: trial", "name: again"))
     assert "6 configurations with 12 runs" in words(state["preview"])
-    assert "is stored already" in words(write(trial, TRIAL)["preview"])
+    assert "already exists" in words(write(trial, TRIAL)["preview"])
 
 
 def test_a_copy_has_a_new_name_and_keeps_the_comments(trial: Web):
@@ -286,7 +286,7 @@ def test_the_page_shows_every_state_of_every_cell(trial: Web):
     world.start_run(hive, runs_of(trial, 3)[0])
     text = trial.client.get("/experiments/trial").text
     seen = words(text)
-    assert "3 of 12 runs ended: 2 good, 1 failed, 1 running, 8 queued." in seen
+    assert "3 of 12 runs finished: 2 good, 1 failed, 1 running, 8 queued." in seen
     assert "algorithm eye-slam-mono, nFeatures 500: 2 good" in text
     assert "algorithm eye-slam-mono, nFeatures 1000: 1 failed, 1 queued" in text
     assert "1 no trajectory" in seen
@@ -431,7 +431,7 @@ def test_cancelling_asks_first(trial: Web):
     text = trial.client.get("/experiments/trial").text
     confirmation = text.partition('<details class="confirm">')[2].partition("</details>")[0]
     assert 'action="/experiments/trial/cancel"' in confirmation
-    assert "12 runs will not be carried out" in confirmation
+    assert "12 runs will not run" in confirmation
     assert act(trial, "cancel").status_code == 303
     assert trial.hive.experiments.status("trial").standing is Standing.CANCELLED
     assert trial.hive.runs.get(runs_of(trial, 1)[0]).state is RunState.CANCELLED

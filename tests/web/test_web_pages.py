@@ -88,7 +88,7 @@ def test_empty_pages_say_what_to_do_next(empty: Web):
 def test_a_broken_dataset_is_named_and_hides_only_itself(web: Web):
     (web.hive.settings.datasets_folder / "room" / "dataset.yaml").write_text("format: 1\nformat: 2\n")
     text = web.client.get("/datasets").text
-    assert "1 dataset folder left out" in text
+    assert "1 dataset folder cannot be read" in text
     assert "hall" in text
 
 

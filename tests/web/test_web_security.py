@@ -58,7 +58,7 @@ def test_view_only_refuses_every_change_in_the_whole_map(web: Web, viewing: Web)
     for method, address in changes:
         answer = viewing.client.open(address, method=method, data={"csrf_token": token}, headers={API_HEADER: "1"})
         assert answer.status_code == 403, (method, address)
-        assert "only shows results" in answer.text
+        assert "is view-only" in answer.text
         assert answer.is_json == address.startswith("/api/")
     assert web.hive.runs.counts() == before
 

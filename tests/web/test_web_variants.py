@@ -58,7 +58,7 @@ def test_a_variant_is_made_listed_and_removed(track: Web):
     wait()
     (entry,) = track.hive.variants.entries("track")
     page = track.client.get("/datasets/track").text
-    assert "1 variant of it in the cache" in page
+    assert "1 variant in the cache" in page
     assert "rate of lidar (every 2)" in page
     assert f"{entry.size_bytes:,} bytes" in page
     other = send(track, f"/datasets/nowhere/variants/{entry.key}/drop")
