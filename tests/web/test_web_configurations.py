@@ -222,7 +222,10 @@ def test_a_configuration_that_no_longer_fits_says_so(web: Web):
     path = web.hive.catalogue.project_root / "algorithms" / "eye-slam" / "algorithm.yaml"
     path.write_text(path.read_text().replace("maximum: 10000", "maximum: 1000"))
     page = unescaped(web.client.get("/configurations/1").text)
-    assert "This configuration can no longer be run: nFeatures=2000 is stored, eye-slam-stereo now wants int, 100 to 1000" in page
+    assert (
+        "This configuration can no longer be run: nFeatures=2000 is stored, eye-slam-stereo now wants int, 100 to 1000"
+        in page
+    )
     assert "Run it" not in page
 
 

@@ -220,7 +220,10 @@ def test_a_huge_body_is_refused_before_it_is_sent(shown: Web):
 
 
 def test_a_port_that_is_taken_is_said_in_one_line(shown: Web):
-    with serving(shown.hive) as (_, port, _thread), pytest.raises(Unavailable, match=f"port {port} .* is in use; .*--p"):
+    with (
+        serving(shown.hive) as (_, port, _thread),
+        pytest.raises(Unavailable, match=f"port {port} .* in use; .*--p"),
+    ):
         WebServer(shown.hive, "127.0.0.1", port)
 
 
