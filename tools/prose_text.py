@@ -81,7 +81,7 @@ def plain(text: str) -> str:
     text = re.sub(r":\w+:CODE", CODE, text)
     text = re.sub(r"<(https?:[^>]*)>", CODE, text)
     text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", text)
-    text = re.sub(r"</?[a-zA-Z][^>]*>", "", text)
+    text = re.sub(r"</?[a-zA-Z][^>]*>|\*\*", "", text)
     return re.sub(r"\bhttps?://\S+", CODE, text)
 
 
