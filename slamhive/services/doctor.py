@@ -1,4 +1,4 @@
-"""``slamhive doctor``: what works on this machine, what does not, and what to do about it."""
+"""``slamhive doctor``: what works on this machine, what does not, and how to fix it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CPU = "load of others and steal"
 
 
 class Verdict(StrEnum):
-    """How a check came out."""
+    """The result of a check."""
 
     OK = "ok"
     WARNING = "warning"
@@ -29,7 +29,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked at, what was found, and the remedy if it is not well."""
+    """One check with its result, and the remedy if it failed."""
 
     name: str
     verdict: Verdict
@@ -38,7 +38,7 @@ class Check:
 
 
 def examine(hive: Hive) -> list[Check]:
-    """All checks, in the order in which they matter."""
+    """All checks, most important first."""
     checks: list[Check] = []
     for examination in _EXAMINATIONS:
         try:
@@ -60,7 +60,7 @@ def _data_root(hive: Hive) -> list[Check]:
     free_mb = shutil.disk_usage(data).free // 1_000_000
     enough = free_mb >= hive.settings.min_free_disk_mb
     found = f"{data}, {free_mb / 1000:.1f} GB free"
-    remedy = None if enough else "make room, or lower MIN_FREE_DISK_MB"
+    remedy = None if enough else "free some space, or lower MIN_FREE_DISK_MB"
     return [Check("data root", Verdict.OK if enough else Verdict.FAILED, found, remedy)]
 
 

@@ -244,7 +244,7 @@ def test_modes_that_do_not_exist_yet_say_so(hive, monkeypatch, mode):
 def test_a_full_disk_starts_nothing(hive, monkeypatch):
     monkeypatch.setenv("SLAMHIVE_MIN_FREE_DISK_MB", "999999999")
     strict = open_hive()
-    with pytest.raises(Unavailable, match="MB free, 999999999 MB are wanted"):
+    with pytest.raises(Unavailable, match="MB free, 999999999 MB are required"):
         strict.runs.submit(Submission("tiny", "track"))
     strict.close()
 

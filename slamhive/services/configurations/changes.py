@@ -1,4 +1,4 @@
-"""What is asked of a configuration, and what comes of it."""
+"""Requested changes of configurations, and their results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from slamhive.store import ConfigurationRecord
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """What a copy has instead of the original's; None leaves it. ``parameters`` are set beside the original's."""
+    """The differences of a copy; None keeps the original. ``parameters`` are added to those of the original."""
 
     algorithm: str | None = None
     dataset: str | None = None
@@ -24,14 +24,14 @@ class Changes:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """What users say about a configuration; None leaves what is there, an empty text removes it."""
+    """Name, note and group of a configuration; None keeps the current text, an empty text removes it."""
 
     name: str | None = None
     note: str | None = None
     group: str | None = None
 
     def checked(self) -> Label:
-        """The same without white space around; raises InvalidInput for a text that is none of its kind."""
+        """The stripped label; raises InvalidInput for a text that is not allowed."""
         return Label(
             name=None if self.name is None else check_label("configuration", self.name, empty=True),
             note=None if self.note is None else check_note(self.note),
@@ -44,9 +44,9 @@ NO_LABEL = Label()
 
 @dataclass(frozen=True, slots=True)
 class Stored:
-    """A configuration after an attempt to store it. ``notes`` tell, one line each, what did not come over and why.
+    """A stored configuration. ``notes`` explain, one line each, what was not taken over.
 
-    ``created`` is false where it was there already: identical configurations are one. ``seed`` is an import's.
+    ``created`` is false if an identical configuration existed already. ``seed`` is that of an imported file.
     """
 
     record: ConfigurationRecord

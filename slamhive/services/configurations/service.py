@@ -1,4 +1,4 @@
-"""Configurations: made, copied, changed, described, grouped, deleted, exported and imported; none ever changes."""
+"""Configurations: create, copy, modify, label, group, delete, export and import. Their content never changes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NO_FILTER = ConfigurationFilter()
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """A configuration with what it refers to, everything about it checked that needs no run."""
+    """A configuration with its algorithm and dataset, after all checks that need no run."""
 
     algorithm: Algorithm
     dataset: Dataset
@@ -38,9 +38,9 @@ class Configurations:
     """The configurations of one installation.
 
     Args:
-        settings: The mode decides whether anything may change.
-        store: Where they lie.
-        catalogue: What they are checked against.
+        settings: The mode decides whether changes are allowed.
+        store: The database.
+        catalogue: Algorithms and datasets.
         variants: Resolves pre-processing steps.
     """
 
@@ -50,12 +50,10 @@ class Configurations:
         self._catalogue = catalogue
         self._variants = variants
 
-    # -- looking ---------------------------------------------------------------------------------------------------
-
     def page(
         self, wanted: ConfigurationFilter = NO_FILTER, after: str | None = None, limit: int = 50
     ) -> ConfigurationPage:
-        """One page, newest first; raises InvalidInput or NotFound for a filter that cannot be meant."""
+        """One page, newest first; raises InvalidInput or NotFound for an invalid filter."""
         return self._store.read(lambda t: t.configuration_book.page(wanted, after, limit))
 
     def get(self, configuration_id: int) -> ConfigurationRecord:
@@ -63,7 +61,7 @@ class Configurations:
         return self._store.read(lambda t: t.configuration_book.get(configuration_id))
 
     def find(self, reference: str) -> ConfigurationRecord:
-        """The configuration with this number, or of this name; raises NotFound."""
+        """The configuration with this number or name; raises NotFound."""
         if reference.isascii() and reference.isdigit():
             if len(reference) > 18:
                 raise NotFound(f"unknown configuration {reference}", "slamhive configuration list shows all")
@@ -74,7 +72,7 @@ class Configurations:
         return self.get(found)
 
     def latest_runs(self, configuration_id: int, limit: int) -> tuple[RunRecord, ...]:
-        """Its newest runs with their figures, newest first."""
+        """Its newest runs with their metrics, newest first."""
 
         def work(t: Transaction) -> tuple[RunRecord, ...]:
             return t.runs.get_many(t.configuration_book.latest_runs(configuration_id, limit), with_metrics=True)
@@ -82,20 +80,20 @@ class Configurations:
         return self._store.read(work)
 
     def groups(self) -> dict[str, int]:
-        """All groups, and how many configurations each has."""
+        """All groups with their number of configurations."""
         return self._store.read(lambda t: t.configuration_book.groups())
 
     def check_group(self, name: str) -> str:
-        """``name`` if there is such a group; raises NotFound."""
+        """``name`` if the group exists; raises NotFound."""
         known = self.groups()
         if name not in known:
             raise unknown("group", name, list(known))
         return name
 
     def check(self, submission: Submission) -> Checked:
-        """What ``submission`` would run, with the variant spelt out.
+        """Check what ``submission`` would run; its variant gets all default options.
 
-        Raises NotFound or InvalidInput naming the value that cannot be used, Unavailable where there is no room.
+        Raises NotFound or InvalidInput naming the wrong value, Unavailable if the disk is too full for the variant.
         """
         submission.check()
         algorithm = self._catalogue.algorithm(submission.algorithm)
@@ -107,7 +105,7 @@ class Configurations:
         return Checked(algorithm, dataset, replace(configuration, variant=variant))
 
     def same_as(self, submission: Submission) -> ConfigurationRecord | None:
-        """The stored configuration with the content of ``submission``; raises as :meth:`check`."""
+        """The stored configuration identical to ``submission``, if any; raises as :meth:`check`."""
         content_hash = self.check(submission).configuration.content_hash
 
         def work(transaction: Transaction) -> ConfigurationRecord | None:
@@ -117,9 +115,9 @@ class Configurations:
         return self._store.read(work)
 
     def check_runnable(self, configuration_id: int) -> ConfigurationRecord:
-        """The configuration, if the algorithm as it is defined now still takes what is stored.
+        """The configuration, if its stored values are still valid.
 
-        Raises InvalidInput naming the value that no longer fits: a definition may have been edited since.
+        Raises InvalidInput naming the invalid value, if the definition of the algorithm was edited since.
         """
         record = self.get(configuration_id)
         algorithm = self._catalogue.algorithm(record.configuration.algorithm)
@@ -127,9 +125,9 @@ class Configurations:
         return record
 
     def submission(self, configuration_id: int, changes: Changes | None = None) -> tuple[Submission, tuple[str, ...]]:
-        """What runs this configuration with ``changes``, and notes of what does not come over to another algorithm.
+        """The submission of this configuration with ``changes``, and notes on values that were left out.
 
-        A value goes with its parameter's key or general name; what the algorithm has besides gets its default.
+        For another algorithm, values are matched by key or general name; its other parameters get their defaults.
         """
         record, changes = self.get(configuration_id), changes or Changes()
         stored = record.configuration
@@ -159,26 +157,24 @@ class Configurations:
         )
         return submission, tuple(notes)
 
-    # -- making ----------------------------------------------------------------------------------------------------
-
     def create(self, submission: Submission, label: Label = NO_LABEL) -> Stored:
-        """Store the configuration of ``submission``, or find the one that is the same."""
+        """Store the configuration of ``submission``, or find the identical one."""
         self._check_writable()
         return self._put(self.check(submission), label.checked())
 
     def copy(self, configuration_id: int, changes: Changes, label: Label = NO_LABEL) -> Stored:
-        """Store a copy with ``changes``; the original stays, and keeps its name, note and groups."""
+        """Store a copy with ``changes``; the original keeps its name, note and groups."""
         self._check_writable()
         submission, notes = self.submission(configuration_id, changes)
         stored = self._put(self.check(submission), label.checked())
         return replace(stored, notes=(*notes, *stored.notes))
 
     def modify(self, configuration_id: int, changes: Changes, label: Label = NO_LABEL) -> Stored:
-        """A configuration with ``changes`` in place of the old one, which goes if nothing depends on it.
+        """Replace a configuration by one with ``changes``.
 
-        Content never changes under a number: the changed configuration has a number of its own. It takes over name,
-        note and groups where the old one goes; where runs or an experiment hold that, it stays as it is, and a note
-        says so. Without a change of content, only what ``label`` says is changed.
+        The content under a number never changes: the new configuration gets its own number. If nothing depends on the
+        old one, it is deleted, and the new one takes over name, note and groups. If runs or an experiment depend on it,
+        it stays, and a note says so. If the content does not change, only ``label`` is applied.
         """
         self._check_writable()
         submission, notes = self.submission(configuration_id, changes)
@@ -204,7 +200,7 @@ class Configurations:
         return self._store.write(work)
 
     def import_yaml(self, text: str, source: str, label: Label = NO_LABEL) -> Stored:
-        """Store the configuration that a YAML text states, ours or a published SLAM Hive's.
+        """Store the configuration in a YAML text of this or of the published SLAM Hive.
 
         Raises NotFound or InvalidInput that names ``source`` and the place.
         """
@@ -226,7 +222,7 @@ class Configurations:
         return replace(stored, notes=(*stored.notes, *imported.notes), seed=imported.seed)
 
     def read_yaml(self, text: str, source: str) -> Imported:
-        """What a YAML text states, without storing it."""
+        """Parse a configuration in YAML, without storing it."""
         view = CatalogueView(
             algorithms={entry.name: entry for entry in self._catalogue.algorithms()},
             datasets={entry.name: entry for entry in self._catalogue.datasets()},
@@ -235,11 +231,9 @@ class Configurations:
         return configuration_from_yaml(text, view, source)
 
     def export_yaml(self, configuration_id: int) -> str:
-        """The text that :meth:`import_yaml` reads back to the same configuration."""
+        """The configuration as YAML, for :meth:`import_yaml`."""
         record = self.get(configuration_id)
         return configuration_to_yaml(record.configuration, record.name, record.note)
-
-    # -- describing and removing -----------------------------------------------------------------------------------
 
     def describe(self, configuration_id: int, label: Label) -> ConfigurationRecord:
         """Set name, note or group; raises Conflict if the name belongs to another configuration."""
@@ -253,7 +247,7 @@ class Configurations:
         return self._store.write(work)
 
     def group(self, name: str, configuration_ids: Sequence[int], *, remove: bool = False) -> None:
-        """Put configurations into a group, or take them out; all or none."""
+        """Add configurations to a group, or remove them from it; all or none."""
         self._check_writable()
         checked = check_label("group", name)
 
@@ -264,7 +258,7 @@ class Configurations:
         self._store.write(work)
 
     def delete(self, configuration_ids: Sequence[int]) -> None:
-        """Remove configurations, all or none; raises Conflict for one that runs or an experiment depend on."""
+        """Delete configurations, all or none; raises Conflict if runs or an experiment depend on one."""
         self._check_writable()
 
         def work(t: Transaction) -> None:
@@ -311,14 +305,14 @@ def put_configuration(t: Transaction, checked: Checked, now: datetime) -> tuple[
 
 
 def _inherited(old: ConfigurationRecord, new: ConfigurationRecord, label: Label) -> Label:
-    """``label`` for ``new``, completed by what was said about ``old`` where nothing is said about it yet."""
+    """``label`` for ``new``; fields that are empty in both are taken from ``old``."""
     name = old.name if label.name is None and new.name is None else label.name
     note = old.note if label.note is None and not new.note else label.note
     return replace(label, name=name, note=note)
 
 
 def _held_by(record: ConfigurationRecord) -> str | None:
-    """Why a configuration must stay, None if it need not."""
+    """Why a configuration cannot be deleted; None if it can."""
     if record.runs:
         return f"it has {record.runs} run{'s' if record.runs > 1 else ''}"
     return f"it is part of experiment {record.experiments[0]}" if record.experiments else None

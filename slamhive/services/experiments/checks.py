@@ -1,4 +1,4 @@
-"""What would keep an experiment from running, found before anything of it is stored."""
+"""Checks before an experiment is stored: everything that would keep it from running."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from slamhive.sweep.experiment import Experiment
 from slamhive.tree import folder_bytes
 
 UNMEASURED_RUN_BYTES = 500_000
-"""Of a run folder while none has been measured: log, samples, trajectory and plots of a run of a minute."""
+"""The assumed size of a run folder if none was measured: log, samples, trajectory and plots of one minute."""
 
 UNMEASURED_BYTES_PER_S = 100_000_000.0
 """Of a recording, read while a variant of it is made, as long as none was: what a slow disk takes up."""
@@ -34,7 +34,7 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class DiskSpace:
-    """Disk that an experiment needs and that there is, in bytes."""
+    """Required and available disk space of an experiment, in bytes."""
 
     variants: tuple[VariantNeed, ...]
     run_bytes: int
@@ -44,19 +44,19 @@ class DiskSpace:
 
     @property
     def variant_bytes(self) -> int:
-        """Of all variants that are still to be made."""
+        """The size of all variants that must still be made."""
         return sum(need.needed_bytes for need in self.variants if not need.made)
 
     @property
     def variant_s(self) -> float:
-        """How long it takes to make them, one after the other."""
+        """The time for making them one after the other."""
         return sum(need.make_s for need in self.variants if not need.made)
 
 
 def pair_problems(
     context: ExperimentContext, experiment: Experiment, expansion: Expansion, executor: str
 ) -> Iterator[SlamHiveError]:
-    """What is wrong with recordings, packages and alignment, each told once with its place."""
+    """Problems of recordings, packages and alignment, each reported once with its place in the file."""
     recorded: dict[str, Mapping[str, int] | None] = {}
     packages: set[str] = set()
     asked = RunLimits(experiment.limits.cpu_cores, experiment.limits.memory_mb)
@@ -82,7 +82,7 @@ def pair_problems(
 def protocol_of_pair(
     context: ExperimentContext, experiment: Experiment, expansion: Expansion, pair: Pair
 ) -> Protocol | None:
-    """The protocol that the experiment asks for, None for the one that the sensors deserve."""
+    """The protocol that the experiment requests; None for the default of the sensors."""
     if experiment.evaluation.alignment is None:
         return None
     algorithm, dataset = next((a, d) for a, d in expansion.pairs if (a.name, d.name) == pair)
@@ -90,7 +90,7 @@ def protocol_of_pair(
 
 
 def find_disk_space(context: ExperimentContext, expansion: Expansion) -> DiskSpace:
-    """Which variants are needed, and how much disk there is for them and for run folders."""
+    """The required variants, and the disk space for them and for run folders."""
     entries = context.variants.entries()
     made = {entry.key for entry in entries}
     datasets = {dataset.name: dataset for _, dataset in expansion.pairs}
@@ -114,7 +114,7 @@ def find_disk_space(context: ExperimentContext, expansion: Expansion) -> DiskSpa
 def disk_space_problems(
     context: ExperimentContext, experiment: Experiment, space: DiskSpace
 ) -> Iterator[SlamHiveError]:
-    """What does not fit, even with every unused variant removed; runs on the same variant follow each other."""
+    """What does not fit even if all unused variants are removed; runs on the same variant follow each other."""
     try:
         check_disk(context.settings)
     except Unavailable as error:
@@ -131,12 +131,12 @@ def disk_space_problems(
         yield Unavailable(
             f"{experiment.place}: the experiment needs {_mb(needed)} (largest variant {_mb(largest)}, run folders "
             f"{_mb(space.run_bytes)}, kept free {_mb(kept)}), {context.settings.data} has {_mb(space.free_bytes)} free",
-            "make room, or vary less at once",
+            "free some space, or vary less at once",
         )
 
 
 def warnings(space: DiskSpace) -> Sequence[str]:
-    """What works, but costs."""
+    """Warnings about variants that do not fit into the cache together."""
     total = sum(need.needed_bytes for need in space.variants)
     limit = min(space.cache_bytes, space.free_bytes + sum(need.needed_bytes for need in space.variants if need.made))
     if total <= limit:
@@ -146,7 +146,7 @@ def warnings(space: DiskSpace) -> Sequence[str]:
 
 
 def _speeds(entries: Sequence[VariantEntry]) -> dict[str, float]:
-    """Bytes of the recording per s at which variants were made: the median of each dataset, and of all."""
+    """The median speed of making variants, in bytes of the recording per s, for each dataset and for all."""
     known: dict[str, list[float]] = {}
     for entry in entries:
         if entry.bytes_per_s is not None:
@@ -156,7 +156,7 @@ def _speeds(entries: Sequence[VariantEntry]) -> dict[str, float]:
 
 
 def _bytes_of_a_run(context: ExperimentContext) -> int:
-    """The mean size of the latest run folders."""
+    """The mean size of the latest run folders, in bytes."""
     numbered = (entry for entry in context.settings.runs_folder.iterdir() if entry.name.isdigit())
     latest = nlargest(_MEASURED_RUNS, numbered, key=lambda entry: int(entry.name))
     sizes = [folder_bytes(folder) for folder in latest]

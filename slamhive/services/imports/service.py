@@ -1,7 +1,7 @@
-"""Importing runs that were made elsewhere: whole or not at all, and once however often it is asked for.
+"""Import runs that were made elsewhere. Each is imported completely or not at all, and only once.
 
-Each run is filed in the database first and its folder renamed into place right after; an import that is killed in
-between, or anywhere else, is completed by the same command.
+Each run is filed in the database first, then its folder is renamed into place. The same command completes an import
+that was killed at any time.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from slamhive.trajectory.layout import UNKNOWN
 BATCH = 50
 
 Progress = Callable[[int, int], None]
-"""Called with how many files were dealt with, and how many there are."""
+"""Called with the number of files done and their total."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Homes:
-    """What candidates belong to, by name; ``lost`` are datasets that cannot be used."""
+    """Algorithms and datasets of the candidates, by name; ``lost`` are datasets that cannot be used."""
 
     truths: Truths
     algorithms: dict[str, Algorithm] = field(default_factory=dict)
@@ -56,8 +56,8 @@ class Imports:
 
     Args:
         settings: Mode and data root.
-        store: Where runs are filed.
-        catalogue: Algorithms and datasets that are here.
+        store: The database.
+        catalogue: Known algorithms and datasets.
     """
 
     def __init__(self, settings: Settings, store: Store, catalogue: Catalogue) -> None:
@@ -66,14 +66,14 @@ class Imports:
         self._catalogue = catalogue
 
     def carry_out(self, request: ImportRequest, progress: Progress, *, dry_run: bool = False) -> ImportReport:
-        """Import everything that can be; what cannot is among the report's problems.
+        """Import all valid files; the report lists the problems of the others.
 
         With ``dry_run`` everything is read and nothing is written.
 
         Raises:
             InvalidInput: The source, a pattern or a table cannot be used, or holds nothing to import.
-            Conflict: Another import is under way.
-            Unavailable: The disk or the database refuses; what was imported until then stays.
+            Conflict: Another import is running.
+            Unavailable: The disk or the database failed; runs imported until then stay.
         """
         check_writable(self._settings)
         found = find(request)
@@ -97,7 +97,7 @@ class Imports:
         return report
 
     def _homes(self, request: ImportRequest, found: Found, report: ImportReport) -> _Homes:
-        """The algorithms of the candidates, those that cannot be used being problems, and no datasets yet."""
+        """Find the algorithms of the candidates; unusable ones are reported as problems."""
         truths = Truths(
             self._catalogue,
             self._settings.datasets_folder,
@@ -117,10 +117,7 @@ class Imports:
     def _find_datasets(
         self, read: Sequence[tuple[Candidate, PoseFile]], homes: _Homes, found: Found, report: ImportReport
     ) -> None:
-        """Find or make the datasets that are not known yet; one that cannot be used is a problem, told once.
-
-        Only for trajectories that can be read: nothing is made where every one is refused.
-        """
+        """Find or make missing datasets, but only for readable trajectories; an unusable one is reported once."""
         usable = [entry for entry in found.candidates if entry.algorithm in homes.algorithms]
         names = {candidate.dataset for candidate, _ in read}
         for name in sorted(names - homes.datasets.keys() - homes.lost):
@@ -154,7 +151,7 @@ class Imports:
                 )
 
     def _batch(self, loaded: list[Loaded], homes: _Homes, request: ImportRequest, report: ImportReport) -> None:
-        """File what is new, and give every run its folder."""
+        """File new runs, and create missing folders."""
         beginnings = {trial_digits(entry.candidate) for entry in loaded}
         known = self._store.read(lambda t: t.imports.known(beginnings))
         trials = {uid[: len(uid) // 2]: run_id for uid, run_id in known.items()}
@@ -185,7 +182,7 @@ class Imports:
     def _protocols(
         self, entries: Iterable[Loaded], homes: _Homes, request: ImportRequest
     ) -> dict[tuple[str, str], Protocol]:
-        """By algorithm and dataset the protocol of the runs, if it is not the one that their sensors deserve."""
+        """The protocols of the runs by algorithm and dataset, unless it is the default."""
         if request.duplicates is Duplicates.REFUSE:
             return {}
         asked = ProtocolRequest({"duplicates": request.duplicates.value}, "--duplicates")
@@ -298,7 +295,7 @@ def _file(
 
 
 def _origin(entry: Loaded) -> dict[str, Any]:
-    """What is known of where a run comes from: the name of the file below the source, never the way to it."""
+    """The origin of a run: the file name relative to the source, never the full path."""
     reading = entry.reading
     return {
         "source": entry.candidate.name,

@@ -1,4 +1,4 @@
-"""A run as JSON: the one shape that the command line, the web API and exports share."""
+"""A run as JSON, for command line, web API and exports."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def metrics_to_json(values: dict[str, float]) -> dict[str, dict[str, Any]]:
 
 
 def evaluation_to_json(evaluation: EvaluationRecord, folder: RunFolder) -> dict[str, Any]:
-    """One evaluation: under which protocol, how it went, why it failed, and hints at mistakes.
+    """One evaluation: its protocol, state, failure reason, and hints at mistakes.
 
     ``folder`` is that of its run, which holds the hints of the last evaluation under the protocol.
     """

@@ -1,4 +1,4 @@
-"""Filing a run folder as database rows: what reindexing and archives share. The folder is the truth."""
+"""File run folders as database rows, for reindexing and archives. The folder is the truth."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from slamhive.store.records import AlgorithmVersion, EvaluationState, Host, RunS
 logger = logging.getLogger(__name__)
 
 _NOT_A_RECORD = (KeyError, TypeError, ValueError, AttributeError)
-"""What reading a record raises that lacks something, or holds something else in its place."""
+"""The errors of reading a record that is incomplete or has values of wrong types."""
 
 FoundEvaluation = tuple[Protocol, EvaluationResult, datetime]
 """Protocol, result and time of an evaluation."""
@@ -39,7 +39,7 @@ FoundEvaluation = tuple[Protocol, EvaluationResult, datetime]
 
 @dataclass(frozen=True, slots=True)
 class Filed:
-    """What is filed of a run besides its row, out of its record."""
+    """What is filed of a run besides its row, from its record."""
 
     configuration: Configuration
     dataset: Dataset
@@ -52,10 +52,10 @@ class Filed:
 
 @dataclass(frozen=True, slots=True)
 class FolderRun:
-    """A run out of its folder, to be filed.
+    """A run to be filed, from its folder.
 
-    ``found``: the evaluations in the folder, oldest first; ``history``: what is known of those that were filed
-    elsewhere. ``current``: the protocol whose figures are shown.
+    ``found``: the evaluations in the folder, oldest first; ``history``: evaluations from the ledger or archive.
+    ``current``: the protocol whose metrics are shown.
     """
 
     record: dict[str, Any]
@@ -67,7 +67,7 @@ class FolderRun:
 
 
 def read_filed(catalogue: Catalogue, record: dict[str, Any], source: str) -> Filed:
-    """What the record tells; raises InvalidInput, naming ``source``, if something is missing or none of ours."""
+    """Read a record; raises InvalidInput, naming ``source``, if it is incomplete or malformed."""
     try:
         return _read(catalogue, record)
     except _NOT_A_RECORD as error:
@@ -75,9 +75,9 @@ def read_filed(catalogue: Catalogue, record: dict[str, Any], source: str) -> Fil
 
 
 def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -> dict[int, int]:
-    """Make the rows of some hundreds of runs, their events, evaluations and figures what their folders say.
+    """Add or update the rows of some hundreds of runs, with events, evaluations and metrics.
 
-    Returns those that repeat a run which is not here, see :meth:`FiledRunRepository.file`.
+    Returns those that repeat a missing run, see :meth:`FiledRunRepository.file`.
     """
     now = utc_now()
     places = put_configurations(t, catalogue, [run.filed for run in runs])
@@ -109,7 +109,7 @@ def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -
 
 
 def put_configurations(t: Transaction, catalogue: Catalogue, entries: Sequence[Filed]) -> list[tuple[int, int]]:
-    """The rows of algorithm and configuration of each, made if they are new."""
+    """Store the algorithm and configuration of each run if they are new; returns their ids."""
     now = utc_now()
     modes = {entry.configuration.algorithm: (entry.package, entry.mode) for entry in entries}
     algorithms = {name: t.catalogue.put_algorithm_named(name, *mode) for name, mode in modes.items()}
@@ -132,21 +132,21 @@ def put_configurations(t: Transaction, catalogue: Catalogue, entries: Sequence[F
 
 
 def found_evaluations(folder: RunFolder) -> list[FoundEvaluation]:
-    """Each whole evaluation in the folder, oldest first."""
+    """The complete evaluations in the folder, oldest first."""
     found = []
     for path in sorted(folder.root.glob(f"evaluations/*/{RESULT_FILE}"), key=lambda entry: entry.stat().st_mtime):
         try:
             protocol = protocol_from_content(read_record(path.parent / PROTOCOL_FILE))
             result = _checked(result_from_json(read_text(path, MOST_RECORD_BYTES)), protocol)
         except (InvalidInput, *_NOT_A_RECORD) as error:
-            logger.warning("%s is left out: %s", path.parent, error)
+            logger.warning("%s is skipped: %s", path.parent, error)
             continue
         found.append((protocol, result, _modified(path)))
     return found
 
 
 def _checked(result: EvaluationResult, protocol: Protocol) -> EvaluationResult:
-    """The result, if it is one of ``protocol`` and has figures that can be filed; raises ValueError or TypeError."""
+    """Check that a result belongs to ``protocol`` and has finite metrics; raises ValueError or TypeError."""
     if result.fingerprint != protocol.fingerprint:
         raise ValueError(f"it is a result of protocol {result.fingerprint}")
     if not all(isinstance(key, str) and math.isfinite(value) for key, value in result.metrics.items()):
@@ -155,7 +155,7 @@ def _checked(result: EvaluationResult, protocol: Protocol) -> EvaluationResult:
 
 
 def current_protocol(folder: RunFolder, evaluations: Iterable[FoundEvaluation]) -> str | None:
-    """The protocol that was chosen for the run, or, in folders that do not say, the latest that has figures."""
+    """The protocol chosen for the run; if the folder does not say, the latest one with metrics."""
     succeeded = [result.fingerprint for _, result, _ in evaluations if result.succeeded]
     chosen = folder.read_current_protocol()
     if chosen in succeeded:
@@ -202,7 +202,7 @@ def _read(catalogue: Catalogue, record: dict[str, Any]) -> Filed:
 
 
 def dataset_of(catalogue: Catalogue, name: str, record: Mapping[str, Any]) -> Dataset:
-    """The dataset as its folder says, or what the record knows of one that is gone, which has no recording."""
+    """The dataset from its folder; if that is gone, from the record, without a recording."""
     try:
         return catalogue.dataset_in_folder(name)
     except SlamHiveError:

@@ -1,4 +1,4 @@
-"""``run.json``: the record from which a database row can be rebuilt, and back."""
+"""``run.json``: the record from which the database row of a run can be rebuilt."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def begin_record(run: RunRecord) -> dict[str, Any]:
 
 
 def events_to_json(events: Sequence[RunEvent]) -> list[dict[str, Any]]:
-    """The moves of a run, oldest first."""
+    """The state changes of a run, oldest first."""
     return [
         {
             "at": exact(event.at),
@@ -104,7 +104,7 @@ def _without_mounts(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def handle_to_json(handle: RunHandle) -> dict[str, Any]:
-    """What is remembered to find a started run again."""
+    """The data for finding a started run again."""
     return {"executor": handle.executor, "data": dict(handle.data)}
 
 
@@ -114,7 +114,7 @@ def handle_from_json(content: Mapping[str, Any]) -> RunHandle:
 
 
 def configuration_from_record(record: Mapping[str, Any]) -> Configuration:
-    """The configuration a sealed folder tells of."""
+    """The configuration in the record of a run."""
     request = record["request"]
     parameters = {
         key: tuple(value) if isinstance(value, list) else value for key, value in request["parameters"].items()
@@ -127,7 +127,7 @@ def configuration_from_record(record: Mapping[str, Any]) -> Configuration:
 def snapshot_from_record(
     record: Mapping[str, Any], configuration_id: int, experiment_id: int | None = None
 ) -> RunSnapshot:
-    """The row that a record stands for; raises InvalidInput if the record does not hold together.
+    """The row for a record; raises InvalidInput if the record is inconsistent.
 
     ``experiment_id`` is the row of the experiment that the record names, None if there is none.
     """

@@ -1,4 +1,4 @@
-"""Keeps ``run.json`` up to date while a run lives."""
+"""Keep ``run.json`` up to date during a run."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from slamhive.store.records import RunRecord
 
 
 class RecordKeeper:
-    """Writes the record of one run, always with the moves that the database knows.
+    """Writes the record of one run, always with the state changes in the database.
 
     Args:
         folder: The run's folder.
-        store: Where the moves are.
+        store: The database.
         run_id: The run.
     """
 
@@ -27,7 +27,7 @@ class RecordKeeper:
         self._run_id = run_id
 
     def readable(self) -> bool:
-        """Whether there is a record that can be read."""
+        """Whether there is a readable record."""
         try:
             self._folder.read_record()
         except SlamHiveError:

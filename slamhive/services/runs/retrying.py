@@ -1,4 +1,4 @@
-"""A run again: what a new run takes over from the one whose place it takes."""
+"""Retry runs: a new run takes over the request of an old one."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from slamhive.store.records import RunRecord, RunRequest
 
 
 def check_retriable(old: RunRecord) -> None:
-    """Raise Conflict for a run that has not ended, and for one that was made elsewhere."""
+    """Raise Conflict for a run that has not ended or was imported."""
     if old.executor == IMPORTED:
         raise Conflict(f"run {old.id} was imported: it cannot be run again here", "import its next trial")
     if not old.state.ended:
-        raise Conflict(f"run {old.id} is {old.state}", "only a run that has ended can be tried again")
+        raise Conflict(f"run {old.id} is {old.state}", "only a run that has ended can be retried")
 
 
 def retry_request(t: Transaction, old: RunRecord, uid: str) -> RunRequest:
-    """The request for a new run with all that was asked for with ``old``; on hold if its experiment is paused."""
+    """The request for a new run with the options of ``old``; held if its experiment is paused."""
     experiment = None if old.experiment is None else t.experiments.locked(old.experiment)
     return RunRequest(
         uid=uid,
@@ -47,10 +47,10 @@ def retry_request(t: Transaction, old: RunRecord, uid: str) -> RunRequest:
 
 
 def repeat_if_disturbed(t: Transaction, run: RunRecord, now: datetime) -> None:
-    """Queue a run in the place of ``run`` if it has ended disturbed and may be repeated; done again, it adds nothing.
+    """Queue a repetition of ``run`` if it ended disturbed and may be repeated; a second call adds nothing.
 
-    The repetition may be repeated once less. It is stored in the transaction that ends the run: a worker that dies
-    leaves both or none.
+    The repetition may be repeated one time less. It is stored in the transaction that ends the run, so that a worker
+    that dies leaves both changes or none.
     """
     wanted = run.disturbance is not None and run.disturbance.disturbed and run.repeat_disturbed > 0
     if not wanted or run.state not in (RunState.SUCCEEDED, RunState.FAILED):

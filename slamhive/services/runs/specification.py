@@ -1,4 +1,4 @@
-"""From a queued run to everything an executor needs: configuration file, mounts, limits, time limit, provenance."""
+"""Turn a queued run into what an executor needs: configuration file, inputs, limits and provenance."""
 
 from __future__ import annotations
 
@@ -60,28 +60,28 @@ class Job:
 
     @property
     def seen(self) -> Dataset:
-        """The dataset that the run gets to see; figures are taken against the ground truth of ``dataset``."""
+        """The dataset that the run uses; metrics are computed with the ground truth of ``dataset``."""
         return self.dataset if self.used is None else self.used.dataset
 
 
 def check_disk(settings: Settings) -> None:
-    """Raise Unavailable if the data root has less free space than the settings ask for."""
+    """Raise Unavailable if the data root has less free space than the settings require."""
     free_mb = shutil.disk_usage(settings.data).free // 1_000_000
     if free_mb < settings.min_free_disk_mb:
         raise Unavailable(
-            f"{settings.data} has {free_mb} MB free, {settings.min_free_disk_mb} MB are wanted",
-            "make room, or lower MIN_FREE_DISK_MB",
+            f"{settings.data} has {free_mb} MB free, {settings.min_free_disk_mb} MB are required",
+            "free some space, or lower MIN_FREE_DISK_MB",
         )
 
 
 def check_dataset_files(dataset: Dataset) -> None:
-    """Raise InvalidInput if the recording itself is not there."""
+    """Raise InvalidInput if the recording is missing."""
     if not dataset.bag_path.exists():
         raise InvalidInput(f"dataset {dataset.name} lacks its recording {dataset.bag_path}", "import it again")
 
 
 def recorded_topics(dataset: Dataset) -> dict[str, int]:
-    """{topic: messages} of the recording; raises InvalidInput if it is missing or damaged. Only its index is read."""
+    """{topic: number of messages} from the index of the recording; raises InvalidInput if missing or damaged."""
     check_dataset_files(dataset)
     return {entry.topic: entry.count for entry in inspect_bag(dataset.bag_path).topics}
 
@@ -169,7 +169,7 @@ def time_limit_s(job: Job, settings: Settings) -> float:
 
 
 def provenance(job: Job, identity: str) -> dict[str, Any]:
-    """What ``run.json`` says about where the run's parts come from."""
+    """The provenance of the run for ``run.json``."""
     package = job.algorithm.package
     return {
         "software": f"slamhive {__version__}",
@@ -230,6 +230,6 @@ def _limits(job: Job, settings: Settings, cores: tuple[int, ...] | None) -> Limi
 
 
 def disk_limit_bytes(settings: Settings) -> int:
-    """What the run may write: as set, but never so much that other runs and the database are left without room."""
+    """How much the run may write: as set, but other runs and the database keep their free space."""
     spared_bytes = settings.min_free_disk_mb * 500_000
     return max(0, min(settings.run_disk_mb * 1_000_000, shutil.disk_usage(settings.data).free - spared_bytes))

@@ -1,4 +1,4 @@
-"""The last step of a run: its evidence is judged, its folder sealed, its figures stored."""
+"""The last step of a run: judge the evidence, seal the folder, store the metrics."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ logger = logging.getLogger(__name__)
 
 
 class Collecting:
-    """Collects what one run has left."""
+    """Collects the result of one run."""
 
     def __init__(self, hand: RunInHand) -> None:
         self._hand = hand
 
     def collect(self) -> None:
-        """To ``succeeded`` or ``failed``."""
+        """Move the run to ``succeeded`` or ``failed``."""
         hand = self._hand
         hand.check_owner()
         status = hand.executor.poll(hand.handle)
@@ -47,7 +47,7 @@ class Collecting:
         self._tidy_up()
 
     def _tidy_up(self) -> None:
-        """What is left to do once the outcome is safe; none of it can change the outcome."""
+        """Clean up after the outcome is stored; errors here do not change the outcome."""
         try:
             self._hand.executor.remove(self._hand.handle)
             remove_scratch(self._hand)
@@ -63,7 +63,7 @@ class Collecting:
         metrics: dict[str, float],
         disturbance: Disturbance,
     ) -> None:
-        """The folder first, since it is the truth; then its index."""
+        """Write the folder first, because it is the truth; then the database, its index."""
         hand = self._hand
         poses = evidence.trajectory.poses
         ending = {

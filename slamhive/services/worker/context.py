@@ -1,4 +1,4 @@
-"""What the drivers of one worker share."""
+"""What all run drivers of a worker share."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from slamhive.store.records import RunRecord
 
 
 class WorkerStopping(SlamHiveError):
-    """The worker ends; the run goes on and is adopted by the next worker."""
+    """The worker is stopping; the run continues, and the next worker adopts it."""
 
 
 @dataclass(frozen=True)
 class DriverContext:
-    """What every driver of a worker shares."""
+    """What all run drivers of a worker share."""
 
     settings: Settings
     store: Store

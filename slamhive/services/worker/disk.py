@@ -1,4 +1,4 @@
-"""What a run writes: watched while it runs, and tidied up when it has ended."""
+"""The files that a run writes: watch their size while it runs, clean up after it has ended."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from slamhive.tree import remove_tree
 logger = logging.getLogger(__name__)
 
 _SHARE = 10
-"""A look is followed by a pause of so many times the CPU time that it took: a tenth of a core at most."""
+"""After each check, wait this many times its CPU time, so that checks use at most a tenth of a core."""
 _HIDDEN_INTERVAL_S = 1.0
 
 
 class DiskWatch:
-    """Watches what one run writes.
+    """Watches the disk usage of one run.
 
     Args:
         hand: The run.
-        limits: What it may write.
+        limits: Its disk limits.
     """
 
     def __init__(self, hand: RunInHand, limits: DiskLimits) -> None:
@@ -35,7 +35,7 @@ class DiskWatch:
         self._folders_due_s = self._hidden_due_s = monotonic_s()
 
     def exceeded(self) -> str | None:
-        """In words the limit that is exceeded; None if none is, as far as was looked at."""
+        """The exceeded limit in words; None if none was exceeded at the last check."""
         limit_bytes = self._limits.size_bytes
         if limit_bytes is not None and monotonic_s() >= self._hidden_due_s:
             hidden_bytes = self._hand.executor.hidden_bytes(self._hand.handle)
@@ -51,13 +51,13 @@ class DiskWatch:
 
 
 def disk_limits(saved: dict[str, Any]) -> DiskLimits:
-    """The limits in the record of a run; none for one that was started without."""
+    """The disk limits in the record of a run; none if it was started without limits."""
     limits = saved.get("spec", {}).get("limits", {})
     return DiskLimits(limits.get("disk_bytes"), limits.get("files"))
 
 
 def settle_result(hand: RunInHand) -> None:
-    """Write down what a run has left that has ended, then remove what must not stay of it."""
+    """Record the files of an ended run, then remove those that must not stay."""
     known = hand.keeper.readable()
     saved = hand.saved() if known else {}
     limits = disk_limits(saved)
@@ -65,16 +65,16 @@ def settle_result(hand: RunInHand) -> None:
     if known and LEFT not in saved:
         hand.save({LEFT: look_at(hand.folder, found)})
     for problem in settle(hand.folder, found, limits):
-        logger.warning("run %d has left what cannot be removed: %s", hand.run.id, problem)
+        logger.warning("files of run %d cannot be removed: %s", hand.run.id, problem)
 
 
 def remove_scratch(hand: RunInHand) -> None:
-    """Remove the scratch space of a run whose executor needs it no more."""
+    """Remove the scratch space of a run that its executor no longer needs."""
     _remove(hand.folder.work)
 
 
 def sweep_scratch(runs: Path, store: Store) -> None:
-    """Remove the scratch space of runs that have ended, which a worker that was killed has left."""
+    """Remove the scratch space of ended runs that a killed worker left behind."""
     left = {int(path.parent.name): path for path in runs.glob("*/work") if path.parent.name.isdecimal()}
     for number in store.read(lambda t: t.archive.ended_among(list(left))):
         _remove(left[number])
@@ -84,4 +84,4 @@ def _remove(folder: Path) -> None:
     try:
         remove_tree(folder)
     except OSError as error:
-        logger.warning("%s is left: %s", folder, error.strerror)
+        logger.warning("%s cannot be removed: %s", folder, error.strerror)

@@ -1,4 +1,4 @@
-"""One run from state to state. Each step can be done again by another worker if this one dies in the middle of it."""
+"""Drive one run from state to state. If the worker dies during a step, another worker can repeat it."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class RunDriver:
     """Takes one claimed run to its end.
 
     Args:
-        context: What the worker's drivers share.
-        run: The run, in whatever active state its last worker left it.
+        context: Shared by all drivers of the worker.
+        run: The run, in any active state.
         cores: Core numbers of the slot, None for all.
     """
 
@@ -41,10 +41,10 @@ class RunDriver:
         self._hand = RunInHand(context, run, cores)
 
     def drive(self) -> RunRecord:
-        """Step until the run has ended (or went back to the queue); the run as it is then.
+        """Step until the run has ended or is queued again; returns it.
 
-        Raises LeaseLost, WorkerStopping, EngineUnavailable or Unavailable: the run stays in its state, another call
-        of a fresh driver goes on from there.
+        Raises LeaseLost, WorkerStopping, EngineUnavailable or Unavailable: the run keeps its state, and a new driver
+        can continue from there.
         """
         hand = self._hand
         with ExitStack() as held:
@@ -66,12 +66,12 @@ class RunDriver:
         return hand.run
 
     def give_up(self, why: str) -> None:
-        """End the run as failed because the controller cannot go on with it; its record may be unreadable."""
+        """End the run as failed because the controller cannot continue it; its record may be unreadable."""
         hand = self._hand
         try:
             self._end_what_runs()
         except (SlamHiveError, OSError) as error:
-            logger.warning("run %d is given up, but may go on in its engine: %s", hand.run.id, str(error))
+            logger.warning("run %d is given up, but may still be running in its engine: %s", hand.run.id, str(error))
         if hand.run.state is RunState.CANCELLING:
             hand.move(RunState.CANCELLED, why)
             return
@@ -82,7 +82,7 @@ class RunDriver:
         hand.fail(reasons.get(hand.run.state, FailureReason.LOST), why)
 
     def _keep_variant(self, held: ExitStack) -> None:
-        """Hold the variant of a run that another worker has prepared."""
+        """Hold the variant of a run that another worker prepared."""
         hand = self._hand
         if hand.run.variant and hand.run.state is not RunState.PREPARING and hand.keeper.readable():
             key = variant_key(hand.saved())
@@ -116,7 +116,7 @@ class RunDriver:
         hand.move(RunState.CANCELLED, CANCELLED_BY_USER, record={} if hand.folder.record.exists() else None)
 
     def _end_what_runs(self) -> None:
-        """Stop and remove what was started for the run, known or not."""
+        """Stop and remove everything that was started for the run."""
         hand = self._hand
         if hand.run.handle is not None:
             hand.executor.stop(hand.handle, self._context.settings.stop_grace_s)
@@ -127,12 +127,12 @@ class RunDriver:
             settle_result(hand)
             remove_scratch(hand)
         elif hand.keeper.readable() and "spec" in hand.saved():
-            # A start whose answer was lost may have started something all the same.
+            # Even if the answer to the start was lost, something may have been started.
             hand.executor.discard(hand.spec)
             remove_scratch(hand)
 
 
 def _start_time(handle: RunHandle, now: datetime) -> datetime:
-    """When the engine started the run, if it says so: a worker that adopts it comes later. Never after ``now``."""
+    """The start time that the engine reports, which precedes an adoption by another worker; at most ``now``."""
     known = handle.data.get("started_at")
     return now if known is None else min(now, datetime.fromisoformat(known))

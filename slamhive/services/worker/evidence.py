@@ -1,4 +1,4 @@
-"""What is known of a run that has ended, from the engine, the record and the (untrusted) result folder."""
+"""Evidence about an ended run, from the engine, the record and the (untrusted) result folder."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from slamhive.services.runs import untracked_s
 MAX_ABOUT_BYTES = 64_000
 
 STOPPED_BECAUSE = "stopped_because"
-"""Key of the record: why the controller ended the run: one of the endings of ``watching``."""
+"""Record key: why the controller ended the run, one of the endings in ``watching``."""
 
 DISK_LIMIT = "disk_limit"
-"""Key of the record: in words the disk limit for which the controller ended the run."""
+"""Record key: the exceeded disk limit in words."""
 
 LEFT = "left"
-"""Key of the record: what the run had left when it ended, before anything was removed of it."""
+"""Record key: the files of the run at its end, before any were removed."""
 
 STOP_RULE = "stop_rule"
-"""Key of the record: reason and detail of the stop rule that was broken."""
+"""Record key: reason and detail of the stop rule that ended the run."""
 
 STARTED_BY = "started_by_attempt"
-"""Key of the record: which attempt of a worker was the first to start the run, or to try."""
+"""Record key: the first attempt at starting the run."""
 
 _KILLED = 137
-"""The exit code of what got SIGKILL."""
+"""The exit code after SIGKILL."""
 
 ENGINE_AWAY = "engine_away_at"
-"""Key of the record: since when the engine has not answered, while it does not."""
+"""Record key: since when the engine has not answered."""
 
 
 def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any], rules: StopWhen) -> Evidence:
-    """Put the evidence together.
+    """Collect the evidence.
 
     Args:
         folder: The run's folder.
-        status: How the engine says that the run stands.
+        status: The state of the run in the engine.
         saved: The record so far: limits, what the run has left (:func:`look_at`), and why the controller ended the
             run, if it did.
         rules: The stop rules of the run.
@@ -72,7 +72,7 @@ def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any],
 
 
 def look_at(folder: RunFolder, found: Survey) -> dict[str, Any]:
-    """What a run has left, for its record: written down before anything is removed, so that it can be done twice."""
+    """Describe the files of a run for its record, before any are removed, so that the step can be repeated."""
     trajectory = inspect_trajectory(folder.trajectory)
     return {
         "files": found.files,
@@ -89,7 +89,7 @@ def _trajectory(content: dict[str, Any]) -> TrajectoryCheck:
 
 
 def read_about(folder: RunFolder) -> dict[str, Any] | None:
-    """What the algorithm says of itself (its version, the vocabulary it used); None if it says nothing."""
+    """What the algorithm reports about itself (its version, the vocabulary it used); None if nothing."""
     return read_untrusted_json(folder.about, MAX_ABOUT_BYTES)
 
 
@@ -99,7 +99,7 @@ def _ended_early(saved: dict[str, Any]) -> EarlyEnd:
 
 
 def _gone_because(status: RunStatus, saved: dict[str, Any]) -> str | None:
-    """Why the way the run ended says nothing of the algorithm; None if it does."""
+    """Why the end of the run says nothing about the algorithm; None if it does."""
     if isinstance(status, Gone):
         return status.why
     engine_away_at = saved.get(ENGINE_AWAY)
@@ -111,5 +111,5 @@ def _gone_because(status: RunStatus, saved: dict[str, Any]) -> str | None:
 
 
 def _unwatched(saved: dict[str, Any]) -> bool:
-    """Whether another worker than the first that tried to start the run finds it ended, and none has stopped it."""
+    """Whether the run ended unobserved: a later worker finds it ended, and no worker had stopped it."""
     return STOPPED_BECAUSE not in saved and saved.get(STARTED_BY, saved.get("attempt")) != saved.get("attempt")

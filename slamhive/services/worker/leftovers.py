@@ -1,6 +1,6 @@
-"""What killed processes leave behind is removed when a worker starts: half-written files and folders, scratch space.
+"""Remove leftovers of killed processes when a worker starts: incomplete files and folders, scratch space.
 
-What a live process works on is locked by it and stays.
+Files that a running process uses are locked and stay.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from slamhive.store.records import RunRecord
 logger = logging.getLogger(__name__)
 
 LATEST = 1000
-"""So many runs and evaluations that ended last are looked at: a worker that dies is at few."""
+"""The number of latest runs to check: a dead worker had only a few."""
 
 
 def sweep_leftovers(settings: Settings, store: Store, variants: Variants, executors: Callable[[str], Executor]) -> None:
-    """Remove what killed processes have left in the data root, and where the system keeps temporary files."""
+    """Remove leftovers of killed processes from the data root and the folder for temporary files."""
     data = settings.data
     sweep_scratch(data)
     sweep_temporary()

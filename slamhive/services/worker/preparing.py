@@ -1,4 +1,4 @@
-"""The first step of a run: everything is made and written down that the start needs."""
+"""The first step of a run: make and record everything that its start needs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MOST_OF_A_LINE = 200
 
 
 class PreparationCancelled(SlamHiveError):
-    """The user has cancelled the run while its variant was being made."""
+    """The user cancelled the run while its variant was being made."""
 
 
 class Preparing:
@@ -51,7 +51,7 @@ class Preparing:
         self._held = held
 
     def prepare(self) -> None:
-        """To ``starting``; or to an end if the run is not to be tried, cannot be made, or is cancelled."""
+        """Move the run to ``starting``, or to its end if it is skipped, cannot be prepared, or is cancelled."""
         hand = self._hand
         if hand.cancel_requested():
             hand.move(RunState.CANCELLING, CANCELLED_BY_USER)
@@ -87,7 +87,7 @@ class Preparing:
         write_config(job, hand.folder)
         capabilities = hand.executor.capabilities
         spec = build_spec(job, hand.folder, hand.context.settings, identity, hand.cores, capabilities)
-        # The attempt is written down before the start: a worker that dies in the start may have started the run.
+        # Record the attempt before the start: a worker that dies during the start may have started the run.
         prepared = {**provenance(job, identity), "spec": spec_to_json(spec), STARTED_BY: hand.run.attempt}
         host = self._register_version(job, identity)
         why = f"prepared with {identity[:19]}"
@@ -104,7 +104,7 @@ class Preparing:
         return Job(run.id, run.uid, algorithm, dataset, configuration, run.seed, limits)
 
     def _with_variant(self, job: Job) -> Job:
-        """The variant that the run uses, made if need be; it is held until the driver lets go of the run."""
+        """The variant of the run, made if necessary and held until the driver releases the run."""
         hand = self._hand
 
         def progress(fraction: float, text: str) -> None:

@@ -1,4 +1,4 @@
-"""A run in the hands of its driver: row, folder and record, changed together."""
+"""A run that a driver holds: its row, folder and record, changed together."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class RunInHand:
     """One claimed run.
 
     Args:
-        context: What the worker's drivers share.
-        run: The row as it is now.
+        context: Shared by all drivers of the worker.
+        run: The current row.
         cores: Core numbers of the slot, None for all.
     """
 
@@ -41,12 +41,12 @@ class RunInHand:
 
     @cached_property
     def executor(self) -> Executor:
-        """The one that the run was asked for."""
+        """The executor of the run."""
         return self.context.executors(self.run.executor)
 
     @property
     def handle(self) -> RunHandle:
-        """What was started; raises InvalidInput if nothing was."""
+        """The handle of the started run; raises InvalidInput if there is none."""
         if self.run.handle is None:
             raise InvalidInput(f"run {self.run.id} is {self.run.state} without a handle")
         return handle_from_json(self.run.handle)
@@ -101,7 +101,7 @@ class RunInHand:
             self.save(changes, coming)
 
     def fail(self, reason: FailureReason, detail: str) -> None:
-        """End the run as failed: the folder first, since it is the truth; then its index."""
+        """End the run as failed. Writes the folder first, because it is the truth; then the database, its index."""
         logger.warning("run %d failed: %s: %s", self.run.id, reason, detail)
         self.folder.create()
         ending = {"reason": reason.value, "detail": detail}
@@ -112,18 +112,18 @@ class RunInHand:
         self.run = self.context.store.read(lambda t: t.runs.get(self.run.id))
 
     def cancel_requested(self) -> bool:
-        """Whether somebody wants the run to end."""
+        """Whether a user asked to cancel the run."""
         return self.context.cancel_requested(self.run.id)
 
     def check_owner(self) -> None:
-        """Ask the database, before the folder is written: after a long sleep another worker may have the run."""
+        """Ask the database before the folder is written: after a long suspend, another worker may hold the run."""
         owner, lease_s = self.context.owner, self.context.settings.lease_s
         if not self.context.store.write(lambda t: t.queue.heartbeat([self.run.id], t.lease(owner, lease_s))):
             raise LeaseLost(f"run {self.run.id} is held by another worker now")
 
     def check_still_ours(self) -> None:
-        """Raise WorkerStopping if this worker ends, or has let go of the run."""
+        """Raise WorkerStopping if this worker is stopping or no longer holds the run."""
         if not self.context.still_held(self.run.id):
             raise WorkerStopping(f"run {self.run.id} is held by another worker now")
         if self.context.stopping.is_set():
-            raise WorkerStopping(f"run {self.run.id} goes on without this worker")
+            raise WorkerStopping(f"run {self.run.id} continues without this worker")

@@ -1,4 +1,4 @@
-"""What a slot does next: runs on the same data one after the other, but not for ever; and none for an absent engine."""
+"""Choose the next run of a slot: prefer runs on the same data, for a while; skip engines that do not answer."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from slamhive.executors.base import Executor
 from slamhive.store.records import RunRecord
 
 MOST_IN_A_ROW = 20
-"""So many runs on the same data, then the oldest of the queue has its turn, whatever it is."""
+"""After this many runs on the same data, the oldest run in the queue is next."""
 
 
 class Turns:
-    """Remembers what one slot did last."""
+    """Remembers the latest runs of one slot."""
 
     def __init__(self) -> None:
         self._affinity = ""
@@ -26,11 +26,11 @@ class Turns:
 
     @property
     def near(self) -> str:
-        """The affinity that the next run should share, empty if the oldest is due."""
+        """The preferred affinity of the next run; empty if the oldest run is due."""
         return self._affinity if self._in_a_row < MOST_IN_A_ROW else ""
 
     def took(self, run: RunRecord) -> None:
-        """The slot works on ``run`` now."""
+        """Note that the slot has claimed ``run``."""
         asked = self.near
         again = bool(asked) and bool(run.affinity) and same_data(asked) == same_data(run.affinity)
         self._in_a_row = self._in_a_row + 1 if again else 1
@@ -38,11 +38,11 @@ class Turns:
 
 
 class AbsentExecutors:
-    """Executors that did not answer: their queued runs wait, those of others go on. Safe to share between threads.
+    """Executors that do not answer: their runs stay in the queue, others continue. Thread-safe.
 
     Args:
         executors: The executor for a name.
-        pause_s: How long to wait before one is asked again.
+        pause_s: Time before an executor is asked again.
         clock: Monotonic seconds.
     """
 
@@ -56,12 +56,12 @@ class AbsentExecutors:
         self._ask_at_s: dict[str, float] = {}
 
     def note(self, name: str) -> None:
-        """``name`` does not answer."""
+        """Note that the executor ``name`` does not answer."""
         with self._lock:
             self._ask_at_s[name] = self._clock() + self._pause_s
 
     def names(self) -> tuple[str, ...]:
-        """Those that do not answer yet; one whose pause is over is asked."""
+        """The executors that still do not answer; asks those whose pause is over."""
         with self._lock:
             due = [name for name, at_s in self._ask_at_s.items() if self._clock() >= at_s]
         for name in due:

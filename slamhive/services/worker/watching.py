@@ -1,4 +1,4 @@
-"""While a run goes on: sample it, look at it, and end it where its limits, its stop rules or the user say so."""
+"""Watch a running run: sample it, and end it at its limits, by its stop rules, or when the user cancels it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from slamhive.services.worker.evidence import DISK_LIMIT, ENGINE_AWAY, STOP_RULE
 from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
 
 LINGER_S = 10.0
-"""An algorithm that has said ``finished`` may take this long to end before it is stopped; its result stands."""
+"""How long an algorithm may take to exit after ``finished`` before it is stopped; its result counts."""
 
 _ENDINGS = {
     "timeout": "time limit reached",
@@ -31,11 +31,11 @@ _ENDINGS = {
 }
 
 _AT_ONCE = frozenset({"disk_limit", "process_limit"})
-"""Endings that leave no time to be asked politely."""
+"""Endings after which the run is killed at once."""
 
 
 class Watch:
-    """Watches one run until it has ended, or is to be ended by the user."""
+    """Watches one run until it has ended or the user cancels it."""
 
     def __init__(self, hand: RunInHand) -> None:
         self._hand = hand
@@ -43,7 +43,7 @@ class Watch:
         self._finished_at: datetime | None = None
 
     def watch(self) -> None:
-        """To ``collecting``, or to ``cancelling``."""
+        """Move the run to ``collecting`` or ``cancelling``."""
         with self._sampled() as sampled:
             cause = self._wait_for_end()
         if cause == "cancelled":
@@ -82,7 +82,7 @@ class Watch:
         return MachineLogs(EnergyLog(hand.folder.energy), HostLog(hand.folder.host, counters))
 
     def _wait_for_end(self) -> str:
-        """Why the run has ended: ``exited``, ``gone``, ``cancelled``, or what :data:`STOPPED_BECAUSE` says."""
+        """Why the run has ended: ``exited``, ``gone``, ``cancelled``, or the value under :data:`STOPPED_BECAUSE`."""
         hand = self._hand
         saved = hand.saved()
         timeout_s = hand.spec.timeout_s
@@ -93,13 +93,13 @@ class Watch:
             if not isinstance(status, Running):
                 return "gone" if isinstance(status, Gone) else "exited"
             if engine_was_away:
-                # The run has outlived it: what it ends with from now on is its own doing.
+                # The run has outlived the absence of its engine: from now on, its exit code is its own.
                 hand.save({}, without=ENGINE_AWAY)
                 engine_was_away = False
             if hand.cancel_requested():
                 return "cancelled"
             if STOPPED_BECAUSE in saved:
-                # A worker died between writing down why and stopping; what it had seen may have passed by now.
+                # A worker recorded why and died before it stopped the run; the cause may have passed by now.
                 return self._stop(saved[STOPPED_BECAUSE])
             hand.executor.refresh(hand.spec, hand.handle)
             cause = {STOPPED_BECAUSE: "process_limit"} if status.process_limit else self._cause_to_stop(timeout_s, disk)
@@ -109,7 +109,7 @@ class Watch:
             hand.context.stopping.wait(hand.context.settings.poll_interval_s)
 
     def _cause_to_stop(self, timeout_s: float, disk: DiskWatch) -> dict[str, Any] | None:
-        """What the record has to say of why the run is stopped now, None while it may go on."""
+        """The record entries that say why the run must stop now; None if it may continue."""
         hand = self._hand
         if hand.elapsed_s() > timeout_s:
             return {STOPPED_BECAUSE: "timeout"}
@@ -119,7 +119,7 @@ class Watch:
         if self._finished_at is None and is_finished(hand.folder.finished):
             self._finished_at = hand.context.now()
         if self._finished_at is not None:
-            # Its result is complete, there is nothing left to end early.
+            # The result is complete: there is nothing to end early.
             lingered_s = (hand.context.now() - self._finished_at).total_seconds()
             return {STOPPED_BECAUSE: "linger"} if lingered_s > LINGER_S else None
         broken = broken_rule(hand.run.stop_when, self._observation())
@@ -136,13 +136,13 @@ class Watch:
         )
 
     def _stop_because(self, cause: dict[str, Any]) -> str:
-        """Stop the run; why is written down first, so that the exit code is not taken for the algorithm's."""
+        """Stop the run. Records the reason first, so that the exit code is not blamed on the algorithm."""
         self._hand.check_owner()
         self._hand.save(cause)
         return self._stop(cause[STOPPED_BECAUSE])
 
     def _stop(self, cause: str) -> str:
-        # What fills the disk, or multiplies, would go on for as long.
+        # A run that fills the disk or forks would continue during a grace period.
         grace_s = 0.0 if cause in _AT_ONCE else self._hand.context.settings.stop_grace_s
         self._hand.executor.stop(self._hand.handle, grace_s)
         return cause

@@ -1,7 +1,7 @@
-"""The worker: claims queued runs, drives each to its end in a slot of its own, evaluates what has succeeded.
+"""The worker: claims queued runs, drives each to its end in a slot, and evaluates those that succeeded.
 
-The database is the queue. Whatever kills this process, the runs go on in their containers; the next worker claims
-them when the lease has run out (at once if it can see that the old worker's process is gone) and carries on.
+The database is the queue. If this process is killed, the runs continue in their containers. The next worker claims
+them when the lease has expired, or at once if it sees that the process of the old worker is gone.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ EVALUATION_INTERVAL_S = 30.0
 
 
 class Worker:
-    """Runs slots until told to stop, or until nothing is left to do.
+    """Runs its slots until it is stopped, or until there is nothing left to do.
 
     Args:
         settings: Slots, intervals, lease.
         store: The queue.
         catalogue: Algorithms and datasets.
         executors: The executor for a name.
-        evaluations: Evaluates what has succeeded.
-        only: Work on these runs alone, None for all.
+        evaluations: Evaluates successful runs.
+        only: The only runs to work on; None for all.
     """
 
     def __init__(
@@ -90,13 +90,13 @@ class Worker:
         )
 
     def stop(self) -> None:
-        """Ask the worker to end; runs in progress go on without it."""
+        """Stop the worker; active runs continue without it."""
         self._stopping.set()
 
     def run(self, *, until_idle: bool = False) -> None:
         """Work until :meth:`stop`, or, with ``until_idle``, until there is nothing left to do.
 
-        Raises Conflict if a worker of this data root runs on this machine already.
+        Raises Conflict if a worker of this data root is already running on this machine.
         """
         slots = self._settings.worker_slots
         cores = share_cores(slots)
@@ -126,7 +126,7 @@ class Worker:
 
     def _slot(self, cores: tuple[int, ...] | None, until_idle: bool) -> None:
         if cores is not None:
-            # What the slot does itself (a variant, an evaluation) disturbs the others as little as its runs do.
+            # The slot's own work (variants, evaluations) stays on its cores, so that it disturbs no other slot.
             os.sched_setaffinity(0, cores)
         turns = Turns()
         while not self._stopping.is_set():
@@ -138,7 +138,7 @@ class Worker:
                 self._stopping.wait(TROUBLE_PAUSE_S)
                 continue
             except Exception:
-                logger.exception("a fault of the worker; it goes on in %.0f s", TROUBLE_PAUSE_S)
+                logger.exception("internal error of the worker; it continues in %.0f s", TROUBLE_PAUSE_S)
                 self._stopping.wait(TROUBLE_PAUSE_S)
                 continue
             if busy:
@@ -148,7 +148,7 @@ class Worker:
             self._stopping.wait(IDLE_PAUSE_S)
 
     def _work_once(self, cores: tuple[int, ...] | None, turns: Turns, away: Collection[str]) -> bool:
-        """One run whose executor is not ``away``, or one batch of evaluations; whether there was anything to do."""
+        """Do one run whose executor is not ``away``, or one batch of evaluations; returns whether there was one."""
         near, lease_s = turns.near, self._settings.lease_s
         run = self._store.write(lambda t: t.queue.claim(t.lease(self.owner, lease_s), self._only, near, away))
         if run is not None:
@@ -156,15 +156,15 @@ class Worker:
             self._drive(run, cores)
             if monotonic_s() < self._next_evaluation_s:
                 return True
-        # Between runs, not beside them; not after each one either: a start of the engine serves many runs.
+        # Evaluate between runs, not beside them, and not after each run: one engine start serves many runs.
         self._next_evaluation_s = monotonic_s() + EVALUATION_INTERVAL_S
         evaluated = self._evaluations.work_once(self.owner, self._stopping, self._only, cores=cores)
-        # In the turn of a run as well, on the cores of this slot: no run of another slot is measured wrongly by it.
+        # Analyses, too, run in place of a run and on the cores of this slot, so that they disturb no other slot.
         analysed = self._only is None and self._analyses.work_once(self.owner, self._stopping)
         return run is not None or evaluated > 0 or analysed
 
     def _waits_for_engine(self, away: Collection[str]) -> bool:
-        """Whether runs were left out because their engine was ``away``; it may have come back since."""
+        """Whether runs were skipped because their engine was ``away``; it may be back by now."""
         return bool(away) and self._store.read(lambda t: t.queue.waits(self._only))
 
     def _drive(self, run: RunRecord, cores: tuple[int, ...] | None) -> None:
@@ -181,7 +181,7 @@ class Worker:
         logger.info("run %d: %s%s", ended.id, ended.state, f" ({ended.detail})" if ended.detail else "")
 
     def _drive_through_trouble(self, run: RunRecord, cores: tuple[int, ...] | None) -> RunRecord:
-        """Drive, and go on from the stored state each time the engine, database or disk was away."""
+        """Drive the run, and continue from its stored state after failures of engine, database or disk."""
         said = ""
         while True:
             driver = RunDriver(self._context, run, cores)
@@ -201,14 +201,14 @@ class Worker:
             except SlamHiveError as error:
                 driver.give_up(str(error))
             except Exception as error:
-                logger.exception("run %d ends by a fault of the worker", run.id)
+                logger.exception("run %d fails because of an internal error of the worker", run.id)
                 driver.give_up(f"internal error: {type(error).__name__}: {error}")
             run = self._reloaded(run)
             if run.state.ended:
                 return run
 
     def _put_back(self, run: RunRecord, why: str) -> bool:
-        """Let a run of which nothing has been started wait in the queue for its engine, not in the slot."""
+        """Queue a run again that was not started, so that it waits for its engine without blocking the slot."""
         now, waits = self._context.now(), f"waits: {why}"
 
         def work(transaction: Transaction) -> bool:
@@ -220,7 +220,7 @@ class Worker:
 
         keeper = RecordKeeper(RunFolder(self._settings.runs_folder / str(run.id)), self._store, run.id)
         if keeper.readable():
-            # Before the move: after it another slot may have the run, and its record.
+            # Before the move: after it, another slot may hold the run and its record.
             moving = RunEvent(now, RunState.PREPARING, RunState.QUEUED, waits)
             keeper.save({"state": RunState.QUEUED.value}, moving)
         if not self._store.write(work):
@@ -246,7 +246,7 @@ class Worker:
         return current
 
     def _heartbeat(self, ends: threading.Event) -> None:
-        """Extend the leases, and learn of runs that were cancelled."""
+        """Extend the leases, and note cancelled runs."""
         next_beat = 0.0
         while not ends.wait(CANCEL_CHECK_S):
             held = self._held.snapshot()
@@ -260,8 +260,8 @@ class Worker:
             except SlamHiveError as error:
                 logger.warning("heartbeat: %s", str(error))
             except Exception:
-                # Without a heartbeat another worker would take over what this one goes on with.
-                logger.exception("a fault of the heartbeat; it goes on")
+                # Without heartbeats, another worker would take over the runs of this one.
+                logger.exception("internal error of the heartbeat; it continues")
 
     def _beat(self, held: set[int]) -> None:
         still = self._store.write(lambda t: t.queue.heartbeat(held, t.lease(self.owner, self._settings.lease_s)))
@@ -274,20 +274,20 @@ class Worker:
                 self._held.discard(run_id)
 
     def _take_over_from_the_dead(self) -> None:
-        """Free what a killed worker of this machine held, so that nobody waits for its lease to run out."""
+        """Release the runs of killed workers on this machine, before their leases expire."""
         owners = self._store.read(lambda t: t.queue.owners() | t.evaluations.owners() | t.analyses.owners())
         for owner in owners:
             if owner != self.owner and owner_is_dead(owner):
-                logger.info("worker %s is gone, its runs are taken over", owner)
+                logger.info("worker %s is dead: its runs are taken over", owner)
                 self._store.write(lambda t, owner=owner: _release(t, owner))  # type: ignore[misc]
 
     def _sweep(self) -> None:
-        """Remove what killed workers have left behind."""
+        """Remove leftovers of killed workers."""
         self._sweep_executors()
         try:
             sweep_leftovers(self._settings, self._store, self._context.variants, self._context.executors)
         except (SlamHiveError, OSError) as error:
-            logger.warning("what killed workers have left may still be there: %s", error)
+            logger.warning("leftovers of killed workers may remain: %s", error)
 
     def _sweep_executors(self) -> None:
         """Remove what runs that have ended have left in their executors."""
@@ -308,11 +308,11 @@ class Worker:
         try:
             self._store.write(lambda t: t.queue.release_all(self.owner))
         except SlamHiveError as error:
-            logger.warning("leases run out by themselves: %s", error)
+            logger.warning("the leases could not be released and will expire: %s", error)
 
 
 def _release(transaction: Transaction, owner: str) -> None:
-    """Put back whatever ``owner``, known to be dead, holds."""
+    """Release everything that the dead ``owner`` holds."""
     transaction.queue.release_all(owner)
     transaction.evaluations.release_all(owner)
     transaction.analyses.release_all(owner)
