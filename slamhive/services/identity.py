@@ -7,7 +7,7 @@ import platform
 import uuid
 from pathlib import Path
 
-from slamhive.executors.process.shim import process_birth
+from slamhive.executors.process.table import process_birth
 
 _UNKNOWN = "unknown"
 _PID_NAMESPACE = Path("/proc/self/ns/pid")

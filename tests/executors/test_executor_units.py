@@ -12,8 +12,8 @@ from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import NotFound, Unavailable
 from slamhive.executors.base import Capabilities, EngineUnavailable, ExecutorContext, ImageMissing, StartFailed
 from slamhive.executors.docker.build import follow_build
+from slamhive.executors.docker.container import container_options
 from slamhive.executors.docker.engine import connect, container_name, engine_errors
-from slamhive.executors.docker.executor import container_options
 from slamhive.executors.docker.stats import parse_stats
 from slamhive.executors.process.capped_log import CappedLog, assemble
 from slamhive.executors.process.environment import Environments

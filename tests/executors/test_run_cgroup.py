@@ -15,9 +15,10 @@ from pathlib import Path
 import pytest
 
 from slamhive.executors.cgroup import CgroupV2
+from slamhive.executors.process.cgroup_parents import Parents, find_parents
 from slamhive.executors.process.containment import found_again
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
-from slamhive.executors.process.run_cgroup import Parents, RunCgroup, find_parents, group_name, left_over_groups
+from slamhive.executors.process.run_cgroup import RunCgroup, group_name, left_over_groups
 from slamhive.executors.process.table import living, processes_of_user
 from slamhive.executors.process.tree_limit import TreeLimit
 from tests.executors.strangers import as_nobody

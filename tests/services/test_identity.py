@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from slamhive.executors.process.shim import process_birth
+from slamhive.executors.process.table import process_birth
 from slamhive.services import identity
 from slamhive.services.identity import owner_is_dead, worker_identity
 

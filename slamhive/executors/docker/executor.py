@@ -6,7 +6,6 @@ and the installation. "No such container" (404) and "exists already" (409) are t
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Collection
 from datetime import UTC, datetime, timedelta
@@ -15,7 +14,6 @@ from typing import Any
 
 import docker
 import docker.errors
-from docker.types import LogConfig, Mount, Ulimit
 
 from slamhive.clock import utc_now
 from slamhive.domain.algorithm import AlgorithmPackage
@@ -35,12 +33,11 @@ from slamhive.executors.base import (
 )
 from slamhive.executors.cgroup import cgroup_of
 from slamhive.executors.docker.batch import DockerStarter
+from slamhive.executors.docker.container import container_options, scratch_folder
 from slamhive.executors.docker.engine import (
     EVALUATION_KEY,
-    HARDENING,
     INSTALLATION_LABEL,
     KEY_LABEL,
-    RUN_LABEL,
     connect,
     container_name,
     engine_errors,
@@ -48,13 +45,10 @@ from slamhive.executors.docker.engine import (
 from slamhive.executors.docker.image import find_image, make_image
 from slamhive.executors.docker.refusals import RefusedProcesses, engine_protections
 from slamhive.executors.docker.stats import DockerStatsSource
-from slamhive.executors.local_files import make_own_copies, read_places, written_places
+from slamhive.executors.local_files import make_own_copies
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
 from slamhive.files import remedy_of, write_aside
-
-ROS_ENVIRONMENT = {"HOME": "/tmp", "ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://localhost:11311"}  # noqa: S108
-"""HOME is /tmp: the user of the run has no other folder to write to."""
 
 _UNSET_TIME = "0001-"
 _START_PATIENCE = timedelta(minutes=5)
@@ -226,7 +220,7 @@ class DockerExecutor(Executor):
                 return None
 
     def _create(self, spec: RunSpec) -> Any:
-        scratch = _scratch(spec)
+        scratch = scratch_folder(spec)
         try:
             scratch.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -262,53 +256,6 @@ class DockerExecutor(Executor):
             except docker.errors.APIError as error:
                 if error.status_code != 409:  # 409: it is being removed already
                     raise
-
-
-def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]:
-    """The arguments of ``containers.create`` for a run. Pure, so that a test can check them."""
-    limits = spec.limits
-    options: dict[str, Any] = {
-        **HARDENING,
-        "image": spec.identity,
-        "name": container_name(spec.key),
-        "entrypoint": list(spec.command),
-        "command": [],
-        "labels": {
-            KEY_LABEL: spec.key,
-            RUN_LABEL: str(spec.run_id),
-            INSTALLATION_LABEL: context.installation,
-        },
-        "environment": {**ROS_ENVIRONMENT, **spec.environment},
-        "mounts": _mounts(spec),
-        "user": f"{os.getuid()}:{os.getgid()}",
-        "pids_limit": limits.pids,
-        "log_config": LogConfig(
-            type=LogConfig.types.JSON,
-            config={"max-size": str(max(1000, context.log_max_bytes // 2)), "max-file": "2"},
-        ),
-    }
-    if limits.memory_bytes is not None:
-        options["mem_limit"] = limits.memory_bytes
-        options["memswap_limit"] = limits.memory_bytes
-    if limits.cpu_cores is not None:
-        options["nano_cpus"] = round(limits.cpu_cores * 1e9)
-    if limits.file_bytes is not None:
-        options["ulimits"] = [Ulimit(name="fsize", soft=limits.file_bytes, hard=limits.file_bytes)]
-    if limits.cpuset is not None:
-        options["cpuset_cpus"] = ",".join(map(str, limits.cpuset))
-    return options
-
-
-def _mounts(spec: RunSpec) -> list[Mount]:
-    """The mounts of a run. A mount below another one comes after it, and so shows in it."""
-    read_only = read_places(spec)
-    # /tmp counts with the result, unlike the container's own layer, and takes no memory, unlike a tmpfs.
-    places = {**read_only, **written_places(spec), "/tmp": _scratch(spec)}  # noqa: S108 - the container's
-    return [Mount(target, str(places[target]), type="bind", read_only=target in read_only) for target in sorted(places)]
-
-
-def _scratch(spec: RunSpec) -> Path:
-    return spec.work.resolve() / "tmp"
 
 
 def _time(text: str | None) -> datetime | None:

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from slamhive.executors.process.cgroup_parents import find_parents
 from slamhive.executors.process.containment_base import Containment, ContainmentRequest, DoesNotHold
-from slamhive.executors.process.run_cgroup import RunCgroup, find_parents
+from slamhive.executors.process.run_cgroup import RunCgroup
 from slamhive.executors.process.tree_limit import TreeLimit
 
 

@@ -1,8 +1,9 @@
-"""The few calls to the Linux kernel that Python's library lacks."""
+"""Limits of a process, and the few calls to the Linux kernel that Python's library lacks."""
 
 from __future__ import annotations
 
 import ctypes
+import resource
 
 PR_SET_PDEATHSIG = 1
 PR_SET_KEEPCAPS = 8
@@ -13,6 +14,7 @@ _PR_CAP_AMBIENT_RAISE = 2
 
 CAP_DAC_OVERRIDE = 1
 CAP_DAC_READ_SEARCH = 2
+_OPEN_FILES = 65_536
 _CAPABILITY_VERSION_3 = 0x20080522
 
 
@@ -47,3 +49,12 @@ def keep_only(capability: int) -> None:
 def _check(result: int, call: str) -> None:
     if result != 0:
         raise OSError(ctypes.get_errno(), f"{call} failed")
+
+
+def limit_resources(file_bytes: int) -> None:
+    """Limit the calling process and what it starts: no core dumps, not too many open files, none too large."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    for kind, wanted in ((resource.RLIMIT_NOFILE, _OPEN_FILES), (resource.RLIMIT_FSIZE, file_bytes)):
+        hard = resource.getrlimit(kind)[1]
+        limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+        resource.setrlimit(kind, (limit, limit))

@@ -13,82 +13,21 @@ import re
 import signal
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from slamhive.clock import monotonic_s
-from slamhive.executors.cgroup import CGROUP_ROOT, CgroupV1, CgroupV2, TaskCounter, parse_flat, parse_memberships
+from slamhive.executors.cgroup import CGROUP_ROOT, CgroupV1, CgroupV2, TaskCounter, parse_flat
+from slamhive.executors.process.cgroup_parents import V1_CONTROLLERS, V2_CONTROLLERS, Parents
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
 from slamhive.executors.process.table import ProcessEntry, end_all, living, read_process
 from slamhive.executors.refusal_watch import REFUSAL_PATIENCE_S
 from slamhive.executors.status import UsageSource
 
 PREFIX = "slamhive-"
-_V1_CONTROLLERS = ("pids", "memory", "cpu", "cpuacct", "freezer")
-_V2_CONTROLLERS = ("pids", "memory", "cpu")
 _PERIOD_US = 100_000
 _FREEZE_PATIENCE_S = 0.5
 _PAUSE_S = 0.005
-
-
-@dataclass(frozen=True, slots=True)
-class Parents:
-    """Where groups of runs are made: a folder for each controller that is available."""
-
-    version: int
-    folders: dict[str, Path]
-
-
-def find_parents(root: Path = CGROUP_ROOT, own: Path = Path("/proc/self/cgroup")) -> Parents:
-    """Where this process may make groups. Raises DoesNotHold.
-
-    Args:
-        root: Where the control groups are mounted.
-        own: Names the groups of this process.
-    """
-    try:
-        memberships = parse_memberships(own.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise DoesNotHold("this kernel has no control groups") from None
-    if (root / "cgroup.controllers").exists():
-        return Parents(2, dict.fromkeys(*_v2_parent(root, memberships.get("", "/"))))
-    found = {name: _v1_parent(root / name, memberships.get(name, "/")) for name in _V1_CONTROLLERS}
-    folders = {name: folder for name, folder in found.items() if folder is not None}
-    if "pids" not in folders:
-        raise DoesNotHold(f"no group below {root}/pids can be made by this user")
-    return Parents(1, folders)
-
-
-def _v1_parent(tree: Path, own: str) -> Path | None:
-    for folder in (tree / own.lstrip("/"), tree):
-        if folder.is_dir() and os.access(folder, os.W_OK | os.X_OK):
-            return folder
-    return None
-
-
-def _v2_parent(root: Path, own: str) -> tuple[list[str], Path]:
-    """Controllers and folder of the nearest group that may have groups of runs in it."""
-    start = root / own.lstrip("/")
-    for folder in (start, *start.parents):
-        if os.access(folder, os.W_OK | os.X_OK) and os.access(folder / "cgroup.procs", os.W_OK):
-            enabled = _enable(folder)
-            if "pids" in enabled:
-                return enabled, folder
-        if folder == root:
-            break
-    raise DoesNotHold(f"no group around {start} is delegated to this user with the controller pids")
-
-
-def _enable(folder: Path) -> list[str]:
-    """The controllers of groups below ``folder``. They are enabled unless somebody else manages them."""
-    switch = folder / "cgroup.subtree_control"
-    if "pids" not in switch.read_text(encoding="ascii").split():
-        for controller in _V2_CONTROLLERS:
-            # Refused where processes are in the group itself, and where the group lacks the controller.
-            with contextlib.suppress(OSError):
-                switch.write_text(f"+{controller}", encoding="ascii")
-    return [name for name in switch.read_text(encoding="ascii").split() if name in _V2_CONTROLLERS]
 
 
 def group_name(installation: str, key: str) -> str:
@@ -288,7 +227,7 @@ def left_over_groups(installation: str, root: Path = CGROUP_ROOT) -> Iterator[tu
     """(name, group) of all groups that were ever made for runs of this installation and are still there."""
     version = 2 if (root / "cgroup.controllers").exists() else 1
     start = _slug(f"{PREFIX}{installation[:12]}-")
-    controllers = _V2_CONTROLLERS if version == 2 else _V1_CONTROLLERS
+    controllers = V2_CONTROLLERS if version == 2 else V1_CONTROLLERS
     trees = {controller: root if version == 2 else root / controller for controller in controllers}
     found: dict[str, dict[str, Path]] = {}
     for controller, tree in trees.items():

@@ -21,7 +21,6 @@ import fcntl
 import json
 import math
 import os
-import resource
 import select
 import signal
 import sys
@@ -39,10 +38,16 @@ from slamhive.executors.process.containment import choose_containment
 from slamhive.executors.process.containment_base import DoesNotHold, ProcessTree
 from slamhive.executors.process.exit_file import LostOutput, reserve, write_exit
 from slamhive.executors.process.landlock import confine_writes
-from slamhive.executors.process.linux import PR_SET_CHILD_SUBREAPER, PR_SET_NO_NEW_PRIVS, PR_SET_PDEATHSIG, prctl
+from slamhive.executors.process.linux import (
+    PR_SET_CHILD_SUBREAPER,
+    PR_SET_NO_NEW_PRIVS,
+    PR_SET_PDEATHSIG,
+    limit_resources,
+    prctl,
+)
 from slamhive.executors.process.priority import raise_supervisor, urgent
 from slamhive.executors.process.shim_spec import ShimSpec
-from slamhive.executors.process.table import end_all, send, send_to_group
+from slamhive.executors.process.table import end_all, process_birth, send, send_to_group
 from slamhive.executors.refusal_watch import RefusalWatch
 from slamhive.executors.status import Protections
 from slamhive.files import write_aside
@@ -55,7 +60,6 @@ _TICK_S = 0.05
 _KILL_PATIENCE_S = 1.0
 _READ_BYTES = 1 << 16
 _EXIT_CANNOT_START = 127
-_OPEN_FILES = 65_536
 _FILE_BYTES = 256 * 2**30
 
 
@@ -70,8 +74,9 @@ class Supervisor:
         self._containment = chosen.containment
         refused = namespaces.refused_because()
         self._apart = refused is None
-        not_apart = {} if refused is None else {"a network and a shared memory of its own": refused}
-        self._does_not_hold = chosen.does_not_hold | not_apart
+        self._does_not_hold = dict(chosen.does_not_hold)
+        if refused is not None:
+            self._does_not_hold["a network and a shared memory of its own"] = refused
         self._refusals = RefusalWatch(self._containment.patience_s)
         self._tree = ProcessTree(os.getpid())
         self._log = CappedLog(work / OUTPUT_FOLDER, spec.log_max_bytes)
@@ -148,7 +153,7 @@ class Supervisor:
             prctl(PR_SET_NO_NEW_PRIVS, 1)
             for number in (signal.SIGTERM, signal.SIGUSR1, signal.SIGPIPE):
                 signal.signal(number, signal.SIG_DFL)
-            _limit_resources(self._spec.file_bytes or _FILE_BYTES)
+            limit_resources(self._spec.file_bytes or _FILE_BYTES)
             os.chdir(self._spec.folder)
             confine_writes(self._spec.writable)
             os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
@@ -218,7 +223,8 @@ class Supervisor:
         look = self._containment.look(self._tree)
         if look.out_of_memory or self._is_over_memory():
             self._out_of_memory = True
-            self._kill_at(f"the memory limit{_megabytes(self._spec.memory_bytes)}")
+            limit_bytes = self._spec.memory_bytes
+            self._kill_at("the memory limit" + ("" if limit_bytes is None else f" of {limit_bytes / 1e6:.0f} MB"))
         elif self._refusals.see(refused=look.refused, now_s=now_s):
             self._process_limit = True
             self._kill_at(f"the limit of {self._spec.tasks} processes and threads")
@@ -262,32 +268,6 @@ class Supervisor:
 
     def _kill_on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._kill_asked = True
-
-
-def _megabytes(limit_bytes: int | None) -> str:
-    return "" if limit_bytes is None else f" of {limit_bytes / 1e6:.0f} MB"
-
-
-def _limit_resources(file_bytes: int) -> None:
-    """Limit the calling process and what it starts: no core dumps, not too many open files, none too large."""
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    for kind, wanted in ((resource.RLIMIT_NOFILE, _OPEN_FILES), (resource.RLIMIT_FSIZE, file_bytes)):
-        hard = resource.getrlimit(kind)[1]
-        limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
-        resource.setrlimit(kind, (limit, limit))
-
-
-def process_birth(pid: int) -> str | None:
-    """Identifies a process beyond its pid: the boot and the kernel's count of time at its start.
-
-    Setting the clock does not change it. None for a process that has ended.
-    """
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-    except (FileNotFoundError, ProcessLookupError):
-        return None
-    return None if fields[0] in "ZX" else f"{boot}:{fields[19]}"
 
 
 def main(work: Path) -> None:

@@ -44,6 +44,19 @@ def read_process(pid: int) -> ProcessEntry | None:
     return ProcessEntry(pid, int(fields[1]), int(fields[2]), threads, resident_bytes, fields[0] in "ZX")
 
 
+def process_birth(pid: int) -> str | None:
+    """Identifies a process beyond its pid: the boot and the kernel's count of time at its start.
+
+    Setting the clock does not change it. None for a process that has ended.
+    """
+    try:
+        fields = (_PROC / str(pid) / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+        boot = (_PROC / "sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except (FileNotFoundError, ProcessLookupError):
+        return None
+    return None if fields[0] in "ZX" else f"{boot}:{fields[19]}"
+
+
 def living(entries: Iterable[ProcessEntry]) -> list[ProcessEntry]:
     """The entries without zombies."""
     return [entry for entry in entries if not entry.zombie]

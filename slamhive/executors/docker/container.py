@@ -1,0 +1,65 @@
+"""The options of a run's container. Pure, so that tests can check them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from docker.types import LogConfig, Mount, Ulimit
+
+from slamhive.executors.base import ExecutorContext
+from slamhive.executors.docker.engine import HARDENING, INSTALLATION_LABEL, KEY_LABEL, RUN_LABEL, container_name
+from slamhive.executors.local_files import read_places, written_places
+from slamhive.executors.spec import RunSpec
+
+ROS_ENVIRONMENT = {"HOME": "/tmp", "ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://localhost:11311"}  # noqa: S108
+"""HOME is /tmp: the user of the run has no other folder to write to."""
+
+
+def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]:
+    """The arguments of ``containers.create`` for a run. Pure, so that a test can check them."""
+    limits = spec.limits
+    options: dict[str, Any] = {
+        **HARDENING,
+        "image": spec.identity,
+        "name": container_name(spec.key),
+        "entrypoint": list(spec.command),
+        "command": [],
+        "labels": {
+            KEY_LABEL: spec.key,
+            RUN_LABEL: str(spec.run_id),
+            INSTALLATION_LABEL: context.installation,
+        },
+        "environment": {**ROS_ENVIRONMENT, **spec.environment},
+        "mounts": _mounts(spec),
+        "user": f"{os.getuid()}:{os.getgid()}",
+        "pids_limit": limits.pids,
+        "log_config": LogConfig(
+            type=LogConfig.types.JSON,
+            config={"max-size": str(max(1000, context.log_max_bytes // 2)), "max-file": "2"},
+        ),
+    }
+    if limits.memory_bytes is not None:
+        options["mem_limit"] = limits.memory_bytes
+        options["memswap_limit"] = limits.memory_bytes
+    if limits.cpu_cores is not None:
+        options["nano_cpus"] = round(limits.cpu_cores * 1e9)
+    if limits.file_bytes is not None:
+        options["ulimits"] = [Ulimit(name="fsize", soft=limits.file_bytes, hard=limits.file_bytes)]
+    if limits.cpuset is not None:
+        options["cpuset_cpus"] = ",".join(map(str, limits.cpuset))
+    return options
+
+
+def _mounts(spec: RunSpec) -> list[Mount]:
+    """The mounts of a run. A mount below another one comes after it, and so shows in it."""
+    read_only = read_places(spec)
+    # /tmp counts with the result, unlike the container's own layer, and takes no memory, unlike a tmpfs.
+    places = {**read_only, **written_places(spec), "/tmp": scratch_folder(spec)}  # noqa: S108 - the container's
+    return [Mount(target, str(places[target]), type="bind", read_only=target in read_only) for target in sorted(places)]
+
+
+def scratch_folder(spec: RunSpec) -> Path:
+    """What the container sees as ``/tmp``."""
+    return spec.work.resolve() / "tmp"

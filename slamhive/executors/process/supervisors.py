@@ -1,0 +1,137 @@
+"""The supervisors of runs, seen from the worker: started, found again, and cleaned up after."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+import slamhive
+from slamhive.clock import monotonic_s
+from slamhive.executors.base import StartFailed
+from slamhive.executors.process.containment import found_again
+from slamhive.executors.process.containment_base import Containment
+from slamhive.executors.process.exit_file import EXIT_FILE
+from slamhive.executors.process.paths import INHERITED, KEY_VARIABLE
+from slamhive.executors.process.shim import IDENTITY_FILE
+from slamhive.executors.process.table import ProcessEntry, all_processes, end_all, living, process_birth
+from slamhive.executors.status import Exited, RunHandle
+
+START_WAIT_S = 15.0
+KILL_WAIT_S = 5.0
+_STEP_S = 0.02
+
+
+def containment_of(handle: RunHandle) -> Containment | None:
+    """The containment of the run, if others than its supervisor can use it."""
+    return found_again(json.loads(handle.data.get("containment", "{}")))
+
+
+def launch(work: Path) -> dict[str, Any]:
+    """Start a supervisor for ``work``, and wait until it or an earlier one has written its identity."""
+    errors = work / "shim-errors.txt"
+    package_root = str(Path(slamhive.__file__).parent.parent)
+    environment = {key: os.environ[key] for key in INHERITED if key in os.environ}
+    with errors.open("ab") as stream:
+        subprocess.run(
+            [sys.executable, "-m", "slamhive.executors.process.shim", str(work)],
+            env={**environment, "PYTHONPATH": package_root},
+            stdin=subprocess.DEVNULL,
+            stdout=stream,
+            stderr=stream,
+            cwd="/",
+            check=False,
+        )
+    if not wait_until((work / IDENTITY_FILE).exists, START_WAIT_S):
+        lines = errors.read_text(errors="replace").strip().splitlines()
+        raise StartFailed(f"the supervisor process did not start: {lines[-1] if lines else 'it says nothing'}")
+    identity = read_json(work / IDENTITY_FILE)
+    assert identity is not None
+    return identity
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """A file that a supervisor writes in one step; None if it is not there yet."""
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    return content
+
+
+def read_exit(handle: RunHandle) -> Exited | None:
+    """How the run ended; None if it has not, or if nobody recorded it."""
+    content = read_json(Path(handle.data["work"]) / EXIT_FILE)
+    if content is None:
+        return None
+    return Exited(
+        exit_code=content["exit_code"],
+        out_of_memory=content["out_of_memory"],
+        process_limit=content.get("process_limit", False),
+        refused_processes=content.get("refused_processes", False),
+        started_at=datetime.fromisoformat(content["started_at"]),
+        ended_at=datetime.fromisoformat(content["ended_at"]),
+    )
+
+
+def supervisor_of(handle: RunHandle) -> psutil.Process | None:
+    """The supervisor if it is alive; a process with its pid may be another one, so the start time counts too."""
+    pid = int(handle.data["pid"])
+    if process_birth(pid) != handle.data["birth"]:
+        return None
+    try:
+        return psutil.Process(pid)
+    except psutil.NoSuchProcess:
+        return None
+
+
+def kill_leftovers(handle: RunHandle) -> None:
+    """Kill what a killed supervisor leaves: the members of its containment, and processes with the run's key."""
+    supervisor = supervisor_of(handle)
+    if supervisor is not None:
+        send_signal(supervisor, signal.SIGKILL)
+    containment = containment_of(handle)
+    if containment is not None:
+        containment.end(KILL_WAIT_S)
+        containment.remove()
+    end_all(lambda: _with_key(handle.data["key"]), KILL_WAIT_S)
+
+
+def _with_key(key: str) -> list[ProcessEntry]:
+    """The living processes that carry the run's key in their environment."""
+    mark = f"{KEY_VARIABLE}={key}".encode()
+    return [entry for entry in living(all_processes()) if mark in _environment(entry.pid)]
+
+
+def _environment(pid: int) -> list[bytes]:
+    try:
+        return Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+    except OSError:
+        return []
+
+
+def send_signal(process: psutil.Process, number: signal.Signals) -> None:
+    """Send a signal, unless the process has ended."""
+    try:
+        process.send_signal(number)
+    except psutil.NoSuchProcess:
+        return
+
+
+def wait_until(condition: Callable[[], bool], patience_s: float) -> bool:
+    """Wait for ``condition``; returns whether it came true within ``patience_s``."""
+    deadline_s = monotonic_s() + patience_s
+    while not condition():
+        if monotonic_s() >= deadline_s:
+            return False
+        time.sleep(_STEP_S)
+    return True
