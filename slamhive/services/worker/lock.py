@@ -35,7 +35,7 @@ class WorkerLock:
             holder = os.pread(descriptor, 32, 0).decode(errors="replace").strip() or "unknown"
             os.close(descriptor)
             raise Conflict(
-                f"a worker runs on this machine already (process {holder})",
+                f"a worker is already running on this machine (process {holder})",
                 "it takes the queued runs; end it first to start another",
             )
         os.ftruncate(descriptor, 0)
