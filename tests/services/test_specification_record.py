@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.errors import InvalidInput
+from slamhive.executors.base import Capabilities, ImageMissing
 from slamhive.executors.local_files import make_own_copies, written_places
 from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.services.runs.record import spec_from_json, spec_to_json
+from slamhive.services.runs.specification import RunLimits, check_executor
+from tests.services.fake_executor import FakeExecutor
 
 
 def spec(root: Path) -> RunSpec:
@@ -42,3 +50,24 @@ def test_a_record_with_mounts_is_read(tmp_path):
         "/slamhive": tmp_path / "work" / "slamhive",
         "/slamhive/result": tmp_path / "result",
     }
+
+
+class Unlimited(FakeExecutor):
+    """Enforces nothing, and runs no package without environment."""
+
+    name = "unlimited"
+    capabilities = Capabilities()
+
+    def check_package(self, package: AlgorithmPackage) -> None:
+        if package.name != "tiny":
+            raise ImageMissing(f"{package.name} has no requirements.txt")
+
+
+def test_limits_that_a_user_asks_for_are_enforced_or_refused():
+    package = AlgorithmPackage("tiny", Path(), "Tiny", "1", "", "", "")
+    check_executor(Unlimited(), package, RunLimits(timeout_s=5.0))
+    with pytest.raises(InvalidInput, match="unlimited does not limit cores and memory; leave the limit out"):
+        check_executor(Unlimited(), package, RunLimits(cpu_cores=1.0, memory_mb=100))
+    check_executor(FakeExecutor(), package, RunLimits(cpu_cores=1.0, memory_mb=100))
+    with pytest.raises(InvalidInput, match=r"has no requirements\.txt"):
+        check_executor(Unlimited(), replace(package, name="other"), RunLimits())

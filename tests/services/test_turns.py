@@ -1,12 +1,16 @@
 from __future__ import annotations
 
+import threading
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from slamhive.domain.affinity import run_affinity
-from slamhive.services.worker.turns import MOST_IN_A_ROW, AbsentExecutors, Turns
+from slamhive.errors import NotFound
+from slamhive.executors.base import Capabilities
+from slamhive.services.worker.turns import MOST_IN_A_ROW, AbsentExecutors, OneAtATime, Turns
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.integration
 
@@ -67,3 +71,31 @@ def test_an_absent_executor_is_asked_again_after_a_pause():
     assert absent.names() == ()
     assert absent.names() == ()
     assert asked == ["docker", "docker"]
+
+
+def test_runs_of_an_executor_that_cannot_have_several_take_turns():
+    capabilities = {"alone": Capabilities(several_at_once=False), "many": Capabilities()}
+    made: Any = {name: SimpleNamespace(capabilities=given) for name, given in capabilities.items()}
+    turns = OneAtATime(made.__getitem__)
+    began = threading.Event()
+
+    def second() -> None:
+        with turns.turn("alone"):
+            began.set()
+
+    waiting = threading.Thread(target=second)
+    with turns.turn("alone"), turns.turn("many"), turns.turn("many"):
+        assert turns.busy() == ("alone",)
+        waiting.start()
+        assert not began.wait(0.1)
+    waiting.join(PATIENCE_S)
+    assert began.is_set()
+    assert turns.busy() == ()
+
+
+def test_an_executor_that_is_not_installed_any_more_is_met_by_who_drives_the_run():
+    def find(name: str) -> Any:
+        raise NotFound(f"executor {name} does not exist")
+
+    with OneAtATime(find).turn("gone"):
+        pass
