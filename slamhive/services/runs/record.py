@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 from types import UnionType
 from typing import Any
@@ -76,18 +77,21 @@ def events_to_json(events: Sequence[RunEvent]) -> list[dict[str, Any]]:
     ]
 
 
-_SPEC = TypeAdapter(RunSpec)
+@cache
+def _spec_adapter() -> TypeAdapter[RunSpec]:
+    """Made on first use: it takes 15 ms, and most commands need none."""
+    return TypeAdapter(RunSpec)
 
 
 def spec_to_json(spec: RunSpec) -> dict[str, Any]:
     """The specification, paths as text."""
-    content: dict[str, Any] = _SPEC.dump_python(spec, mode="json")
+    content: dict[str, Any] = _spec_adapter().dump_python(spec, mode="json")
     return content
 
 
 def spec_from_json(content: Mapping[str, Any]) -> RunSpec:
     """The specification that :func:`spec_to_json` wrote; also one that an earlier version wrote with ``mounts``."""
-    return _SPEC.validate_python(_without_mounts(content) if "mounts" in content else content)
+    return _spec_adapter().validate_python(_without_mounts(content) if "mounts" in content else content)
 
 
 def _without_mounts(content: Mapping[str, Any]) -> dict[str, Any]:
