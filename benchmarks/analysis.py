@@ -75,11 +75,11 @@ new MutationObserver((_, watcher) => {
   place.once("plotly_afterplot", () => requestAnimationFrame(done));
 }).observe(place, { attributes: true, childList: true });
 </script>"""
-"""Tells the server the time since the page was asked for, once the first figure is drawn and a frame is painted."""
+"""Sends the server the time since the page was asked for, once the first plot is drawn and a frame is painted."""
 
 
 def paint(page: str, browser: str) -> float | None:
-    """Seconds from asking for the page until its first figure is painted; None without the browser, or in a minute."""
+    """Seconds from asking for the page until its first plot is painted; None without the browser, or in a minute."""
     told: queue.Queue[float] = queue.Queue()
     body = page.replace("default-src 'none';", "default-src 'none'; connect-src 'self';").replace(
         "</body>", TIMER + "</body>"
@@ -117,7 +117,7 @@ def paint(page: str, browser: str) -> float | None:
 
 
 def measure(runs: int, forms: dict[str, str]) -> tuple[float, float, int, str]:
-    """Seconds of wall and CPU time for the whole report, the bytes of its figures, and its page."""
+    """Seconds of wall and CPU time for the whole report, the bytes of its plots, and its page."""
     with tempfile.TemporaryDirectory() as folder:
         hive = open_hive({"data": Path(folder)})
         try:

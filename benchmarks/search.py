@@ -5,9 +5,9 @@
 
 "clock" is what a user waits for, "CPU" what client and server worked for it: on a machine that does other things at
 the same time only the second tells anything. Every query is a page as the web server makes it: filter text read,
-matches and what is left out counted, 50 runs with all their parameters and figures. The values in the filter are drawn
-anew before each, so that nothing is answered from a cache of results. On SQLite the same pages are then asked of the
-web server, whose memory is told.
+matches and what is left out counted, 50 runs with all their parameters and metrics. The values in the filter are drawn
+again before each, so that nothing is answered from a cache of results. On SQLite the same pages are then asked of the
+web server, whose memory is measured.
 """
 
 from __future__ import annotations
@@ -239,7 +239,7 @@ def _get(address: str) -> float:
 
 
 def beside_mlflow(python: str, path: Path, ours: dict[str, Times], limit_s: float) -> None:
-    """The queries that MLflow's language can say, over the same rows, in processor time: both do all in one process."""
+    """The queries that MLflow's language can say, over the same rows, in CPU time: both do all in one process."""
     script = Path(__file__).with_name("search_mlflow.py")
     result = subprocess.run([python, str(script), str(path), str(limit_s)], capture_output=True, text=True, check=False)
     if result.returncode != 0:

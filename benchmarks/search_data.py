@@ -1,7 +1,7 @@
 """Many made-up runs in a store, or in the database of MLflow: the rows that ``search.py`` searches.
 
 Each run has 6 parameters and 40 metric values; 5 repeats share a configuration. One run in ten failed and has only
-measured figures. The same seed makes the same values.
+measured metrics. The same seed makes the same values.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ BATCH = 5_000
 
 @dataclass(frozen=True)
 class Made:
-    """The figures behind the rows, so that expected counts can be told. ``values``: metric by run, NaN: none."""
+    """The metrics behind the rows, so that expected counts are known. ``values``: metric by run, NaN: none."""
 
     runs: int
     keys: tuple[str, ...]
@@ -64,7 +64,7 @@ class Made:
 
 
 def make(runs: int) -> Made:
-    """The figures of ``runs`` runs."""
+    """The metrics of ``runs`` runs."""
     chance = np.random.default_rng(11)
     protocol = [key for key, metric in CATALOGUE.items() if metric.needs_protocol]
     measured = [key for key, metric in CATALOGUE.items() if not metric.needs_protocol]

@@ -2,7 +2,7 @@
 
     python search_mlflow.py runs.db SECONDS
 
-Prints one line of JSON: {query: milliseconds of processor time of each repeat, none if it had not ended after SECONDS}.
+Prints one line of JSON: {query: milliseconds of CPU time of each repeat, none if it had not ended after SECONDS}.
 The rows are copied into the tables that MLflow searches, and ANALYZE is run.
 """
 
@@ -45,7 +45,7 @@ QUERIES: dict[str, tuple[Callable[[random.Random], str], list[str]]] = {
 
 
 def copy(source: str, target: Path) -> None:
-    """Our runs, parameters and current figures in the tables that MLflow searches, in the order of their keys."""
+    """Our runs, parameters and current metrics in the tables that MLflow searches, in the order of their keys."""
     connection = sqlite3.connect(target)
     connection.executescript(
         f"""
@@ -83,7 +83,7 @@ class Deadline:
 
 
 def search(store: SqlAlchemyStore, query: str, deadline: Deadline, limit_s: float) -> list[float]:
-    """Milliseconds of processor time of each repeat; empty if one had not ended in time."""
+    """Milliseconds of CPU time of each repeat; empty if one had not ended in time."""
     draw, order = QUERIES[query]
     chance = random.Random(5)
     times_ms = []

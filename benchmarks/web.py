@@ -4,7 +4,7 @@
 
 Fills a store (see ``search_data.py``), computes an analysis of all its runs, serves it in view-only mode in a process
 of its own, and asks as many clients as browsers would: lists, sorted and filtered lists, the pages of runs, the page
-and the figures of the analysis, help. A browser that has a page asks with its ETag, so both columns are real: without,
+and the plots of the analysis, help. A browser that has a page asks with its ETag, so both columns are real: without,
 and with. Prints requests a second and the times of each address. Asked: 200 a second on 2 cores.
 
 The last column is the CPU time of a page of a workstation, which keeps none: that of one thread, so it hardly depends
@@ -53,7 +53,7 @@ server.run()
 
 
 def addresses(runs: int, token: str) -> list[str]:
-    """The mix: each address as often as it stands here."""
+    """The mix: each address as often unchanged here."""
     some = [f"/runs/{1 + place * (runs // 4)}" for place in range(4)]
     return [
         "/",

@@ -36,7 +36,7 @@ def fingerprint() -> str:
 
 
 def missing_extras(wanted: tuple[str, ...]) -> tuple[str, ...] | None:
-    """Which extras the present environment lacks; None if it has to be made anew."""
+    """Which extras the present environment lacks; None if it has to be made again."""
     try:
         stamp = json.loads(STAMP.read_text())
         subprocess.run([ENVIRONMENT / "bin" / "python", "-c", ""], check=True, capture_output=True)

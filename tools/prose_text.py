@@ -18,6 +18,7 @@ _FENCE = re.compile(r"^ {0,8}(`{3,}|~{3,})")
 _BLOCK_START = re.compile(r"^\s*(?:[-*+]|\d+\.|:|>|#+|!!!|===)\s+")
 _RULED_LINE = re.compile(r"^[\s|:=-]+$")
 _DOCSTRING_START = re.compile(_BLOCK_START.pattern + r"|^\s*(?:Args|Returns|Raises|Yields):|^\s+\**\w+:\s")
+_ARGUMENT_NAME = re.compile(r"^\**\w+: ")
 _HTML_BLOCKS = re.compile(r"</?(?!(?:a|b|i|em|strong|span|abbr|time|small|code|kbd|var)\b)[a-z][^>]*>", re.IGNORECASE)
 _HTML_CODE = re.compile(r"<(code|pre|script|style|kbd|svg)\b.*?</\1>", re.DOTALL | re.IGNORECASE)
 _SPOKEN_ATTRIBUTE = re.compile(r'\b(?:title|alt|placeholder|aria-label)="([^"]*)"')
@@ -151,7 +152,7 @@ def _message(text: str, line: int) -> Iterator[Passage]:
 def docstring(text: str, line: int) -> Iterator[Passage]:
     """The paragraphs of a docstring; each argument is one."""
     for passage in markdown(text, _DOCSTRING_START):
-        yield Passage(line + passage.line - 1, passage.text)
+        yield Passage(line + passage.line - 1, _ARGUMENT_NAME.sub("", passage.text))
 
 
 def comments(text: str) -> Iterator[Passage]:

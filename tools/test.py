@@ -24,7 +24,7 @@ from steps import StepFailed
 ROOT = Path(__file__).resolve().parent.parent
 BIN = Path(sys.executable).parent
 UNIT_LIMIT_S = 15.0
-"""The unit tier is for use before each commit. Its limit is on processor time: a busy machine slows no test down."""
+"""The unit tier is for use before each commit. Its limit is on CPU time: a busy machine slows no test down."""
 MAY_BE_ABSENT = "shared/data"
 """A skipped test whose reason names this is fine everywhere: the recorded data is not part of the repository."""
 
@@ -43,7 +43,7 @@ class CannotRun(Exception):
 
 @dataclass
 class Outcome:
-    """What became of a tier. ``skipped`` holds the reasons of skipped tests."""
+    """The outcome of a tier. ``skipped`` holds the reasons of skipped tests."""
 
     state: str = "passed"
     note: str = ""
@@ -58,7 +58,7 @@ class Outcome:
 class Tier:
     """One tier: what must be there first, the commands, or the pytest marks that select its tests.
 
-    ``limit_s`` is how long it may take where each of its workers has a core: it fails if it uses more processor time
+    ``limit_s`` is how long it may take where each of its workers has a core: it fails if it uses more CPU time
     than that, and warns if it only takes longer. Tests of a tier without ``engine`` see no Docker engine, so that they
     meet the same on every machine.
     """
@@ -135,13 +135,13 @@ def run_timed(tier: Tier) -> Outcome:
 
 
 def children_cpu_s() -> float:
-    """Processor time of all ended child processes, in seconds."""
+    """CPU time of all ended child processes, in seconds."""
     spent = os.times()
     return spent.children_user + spent.children_system
 
 
 def check_time(tier: Tier, outcome: Outcome, limit_s: float) -> None:
-    """Fail a tier that uses too much processor time; note one that takes long for another reason."""
+    """Fail a tier that uses too much CPU time; note one that takes long for another reason."""
     cpu_limit_s = limit_s * max(1, tier.workers)
     if outcome.cpu_s > cpu_limit_s:
         outcome.state = "failed"

@@ -1,1 +1,1 @@
-"""From runs to conclusions: analysis files, the table of runs, forms, figures and tables. Pure: no store, no web."""
+"""From runs to conclusions: analysis files, the table of runs, forms, plots and tables. Pure: no store, no web."""

@@ -1,4 +1,4 @@
-"""An analysis file to :class:`Analysis`; every mistake is told with file and line."""
+"""An analysis file to :class:`Analysis`; every mistake is reported with file and line."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 @dataclass(frozen=True, slots=True)
 class FormRequest:
-    """One form with its options; ``place`` is where it stands, for messages."""
+    """One plot type with its options; ``place`` is where it stands, for messages."""
 
     form: Form[Any]
     options: FormOptions
@@ -116,7 +116,7 @@ def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames |
 
 
 def analysis_schema() -> str:
-    """The JSON Schema of an analysis file, with the options of every form."""
+    """The JSON Schema of an analysis file, with the options of every plot type."""
     schema: dict[str, Any] = AnalysisModel.model_json_schema()
     choices = []
     for key, form in FORMS:

@@ -83,7 +83,7 @@ def _set_name(name: str) -> str:
 
 
 def read_by(parse: Callable[[str], object]) -> AfterValidator:
-    """What makes a text one that ``parse`` can read; its InvalidInput is told as the mistake in the file."""
+    """What makes a text one that ``parse`` can read; its InvalidInput is reported as the mistake in the file."""
 
     def check(text: str) -> str:
         try:

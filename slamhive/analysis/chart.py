@@ -1,6 +1,6 @@
-"""What a figure shows, apart from how it is drawn: the screen and the printed page draw the same chart.
+"""What a plot shows, apart from how it is drawn: the screen and the printed page draw the same plot.
 
-A form states marks and axes; :mod:`slamhive.analysis.plotly_chart` makes the interactive figure of them and
+A plot type states marks and axes; :mod:`slamhive.analysis.plotly_chart` makes the interactive plot of them and
 :mod:`slamhive.analysis.print_chart` the printable one. Arrays have one entry for each point, in the axes' units.
 """
 
@@ -41,7 +41,7 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """Points, one for each run or summary. ``z`` is for charts in three dimensions.
+    """Points, one for each run or summary. ``z`` is for plots in three dimensions.
 
     ``low`` and ``high`` are ends of an interval of y. ``runs`` holds run ids (0 where there is none): a click opens
     the run. ``texts`` is shown on hover. ``shades`` colours each point by a value, named by ``shade_label``. Marks of
@@ -221,7 +221,7 @@ Mark = Points | FailedRuns | Line | Bars | Boxes | Cells | Density | Segments | 
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """One figure. ``caption`` tells n, failures and protocol in words.
+    """One plot. ``caption`` states n, failures and protocol in words.
 
     ``key`` names its files: only letters, digits, ``_``, ``.`` and ``-`` are kept of it.
 
@@ -249,7 +249,7 @@ class Chart:
 
     @property
     def bare_margin(self) -> float:
-        """Room left and right of a chart without axes for the words there, as a share of the width of the rest.
+        """Room left and right of a plot without axes for the words there, as a share of the width of the rest.
 
         A letter takes about 1/140 of the whole width, on screen and paper.
         """
@@ -285,6 +285,6 @@ def _least_width_px(mark: Mark, chart: Chart) -> int:
 
 
 def line_width(line: Line, chart: Chart) -> float:
-    """How thick a line of a chart is, in points of a screen; references are seen over many others."""
+    """How thick a line of a plot is, in points of a screen; references are seen over many others."""
     few = sum(isinstance(mark, Line) for mark in chart.marks) <= MOST_THICK
     return 2.0 if few or line.colour == REFERENCE else 1.0

@@ -1,4 +1,4 @@
-"""One colour per algorithm and one marker per dataset on every page and figure."""
+"""One colour per algorithm and one marker per dataset on every page and plot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MARKERS = (
     "circle", "square", "triangle-up", "diamond", "cross", "star", "triangle-down", "pentagon",
     "triangle-left", "triangle-right", "hexagon", "diamond-tall",
 )  # fmt: skip
-"""The shapes that datasets are told apart by."""
+"""The shapes that distinguish datasets."""
 
 MARKERS_IN_SPACE = 8
 """So many of them, the first ones, can be drawn in three dimensions."""
@@ -23,7 +23,7 @@ MARKERS_IN_SPACE = 8
 def algorithm_colours(names: Iterable[str], known: Iterable[str] = ()) -> dict[str, str]:
     """A colour for each algorithm.
 
-    Those that are ``known`` (installed) keep the colour of their place in the alphabet in every figure, unless another
+    Those that are ``known`` (installed) keep the colour of their place in the alphabet in every plot, unless another
     of ``names`` has it; the others take the first that is free. Beyond the length of the palette colours come again.
     """
     wanted = set(names)

@@ -11,7 +11,7 @@ import numpy as np
 from slamhive.analysis.chart import Array, Axis, Chart, Density, FailedRuns, Mark, Points
 
 DENSITY_FROM = 10_000
-"""Beyond so many points of a chart the density is drawn: a screen could not tell them apart, nor paint them fast."""
+"""Beyond so many points of a plot the density is drawn: a screen could not tell them apart, nor paint them fast."""
 
 SINGLE_MOST = 1_500
 """So many of them, where they lie apart, are points of their own all the same."""
@@ -42,7 +42,7 @@ def rule_words(count: int, *, space: bool = False) -> str:
 
 
 def thinned(chart: Chart) -> Chart:
-    """The chart with no more marks than can be told apart; itself if it holds few points."""
+    """The plot with no more marks than can be told apart; itself if it holds few points."""
     clouds = [mark for mark in chart.marks if isinstance(mark, Points) and not mark.ring]
     count = sum(len(mark.x) for mark in clouds)
     marks = tuple(_told_apart(mark, chart) if isinstance(mark, FailedRuns) else mark for mark in chart.marks)

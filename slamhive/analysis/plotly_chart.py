@@ -1,4 +1,4 @@
-"""A chart as an interactive figure: plain Plotly JSON, made without the plotly package (whose import takes a second).
+"""A plot for the screen: plain Plotly JSON, made without the plotly package (whose import takes a second).
 
 Colours that depend on light or dark are left to the page: marks of :data:`~slamhive.analysis.chart.REFERENCE` carry
 ``meta: theme:groundtruth``. Numbers travel as typed arrays in base64, which is smaller and faster than text.
@@ -14,7 +14,7 @@ from slamhive.analysis.plotly_marks import MOST_LEVEL_DIMENSIONS, traces_of
 from slamhive.analysis.plotly_values import Json, drawable, escaped, numbers
 
 LEGEND_MOST = 40
-"""A longer legend would hide the plot; hovering tells what a mark is."""
+"""A longer legend would hide the plot; hovering says what a mark is."""
 
 _FAILED_BAND = (0.9, 1.0)
 _CAMERA = {"eye": {"x": 1.6, "y": -1.7, "z": 1.0}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}}

@@ -1,4 +1,4 @@
-"""The marks of a chart that are grids, as Plotly traces: heat maps and the densities of many points."""
+"""The marks of a plot that are grids, as Plotly traces: heat maps and the densities of many points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The marks of a chart as Plotly traces."""
+"""The marks of a plot as Plotly traces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A chart as a printable figure, drawn by matplotlib: PDF, SVG and PNG of one look."""
+"""A plot for print, drawn by matplotlib: PDF, SVG and PNG of one look."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DOTS_PER_INCH = 200
 _LEGEND_MOST = 24
 _LEGEND_LETTERS = 100
 _CAPTION_POINTS, _CAPTION_LETTERS, _CAPTION_LINE_INCHES = 6.5, 132, 0.125
-"""What every figure says of itself stands below it: number of runs, failures by which rule, protocol."""
+"""What every plot says of itself stands below it: number of runs, failures by which rule, protocol."""
 
 _LOOK: Any = {
     "font.size": 9,
@@ -45,7 +45,7 @@ _lock = threading.Lock()
 
 
 def print_chart(chart: Chart, file_format: str) -> bytes:
-    """The figure as the bytes of a PDF, SVG or PNG file; the same chart gives the same bytes."""
+    """The plot as the bytes of a PDF, SVG or PNG file; the same plot gives the same bytes."""
     with _lock, mpl.rc_context(_LOOK):  # matplotlib's settings are global
         lines = textwrap.wrap(plain(chart.caption), _CAPTION_LETTERS)
         heights = HEIGHT_INCHES * chart.height, _CAPTION_LINE_INCHES * (len(lines) + 1)

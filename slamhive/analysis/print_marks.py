@@ -1,4 +1,4 @@
-"""The marks of a chart, drawn by matplotlib."""
+"""The marks of a plot, drawn by matplotlib."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a form gives: charts, tables with the raw data among them, and what was counted and left out."""
+"""What a plot type gives: plots, tables with the raw data among them, and what was counted and left out."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ResultTable:
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """Runs that a form could not show, and why."""
+    """Runs that a plot type could not show, and why."""
 
     reason: str
     runs: tuple[int, ...]
@@ -51,7 +51,7 @@ class Exclusion:
 
 @dataclass(frozen=True, slots=True)
 class FormResult:
-    """Everything that one form of an analysis came to.
+    """Everything that one plot type of an analysis came to.
 
     Attributes:
         charts: In the order of the page.
@@ -59,7 +59,7 @@ class FormResult:
         runs: How many runs it is about, failed ones included.
         failed: How many of them count as failed.
         excluded: Runs that are left out for another reason than failing.
-        protocol: The evaluation protocol of its figures in words; None if none of them has one.
+        protocol: The evaluation protocol of its plots in words; None if none of them has one.
         notes: What a reader should know, one sentence each.
     """
 

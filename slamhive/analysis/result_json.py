@@ -1,4 +1,4 @@
-"""Results as JSON and back, so that a figure can be drawn again, on screen or paper, long after it was computed."""
+"""Results as JSON and back, so that a plot can be drawn again, on screen or paper, long after it was computed."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _TYPES: dict[str, type[Any]] = {
 
 
 def to_json(value: Any) -> Any:
-    """A chart, a table or a whole result as plain JSON; arrays in base64, little-endian."""
+    """A plot, a table or a whole result as plain JSON; arrays in base64, little-endian."""
     if isinstance(value, np.ndarray):
         whole = np.issubdtype(value.dtype, np.integer)
         wanted = np.ascontiguousarray(value, dtype="<i8" if whole else "<f8")

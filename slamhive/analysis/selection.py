@@ -82,7 +82,7 @@ def evaluate(expression: Expression, members: Callable[[str], frozenset[int]]) -
 
 
 def in_words(expression: Expression, words: Callable[[str], str]) -> str:
-    """The expression as a sentence; ``words`` tells what the set of a name is."""
+    """The expression as a sentence; ``words`` says what the set of a name is."""
     if isinstance(expression, SetName):
         return words(expression.name)
     left, right = in_words(expression.left, words), in_words(expression.right, words)

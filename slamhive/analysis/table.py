@@ -1,4 +1,4 @@
-"""The table that analyses work on: one row for each run, failed ones included, one column for each fact and figure.
+"""The table that analyses work on: one row for each run, failed ones included, one column for each fact and metric.
 
 Columns are named as filters name them: ``ate.rmse`` (a metric), ``nFeatures`` (a parameter by its own key or general
 name), ``algorithm``. What a run does not have is NaN (numbers) or None (words), never 0.

@@ -28,12 +28,12 @@ NS_PER_S = 1_000_000_000
 
 
 def nanoseconds(seconds: float) -> int:
-    """The stamp nearest to ``seconds``."""
+    """The timestamp nearest to ``seconds``."""
     return round(seconds * NS_PER_S)
 
 
 class BagWriter:
-    """A ROS 1 bag being written; use as a context manager. Stamps are integer nanoseconds.
+    """A ROS 1 bag being written; use as a context manager. Timestamps are integer nanoseconds.
 
     Connections appear in the bag in the order of their first message; header sequence numbers count from 0 for each
     topic. Nothing but the arguments ends up in the file, so equal input makes equal bytes.

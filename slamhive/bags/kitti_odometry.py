@@ -137,7 +137,7 @@ def _camera(sequence: KittiSequence, number: int) -> _Camera:
 
 
 def _lidar(sequence: KittiSequence) -> Sensor | None:
-    """The Velodyne HDL-64E, its stamp the instant it faced forward, when the cameras were triggered."""
+    """The Velodyne HDL-64E, its timestamp the instant it faced forward, when the cameras were triggered."""
     if sequence.T_cam0_lidar is None:
         return None
     return Sensor(

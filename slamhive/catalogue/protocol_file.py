@@ -1,4 +1,4 @@
-"""A protocol file to a :class:`~slamhive.domain.protocol_request.ProtocolRequest`; mistakes are told with the line."""
+"""Read a protocol file into a :class:`~slamhive.domain.protocol_request.ProtocolRequest`; errors name the line."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ _AFTER = chr(ord(_BETWEEN) + 1)
 def run_affinity(dataset: str, variant: Variant, package: str) -> str:
     """25 characters: equal for runs that see the same data with the same package.
 
-    The first part tells of dataset and variant alone, so that runs of other packages on the same data are near.
+    The first part contains dataset and variant only, so that runs of other packages on the same data are near.
     """
     data = _digest([dataset, variant_to_json(variant)])[:_DATA_DIGITS]
     return f"{data}{_BETWEEN}{_digest(package)[:_PACKAGE_DIGITS]}"

@@ -8,7 +8,7 @@ from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.sensors import SensorSetup
 
 IMPORTED = "imported"
-"""Stands where an executor does for runs that were made elsewhere."""
+"""The executor of imported runs."""
 
 EXTERNAL_PACKAGE = "(imported)"
 """Stands where a package does for algorithms that have none; no package can be called so. Their mode is their setup."""

@@ -40,9 +40,9 @@ class Association(StrEnum):
     ``nearest``: each pose of the shorter list takes the nearest of the other, which may be taken twice (as evo does).
     ``one_to_one``: pairs by growing gap, each pose once (as TUM does). ``sweep``: each pose of the estimate in turn
     takes the nearest pose of the ground truth after the last one taken (as OpenVINS does). ``interpolate``: the ground
-    truth between its two neighbours, at the estimate's stamps. ``hold``: the estimate at the ground truth's stamps, its
+    truth at the estimate's timestamps, between neighbours. ``hold``: the estimate at the ground truth's timestamps, its
     last pose held where it pauses or has ended, so that lost tracking counts (as ETH3D does). ``index``: by position in
-    the files, stamps unused (as KITTI does).
+    the files, timestamps unused (as KITTI does).
     """
 
     NEAREST = "nearest"
@@ -104,18 +104,18 @@ DUPLICATES_LABELS = {
 class Protocol:
     """Association, time offset, alignment, reference and deltas.
 
-    Figures of different fingerprints are never averaged or ranked together. A field's default is part of every
+    Metrics of different fingerprints are never averaged or ranked together. A field's default is part of every
     fingerprint that was ever taken, so no default may change, and a new field's default has to mean what was done
     before there was the field.
 
     Attributes:
         alignment: How the estimate is moved onto the ground truth.
         association_tolerance_s: Largest gap between matched timestamps (nearest, one_to_one, sweep).
-        gap_threshold_s: A pause of the estimate longer than this counts as tracking lost.
+        gap_threshold_s: A gap in the estimate longer than this counts as tracking lost.
         rpe_delta_m: Path length between the poses of an RPE pair.
         association: Which pose answers to which.
         interpolation_interval_s: Longest interval of the ground truth that is interpolated (interpolate).
-        time_offset_s: Added to the estimate's stamps, to bring them to the ground truth's clock.
+        time_offset_s: Added to the estimate's timestamps, to bring them to the ground truth's clock.
         offset_search_s: The offset is searched within this of ``time_offset_s``; 0 for no search.
         align_poses: The alignment is computed over this many first matched poses; None for all. Over one, SE(3) and
             yaw + position take its orientation too.

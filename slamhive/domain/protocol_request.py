@@ -1,4 +1,4 @@
-"""What is asked of a protocol: what a request leaves open is as the sensors deserve."""
+"""A request for a protocol; what it leaves open follows from the sensors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one rule that tells good runs from failed ones. Lists, groups, experiments and analyses all go by it.
+"""The one rule that separates good runs from failed ones. Lists, groups, experiments and analyses all follow it.
 
 The numbers that it looks at are metrics of the run's evaluation. Those that compare a run with its repeats are
 computed here as well (:func:`compare_repeats`) and stored like the others.
@@ -59,7 +59,7 @@ class VerdictKind(StrEnum):
 
     @property
     def label(self) -> str:
-        """The kind in words, for badges, lists and bands of figures."""
+        """The kind in words, for badges, lists and bands of metrics."""
         return _LABELS[self]
 
 
@@ -100,7 +100,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class FailureRule:
-    """When a run counts as failed. The defaults are what the stored verdicts go by; an analysis may set others.
+    """When a run counts as failed. The defaults are what the stored verdicts follow; an analysis may set others.
 
     Attributes:
         tracked_path_below: Least share of the true path that has to be tracked (metric ``tracked.path``).

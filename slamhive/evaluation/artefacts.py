@@ -62,7 +62,7 @@ def _write_files(task: EvaluationTask, evaluated: Evaluated, paired: Paired) -> 
     write_aside(task.output / REFERENCE_FILE, _tum(paired.reference))
     write_aside(task.output / ERRORS_FILE, _errors_csv(paired, evaluated.archives["ape"]))
     if task.artefacts is Artefacts.PLOTS:
-        # Plotting loads matplotlib and evo's settings, which the figures alone do not need.
+        # Plotting loads matplotlib and evo's settings, which the metrics alone do not need.
         from slamhive.evaluation.plots import write_plots  # noqa: PLC0415
 
         write_plots(task.output, paired, evaluated.archives)
@@ -91,7 +91,7 @@ def _errors_csv(paired: Paired, ape: Result) -> str:
 
 def _result_archive(result: Result, name: str) -> bytes:
     """The zip that ``evo_res`` opens, with the task's id as the estimate's name; the trajectories lie beside it."""
-    from evo.tools import file_interface  # noqa: PLC0415  (brings in rosbags, which the figures do not need)
+    from evo.tools import file_interface  # noqa: PLC0415  (brings in rosbags, which the metrics do not need)
 
     named = Result()
     named.add_info(result.info | {"est_name": name})

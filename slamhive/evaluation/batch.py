@@ -48,7 +48,7 @@ class Batch:
 class BatchStarter(Protocol):
     """One way of running a batch.
 
-    ``isolated`` tells whether the batch sees mount targets (a container) or the host's own paths (a process).
+    ``isolated`` says whether the batch sees mount targets (a container) or the host's own paths (a process).
     """
 
     isolated: bool

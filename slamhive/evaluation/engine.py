@@ -1,4 +1,4 @@
-"""One evaluation: read, pair, and let every evaluator take its figures; or, without a ground truth, the relations'.
+"""One evaluation: read, pair, and let every evaluator take its metrics; or, without a ground truth, the relations'.
 
 Runs in the evaluation process or container only, which is where evo is.
 """
@@ -32,7 +32,7 @@ logger = logging.getLogger(__name__)
 ENGINE = f"evo {evo.__version__.removeprefix('v')}"
 
 ESSENTIAL = "ate.rmse"
-"""Without this figure an evaluation has failed."""
+"""Without this metric an evaluation has failed."""
 
 TOO_FAR_OFF = "it cannot be computed: the estimate is too far off for the numbers to hold"
 
@@ -42,7 +42,7 @@ class Evaluated:
     """What an evaluation computed, before anything is written.
 
     Attributes:
-        result: The figures.
+        result: The metrics.
         paired: What they were computed from; None where there was no ground-truth trajectory.
         archives: {file name without ending: evo's result}; ``ape`` is there wherever ``paired`` is.
     """
@@ -53,7 +53,7 @@ class Evaluated:
 
 
 def evaluate(task: EvaluationTask, references: References) -> Evaluated | EvaluationResult:
-    """Compute the figures of ``task``; an EvaluationResult with a reason if they cannot be computed."""
+    """Compute the metrics of ``task``; an EvaluationResult with a reason if they cannot be computed."""
     poses = matched_poses = 0
     paired: Paired | None = None
     try:
@@ -87,7 +87,7 @@ def evaluate(task: EvaluationTask, references: References) -> Evaluated | Evalua
 
 
 def all_figures(paired: Paired) -> Figures:
-    """What every evaluator finds of the pair; a number that is not finite is a missing figure."""
+    """What every evaluator finds of the pair; a number that is not finite is a missing metric."""
     values: dict[str, float] = {}
     missing: dict[str, str] = {}
     archives: dict[str, Result] = {}
@@ -106,7 +106,7 @@ def _finite(found: Figures) -> Figures:
 
 
 def _check_essential(found: Figures, key: str) -> None:
-    """Raise InvalidInput if the figure is missing that has to be there."""
+    """Raise InvalidInput if the metric is missing that has to be there."""
     if key not in found.values:
         raise InvalidInput(f"{key}: {found.missing.get(key, 'no evaluator computed it')}")
 

@@ -45,7 +45,7 @@ def find_hints(paired: Paired, figures: Mapping[str, float]) -> tuple[Hint, ...]
 
     Args:
         paired: What was evaluated.
-        figures: What the evaluators found; without ``ate.rmse`` nothing is said.
+        metrics: What the evaluators found; without ``ate.rmse`` nothing is said.
     """
     ate_m = figures.get("ate.rmse")
     if ate_m is None:
@@ -95,7 +95,7 @@ def _gravity(paired: Paired, fit: Fit, ate_m: float) -> Hint | None:
 OFFSET_WITHIN_S = 10.0
 LEAST_OFFSET_S = 0.01
 OFFSET_COLLAPSE, LARGE_OFFSET_COLLAPSE = 0.4, 0.8
-"""An offset is told where without it so much of the position error is left at most, and a large one so much."""
+"""An offset is reported where without it so much of the position error is left at most, and a large one so much."""
 LARGE_OFFSET_S = 0.1
 """More than a frame is delayed by: clocks differ. Told by turning alone: drift moves the place where positions fit."""
 ALONG_MOTION = 0.5
@@ -191,7 +191,7 @@ def _scale(paired: Paired, fit: Fit) -> Hint | None:
         return None
     times_too_large = 1.0 / fit.transform.scale
     for factor, unit in _FACTORS.items():
-        # Where the scale is free, as of one camera, any may occur: only thousands are told.
+        # Where the scale is free, as of one camera, any may occur: only thousands are reported.
         likely = paired.protocol.alignment not in _SCALING or factor != 100.0
         if likely and abs(times_too_large / factor - 1.0) <= SCALE_TOLERANCE:
             other = ", or the ground truth in millimetres" if factor < 1 else ""

@@ -24,7 +24,7 @@ RESULT_FILE = "result.json"
 
 
 class Artefacts(StrEnum):
-    """What an evaluation leaves besides the figures."""
+    """What an evaluation leaves besides the metrics."""
 
     METRICS = "metrics"
     FILES = "files"
@@ -40,8 +40,8 @@ class EvaluationTask:
     ``reference`` is None where there are relations, among ``files``, and no ground-truth trajectory.
     ``positions_only``: the orientations of the ground truth mean nothing. ``files``: what else there is of the run,
     by the name that evaluators know it by (see :class:`~slamhive.evaluation.evaluators.base.Paired`).
-    ``artefacts``: METRICS writes figures only; FILES adds ``ape.zip``, ``rpe.zip`` and the aligned ``traj.tum``;
-    PLOTS adds the paper's figures.
+    ``artefacts``: METRICS writes metrics only; FILES adds ``ape.zip``, ``rpe.zip`` and the aligned ``traj.tum``;
+    PLOTS adds the paper's metrics.
     """
 
     id: str
@@ -59,7 +59,7 @@ class EvaluationTask:
 class EvaluationResult:
     """What came out of one task. ``reason`` says in one line why it failed; ``metrics`` is then empty.
 
-    ``missing`` says of each figure that could not be computed why not, {metric key: one line}. ``hints`` are the common
+    ``missing`` says of each metric that could not be computed why not, {metric key: one line}. ``hints`` are the common
     mistakes that the errors betray.
     """
 
@@ -75,7 +75,7 @@ class EvaluationResult:
 
     @property
     def succeeded(self) -> bool:
-        """All figures could be computed."""
+        """All metrics could be computed."""
         return self.reason is None
 
 

@@ -21,7 +21,7 @@ SUSPICIOUS_SHARE = 0.1
 SUSPICIOUS_DEG = 5.0
 """Orientations that stray so far from the ground truth's are looked into: those of real systems stay below."""
 COLLAPSE, GOOD_SHARE = 0.3, 0.2
-"""A mistake is told where undoing it leaves so much of the position error, and of the path's size, at most, ..."""
+"""A mistake is reported where undoing it leaves so much of the position error, and of the path's size, at most, ..."""
 ROTATION_COLLAPSE, ROTATION_GAIN_DEG = 0.5, 2.0
 """... or so much of the stray of the orientations, and at least so many degrees less."""
 KEPT = 1.2

@@ -19,7 +19,7 @@ from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.offset import position_misfit, search_offset, turning_misfit
 
 MINIMUM_MATCHED_POSES = 3
-"""With fewer an alignment is arbitrary, and so is every figure after it."""
+"""With fewer an alignment is arbitrary, and so is every metric after it."""
 
 SEARCHED_POSES = 1000
 """An offset is searched by position with at most so many poses of the estimate, spread over it."""
@@ -70,7 +70,7 @@ def pair(
 
 
 def find_offset(reference: Reference, estimate: Trajectory, protocol: Protocol) -> float:
-    """What to add to the estimate's stamps, in s: where it turns as the ground truth does.
+    """What to add to the estimate's timestamps, in s: where it turns as the ground truth does.
 
     Where the ground truth holds positions only: where the RMSE of the aligned positions is least. That is less sure,
     since drift of the estimate moves the place.
@@ -91,7 +91,7 @@ def _thinned(trajectory: Trajectory) -> Trajectory:
 
 
 def shifted(trajectory: Trajectory, offset_s: float) -> Trajectory:
-    """The trajectory with ``offset_s`` added to its stamps; raises InvalidInput where they fall together then."""
+    """The trajectory with ``offset_s`` added to its timestamps; raises InvalidInput where they fall together then."""
     if offset_s == 0:
         return trajectory
     stamps_s = trajectory.stamps_s + offset_s

@@ -1,4 +1,4 @@
-"""The figures of the published SLAM Hive, drawn by evo: trajectory, its coordinates and angles, errors over time."""
+"""The plots of the published SLAM Hive, drawn by evo: trajectory, its coordinates and angles, errors over time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LINES = ("rmse", "mean", "median", "std")
 
 
 def write_plots(folder: Path, paired: Paired, archives: Mapping[str, Result]) -> None:
-    """Write every figure of the evaluation as a PNG, each in one step. Raises Unavailable."""
+    """Write every plot of the evaluation as a PNG, each in one step. Raises Unavailable."""
     matched, aligned = evo_pair(paired)
     ape = archives["ape"]
     plane = _widest_plane(matched.positions_xyz)

@@ -1,4 +1,4 @@
-"""Protocols by name: the way published tools count, so that a figure can be compared with one from such a tool."""
+"""Protocols by name: the way published tools count, so that a metric can be compared with one from such a tool."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from slamhive.trajectory.transforms import move_sensor, rigid_transform
 from slamhive.trajectory.tum import parse_positions, parse_tum
 
 NO_TRUTH = "the dataset has relations and no ground-truth trajectory"
-"""Why a figure that needs a ground-truth trajectory is missing."""
+"""Why a metric that needs a ground-truth trajectory is missing."""
 
 _POSITION_COLUMNS = 4
 _SCALING = {Alignment.SIM3, Alignment.SCALE}
@@ -110,7 +110,7 @@ class _File:
 
 
 def _read(file: _File) -> Reference:
-    """The ground truth as it stands in the file: eight columns, or four, which are positions."""
+    """The ground truth as in the file: eight columns, or four, which are positions."""
     data, name = read_bounded(file.path), f"ground truth {file.path.name}"
     if count_columns(data) == _POSITION_COLUMNS:
         return Reference(parse_positions(data, name, file.duplicates), rotations_known=False)

@@ -17,7 +17,7 @@ from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import rigid_transform
 
 ESSENTIAL = "relations.translation.mean"
-"""Without this figure such an evaluation has failed."""
+"""Without this metric such an evaluation has failed."""
 
 
 def figures_without_truth(

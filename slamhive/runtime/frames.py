@@ -25,7 +25,7 @@ class Frame:
 
     Attributes:
         number: Counts all frames of the recording from 0, dropped ones too.
-        stamp_s: The stamp in the header of the first stream's message.
+        stamp_s: The timestamp in the header of the first stream's message.
         received_s: When it came in, seconds of the monotonic clock since playback began.
         fraction: How far in the recording it lies, 0..1.
         data: For each role an image array (``messages.to_image``) or a :class:`~slamhive.runtime.messages.PointCloud`.
@@ -57,7 +57,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """A message as it came in: its header stamp, when it was recorded, its content."""
+    """A message as it came in: its header timestamp, when it was recorded, its content."""
 
     stamp_ns: int
     recorded_ns: int
@@ -65,11 +65,11 @@ class Received:
 
 
 class Synchroniser:
-    """Groups messages of several streams by their stamps.
+    """Groups messages of several streams by their timestamps.
 
     Args:
         roles: The streams; a single one makes each message a group.
-        tolerance_ns: Largest difference between the stamps of a group.
+        tolerance_ns: Largest difference between the timestamps of a group.
     """
 
     def __init__(self, roles: list[str], tolerance_ns: int) -> None:

@@ -65,7 +65,7 @@ class PointCloud:
 
 
 def stamp_ns(message: Any) -> int:
-    """The header's stamp in nanoseconds."""
+    """The header's timestamp in nanoseconds."""
     stamp = message.header.stamp
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 

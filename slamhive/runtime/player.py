@@ -29,7 +29,7 @@ NEXT = "next"
 
 @dataclass(frozen=True, slots=True)
 class PlayerOptions:
-    """What to play and how; ``topics`` maps role to topic, the first that is no IMU gives a frame its stamp."""
+    """What to play and how; ``topics`` maps role to topic, the first that is no IMU gives a frame its timestamp."""
 
     recording: str
     topics: dict[str, str]

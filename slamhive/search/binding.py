@@ -60,7 +60,7 @@ Bound: TypeAlias = Tree[Condition]
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """Which runs: ``tree`` (None: all), and the protocol whose figures are meant (None: each run's current one)."""
+    """Which runs: ``tree`` (None: all), and the protocol whose metrics are meant (None: each run's current one)."""
 
     tree: Bound | None = None
     protocol: str | None = None

@@ -141,7 +141,7 @@ class Vocabulary:
     """The names that a filter may use besides the built-in ones.
 
     ``parameters`` by key and by general name, each with every way in which it is defined; ``own_keys`` are the keys
-    behind each general name; ``sensors`` tells which algorithms sense with what; ``protocols`` are all that figures
+    behind each general name; ``sensors`` says which algorithms sense with what; ``protocols`` are all that metrics
     are filed under, {fingerprint: label}.
     """
 

@@ -32,7 +32,7 @@ _SCALES: dict[str, dict[str, float]] = {
     "MB": {"kB": 1e-3, "MB": 1.0, "GB": 1e3},
     "cores": {"cores": 1.0, "core": 1.0},
 }
-"""{unit a figure is stored in: {unit that may be typed: factor to the stored one}}."""
+"""{unit a metric is stored in: {unit that may be typed: factor to the stored one}}."""
 
 UNITS = frozenset(unit for scales in _SCALES.values() for unit in scales) | {"%"}
 """What is read as a unit behind a number."""
@@ -44,7 +44,7 @@ def is_number(text: str) -> bool:
 
 
 def units_of(stored: str) -> dict[str, float]:
-    """The units that a figure stored in ``stored`` can be compared in, with their factors."""
+    """The units that a metric stored in ``stored`` can be compared in, with their factors."""
     return _SCALES.get(stored, {stored: 1.0} if stored else {})
 
 

@@ -97,7 +97,7 @@ class AnalysisRepository(LeaseQueue[str]):
     def fingerprint(self, run_ids: Sequence[int]) -> str:
         """SHA-256 in hex over the states, current protocols and latest evaluations of runs.
 
-        Figures of a run change with its state and its evaluations alone, so equal fingerprints mean equal figures.
+        Metrics of a run change with its state and its evaluations alone, so equal fingerprints mean equal metrics.
         """
         digest = hashlib.sha256()
         runs, evaluations = Run.__table__, Evaluation.__table__

@@ -17,7 +17,7 @@ class AnalysisState(StrEnum):
 
     @property
     def ended(self) -> bool:
-        """Nothing more will happen unless it is computed anew."""
+        """Nothing more will happen unless it is computed again."""
         return self in (AnalysisState.DONE, AnalysisState.FAILED)
 
 
@@ -26,7 +26,7 @@ class AnalysisRecord:
     """A stored analysis. Its folder is the truth, this is its place in lists and in the queue.
 
     ``token`` (32 hex digits) is its permanent address and cannot be guessed. A ``visitor`` made it in view-only mode.
-    ``content_hash`` tells what it shows: the text of its file, over these runs with these figures; None until that is
+    ``content_hash`` says what it shows: the text of its file, over these runs with these metrics; None until that is
     known. ``reason``: why it failed. ``size_bytes``: the stored report, None while there is none.
     """
 

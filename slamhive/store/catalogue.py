@@ -51,7 +51,7 @@ class CatalogueRepository:
         return version_id
 
     def put_dataset(self, dataset: DatasetDefinition, now: datetime, *, gone: bool = False) -> int:
-        """The id of ``dataset``; a dataset that was made anew under its name replaces what was known of it.
+        """The id of ``dataset``; a dataset that was made again under its name replaces what was known of it.
 
         ``gone``: its folder is gone, so what is known of it stays.
         """

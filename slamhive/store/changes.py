@@ -48,7 +48,7 @@ class Changes:
 
     ``described``: configurations whose name, note or groups have changed. ``cancelled``: runs that were cancelled while
     they waited, with when and why; ``asked_to_end``: active ones that are to end. ``cells``: by the number of their
-    experiment; ``experiments``: those of which cells and runs were counted anew. ``evaluated``: evaluations that have
+    experiment; ``experiments``: those of which cells and runs were counted again. ``evaluated``: evaluations that have
     ended. ``uncertain``: the transaction was tried more than once, an earlier attempt may have stored more.
     """
 

@@ -79,7 +79,7 @@ class EvaluationRepository(LeaseQueue[int]):
         return self._records(_TABLE.c.id.in_(taken))
 
     def finish(self, evaluation_id: int, owner: str, result: EvaluationResult, now: datetime) -> bool:
-        """File what came out; success stores the figures. The run and its repeats are judged anew.
+        """File what came out; success stores the metrics. The run and its repeats are judged again.
 
         Returns whether the protocol has become the run's current one: that of its first success, until another is
         chosen with :meth:`use`. The same call again is fine. Raises LeaseLost if another worker holds the evaluation
@@ -98,9 +98,9 @@ class EvaluationRepository(LeaseQueue[int]):
         return became_current
 
     def use(self, run_ids: Iterable[int], fingerprint: str) -> None:
-        """Make a protocol the current one of these runs: the one whose figures lists, searches and pages show.
+        """Make a protocol the current one of these runs: the one whose metrics lists, searches and pages show.
 
-        Raises NotFound for an unknown protocol or run, Conflict for a run without figures under it.
+        Raises NotFound for an unknown protocol or run, Conflict for a run without metrics under it.
         """
         protocol_id = self._session.execute(
             select(Protocol.id).where(Protocol.fingerprint == fingerprint, Protocol.id != MEASURED_PROTOCOL_ID)
@@ -123,7 +123,7 @@ class EvaluationRepository(LeaseQueue[int]):
             MetricRepository(self._session).follow_protocols(part)
 
     def protocols(self) -> list[tuple[domain.Protocol, int]]:
-        """The protocols that runs have figures under, and of how many runs; the most used first."""
+        """The protocols that runs have metrics under, and of how many runs; the most used first."""
         count = func.count(_TABLE.c.run_id.distinct())
         query = (
             select(Protocol.definition, count)

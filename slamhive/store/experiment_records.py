@@ -23,7 +23,7 @@ class ExperimentState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ExperimentRecord:
-    """An experiment. ``source`` is the file as it was given, ``content_hash`` tells what it states.
+    """An experiment. ``source`` is the file as it was given, ``content_hash`` says what it states.
 
     ``uid`` (32 hex digits) makes the uids of its runs. ``repeats`` holds for each seed and may have grown since.
     ``cells`` and ``runs`` (without retries) are bounds from above until it is ``complete``, that is, all are stored.

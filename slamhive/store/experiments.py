@@ -111,7 +111,7 @@ class ExperimentRepository:
         ]
 
     def cell_runs(self, experiment_id: int, first: int, last: int, metrics: Sequence[str]) -> list[CellRun]:
-        """The runs of the cells from ``first`` to ``last``, by cell and id, with these figures of each."""
+        """The runs of the cells from ``first`` to ``last``, by cell and id, with these metrics of each."""
         query = (
             select(
                 *(_RUNS.c[name] for name in ("id", "cell", "seed", "state", "reason", "retry_of", "disturbed_by")),

@@ -55,7 +55,7 @@ class FiledRun:
     """A run with all that is filed of it.
 
     ``measured``: {metric key: value}. ``evaluations``: oldest first. ``figures``: {fingerprint of one of their
-    protocols: {metric key: value}}. ``current``: the protocol whose figures are shown, None to leave that as it is.
+    protocols: {metric key: value}}. ``current``: the protocol whose metrics are shown, None to leave that as it is.
     """
 
     snapshot: RunSnapshot
@@ -72,7 +72,7 @@ class FiledRunRepository:
         self._session = session
 
     def file(self, runs: Sequence[FiledRun]) -> dict[int, int]:
-        """File some hundreds of runs at most, whose figures are finite.
+        """File some hundreds of runs at most, whose metrics are finite.
 
         Returns those that repeat a run which is not here, {number: number of that run}: they repeat none, as filed.
         Raises Conflict, having written nothing, if a number or uid belongs to another run.

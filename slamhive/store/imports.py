@@ -1,4 +1,4 @@
-"""Runs that were made elsewhere: looked up by what they estimate, and filed as ended."""
+"""Imported runs: looked up by what they estimate, and filed as ended."""
 
 from __future__ import annotations
 

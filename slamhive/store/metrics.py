@@ -1,4 +1,4 @@
-"""Figures of runs, each filed under the protocol it was taken with."""
+"""Metrics of runs, each filed under the protocol it was taken with."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ class MetricRepository:
         self._session = session
 
     def put(self, run_id: int, fingerprint: str | None, values: Mapping[str, float]) -> None:
-        """Store figures of a run, replacing those of the same keys.
+        """Store metrics of a run, replacing those of the same keys.
 
         Args:
             run_id: The run.
-            fingerprint: Of the protocol the figures were taken with; None for measured ones (CPU, memory, poses).
-            values: {metric key: value}; a figure that is missing is left out, NaN and infinity raise InvalidInput.
+            fingerprint: Of the protocol the metrics were taken with; None for measured ones (CPU, memory, poses).
+            values: {metric key: value}; a metric that is missing is left out, NaN and infinity raise InvalidInput.
         """
         self._write(run_id, self._protocol_id(fingerprint), values, replace_all=False)
 
     def replace(self, run_id: int, fingerprint: str | None, values: Mapping[str, float]) -> None:
-        """The same, and figures of this run and protocol that ``values`` does not name are removed."""
+        """The same, and metrics of this run and protocol that ``values`` does not name are removed."""
         self._write(run_id, self._protocol_id(fingerprint), values, replace_all=True)
 
     def for_runs(
@@ -45,9 +45,9 @@ class MetricRepository:
         *,
         verdicts: bool = False,
     ) -> dict[int, dict[str, float]]:
-        """{run: {metric key: value}}: measured figures, and those of each run's current protocol.
+        """{run: {metric key: value}}: measured metrics, and those of each run's current protocol.
 
-        ``keys`` restricts them to these metrics; ``protocol_id`` takes the figures of this protocol instead;
+        ``keys`` restricts them to these metrics; ``protocol_id`` takes the metrics of this protocol instead;
         ``verdicts`` adds the stored verdicts, by :data:`VERDICT`. One query for each few hundred runs.
         """
         known = {row.id: row.key for row in self._session.execute(select(Metric.id, Metric.key))}
@@ -70,7 +70,7 @@ class MetricRepository:
         return found
 
     def follow_protocols(self, run_ids: Iterable[int]) -> None:
-        """Mark the figures that count now; to be called whenever a run's current protocol has changed.
+        """Mark the metrics that count now; to be called whenever a run's current protocol has changed.
 
         A run that could never be evaluated has no current protocol: the verdict of its last evaluation counts.
         """
@@ -89,7 +89,7 @@ class MetricRepository:
             self._session.execute(update(figures).where(*changing).values(is_current=mark))
 
     def by_protocol(self, run_id: int) -> dict[str | None, dict[str, float]]:
-        """All figures of one run: {protocol fingerprint, None for measured: {metric key: value}}."""
+        """All metrics of one run: {protocol fingerprint, None for measured: {metric key: value}}."""
         rows = self._session.execute(
             select(Protocol.id, Protocol.fingerprint, Metric.key, MetricValue.value)
             .join(Protocol, Protocol.id == MetricValue.protocol_id)

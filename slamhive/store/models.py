@@ -17,7 +17,7 @@ from slamhive.store.records import EvaluationState
 from slamhive.store.types import JsonText, LongText, Number, UtcDateTime, enum_column
 
 MEASURED_PROTOCOL_ID = 1
-"""The row of ``protocols`` that figures without a protocol (CPU, memory, poses) are filed under."""
+"""The row of ``protocols`` that metrics without a protocol (CPU, memory, poses) are filed under."""
 
 TABLE_OPTIONS = {"mysql_engine": "InnoDB", "mysql_charset": "utf8mb4", "mysql_collate": "utf8mb4_bin"}
 """Binary collation: ``nFeatures`` and ``nfeatures`` are two names on SQLite, so they are on MySQL."""
@@ -155,7 +155,7 @@ class Host(Base):
 
 
 class Protocol(Base):
-    """An evaluation protocol, and the one row that measured figures are filed under."""
+    """An evaluation protocol, and the one row that measured metrics are filed under."""
 
     __tablename__ = "protocols"
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -296,9 +296,9 @@ class Metric(Base):
 
 
 class MetricValue(Base):
-    """One figure of one run under one protocol, filed metric by metric: searches look through few metrics of many runs.
+    """One metric of one run under one protocol, filed metric by metric: searches look through few metrics of many runs.
 
-    ``is_current`` is 1 for measured figures and for those of the run's current protocol, else 0; the second key serves
+    ``is_current`` is 1 for measured metrics and for those of the run's current protocol, else 0; the second key serves
     "runs with metric between a and b". There is no reference to the protocol: it would cost an index of its own, and
     protocols are never deleted.
     """

@@ -36,7 +36,7 @@ class EvaluationState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """The machine a run was measured on; figures of different machines are told apart by ``fingerprint``."""
+    """The machine a run was measured on; ``fingerprint`` distinguishes machines."""
 
     cpu_model: str
     cpu_count: int
@@ -134,7 +134,7 @@ class RunFields(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True)
 class ProtocolLabel:
-    """Which protocol a run's current figures were taken under."""
+    """Which protocol a run's current metrics were taken under."""
 
     fingerprint: str
     label: str
@@ -145,7 +145,7 @@ class RunRecord:
     """A run with everything that lists and pages show of it.
 
     ``attempt`` counts the times a worker took the run. ``protocol_override`` is what the user asked for,
-    ``protocol`` what the latest successful evaluation used. ``metrics`` holds the measured figures and those of
+    ``protocol`` what the latest successful evaluation used. ``metrics`` holds the measured metrics and those of
     ``protocol``, {metric key: value}; None if they were not asked for. ``judged`` is the stored verdict, which comes
     with them. ``host`` and ``version`` are known once the run has started. ``disturbance`` is None where nothing was
     recorded of the machine. ``experiment`` is the name of the one that it belongs to, ``cell`` its place there; for the
@@ -255,7 +255,7 @@ class Page:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """A figure over ``n`` runs: mean, median, standard deviation of the sample (None for one run), and the extremes."""
+    """A metric over ``n`` runs: mean, median, standard deviation of the sample (None for one run), and the extremes."""
 
     n: int
     mean: float
@@ -267,9 +267,9 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class GroupRecord:
-    """A configuration, and those of its runs that a search found: how many, how many failed, and their figures.
+    """A configuration, and those of its runs that a search found: how many, how many failed, and their metrics.
 
-    ``disturbed``: how many were measured on a disturbed machine. ``figures``: {protocol, None for measured figures:
+    ``disturbed``: how many were measured on a disturbed machine. ``figures``: {protocol, None for measured metrics:
     {metric: spread}}.
     """
 
@@ -305,7 +305,7 @@ class SavedSearchRecord:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationRecord:
-    """One evaluation of one run. ``engine`` names what computed the figures; ``reason`` is why it failed."""
+    """One evaluation of one run. ``engine`` names what computed the metrics; ``reason`` is why it failed."""
 
     id: int
     run_id: int

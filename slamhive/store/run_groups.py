@@ -1,6 +1,6 @@
-"""Runs grouped by configuration: how many, how many failed, and each figure's mean, median and spread over the others.
+"""Runs grouped by configuration: how many, how many failed, and each metric's mean, median and spread over the others.
 
-Figures of different protocols are never put together: a configuration that was evaluated under two has two of each.
+Metrics of different protocols are never put together: a configuration that was evaluated under two has two of each.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class _Groups:
     def _mean(self, query: Select[Any], runs: FromClause) -> Select[Any]:
         """The mean of a metric over the runs that did not fail.
 
-        None where its figures stem from several protocols, which have no common mean.
+        None where its metrics stem from several protocols, which have no common mean.
         """
         figures, joined = self._figures(runs, [self.sort.key])
         one = func.min(figures.c.protocol_id) == func.max(figures.c.protocol_id)
@@ -122,7 +122,7 @@ class _Groups:
         )
 
     def _figures(self, runs: FromClause, metrics: Sequence[str]) -> tuple[FromClause, ColumnElement[bool]]:
-        """The figures that count, of some metrics, beside the rows of ``runs``."""
+        """The metrics that count, of some metrics, beside the rows of ``runs``."""
         figures = FIGURES.alias()
         ids = [self.names.metrics[key] for key in metrics if key in self.names.metrics]
         counts = figures.c.is_current + 0 == 1

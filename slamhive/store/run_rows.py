@@ -1,4 +1,4 @@
-"""From rows to :class:`RunRecord`: one joined query for the runs, one for parameters, one for figures."""
+"""From rows to :class:`RunRecord`: one joined query for the runs, one for parameters, one for metrics."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ _PLAIN_COLUMNS = (
 def run_query(protocol_id: int | None = None) -> Select[Any]:
     """All columns that a record needs, joined; conditions and order are added by the caller.
 
-    ``protocol_id``: the protocol whose figures are shown, None for each run's current one.
+    ``protocol_id``: the protocol whose metrics are shown, None for each run's current one.
     """
     shown = func.coalesce(literal(protocol_id, Integer), Run.current_protocol_id)
     return (
@@ -97,7 +97,7 @@ def run_query(protocol_id: int | None = None) -> Select[Any]:
 def to_records(
     session: Session, rows: Sequence[Row[Any]], *, with_metrics: bool = False, protocol_id: int | None = None
 ) -> tuple[RunRecord, ...]:
-    """The rows of :func:`run_query` as records, in the same order; figures are those of ``protocol_id``, as there."""
+    """The rows of :func:`run_query` as records, in the same order; metrics are those of ``protocol_id``, as there."""
     parameters = ConfigurationRepository(session).parameters_of_all(row.configuration_id for row in rows)
     run_ids = [row.id for row in rows]
     if not with_metrics:

@@ -37,7 +37,7 @@ SCANNED_FROM = 2_000
 
 @dataclass(frozen=True, slots=True)
 class ProtocolValue:
-    """One figure under one protocol."""
+    """One metric under one protocol."""
 
     run_id: int
     fingerprint: str

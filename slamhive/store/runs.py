@@ -82,10 +82,10 @@ class RunRepository:
         *,
         with_metrics: bool = False,
     ) -> Page:
-        """One page of runs, with parameters and, if asked for, figures: as many queries for a long page as for a short.
+        """One page of runs, with parameters and, if asked for, metrics: as many queries for a long page as for a short.
 
         Args:
-            wanted: Which runs, and under which protocol their figures are taken.
+            wanted: Which runs, and under which protocol their metrics are taken.
             sort: Order; None is the newest first.
             after: ``next_key`` of the page before; None is the first page. Raises InvalidInput if it is not one.
             limit: Most runs of the page, 1 to 1000.

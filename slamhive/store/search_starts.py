@@ -20,14 +20,14 @@ _INDEXED = frozenset(
 )
 _OF_CONFIGURATIONS = frozenset({Source.CONFIGURATION, Source.SETUP, Source.PARAMETER})
 _LOOK_UP = 3
-"""Reading a run's own row costs about so many times what testing a figure does."""
+"""Reading a run's own row costs about so many times what testing a metric does."""
 
 
 @dataclass(frozen=True)
 class Start:
     """A list to begin with, each run once.
 
-    ``part`` is what its runs fit: a comparison, or an ``or`` of what can be begun with. ``more`` is tested of the
+    ``part`` is what its runs fit: a comparison, or an ``or`` of what can be started with. ``more`` is tested of the
     configurations before their runs are read, ``rest`` of the runs; None: nothing.
     """
 
@@ -46,7 +46,7 @@ class Start:
         return rows.with_only_columns(rows.selected_columns.id)
 
     def matches(self, sql: Sql) -> Select[Any]:
-        """The ids of the runs that match. Figures are tested before a run's own row is looked up, if it has to be."""
+        """The ids of the runs that match. Metrics are tested before a run's own row is looked up, if it has to be."""
         rows = self._rows(sql)
         runs = rows.subquery()
         if self._needs_run and len(rows.selected_columns) == 1:
@@ -97,7 +97,7 @@ def starts(tree: Bound | None) -> Iterator[Start]:
 
 
 def _starts_of_and(parts: Sequence[Bound]) -> Iterator[Start]:
-    """What restricts configurations does so before their runs are read, if one of it is begun with."""
+    """Apply conditions on configurations before their runs are read, if the search starts with one of them."""
     shared = [_among(part, _OF_CONFIGURATIONS) for part in parts]
     of_runs = _all([part for part, is_shared in zip(parts, shared, strict=True) if not is_shared])
     for place, part in enumerate(parts):

@@ -37,11 +37,11 @@ class SearchRepository:
         return stored_parameters(self._session)
 
     def protocols(self) -> dict[str, str]:
-        """{fingerprint: label} of the protocols that figures are filed under."""
+        """{fingerprint: label} of the protocols that metrics are filed under."""
         return stored_protocols(self._session)
 
     def unevaluated(self) -> int:
-        """How many runs succeeded, have no figures under any protocol, and no evaluation that waits or works."""
+        """How many runs succeeded, have no metrics under any protocol, and no evaluation that waits or works."""
         runs, evaluations = Run.__table__, Evaluation.__table__
         waiting = select(literal(1)).where(evaluations.c.run_id == runs.c.id, evaluations.c.open == 1)
         query = select(func.count()).where(

@@ -1,7 +1,7 @@
 """The numbers that a database plans its queries by, kept fresh by whoever writes.
 
-SQLite only looks at its tables when it is told to, so a file that has grown is planned for as if it were small. MySQL
-and MariaDB look by themselves once a tenth of a table has changed; after a bulk load they are told not to wait.
+SQLite only looks at its tables when asked, so a file that has grown is planned for as if it were small. MySQL
+and MariaDB look by themselves once a tenth of a table has changed; after a bulk load they are asked not to wait.
 """
 
 from __future__ import annotations

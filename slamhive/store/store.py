@@ -104,7 +104,7 @@ class Store:
 
     @contextmanager
     def unheard(self) -> Iterator[None]:
-        """The listener is told nothing during the block: what is stored comes from where it would write."""
+        """The listener receives nothing during the block: what is stored comes from where it would write."""
         listener, self.listener = self.listener, None
         try:
             yield
@@ -112,7 +112,7 @@ class Store:
             self.listener = listener
 
     def recheck(self) -> None:
-        """Tell the listener that more may have been stored than it was told of, after a bulk of rows was filed."""
+        """Tell the listener that more may have been stored than it was notified of, after a bulk of rows was filed."""
         if self.listener is not None:
             self.listener(Changes(uncertain=True))
 
@@ -170,7 +170,7 @@ class Store:
 
 
 class AbsentStore(Store):
-    """Stands for a database that is not there: whoever wants something of it is told why.
+    """Stands for a database that is not there: whoever wants something of it gets the reason.
 
     Args:
         reason: What every access raises.

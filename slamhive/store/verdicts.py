@@ -64,7 +64,7 @@ class VerdictRepository:
         self._session = session
 
     def renew(self, run_ids: Iterable[int], protocol_id: int | None = None) -> None:
-        """Judge these runs and all their repeats anew, under each protocol that they were evaluated under.
+        """Judge these runs and all their repeats again, under each protocol that they were evaluated under.
 
         ``protocol_id``: only under this one. Another process may evaluate a repeat at the same time: the rows of their
         configurations are locked, so the later one sees both.

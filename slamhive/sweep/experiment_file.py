@@ -1,4 +1,4 @@
-"""``experiment.yaml`` to :class:`~slamhive.sweep.experiment.Experiment`; every mistake is told with file and line."""
+"""Read ``experiment.yaml`` into :class:`~slamhive.sweep.experiment.Experiment`; errors name file and line."""
 
 from __future__ import annotations
 

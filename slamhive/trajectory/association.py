@@ -19,7 +19,7 @@ def associate(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
 
     Args:
         reference: The ground truth.
-        estimate: The estimate, its stamps on the clock of the ground truth.
+        estimate: The estimate, its timestamps on the clock of the ground truth.
         protocol: Says how, and how far apart.
 
     Raises:
@@ -44,7 +44,7 @@ def associate(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
 
 
 def match_nearest(reference_s: FloatArray, estimate_s: FloatArray, tolerance_s: float) -> tuple[Indices, Indices]:
-    """For each stamp of the shorter list the nearest of the other, if it is within the tolerance.
+    """For each timestamp of the shorter list the nearest of the other, if it is within the tolerance.
 
     The rule of evo (https://github.com/MichaelGrupp/evo, ``evo.core.sync``), ties included: not one to one.
 
@@ -54,7 +54,7 @@ def match_nearest(reference_s: FloatArray, estimate_s: FloatArray, tolerance_s: 
         tolerance_s: Largest gap, itself allowed.
 
     Returns:
-        The indices of the matched stamps in both lists.
+        The indices of the matched timestamps in both lists.
     """
     if len(estimate_s) > len(reference_s):
         of_estimate, of_reference = _nearest(reference_s, estimate_s, tolerance_s)
@@ -75,7 +75,7 @@ def _nearest(short_s: FloatArray, long_s: FloatArray, tolerance_s: float) -> tup
 
 
 def match_one_to_one(reference_s: FloatArray, estimate_s: FloatArray, tolerance_s: float) -> tuple[Indices, Indices]:
-    """Pairs of stamps less than the tolerance apart, taken by growing gap, each stamp once.
+    """Pairs of timestamps less than the tolerance apart, taken by growing gap, each timestamp once.
 
     The rule of the TUM RGB-D benchmark's ``associate.py`` (Sturm et al., IROS 2012). Arguments and result as those of
     :func:`match_nearest`, but a gap of the tolerance itself is too large.
@@ -101,10 +101,10 @@ def match_one_to_one(reference_s: FloatArray, estimate_s: FloatArray, tolerance_
 
 
 def match_in_one_sweep(reference_s: FloatArray, estimate_s: FloatArray, tolerance_s: float) -> tuple[Indices, Indices]:
-    """Each stamp of the estimate in turn takes the nearest of the ground truth's that come after the last one taken.
+    """Each timestamp of the estimate takes the nearest of the ground truth after the last one taken.
 
     The rule of OpenVINS (https://github.com/rpng/open_vins, ``ov_eval``): one to one and in order, but what an earlier
-    stamp has taken is lost for a later one that would be nearer. Arguments and result as those of
+    timestamp has taken is lost for a later one that would be nearer. Arguments and result as those of
     :func:`match_one_to_one`.
     """
     listed_s, wanted_s = reference_s.tolist(), estimate_s.tolist()
@@ -159,7 +159,7 @@ def _by_index(reference: Trajectory, estimate: Trajectory) -> tuple[Poses, Poses
 
 
 def _interpolated(reference: Trajectory, estimate: Trajectory, interval_s: float) -> tuple[Poses, Poses]:
-    """The ground truth at those stamps of the estimate whose neighbours are no further apart than the interval."""
+    """The ground truth at those timestamps of the estimate whose neighbours are no further apart than the interval."""
     stamps_s = estimate.stamps_s
     after = np.searchsorted(reference.stamps_s, stamps_s, side="left")
     exact = np.zeros(len(stamps_s), bool)
@@ -173,9 +173,9 @@ def _interpolated(reference: Trajectory, estimate: Trajectory, interval_s: float
 
 
 def _held(reference: Trajectory, estimate: Trajectory, interval_s: float | None) -> tuple[Poses, Poses]:
-    """The estimate at every stamp of the ground truth: between its poses interpolated, beyond its ends held.
+    """The estimate at every timestamp of the ground truth: between its poses interpolated, beyond its ends held.
 
-    With an interval, at those stamps of the ground truth whose next one is no further away.
+    With an interval, at those timestamps of the ground truth whose next one is no further away.
     """
     if estimate.stamps_s[0] > reference.stamps_s[-1] or estimate.stamps_s[-1] < reference.stamps_s[0]:
         return reference.take(np.empty(0, np.intp)), estimate.take(np.empty(0, np.intp))

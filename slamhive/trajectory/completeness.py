@@ -63,7 +63,7 @@ def measure_completeness(estimate_stamps_s: FloatArray, reference_stamps_s: Floa
     """Coverage of the reference's span by the estimate.
 
     Args:
-        estimate_stamps_s: Never decreasing, shape (n,), n >= 1; stamps outside the span do not count.
+        estimate_stamps_s: Never decreasing, shape (n,), n >= 1; timestamps outside the span do not count.
         reference_stamps_s: Never decreasing, shape (m,).
         gap_s: A longer time without a pose is a gap.
 
@@ -92,7 +92,7 @@ def measure_own_coverage(estimate_stamps_s: FloatArray, reference: Poses, gap_s:
     """Coverage of the reference's path and time by the estimate, gaps judged by the estimate's own spacing.
 
     Args:
-        estimate_stamps_s: Strictly increasing, shape (n,), n >= 1; stamps outside the span do not count.
+        estimate_stamps_s: Strictly increasing, shape (n,), n >= 1; timestamps outside the span do not count.
         reference: At least two poses that span some time.
         gap_s: No time shorter than this is a gap.
     """
@@ -111,7 +111,7 @@ def measure_own_coverage(estimate_stamps_s: FloatArray, reference: Poses, gap_s:
 
 
 def own_gap(stamps_s: FloatArray, span_s: float, gap_s: float) -> float:
-    """What counts as a gap between stamps: by their own spacing, within reason."""
+    """What counts as a gap between timestamps: by their own spacing, within reason."""
     if len(stamps_s) < 2:
         return gap_s
     typical_s = float(np.median(np.diff(stamps_s)))

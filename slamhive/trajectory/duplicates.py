@@ -9,7 +9,7 @@ from slamhive.trajectory.model import FloatArray, Poses, Trajectory
 
 
 def repair(poses: Poses, how: Duplicates) -> Trajectory:
-    """The trajectory of ``poses``, whose stamps never decrease, with what ``how`` leaves of equal stamps.
+    """The trajectory of ``poses``, whose timestamps never decrease, with what ``how`` leaves of equal timestamps.
 
     The mean of orientations is the one with the least squared chordal distance to first order: their quaternions, signs
     made equal, are added and normalised (Markley et al., "Averaging quaternions", JGCD 2007, holds the exact form).

@@ -189,7 +189,7 @@ _IDENTITY = 1 - 1e-6
 
 
 def _order_by_start(quats: FloatArray) -> Finding[QuaternionOrder] | None:
-    """An estimate mostly begins with no rotation at all, which tells where w stands."""
+    """An estimate mostly begins with no rotation at all, which says where w stands."""
     first = np.abs(quats[0])
     for place, order in ((3, QuaternionOrder.XYZW), (0, QuaternionOrder.WXYZ)):
         if first[place] >= _IDENTITY:

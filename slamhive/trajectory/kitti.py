@@ -1,4 +1,4 @@
-"""KITTI odometry poses: the upper 3x4 of T_world_camera, 12 numbers row by row, one pose a line; stamps apart.
+"""KITTI odometry poses: the upper 3x4 of T_world_camera, 12 numbers row by row, one pose a line; timestamps apart.
 
 Format: Geiger et al., "Are we ready for autonomous driving?", CVPR 2012.
 """
@@ -21,7 +21,7 @@ _ORTHOGONAL_TOLERANCE = 1e-2
 
 
 def read_kitti(poses_path: Path, times_path: Path) -> Trajectory:
-    """Read poses and their stamps (one number a line, s).
+    """Read poses and their timestamps (one number a line, s).
 
     Raises:
         NotFound: One of the files does not exist.
@@ -31,7 +31,7 @@ def read_kitti(poses_path: Path, times_path: Path) -> Trajectory:
 
 
 def read_kitti_rows(poses_path: Path, times_path: Path) -> RawPoses:
-    """As :func:`read_kitti`, before it is known in which unit the stamps are."""
+    """As :func:`read_kitti`, before it is known in which unit the timestamps are."""
     matrices = _read_poses(poses_path)
     data = read_bounded(times_path)
     times = parse_table(data, str(times_path), 1, "timestamp")
@@ -78,5 +78,5 @@ def format_kitti(positions_m: FloatArray, quats_xyzw: FloatArray) -> str:
 
 
 def write_kitti(path: Path, trajectory: Trajectory) -> None:
-    """Write the poses of ``trajectory``, without its stamps, in one step. Raises Unavailable."""
+    """Write the poses of ``trajectory``, without its timestamps, in one step. Raises Unavailable."""
     write_aside(path, format_kitti(trajectory.positions_m, trajectory.quats_xyzw))

@@ -65,9 +65,9 @@ class Poses:
 class Trajectory(Poses):
     """Poses of a moving frame in a fixed one, in the order of time.
 
-    Creating one validates it: at least one pose, stamps never decreasing, every number finite, quaternions unit
-    within :data:`QUATERNION_TOLERANCE`. They are normalised, and the arrays are made read-only. A stamp may occur more
-    than once only where the reader of a file was told to keep such poses.
+    Creating one validates it: at least one pose, timestamps never decreasing, every number finite, quaternions unit
+    within :data:`QUATERNION_TOLERANCE`. They are normalised, and the arrays are made read-only. A timestamp may occur
+    more than once only if the reader of a file keeps such poses.
 
     Raises:
         InvalidInput: Naming the first bad pose, counted from 0, and the value.

@@ -25,7 +25,7 @@ _GOLDEN = (math.sqrt(5) - 1) / 2
 STEP_S = 0.02
 """Between the offsets that are tried first: turning and position change little in this time."""
 TURNING_S = 0.1
-"""The rate of turning is taken over about this time: shorter drowns in noise, longer smears fast turns."""
+"""The angular rate is taken over about this time: shorter drowns in noise, longer smears fast turns."""
 LONGEST_TURNING_S = 0.5
 MINIMUM_COMPARED = 10
 """Fewer rates or positions fit anything."""
@@ -35,7 +35,7 @@ Misfit = Callable[[float], tuple[float, int]]
 
 
 def turning_misfit(reference: Trajectory, estimate: Trajectory) -> Misfit:
-    """Of the rates of turning, in rad/s: whatever world, scale and lever arm the two have, and however they drift.
+    """Of the angular rates, in rad/s: whatever world, scale and lever arm the two have, and however they drift.
 
     The estimate's rates are taken between its own poses, the ground truth's between its poses interpolated at the same
     times.
@@ -159,10 +159,10 @@ def coarse_offset(reference: Trajectory, estimate: Trajectory, within_s: float, 
         reference: The ground truth.
         estimate: The estimate.
         within_s: Largest offset.
-        by_turning: Compare rates of turning, else speeds, which scale and alignment do not change in shape.
+        by_turning: Compare angular rates, else speeds, which scale and alignment do not change in shape.
 
     Returns:
-        The offset to add to the estimate's stamps; None where nothing correlates.
+        The offset to add to the estimate's timestamps; None where nothing correlates.
     """
     begin_s = max(reference.stamps_s[0], estimate.stamps_s[0] - within_s)
     end_s = min(reference.stamps_s[-1], estimate.stamps_s[-1] + within_s)
@@ -183,7 +183,7 @@ def coarse_offset(reference: Trajectory, estimate: Trajectory, within_s: float, 
 
 
 def _rates(trajectory: Trajectory, stamps_s: FloatArray, *, by_turning: bool) -> FloatArray:
-    """Rates of turning or speeds between the stamps, less their mean; 0 beyond the trajectory. Shape (n - 1,)."""
+    """Angular rates or speeds between the timestamps, less their mean; 0 beyond the trajectory. Shape (n - 1,)."""
     poses = interpolate(trajectory, stamps_s)
     if by_turning:
         steps = rotation_angles_rad(poses.quats_xyzw[:-1], poses.quats_xyzw[1:])

@@ -40,7 +40,7 @@ def parse_tum(data: bytes, name: str, duplicates: Duplicates = Duplicates.REFUSE
 
 
 def parse_positions(data: bytes, name: str, duplicates: Duplicates = Duplicates.REFUSE) -> Trajectory:
-    """The trajectory in lines of stamp and position, from a receiver or a total station; its orientations are void.
+    """The trajectory in lines of timestamp and position, from a receiver or a total station; its orientations are void.
 
     Raises InvalidInput.
     """

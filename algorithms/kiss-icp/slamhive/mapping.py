@@ -22,7 +22,7 @@ from slamhive.runtime.trajectory import Poses
 class KissIcpOdometry:
     """Registers each scan against the map.
 
-    KISS-ICP undoes the motion within a scan towards the time 1.0 of its normalised stamps, the scan's end (its
+    KISS-ICP undoes the motion within a scan towards the time 1.0 of its normalised timestamps, the scan's end (its
     ``Preprocessor`` moves a point by ``(stamp - 1) * delta``), so a pose is the sensor's at the end of the scan.
     """
 

@@ -61,7 +61,7 @@ class OrbSlam3:
         self._tracked = False
 
     def process(self, frame: Frame) -> bool:
-        """Track one frame with the IMU samples up to its stamp; later ones are kept for the next."""
+        """Track one frame with the IMU samples up to its timestamp; later ones are kept for the next."""
         samples = np.concatenate([self._imu, frame.imu])
         due = samples[:, 0] <= frame.stamp_s
         self._imu = samples[~due]
@@ -77,7 +77,7 @@ class OrbSlam3:
         path = save_trajectory(self._slam, Path(self._work.name)) if self._tracked else None
         if path is None:
             return Poses(np.empty(0), np.empty((0, 4, 4)))
-        # For a frame that it could not place, ORB-SLAM3 writes the last pose once more, stamp and all.
+        # For a frame that it could not place, ORB-SLAM3 writes the last pose once more, timestamp and all.
         table = without_repeats(np.loadtxt(path, ndmin=2, comments="#").reshape(-1, 8))
         poses = np.array([transform_from(row[1:4], row[4:8]) for row in table]).reshape(-1, 4, 4)
         if self._roles == {"left", "right"}:
@@ -110,7 +110,7 @@ class OrbSlam3:
         return lambda frame, imu: self._slam.track_monocular(to_grey(frame.image("left")), frame.stamp_s, imu=imu)
 
     def _nearest_stamps_s(self, stamps_s: np.ndarray) -> np.ndarray:
-        """The frames' own stamps: the file's have been through single nanoseconds in floating point."""
+        """The frames' own timestamps: the file's have been through single nanoseconds in floating point."""
         known = np.array(self._stamps_s)
         after = np.clip(np.searchsorted(known, stamps_s), 1, max(len(known) - 1, 1))
         before = np.maximum(after - 1, 0)

@@ -34,8 +34,8 @@ def save_trajectory(slam: Savable, folder: Path, limit_s: float = SAVING_LIMIT_S
     """The file with the final trajectory, in ``folder``; None if no map holds a keyframe.
 
     Without any keyframe ``SaveTrajectoryEuRoC`` goes on with a map that it never chose: it crashes, or waits for ever
-    for a lock somewhere in memory. ``SaveKeyFrameTrajectoryTUM`` does no such thing, but tells of the current map only.
-    If that one is empty (tracking was lost, and the map begun anew), whether an older one holds keyframes is tried in a
+    for a lock somewhere in memory. ``SaveKeyFrameTrajectoryTUM`` does no such thing, but saves the current map only.
+    If that one is empty (tracking was lost and the map restarted), whether an older one holds keyframes is tried in a
     child process, which inherits no held lock: on an empty map no thread works.
 
     Raises InvalidInput if there are keyframes, but saving crashes or takes more than ``limit_s``.
@@ -53,7 +53,7 @@ def save_trajectory(slam: Savable, folder: Path, limit_s: float = SAVING_LIMIT_S
 
 
 def without_repeats(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rows of ``table`` (n, 8: stamp, position, quaternion) without those whose stamp an earlier row has."""
+    """The rows of ``table`` (n, 8: timestamp, position, quaternion), only the first of each timestamp."""
     _, first = np.unique(table[:, 0], return_index=True)
     return table[np.sort(first)]
 

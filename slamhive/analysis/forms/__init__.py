@@ -1,4 +1,4 @@
-"""The forms of analysis: one module each, behind :data:`FORMS`. Importing this package registers those that ship."""
+"""The plot types: one module each, behind :data:`FORMS`. Importing this package registers those that ship."""
 
 from slamhive.analysis.forms import (
     by_algorithm,

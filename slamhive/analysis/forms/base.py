@@ -1,4 +1,4 @@
-"""The seam of analysis forms: options, and a function from the table of runs to charts and tables."""
+"""The interface of plot types: options, and a function from the table of runs to plots and tables."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from slamhive.registry import Registry
 
 
 class FormOptions(BaseModel):
-    """What every form understands; a form adds its own options."""
+    """What every plot type understands; a plot type adds its own options."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     title: str | None = Field(default=None, max_length=200, description="Instead of the form's own title.")
@@ -34,8 +34,8 @@ OptionsT = TypeVar("OptionsT", bound=FormOptions)
 class RunTrack:
     """The aligned estimate of one run and its ground truth, as its evaluation left them.
 
-    Stamps in s, positions (n, 3) in m in the ground truth's frame; ``errors_m`` and ``pieces`` have one entry for each
-    pose. ``pieces`` numbers the stretches between pauses that are longer than the protocol's gap.
+    Timestamps in s, positions (n, 3) in m in the ground truth's frame; ``errors_m`` and ``pieces`` have one entry for
+    each pose. ``pieces`` numbers the stretches between pauses that are longer than the protocol's gap.
     """
 
     run_id: int
@@ -71,7 +71,7 @@ class RunFiles(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FormData:
-    """What a form works on.
+    """What a plot type works on.
 
     Attributes:
         table: The selected runs under the analysis' protocol.
@@ -87,7 +87,7 @@ class FormData:
 
 
 class Form(ABC, Generic[OptionsT]):
-    """One kind of figure or table.
+    """One kind of plot or table.
 
     ``key`` is what analysis files call it; ``options`` is the pydantic model of its part of the file.
     """
@@ -97,7 +97,7 @@ class Form(ABC, Generic[OptionsT]):
     description: ClassVar[str]
     options: ClassVar[type[FormOptions]]
     all_protocols: ClassVar[bool] = False
-    """Whether the form reads :attr:`FormData.every_protocol`, which is empty otherwise."""
+    """Whether the plot type reads :attr:`FormData.every_protocol`, which is empty otherwise."""
 
     @abstractmethod
     def needs(self, options: OptionsT) -> frozenset[str]:
@@ -105,11 +105,11 @@ class Form(ABC, Generic[OptionsT]):
 
     @abstractmethod
     def build(self, data: FormData, options: OptionsT) -> FormResult:
-        """Charts and tables. Raises InvalidInput or NotFound if the data or the options do not fit the form."""
+        """Plots and tables. Raises InvalidInput or NotFound if the data or the options do not fit the plot type."""
 
 
 FORMS: Registry[Form[Any]] = Registry("analysis form", "slamhive.analysis_forms")
-"""Every form by its key; installed packages add theirs through the entry-point group."""
+"""Every plot type by its key; installed packages add theirs through the entry-point group."""
 
 
 def require_runs(table: RunTable) -> None:
@@ -160,7 +160,7 @@ def number_column(rows: pd.DataFrame, key: str) -> Array:
 
 
 def caption(table: RunTable, shown: int, protocol: str | None, *more: str) -> str:
-    """What every figure says of itself: n, failures by the one rule, protocol."""
+    """What every plot says of itself: n, failures by the one rule, protocol."""
     failed = int(table.frame[FAILED].notna().sum())
     total = len(table.frame)
     parts = [f"n = {shown} of {total} runs, {failed} failed.", table.rule_words, table.disturbance_words]
@@ -177,11 +177,11 @@ def result_of(
     lacking: Sequence[str] = (),
     excluded: Sequence[Exclusion] = (),
 ) -> FormResult:
-    """What a form came to over the runs of ``table``.
+    """What a plot type came to over the runs of ``table``.
 
     Args:
-        table: Every run that the form is about.
-        protocol: Of its figures, in words; None if none depends on one.
+        table: Every run that the plot type is about.
+        protocol: Of its plots, in words; None if none depends on one.
         charts: In the order of the page.
         tables: Shown ones and raw data.
         lacking: Columns without which a good run is not shown; those runs are excluded.
@@ -210,7 +210,7 @@ def excluded_without(rows: pd.DataFrame, keys: Sequence[str], columns: Mapping[s
 
 
 def raw_table(key: str, table: RunTable, keys: Sequence[str], title: str = "Raw data") -> ResultTable:
-    """The runs behind a figure, failed ones included, with the reason."""
+    """The runs behind a plot, failed ones included, with the reason."""
     named = [key for key in dict.fromkeys(keys) if key not in _ALWAYS]
     chosen = ["run_id", "configuration_id", "algorithm", "dataset", *named]
     columns = [_table_column(table.column(name)) for name in chosen]

@@ -40,7 +40,7 @@ class ByAlgorithmOptions(FormOptions):
 
 
 class ByAlgorithm(Form[ByAlgorithmOptions]):
-    """The form ``by_algorithm``."""
+    """The plot type ``by_algorithm``."""
 
     key = "by_algorithm"
     title = "By algorithm and dataset"

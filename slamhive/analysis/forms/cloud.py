@@ -68,7 +68,7 @@ class Cloud:
         yield from disturbed_rings(self.shown, *places)
 
     def result(self, chart: Chart) -> FormResult:
-        """The chart with its raw data."""
+        """The plot with its raw data."""
         raw = raw_table(chart.key, self.table, self.keys)
         return result_of(self.table, self.protocol, (chart,), (raw,), lacking=self.keys)
 

@@ -37,7 +37,7 @@ class CoverageOptions(FormOptions):
 
 
 class Coverage(Form[CoverageOptions]):
-    """The form ``coverage``."""
+    """The plot type ``coverage``."""
 
     key = "coverage"
     title = "Accuracy and coverage"

@@ -48,7 +48,7 @@ class CriticalDifferenceOptions(FormOptions):
 
 
 class CriticalDifference(Form[CriticalDifferenceOptions]):
-    """The form ``critical_difference``."""
+    """The plot type ``critical_difference``."""
 
     key = "critical_difference"
     title = "Critical differences"
@@ -116,7 +116,7 @@ def _scores(table: RunTable, metric: str) -> tuple[list[str], list[str], Array]:
 
 
 def _diagram(names: list[str], test: RankTest) -> Iterator[Mark]:
-    """After Demsar (2006), figure 1: the better half labelled on the left, the others on the right."""
+    """After Demsar (2006), Fig. 1: the better half labelled on the left, the others on the right."""
     order = np.argsort(test.mean_ranks, kind="stable")
     count = len(names)
     ticks = np.arange(1, count + 1, dtype=float)

@@ -1,4 +1,4 @@
-"""How figures are distributed over runs: a box with its points for each algorithm and dataset."""
+"""How metrics are distributed over runs: a box with its points for each algorithm and dataset."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from slamhive.analysis.table import RunTable
 
 
 class DistributionsOptions(FormOptions):
-    """``metrics`` each get a figure of their own."""
+    """``metrics`` each get a plot of their own."""
 
     metrics: list[str] = Field(
         default_factory=lambda: ["ate.rmse", "rpe.rmse"], min_length=1, max_length=20, description="What is shown."
@@ -35,7 +35,7 @@ class DistributionsOptions(FormOptions):
 
 
 class Distributions(Form[DistributionsOptions]):
-    """The form ``distributions``."""
+    """The plot type ``distributions``."""
 
     key = "distributions"
     title = "Distributions over runs"
@@ -47,7 +47,7 @@ class Distributions(Form[DistributionsOptions]):
         return frozenset(options.metrics)
 
     def build(self, data: FormData, options: DistributionsOptions) -> FormResult:
-        """A chart for each metric, a table of summaries, the raw data."""
+        """A plot for each metric, a table of summaries, the raw data."""
         table = data.table
         require_runs(table)
         for key in options.metrics:

@@ -42,7 +42,7 @@ class HeatmapOptions(FormOptions):
 
 
 class Heatmap(Form[HeatmapOptions]):
-    """The form ``heatmap``."""
+    """The plot type ``heatmap``."""
 
     key = "heatmap"
     title = "Heat map"
@@ -54,7 +54,7 @@ class Heatmap(Form[HeatmapOptions]):
         return frozenset({options.x, options.y, options.metric})
 
     def build(self, data: FormData, options: HeatmapOptions) -> FormResult:
-        """One chart for each algorithm, the table of cells, the raw data."""
+        """One plot for each algorithm, the table of cells, the raw data."""
         table = data.table
         require_runs(table)
         if options.x == options.y:

@@ -43,7 +43,7 @@ class ImportanceOptions(FormOptions):
 
 
 class Importance(Form[ImportanceOptions]):
-    """The form ``importance``."""
+    """The plot type ``importance``."""
 
     key = "importance"
     title = "Parameter importance"

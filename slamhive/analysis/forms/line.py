@@ -38,7 +38,7 @@ class LineOptions(FormOptions):
 
 
 class LineForm(Form[LineOptions]):
-    """The form ``line``."""
+    """The plot type ``line``."""
 
     key = "line"
     title = "Over a parameter"
@@ -50,7 +50,7 @@ class LineForm(Form[LineOptions]):
         return frozenset({options.x, options.metric})
 
     def build(self, data: FormData, options: LineOptions) -> FormResult:
-        """One chart, the table of means, the raw data."""
+        """One plot, the table of means, the raw data."""
         table = data.table
         require_runs(table)
         x, metric = table.numeric(options.x, "the x axis"), table.numeric(options.metric, "a mean")

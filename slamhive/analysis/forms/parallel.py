@@ -36,7 +36,7 @@ class ParallelOptions(FormOptions):
 
 
 class ParallelCoordinates(Form[ParallelOptions]):
-    """The form ``parallel``."""
+    """The plot type ``parallel``."""
 
     key = "parallel"
     title = "Parallel coordinates"
@@ -48,7 +48,7 @@ class ParallelCoordinates(Form[ParallelOptions]):
         return frozenset({*options.dimensions, options.metric})
 
     def build(self, data: FormData, options: ParallelOptions) -> FormResult:
-        """One chart and its raw data."""
+        """One plot and its raw data."""
         table = data.table
         require_runs(table)
         metric = table.numeric(options.metric, "the colour")

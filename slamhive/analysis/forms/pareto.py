@@ -32,7 +32,7 @@ from slamhive.errors import InvalidInput
 
 
 class ParetoOptions(FormOptions):
-    """Two metrics give the figure; more may take part in what beats what."""
+    """Two metrics give the plot; more may take part in what beats what."""
 
     metrics: list[str] = Field(
         default_factory=lambda: ["cpu.mean", "ate.rmse"],
@@ -49,7 +49,7 @@ class ParetoOptions(FormOptions):
 
 
 class Pareto(Form[ParetoOptions]):
-    """The form ``pareto``."""
+    """The plot type ``pareto``."""
 
     key = "pareto"
     title = "Pareto front"

@@ -1,4 +1,4 @@
-"""Where values lie on an axis, and the marks that all charts over a parameter or a name share."""
+"""Where values lie on an axis, and the marks that all plots over a parameter or a name share."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def disturbed_rings(shown: pd.DataFrame, x: Array, y: Array, z: Array | None = N
 
 
 def look_of(table: RunTable, algorithm: str, dataset: str) -> dict[str, Any]:
-    """How one algorithm on one dataset is drawn; :func:`legend` tells what the looks mean."""
+    """How one algorithm on one dataset is drawn; :func:`legend` says what the looks mean."""
     return {
         "name": f"{algorithm} on {dataset}",
         "colour": table.colours[algorithm],
@@ -70,8 +70,8 @@ def legend(table: RunTable, *, markers: bool = True) -> Iterator[Points]:
     """An entry for each algorithm's colour and, if there are several, each dataset's marker: never one for each pair.
 
     Args:
-        table: The runs of the chart.
-        markers: The chart has markers.
+        table: The runs of the plot.
+        markers: The plot has markers.
     """
     algorithms = sorted(table.frame["algorithm"].unique())
     datasets = sorted(table.frame["dataset"].unique())

@@ -1,4 +1,4 @@
-"""The same runs under several evaluation protocols, side by side: what the choice of alignment does to a figure."""
+"""The same runs under several evaluation protocols, side by side: what the choice of alignment does to a metric."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ProtocolsOptions(FormOptions):
 
 
 class Protocols(Form[ProtocolsOptions]):
-    """The form ``protocols``."""
+    """The plot type ``protocols``."""
 
     key = "protocols"
     title = "Protocols side by side"

@@ -1,4 +1,4 @@
-"""Repeatability: all runs of one configuration, their figures and how much they differ."""
+"""Repeatability: all runs of one configuration, their metrics and how much they differ."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _TICK_LABELS = 30
 
 
 class RepeatabilityOptions(FormOptions):
-    """``metrics`` each get a figure."""
+    """``metrics`` each get a plot."""
 
     metrics: list[str] = Field(
         default_factory=lambda: ["ate.rmse"], min_length=1, max_length=20, description="What is shown."
@@ -38,7 +38,7 @@ class RepeatabilityOptions(FormOptions):
 
 
 class Repeatability(Form[RepeatabilityOptions]):
-    """The form ``repeatability``."""
+    """The plot type ``repeatability``."""
 
     key = "repeatability"
     title = "Repeatability"
@@ -50,7 +50,7 @@ class Repeatability(Form[RepeatabilityOptions]):
         return frozenset(options.metrics)
 
     def build(self, data: FormData, options: RepeatabilityOptions) -> FormResult:
-        """A chart for each metric, the summary, the raw data."""
+        """A plot for each metric, the summary, the raw data."""
         table = data.table
         require_runs(table)
         one_value(table, "configuration_id", "repeatability")

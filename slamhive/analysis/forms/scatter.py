@@ -21,7 +21,7 @@ class ScatterOptions(CoverageScaleOptions):
 
 
 class Scatter(Form[ScatterOptions]):
-    """The form ``scatter``."""
+    """The plot type ``scatter``."""
 
     key = "scatter"
     title = "Scatter"
@@ -33,7 +33,7 @@ class Scatter(Form[ScatterOptions]):
         return frozenset({options.x, options.y, "tracked_fraction"})
 
     def build(self, data: FormData, options: ScatterOptions) -> FormResult:
-        """One chart and its raw data."""
+        """One plot and its raw data."""
         cloud = cloud_of(data.table, [options.x, options.y], options)
         x, y = cloud.columns
         chart = Chart(

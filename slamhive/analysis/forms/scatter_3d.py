@@ -24,7 +24,7 @@ class Scatter3dOptions(ScatterOptions):
 
 
 class Scatter3d(Form[Scatter3dOptions]):
-    """The form ``scatter_3d``."""
+    """The plot type ``scatter_3d``."""
 
     key = "scatter_3d"
     title = "Scatter in 3D"
@@ -36,7 +36,7 @@ class Scatter3d(Form[Scatter3dOptions]):
         return frozenset({options.x, options.y, options.z, "tracked_fraction"})
 
     def build(self, data: FormData, options: Scatter3dOptions) -> FormResult:
-        """One chart and its raw data."""
+        """One plot and its raw data."""
         table = data.table
         if len(table.markers) > MARKERS_IN_SPACE:
             table = replace(table, markers=dict.fromkeys(table.markers, MARKERS[0]))

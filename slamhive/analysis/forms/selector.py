@@ -88,7 +88,7 @@ class SelectorOptions(FormOptions):
 
 
 class Selector(Form[SelectorOptions]):
-    """The form ``selector``."""
+    """The plot type ``selector``."""
 
     key = "selector"
     title = "Configurations that keep the bounds"

@@ -56,7 +56,7 @@ class BreakingPoint:
 
 
 class Sensitivity(Form[SensitivityOptions]):
-    """The form ``sensitivity``."""
+    """The plot type ``sensitivity``."""
 
     key = "sensitivity"
     title = "Sensitivity to a degradation"

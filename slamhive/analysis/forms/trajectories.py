@@ -42,7 +42,7 @@ class TrajectoriesOptions(FormOptions):
 
 
 class Trajectories(Form[TrajectoriesOptions]):
-    """The form ``trajectories``."""
+    """The plot type ``trajectories``."""
 
     key = "trajectories"
     title = "Trajectories"
@@ -95,7 +95,7 @@ class _GroundTruth:
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
-    """What the charts share."""
+    """What the plots share."""
 
     tracks: list[RunTrack]
     looks: dict[int, dict[str, Any]]

@@ -37,7 +37,7 @@ class UsageOptions(FormOptions):
 
 
 class Usage(Form[UsageOptions]):
-    """The form ``usage``."""
+    """The plot type ``usage``."""
 
     key = "usage"
     title = "CPU and memory over time"
@@ -50,7 +50,7 @@ class Usage(Form[UsageOptions]):
         return frozenset({"cpu.mean", "cpu.max", "ram.max"})
 
     def build(self, data: FormData, options: UsageOptions) -> FormResult:
-        """A chart of cores and one of memory, the table of means and peaks, the samples."""
+        """A plot of cores and one of memory, the table of means and peaks, the samples."""
         table = data.table
         require_runs(table)
         runs = [int(run) for run in table.frame["run_id"]]

@@ -23,7 +23,7 @@ from slamhive.runtime.pcd import write_pcd
 from slamhive.trajectory.tum import write_tum
 
 START_NS = 1000 * NS_PER_S
-"""The sequence's start: not 0, which ROS takes for "no time"; small, so that stamps in float64 are exact to 1e-12."""
+"""The sequence's start: not 0, which ROS reads as "no time"; small, so float64 timestamps are exact to 1e-12."""
 _IMU_NOISE_STREAM = 4
 _SCAN_BYTES_PER_RAY = 22
 _MAP_BYTES = 10_000_000
@@ -115,7 +115,7 @@ class _Recorder:
 
 
 def _schedule(options: RoomOptions) -> list[_Event]:
-    """Everything in the order in which it is received; the IMU first where stamps are equal."""
+    """Everything in the order in which it is received; the IMU first where timestamps are equal."""
     imu = [
         _Event(int(t), _Kind.IMU, n, int(t)) for n, t in enumerate(_times_ns(options.imu_samples, options.imu_rate_hz))
     ]

@@ -19,17 +19,17 @@ from slamhive.runtime.recording import damaged
 
 _STAMP = struct.Struct("<LL")
 _STAMP_OFFSET = 4
-"""Of the stamp in a message that begins with a ``std_msgs/Header``: behind its sequence number."""
+"""Of the timestamp in a message that begins with a ``std_msgs/Header``: behind its sequence number."""
 _PEEK_BYTES = 4096
 """Enough for a message record's header and the start of its data, even behind a connection record."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decisions:
-    """For each row of the index: whether it is kept, whether its bytes change, its number on its topic, its new stamp.
+    """For each row of the index: is it kept, do its bytes change, its number on its topic, its new timestamp.
 
-    ``edits`` holds by connection how the content changes; messages of other connections at most get a new stamp.
-    ``stamps_ns`` is 0 where the stamp stays.
+    ``edits`` holds by connection how the content changes; messages of other connections at most get a new timestamp.
+    ``stamps_ns`` is 0 where the timestamp stays.
     """
 
     kept: Array
@@ -40,7 +40,7 @@ class Decisions:
 
 
 def decide(file: Ros1File, index: Ros1Index, topics: dict[str, Treatment]) -> Decisions:
-    """Run the steps' filters and stamps over all messages of ``topics``; raises InvalidInput."""
+    """Run the steps' filters and timestamps over all messages of ``topics``; raises InvalidInput."""
     count = len(index.entries)
     decisions = Decisions(
         kept=np.ones(count, bool),
@@ -91,7 +91,7 @@ def _one_type(topic: str, connections: list[Ros1Connection]) -> str:
 
 
 def header_stamps(file: Ros1File, index: Ros1Index, rows: Array) -> Array:
-    """The header stamps (ns) of the messages in ``rows``, in their order; decompresses chunks, decodes nothing."""
+    """The header timestamps (ns) of the messages in ``rows``, in their order; decompresses chunks, decodes nothing."""
     stamps_ns = np.zeros(len(index.entries), np.int64)
     for row, raw in _records(file, index, rows):
         try:

@@ -42,7 +42,7 @@ Fields = dict[bytes, bytes]
 
 @dataclass(frozen=True, slots=True)
 class Ros1Connection:
-    """A connection; ``record`` is its whole record as it stands in the file."""
+    """A connection; ``record`` is its whole record as in the file."""
 
     id: int
     topic: str
@@ -225,7 +225,7 @@ class _IndexReader:
         return fields, self._stream.tell(), data_bytes
 
     def _index_record(self) -> tuple[int, bytes]:
-        """A connection, and its entries in a chunk as they stand in the file."""
+        """A connection, and its entries in a chunk as in the file."""
         fields = self._fields(OP_INDEX)
         raw = self._take(self._u32())
         if len(raw) != _u32(fields, b"count") * INDEX_ENTRY.itemsize:

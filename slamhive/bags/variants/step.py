@@ -62,7 +62,7 @@ Keep = Callable[[int, int], bool]
 """``keep(index, stamp_ns)``: called for each message that reaches the step, in order of time, ``index`` from 0."""
 
 Restamp = Callable[[int, int], int]
-"""``restamp(index, stamp_ns)``: the new header stamp; called as :data:`Keep` is. Receive times never change."""
+"""``restamp(index, stamp_ns)``: the new header timestamp; called as :data:`Keep` is. Receive times never change."""
 
 Transform = Callable[[Array, Message], Array]
 """A pure function of its arguments, called from several threads at once and in any order; it returns a new array.
@@ -77,9 +77,9 @@ float64 (6,): angular velocity (rad/s), then specific force (m/s²).
 class Operation:
     """What a step does to the messages of one topic; a part that is None leaves them as they are.
 
-    ``keep`` and ``restamp`` are decided before anything is decoded. Messages with neither a new stamp nor a transform
-    are copied byte by byte. ``uses_stamps`` asks for header stamps; without it the time given is that of reception,
-    which the bag's index holds and costs nothing. A restamp implies it.
+    ``keep`` and ``restamp`` are decided before anything is decoded. Messages with neither a new timestamp nor a
+    transform are copied byte by byte. ``uses_stamps`` asks for header timestamps; without it the time given is that
+    of reception, which the bag's index holds and costs nothing. A restamp implies it.
     """
 
     keep: Keep | None = None

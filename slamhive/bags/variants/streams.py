@@ -1,4 +1,4 @@
-"""What the steps of a variant make of each topic: which messages stay, with which stamp, through which transforms."""
+"""What the steps of a variant do to each topic: which messages stay, their timestamps and transforms."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class TopicStream:
 
     @property
     def uses_stamps(self) -> bool:
-        """Header stamps are needed to decide."""
+        """Header timestamps are needed to decide."""
         return any(operation.uses_stamps or operation.restamp is not None for operation in self._operations)
 
     def decide(self, stamp_ns: int) -> int | None:
-        """The stamp of the next message, None if it is dropped."""
+        """The timestamp of the next message, None if it is dropped."""
         for number, operation in enumerate(self._operations):
             index = self._reached[number]
             self._reached[number] += 1

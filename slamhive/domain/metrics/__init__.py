@@ -1,4 +1,4 @@
-"""The metric catalogue: each figure that a run can have is defined here, once, and nowhere else."""
+"""The metric catalogue: each metric that a run can have is defined here, once, and nowhere else."""
 
 from __future__ import annotations
 

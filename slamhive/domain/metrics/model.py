@@ -35,10 +35,10 @@ class Group(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """What one figure means.
+    """What one metric means.
 
     Attributes:
-        key: What the figure is called everywhere.
+        key: What the metric is called everywhere.
         label: Its name on pages.
         unit: Of the stored value; empty for a pure number.
         direction: Which way is better.

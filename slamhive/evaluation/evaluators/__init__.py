@@ -1,1 +1,1 @@
-"""What figures are computed from a pair of trajectories; each evaluator is one module behind one seam."""
+"""Computes metrics from a pair of trajectories; each evaluator is one module behind one seam."""

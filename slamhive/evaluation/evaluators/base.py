@@ -1,4 +1,4 @@
-"""The seam: an evaluator takes a pair of trajectories and yields figures of the metric catalogue."""
+"""The seam: an evaluator takes a pair of trajectories and yields metrics of the catalogue."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class Paired:
         protocol: What association, alignment and deltas are.
         reference: The whole ground truth, in the frame of the estimate.
         rotations_known: False where the ground truth holds positions only; its orientations then mean nothing.
-        estimate: The whole estimate in its own world, its stamps on the clock of the ground truth.
+        estimate: The whole estimate in its own world, its timestamps on the clock of the ground truth.
         matched_reference: The matched poses of the ground truth.
         matched_estimate: The matched poses of the estimate, not aligned, one for each of ``matched_reference``.
         aligned: The matched poses of the estimate, aligned.
         aligned_estimate: The whole estimate, aligned.
         transform: What aligned it.
-        time_offset_s: What was added to the estimate's stamps.
+        time_offset_s: What was added to the estimate's timestamps.
         T_body_estimate: Pose, in the body frame, of the frame whose poses the estimate holds, shape (4, 4).
         files: What else there is of run and dataset, by name: :data:`COVARIANCES`, :data:`MAP`, :data:`RELATIONS`,
             :data:`REFERENCE_MAP`, :data:`KITTI_ESTIMATE`, :data:`KITTI_REFERENCE`; what is not there is left out.
@@ -76,23 +76,23 @@ class Figures:
 
 
 class Evaluator(Interface):
-    """One way of taking figures from a pair."""
+    """One way of taking metrics from a pair."""
 
     @property
     def keys(self) -> tuple[str, ...]:
         """The metric keys it may yield, all of them in the catalogue; no two evaluators yield the same."""
 
     def evaluate(self, paired: Paired) -> Figures:
-        """The figures of the pair. Raises InvalidInput if none can be taken: all keys are then missing for that.
+        """The metrics of the pair. Raises InvalidInput if none can be taken: all keys are then missing for that.
 
         What the protocol does not ask for, such as other lengths of segments, is neither found nor missing.
         """
 
 
 def absent(keys: Iterable[str], reason: str) -> Figures:
-    """No figures, all for one reason."""
+    """No metrics, all for one reason."""
     return Figures({}, dict.fromkeys(keys, reason))
 
 
 ROTATIONS_UNKNOWN = "the ground truth holds positions only"
-"""Why a figure that needs the orientations of the ground truth is missing."""
+"""Why a metric that needs the orientations of the ground truth is missing."""

@@ -22,7 +22,7 @@ LAYOUT = "timestamp and 21 numbers: the upper triangle, row by row, of the 6x6 c
 FRAMES = ("body", "world")
 _HEADER = b"# orientation:"
 _SAME_STAMP_S = 1e-5
-"""Stamps of one pose in two files, written with different digits."""
+"""Timestamps of one pose in two files, written with different digits."""
 _CHI_SQUARE_95 = 7.814727903251179
 """95 % of a chi-square distribution with 3 degrees of freedom is below this."""
 _UPPER = np.triu_indices(6)
@@ -50,7 +50,7 @@ class Consistency:
     keys = ("nees.position", "nees.position.within", "nees.orientation", "nees.orientation.within")
 
     def evaluate(self, paired: Paired) -> Figures:
-        """Missing where the algorithm gives no covariances; one that is none leaves all figures out."""
+        """Missing where the algorithm gives no covariances; one that is none leaves all metrics out."""
         path = paired.files.get(COVARIANCES)
         if path is None:
             return absent(self.keys, "the algorithm gives no covariances.txt")
@@ -109,7 +109,7 @@ def _orientation_frame(data: bytes, name: str) -> str:
 
 
 def _matched(paired: Paired, covariances: Covariances) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of matched poses, and of the covariances that have their stamps."""
+    """Indices of matched poses, and of the covariances that have their timestamps."""
     stamps_s = paired.matched_estimate.stamps_s - paired.time_offset_s
     after = np.searchsorted(covariances.stamps_s, stamps_s - _SAME_STAMP_S)
     after = np.minimum(after, len(covariances.stamps_s) - 1)

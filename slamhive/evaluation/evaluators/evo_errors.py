@@ -101,7 +101,7 @@ def _as_tum(paired: Paired) -> Result | None:
 
 
 def error_figures(prefix: str, result: Result, protocol: Protocol, archive: str) -> Figures:
-    """The statistics of evo's ``result`` as figures ``<prefix>.<statistic>``, and the result as an archive."""
+    """The statistics of evo's ``result`` as metrics ``<prefix>.<statistic>``, and the result as an archive."""
     result.info["title"] = result.info["title"].replace("(not aligned)", _aligned_words(protocol))
     values = {f"{prefix}.{name}": float(value) for name, value in result.stats.items()}
     return Figures(values, archives={archive: result})

@@ -68,7 +68,7 @@ class MapQuality:
 
 
 def map_figures(files: Mapping[str, Path], transform: Similarity | None) -> Figures:
-    """The figures of the map among ``files``, which ``transform`` moves into the world of the reference cloud.
+    """The metrics of the map among ``files``, which ``transform`` moves into the world of the reference cloud.
 
     Without a transform, which needs a ground-truth trajectory, the map is compared with nothing.
     """
@@ -98,7 +98,7 @@ def map_figures(files: Mapping[str, Path], transform: Similarity | None) -> Figu
 
 
 def compare(cloud: Cloud, reference: Cloud) -> dict[str, float]:
-    """The figures of a map against its reference, in one frame."""
+    """The metrics of a map against its reference, in one frame."""
     to_reference_m, _ = reference.tree.query(spread(cloud.points_m, COMPARED_POINTS))
     to_map_m, _ = cloud.tree.query(spread(reference.points_m, COMPARED_POINTS))
     values: dict[str, float] = {}
@@ -143,7 +143,7 @@ def thin(points_m: FloatArray, voxel_m: float) -> FloatArray:
     cells = np.floor(points_m / voxel_m).astype(np.int64)
     ids = np.zeros(len(points_m), dtype=np.int64)
     for axis in range(3):
-        # Numbered anew for each axis, so that the product cannot overflow whatever the extent.
+        # Numbered again for each axis, so that the product cannot overflow whatever the extent.
         along = np.unique(cells[:, axis], return_inverse=True)[1]
         ids = np.unique(ids * (int(along.max()) + 1) + along, return_inverse=True)[1]
     counts = np.bincount(ids)

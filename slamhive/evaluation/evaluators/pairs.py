@@ -78,7 +78,7 @@ def consecutive_pairs(values: FloatArray, delta: float) -> Pairs:
 
 
 def statistics(key: str, errors: FloatArray, names: Sequence[str]) -> dict[str, float]:
-    """Those of ``names`` of the errors, shape (m,), m >= 1, as figures ``<key>.<name>``."""
+    """Those of ``names`` of the errors, shape (m,), m >= 1, as metrics ``<key>.<name>``."""
     return {f"{key}.{name}": _STATISTICS[name](errors) for name in names}
 
 

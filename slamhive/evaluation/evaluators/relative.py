@@ -51,7 +51,7 @@ class RelativeErrors:
     )
 
     def evaluate(self, paired: Paired) -> Figures:
-        """A delta that no pair has leaves its figures out."""
+        """A delta that no pair has leaves its metrics out."""
         if not paired.rotations_known:
             return absent(self.keys, ROTATIONS_UNKNOWN)
         values: dict[str, float] = {}

@@ -103,7 +103,7 @@ def run_from_line(content: Mapping[str, Any]) -> RunLine:
 
 
 def row_as_record(run: RunRecord, mode: str, events: list[RunEvent]) -> dict[str, Any]:
-    """The record of a run that has no folder, out of its row; there are no figures of such a run."""
+    """The record of a run that has no folder, out of its row; there are no metrics of such a run."""
     version = {} if run.version is None else asdict(run.version)
     return {
         **begin_record(run),
@@ -303,7 +303,7 @@ def search_from_line(content: Mapping[str, Any]) -> tuple[SavedSearchRecord, dat
 
 
 def analysis_to_line(record: AnalysisRecord, source: str) -> dict[str, Any]:
-    """One line of :data:`slamhive.services.archive.layout.ANALYSES`: what it states; results are computed anew."""
+    """One line of :data:`slamhive.services.archive.layout.ANALYSES`: what it states; results are computed again."""
     return {
         "token": record.token,
         "name": record.name,

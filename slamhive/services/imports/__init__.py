@@ -1,4 +1,4 @@
-"""Importing trajectories of runs that were made elsewhere."""
+"""Import trajectories of other tools as runs."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class LoadedTruth:
     """A ground truth whose numbers are understood.
 
     Attributes:
-        text: In TUM format, or lines of stamp and position; the bytes of the file itself if they were.
+        text: In TUM format, or lines of timestamp and position; the bytes of the file itself if they were.
         kitti_poses: The bytes of the file itself if it was in KITTI format, else None.
         truth: What estimates are compared with.
         reading: Its conventions.

@@ -1,4 +1,4 @@
-"""Import runs that were made elsewhere. Each is imported completely or not at all, and only once.
+"""Import runs of other tools. Each is imported completely or not at all, and only once.
 
 Each run is filed in the database first, then its folder is renamed into place. The same command completes an import
 that was killed at any time.

@@ -58,7 +58,7 @@ def asked_line(asked: AskedEvaluations) -> Line:
 
 
 def ended_lines(found: Mapping[int, Sequence[EndedEvaluation]]) -> Iterator[Line]:
-    """Evaluations that have ended, by run; their protocols are told where they were asked for."""
+    """Evaluations that have ended, by run; their protocols are reported where they were asked for."""
     for run_id, entries in found.items():
         for entry in entries:
             times = (entry.created_at, entry.started_at, entry.ended_at)

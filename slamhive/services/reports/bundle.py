@@ -1,4 +1,4 @@
-"""A report as files: one self-contained page, figures for print, tables with all data, LaTeX; a folder or a zip."""
+"""A report as files: one self-contained page, plots for print, tables with all data, LaTeX; a folder or a zip."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def report_files(
     Args:
         report: From :func:`slamhive.services.reports.report.report_json`.
         project_root: Where the templates lie.
-        figures: The formats of printed figures, of :data:`slamhive.analysis.print_chart.FORMATS`.
+        figures: The formats of printed plots, of :data:`slamhive.analysis.print_chart.FORMATS`.
         progress: Told the share done and what is written.
     """
     tell = progress or (lambda _share, _what: None)
@@ -84,7 +84,7 @@ def zipped(report: dict[str, Any], project_root: Path, figures: Collection[str] 
 
 
 def report_page(report: dict[str, Any], project_root: Path) -> str:
-    """One HTML page with styles, figures and the library that draws them: it needs no server and no network."""
+    """One HTML page with styles, plots and the library that draws them: it needs no server and no network."""
     template = report_environment(project_root).get_template("analyses/report.html")
     return template.render(
         **report_content(report),
@@ -113,7 +113,7 @@ def report_content(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def shown_form(form: dict[str, Any]) -> dict[str, Any]:
-    """What a page shows of a form: charts by key and caption, tables with their first rows."""
+    """What a page shows of a form: plots by key and caption, tables with their first rows."""
     result: FormResult | None = None if form["result"] is None else from_json(form["result"])
     tables = [] if result is None else [table for table in result.tables if not table.raw]
     return {
@@ -142,7 +142,7 @@ def _shown_table(table: ResultTable) -> dict[str, Any]:
 
 
 def figures_json(report: dict[str, Any]) -> dict[str, Any]:
-    """{place-key: Plotly figure} of all charts of a report."""
+    """{place-key: Plotly JSON} of all plots of a report."""
     figures = {}
     for form in report["forms"]:
         if form["result"] is not None:

@@ -1,4 +1,4 @@
-"""What the page of an analysis needs: the report without the data that only figures and files show."""
+"""What the page of an analysis needs: the report without the data that only plots and files show."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slamhive.services.reports.report import file_name
 
 
 def page_json(report: Mapping[str, Any]) -> dict[str, Any]:
-    """The report for :mod:`slamhive.services.analyses.stored_page`: charts without marks, tables cut to what is shown.
+    """The report for :mod:`slamhive.services.analyses.stored_page`: plots without marks, tables cut to what is shown.
 
     It has the names of all files.
     """
@@ -36,7 +36,7 @@ def _light(form: dict[str, Any]) -> dict[str, Any]:
 
 
 def _files(form: dict[str, Any]) -> list[tuple[str, list[Any]]]:
-    """Each file of a form by its name: the place of the form, and the key of its figure or table."""
+    """Each file of a form by its name: the place of the form, and the key of its plot or table."""
     if form["result"] is None:
         return []
     result: FormResult = from_json(form["result"])

@@ -19,7 +19,7 @@ SHOWN_ROWS = 200
 
 
 def report_json(outcome: AnalysisOutcome, now: datetime) -> dict[str, Any]:
-    """Everything a reader of the analysis needs, charts and raw data included.
+    """Everything a reader of the analysis needs, plots and raw data included.
 
     Args:
         outcome: What was computed.

@@ -17,7 +17,7 @@ from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 
 
 def run_to_json(run: RunRecord) -> dict[str, Any]:
-    """The run with its figures. Times are ISO 8601 in UTC; what is not known is null; absent metrics are left out."""
+    """The run with its metrics. Times are ISO 8601 in UTC; what is not known is null; absent metrics are left out."""
     return {
         "id": run.id,
         "uid": run.uid,

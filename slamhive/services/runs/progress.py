@@ -17,7 +17,7 @@ _TAIL_BYTES = 400
 
 @dataclass(frozen=True, slots=True)
 class RunProgress:
-    """Progress of one active run. ``fraction`` is None while the recording has not begun to play."""
+    """Progress of one active run. ``fraction`` is None while the recording has not started to play."""
 
     fraction: float | None
     elapsed_s: float | None

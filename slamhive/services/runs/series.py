@@ -1,4 +1,4 @@
-"""What the figures of a run show, as arrays: path, error, CPU and memory, latency. Read from its folder."""
+"""What the plots of a run show, as arrays: path, error, CPU and memory, latency. Read from its folder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 MAX_POINTS = 3000
-"""A figure draws no more points than this; a screen has no more columns."""
+"""A plot has no more points than this; a screen has no more columns."""
 LIMIT_BYTES = 64_000_000
 
 
@@ -66,10 +66,10 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class RunSeries:
-    """All figure data of one run. What is None is explained in ``reasons`` under the same name.
+    """All plot data of one run. What is None is explained in ``reasons`` under the same name.
 
     ``estimate`` lies in the ground truth's frame where ``aligned``, in the algorithm's own otherwise. ``cpu`` is in
-    cores, ``memory`` in bytes, ``error`` in m, ``latency`` in s. A pause of the estimate longer than ``gap_s`` is a
+    cores, ``memory`` in bytes, ``error`` in m, ``latency`` in s. A gap in the estimate longer than ``gap_s`` is a
     gap; infinite where no protocol says how long that is.
     """
 
@@ -85,7 +85,7 @@ class RunSeries:
 
 
 def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
-    """Read everything that can be drawn of ``run``, the evaluation being the one whose figures it shows."""
+    """Read everything that can be drawn of ``run``, the evaluation being the one whose metrics it shows."""
     estimate = groundtruth = error = None
     gap_s = math.inf
     if run.protocol is not None:
@@ -110,7 +110,7 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
 
 
 def gap_of(evaluation: Path) -> float:
-    """How long a pause of the estimate is a gap under the protocol of an evaluation, in s; infinite if unknown."""
+    """The gap threshold in the protocol of an evaluation, in s; infinite if unknown."""
     try:
         return protocol_from_content(read_record(evaluation / PROTOCOL_FILE)).gap_threshold_s
     except SlamHiveError:

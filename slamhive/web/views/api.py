@@ -75,7 +75,7 @@ def runs() -> Response:
 
 @blueprint.get(f"/runs/{RUN_ID}")
 def run(run_id: int) -> Response:
-    """One run with its figures, evaluations and events."""
+    """One run with its metrics, evaluations and events."""
     services = hive()
     content = run_to_json(services.runs.get(run_id))
     content["evaluations"] = [

@@ -19,9 +19,9 @@ _RATE_TOLERANCE = 1e-3
 class Rate(Step):
     """Keep every N-th message (0, N, 2N, ...) or as many as ``hz`` asks for.
 
-    With ``hz``, the clock of the header stamps is cut into periods of 1/hz, and the first message of each period is
-    kept. The cut depends on nothing else, so sensors with equal stamps (a stereo pair) keep equal frames wherever their
-    topics begin. Periods begin half a source period early: stamps on round times stay clear of the cuts.
+    With ``hz``, the clock of the header timestamps is cut into periods of 1/hz, and the first message of each period is
+    kept. The cut depends on nothing else, so sensors with equal timestamps (a stereo pair) keep equal frames wherever
+    their topics begin. Periods begin half a source period early: timestamps on round times stay clear of the cuts.
     """
 
     kind: ClassVar[str] = "rate"
@@ -60,7 +60,7 @@ class Rate(Step):
         return replace(sensor, rate_hz=self.hz if self.hz is not None else sensor.rate_hz / (self.every or 1))
 
     def operation(self, stream: Stream) -> Operation:
-        """A filter, by index or by header stamp."""
+        """A filter, by index or by header timestamp."""
         if self.is_identity(stream.sensor):
             return Operation()
         if self.every is not None:

@@ -1,4 +1,4 @@
-"""The fault ``stamp_jitter``: stamps taken by a clock that is read late, or early, by chance."""
+"""The fault ``stamp_jitter``: timestamps taken by a clock that is read late, or early, by chance."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from slamhive.domain.sensors import Sensor
 
 
 class StampJitter(SeededStep):
-    """Gaussian noise on the header stamps; they still increase, as those of a driver do that checks its clock."""
+    """Gaussian noise on the header timestamps; they still increase, as those of a driver do that checks its clock."""
 
     kind: ClassVar[str] = "stamp_jitter"
 
     sigma_s: float = option("Standard deviation.", unit="s", ge=0, le=1)
 
-    def applies_to(self, sensor: Sensor) -> bool:  # noqa: ARG002 - every message has a stamp
+    def applies_to(self, sensor: Sensor) -> bool:  # noqa: ARG002 - every message has a timestamp
         """Every sensor."""
         return True
 
@@ -25,7 +25,7 @@ class StampJitter(SeededStep):
         return self.sigma_s == 0
 
     def operation(self, stream: Stream) -> Operation:
-        """A new stamp for every message."""
+        """A new timestamp for every message."""
         errors_ns = stream.random().standard_normal(stream.count) * self.sigma_s * 1e9
         last_ns = 0
 

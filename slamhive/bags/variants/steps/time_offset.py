@@ -1,4 +1,4 @@
-"""The fault ``time_offset``: a sensor whose clock is off, by a constant and by a drift. Nobody is told."""
+"""The fault ``time_offset``: a sensor whose clock has an offset and a drift. The calibration stays the same."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from slamhive.errors import InvalidInput
 
 
 class TimeOffset(Step):
-    """Header stamps moved by ``offset_s``, and by ``drift_ppm`` more for each second since the first message."""
+    """Header timestamps moved by ``offset_s``, and by ``drift_ppm`` more for each second since the first message."""
 
     kind: ClassVar[str] = "time_offset"
 
     offset_s: float = option("Added to every stamp.", unit="s", default=0.0, ge=-10, le=10)
     drift_ppm: float = option("How much too fast the clock runs.", unit="ppm", default=0.0, ge=-10_000, le=10_000)
 
-    def applies_to(self, sensor: Sensor) -> bool:  # noqa: ARG002 - every message has a stamp
+    def applies_to(self, sensor: Sensor) -> bool:  # noqa: ARG002 - every message has a timestamp
         """Every sensor."""
         return True
 
@@ -27,7 +27,7 @@ class TimeOffset(Step):
         return self.offset_s == 0 and self.drift_ppm == 0
 
     def operation(self, stream: Stream) -> Operation:
-        """A new stamp for every message."""
+        """A new timestamp for every message."""
         offset_ns = round(self.offset_s * 1e9)
         first_ns: int | None = None
 

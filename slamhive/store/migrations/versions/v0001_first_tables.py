@@ -41,7 +41,7 @@ TABLES = (
 
 
 def upgrade() -> None:
-    """Create everything, and the protocol row that measured figures are filed under."""
+    """Create everything, and the protocol row that measured metrics are filed under."""
     _create_catalogue()
     _create_configurations()
     _create_runs()
