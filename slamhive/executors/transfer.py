@@ -6,6 +6,7 @@ output folder are taken over, up to the bounds of the output.
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import tarfile
@@ -16,10 +17,12 @@ from typing import IO, Any
 
 from slamhive.executors.spec import RunOutput, RunSpec
 from slamhive.files import write_aside
-from slamhive.tree import remove_tree, walk
+from slamhive.tree import DEEPEST_FOLDERS, Entry, remove_tree, walk
 
 _INPUTS, _OUTPUTS, _WORK, _PACKAGE = "inputs", "outputs", "work", "package"
 _PLAIN_FILE, _PLAIN_FOLDER = 0o644, 0o755
+_LONGEST_NAME_BYTES, _LONGEST_PATH_BYTES = 255, 2000
+_MOST_LIVE_BYTES = 100_000_000
 
 
 def pack_inputs(spec: RunSpec, stream: IO[bytes]) -> None:
@@ -54,6 +57,8 @@ def relocated(spec: RunSpec, root: Path) -> RunSpec:
 def pack_folder(folder: Path, stream: IO[bytes], only: Collection[str] | None = None) -> None:
     """Write an archive of the plain files and folders below ``folder``; no link is followed.
 
+    Files that cannot be read are left out. Wanted files may change meanwhile, so each is read as a whole.
+
     Args:
         folder: An output of a run on this machine.
         stream: The archive.
@@ -67,13 +72,14 @@ def pack_folder(folder: Path, stream: IO[bytes], only: Collection[str] | None = 
                 info.type, info.mode = tarfile.DIRTYPE, _PLAIN_FOLDER
                 archive.addfile(info)
             elif entry.is_file and (only is None or entry.place in only):
-                _add_file(archive, info, entry.name, entry.folder)
+                _add_file(archive, info, entry, as_a_whole=only is not None)
 
 
 def unpack_output(stream: IO[bytes], output: RunOutput, work: Path) -> None:
     """Replace the output's folder with the content of an archive. Can be done again after a crash.
 
-    What would exceed the bounds of the output is left out. Raises OSError, tarfile.TarError.
+    What would exceed the bounds of the output is left out, and so are names that no file system takes. Raises OSError,
+    tarfile.TarError.
 
     Args:
         stream: What :func:`pack_folder` wrote.
@@ -88,7 +94,7 @@ def unpack_output(stream: IO[bytes], output: RunOutput, work: Path) -> None:
     with tarfile.open(fileobj=stream, mode="r|") as archive:
         for info in archive:
             files, size_bytes = files + 1, size_bytes + info.size
-            if _fits(output, files, size_bytes):
+            if _fits(output, files, size_bytes) and _can_be_named(info.name):
                 _take(archive, info, fresh)
             else:
                 files, size_bytes = files - 1, size_bytes - info.size
@@ -98,26 +104,37 @@ def unpack_output(stream: IO[bytes], output: RunOutput, work: Path) -> None:
     remove_tree(old)
 
 
-def unpack_live(stream: IO[bytes], output: RunOutput, most_bytes: int = 100_000_000) -> None:
+def unpack_live(stream: IO[bytes], output: RunOutput) -> None:
     """Replace the live files of an output, each in one step; others in the archive are left out."""
     with tarfile.open(fileobj=stream, mode="r|") as archive:
         for info in archive:
             content = archive.extractfile(info) if info.isreg() else None
-            if content is not None and info.name in output.live and info.size <= most_bytes:
+            if content is not None and info.name in output.live and info.size <= _MOST_LIVE_BYTES:
                 write_aside(output.destination / info.name, content.read())
 
 
-def _add_file(archive: tarfile.TarFile, info: tarfile.TarInfo, name: str, folder: int) -> None:
-    """Add a file as long as it is now: the algorithm may be writing to it."""
-    descriptor = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
+def _add_file(archive: tarfile.TarFile, info: tarfile.TarInfo, entry: Entry, *, as_a_whole: bool) -> None:
+    try:
+        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+        descriptor = os.open(entry.name, flags, dir_fd=entry.folder)
+    except OSError:
+        return
     with os.fdopen(descriptor, "rb") as content:
-        info.size = os.fstat(descriptor).st_size
-        archive.addfile(info, content)
+        source: IO[bytes] = io.BytesIO(content.read(_MOST_LIVE_BYTES)) if as_a_whole else content
+        info.size = source.seek(0, os.SEEK_END)
+        source.seek(0)
+        archive.addfile(info, source)
 
 
 def _fits(output: RunOutput, files: int, size_bytes: int) -> bool:
     within_bytes = output.max_bytes is None or size_bytes <= output.max_bytes
     return within_bytes and (output.max_files is None or files <= output.max_files)
+
+
+def _can_be_named(name: str) -> bool:
+    parts = PurePosixPath(name).parts
+    short = all(len(part.encode()) <= _LONGEST_NAME_BYTES for part in parts)
+    return short and len(parts) <= DEEPEST_FOLDERS and len(name.encode()) <= _LONGEST_PATH_BYTES
 
 
 def _take(archive: tarfile.TarFile, info: tarfile.TarInfo, root: Path) -> None:
