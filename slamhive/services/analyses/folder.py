@@ -1,4 +1,4 @@
-"""The folder of a stored analysis: its file, its state, and what was computed. The folder is the truth."""
+"""The folder of a stored analysis: its file, state and results. The folder is the truth."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class AnalysisFolder:
 
     @property
     def source(self) -> str:
-        """The analysis file as it was given; raises NotFound if it is gone."""
+        """The original analysis file; raises NotFound if it is missing."""
         try:
             return (self.root / SOURCE).read_text(encoding="utf-8")
         except FileNotFoundError:
@@ -43,7 +43,7 @@ class AnalysisFolder:
             raise Unavailable(f"{self.root / SOURCE} cannot be read: {error}") from None
 
     def create(self, source: str, record: AnalysisRecord) -> None:
-        """Make the folder; it is there with all that belongs into it, or not at all."""
+        """Create the folder, complete or not at all."""
         aside = self.root.with_name(f".{self.root.name}")
         try:
             with held_folder(aside):
@@ -58,7 +58,7 @@ class AnalysisFolder:
             raise
 
     def write_state(self, record: AnalysisRecord) -> None:
-        """Write what the table is to know; one that is being computed counts as waiting, for whoever finds it."""
+        """Write the state of the table row; a running analysis is written as waiting, so that a restart resumes it."""
         content = {
             "format": FORMAT,
             "name": record.name,
@@ -73,7 +73,7 @@ class AnalysisFolder:
         write_aside(self.root / STATE, json.dumps(content, indent=2) + "\n")
 
     def read_state(self) -> AnalysisRecord:
-        """What :meth:`write_state` wrote; waiting again if the report is not whole. Raises InvalidInput."""
+        """Read the state; it is waiting if the report is incomplete. Raises InvalidInput."""
         path = self.root / STATE
         content = read_record(path)
         try:
@@ -98,12 +98,12 @@ class AnalysisFolder:
 
     @property
     def whole(self) -> bool:
-        """Everything that was computed is there."""
+        """Whether all results exist."""
         return all((self.root / name).is_file() for name in RESULTS)
 
     @property
     def size_bytes(self) -> int | None:
-        """What the computed files take; None if they are not all there."""
+        """The total size of the results; None if any is missing."""
         return sum((self.root / name).stat().st_size for name in RESULTS) if self.whole else None
 
     def write_result(self, name: str, content: Any) -> None:
@@ -112,18 +112,18 @@ class AnalysisFolder:
         write_aside(self.root / name, gzip.compress(text.encode(), 6, mtime=0))
 
     def link_results(self, other: AnalysisFolder) -> None:
-        """Take over what was computed for another analysis that shows the same."""
+        """Link the results of another analysis with the same content."""
         for name in RESULTS:
             (self.root / name).unlink(missing_ok=True)
             (self.root / name).hardlink_to(other.root / name)
 
     def clear_results(self) -> None:
-        """Remove what was computed."""
+        """Remove the results."""
         for name in (*RESULTS, PROGRESS):
             (self.root / name).unlink(missing_ok=True)
 
     def read_result(self, name: str) -> Any:
-        """What :meth:`write_result` wrote; raises NotFound if it is not there, Unavailable if it is damaged."""
+        """Read a result; raises NotFound if it is missing, Unavailable if it is damaged."""
         try:
             return json.loads(gzip.decompress(self.result_bytes(name)))
         except (OSError, EOFError, ValueError, zlib.error) as error:
@@ -131,29 +131,29 @@ class AnalysisFolder:
             raise Unavailable(f"{self.root / name} is damaged: {error}", remedy) from None
 
     def result_bytes(self, name: str) -> bytes:
-        """The same as it lies on disk, compressed by gzip."""
+        """The same as stored, compressed by gzip."""
         try:
             return (self.root / name).read_bytes()
         except FileNotFoundError:
-            raise NotFound("this analysis has not been computed", "wait, or compute it anew") from None
+            raise NotFound("this analysis has not been computed", "wait, or compute it again") from None
         except OSError as error:
             raise Unavailable(f"{self.root / name} cannot be read: {error.strerror}") from None
 
     def write_progress(self, share: float, doing: str) -> None:
-        """For the page; not worth a flush to disk."""
+        """Write the progress for the page, without a flush to disk."""
         aside = self.root / f".{PROGRESS}"
         aside.write_text(json.dumps({"share": share, "doing": doing}), encoding="utf-8")
         aside.replace(self.root / PROGRESS)
 
     def read_progress(self) -> tuple[float, str]:
-        """The share done, and what is being done; nothing yet if that is not known."""
+        """The share done and the current activity; 0 and no text if unknown."""
         with contextlib.suppress(InvalidInput, ValueError, KeyError, TypeError):
             content = read_record(self.root / PROGRESS)
             return float(content["share"]), str(content["doing"])
         return 0.0, ""
 
     def remove(self) -> None:
-        """Remove the folder in one step, then its content."""
+        """Remove the folder: rename it in one step, then delete its content."""
         aside = self.root.with_name(f".{self.root.name}")
         with contextlib.suppress(FileNotFoundError):
             self.root.rename(aside)

@@ -1,4 +1,4 @@
-"""The stored page of an analysis for templates, apart from what computes it: that takes 150 MB to load."""
+"""The stored page of an analysis for templates. Apart from `reports`, which takes 150 MB to load."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from slamhive.analysis.result_json import from_json
 
 
 def page_forms(page: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The forms as templates take them, out of :func:`slamhive.services.reports.page.page_json`."""
+    """The plots for templates, from :func:`slamhive.services.reports.page.page_json`."""
     forms = []
     for form in page["forms"]:
         tables = []

@@ -1,4 +1,4 @@
-"""One file of the ledger: a JSON object a line, added to by any process, replaced as a whole now and then."""
+"""One file of the ledger: JSON lines that any process appends to, sometimes replaced as a whole."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from slamhive.files import make_shared_folder, remedy_of, write_aside
 logger = logging.getLogger(__name__)
 
 Line = dict[str, Any]
-"""An object. A value that is an iterator becomes a list, entry by entry: thousands of them are never there together."""
+"""An object. A value that is an iterator is written as a list, entry by entry, to save memory."""
 
 _encode = json.JSONEncoder(allow_nan=False, separators=(",", ":")).encode
 
 
 class Book:
-    """A file of lines. A line that a kill or a full disk cut off is passed over by whoever reads.
+    """A file of lines. Readers skip a line that a kill or a full disk has truncated.
 
     Args:
-        path: The file; it is made with its first line.
+        path: The file, created with its first line.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def append(self, lines: Iterable[Line]) -> None:
-        """Add lines, all or none; raises Unavailable."""
+        """Append lines, all or none; raises Unavailable."""
         text = "".join(map(_text, lines)).encode()
         if not text:
             return
@@ -52,7 +52,7 @@ class Book:
             raise Unavailable(f"{self.path} cannot be written: {error.strerror}", remedy_of(error)) from None
 
     def read(self) -> Iterator[Line]:
-        """All whole lines, the oldest first; raises Unavailable."""
+        """All complete lines, oldest first; raises Unavailable."""
         try:
             with self.path.open("rb") as stream:
                 for number, text in enumerate(stream, start=1):
@@ -60,7 +60,7 @@ class Book:
                     if line is not None:
                         yield line
                     elif text.strip():
-                        logger.warning("line %d of %s is not whole and is passed over", number, self.path)
+                        logger.warning("line %d of %s is incomplete and is skipped", number, self.path)
         except FileNotFoundError:
             return
         except OSError as error:
@@ -68,7 +68,7 @@ class Book:
 
     @contextmanager
     def replaced(self) -> Iterator[list[Line]]:
-        """Nobody adds a line during the block; what the yielded list holds then takes the place of all lines."""
+        """Lock the file for the block, then replace its lines by those of the yielded list."""
         lines: list[Line] = []
         try:
             with self._held() as descriptor:
@@ -79,13 +79,13 @@ class Book:
 
     @contextmanager
     def _held(self) -> Iterator[int]:
-        """The file, open and locked; the kernel lets go of the lock when its process dies."""
+        """The file, open and locked; the kernel releases the lock when the process dies."""
         while True:
             descriptor = self._open()
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX)
                 if not self._is(descriptor):
-                    continue  # replaced while the lock was waited for
+                    continue  # replaced while this process waited for the lock
                 yield descriptor
                 return
             finally:
@@ -98,7 +98,7 @@ class Book:
             return os.open(self.path, flags)
         except FileNotFoundError:
             descriptor = os.open(self.path, flags | os.O_CREAT, 0o644)
-            # A web server and a worker that run as different users share the folder through its group.
+            # A web server and a worker of different users share the folder through its group.
             if self.path.parent.stat().st_mode & stat.S_IWGRP:
                 os.fchmod(descriptor, 0o664)
             return descriptor

@@ -1,4 +1,4 @@
-"""Evaluations in the ledger: those that were asked for, and how they ended."""
+"""Evaluations in the ledger: those requested, and how they ended."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from slamhive.store.records import EvaluationState
 logger = logging.getLogger(__name__)
 
 Key = tuple[int, str, datetime]
-"""Run, fingerprint of the protocol and the time at which it was asked for: no two evaluations have the same."""
+"""Run, protocol fingerprint and time of the request, which together identify an evaluation."""
 
 
 @dataclass
 class LedgerEvaluations:
-    """All evaluations of the ledger: ``asked`` for, with their protocols, and those that have ``ended``, by run."""
+    """All evaluations of the ledger: those ``asked`` for, with protocols, and those that have ``ended``, by run."""
 
     protocols: dict[str, Protocol] = field(default_factory=dict)
     asked: dict[Key, Artefacts] = field(default_factory=dict)
     ended: dict[int, dict[Key, EndedEvaluation]] = field(default_factory=lambda: defaultdict(dict))
 
     def open(self) -> list[AskedEvaluations]:
-        """Those that were asked for and have not ended, asked together as they were, the oldest first."""
+        """Requested evaluations that have not ended, grouped as they were requested, oldest first."""
         together: dict[tuple[datetime, str, Artefacts], list[int]] = defaultdict(list)
         for (run_id, fingerprint, at), artefacts in self.asked.items():
             if (run_id, fingerprint, at) not in self.ended.get(run_id, ()):
@@ -43,12 +43,12 @@ class LedgerEvaluations:
         ]
 
     def of(self, run_id: int) -> list[EndedEvaluation]:
-        """Those of a run that have ended, in the order in which they were asked for."""
+        """The ended evaluations of a run, in the order of their requests."""
         return sorted(self.ended.get(run_id, {}).values(), key=lambda entry: entry.created_at)
 
 
 def asked_line(asked: AskedEvaluations) -> Line:
-    """Evaluations that were queued together."""
+    """One line for evaluations that were queued together."""
     return {
         "at": asked.at.isoformat(),
         "protocol": asked.protocol.content,
@@ -58,7 +58,7 @@ def asked_line(asked: AskedEvaluations) -> Line:
 
 
 def ended_lines(found: Mapping[int, Sequence[EndedEvaluation]]) -> Iterator[Line]:
-    """Evaluations that have ended, by run; their protocols are reported where they were asked for."""
+    """Lines for ended evaluations, by run; the line of the request holds the protocol."""
     for run_id, entries in found.items():
         for entry in entries:
             times = (entry.created_at, entry.started_at, entry.ended_at)
@@ -75,13 +75,13 @@ def ended_lines(found: Mapping[int, Sequence[EndedEvaluation]]) -> Iterator[Line
 
 
 def read_evaluations(lines: Iterable[Line]) -> LedgerEvaluations:
-    """Everything that ``lines`` tell; what is none of ours is passed over."""
+    """Read all evaluations in ``lines``; malformed lines are skipped."""
     found = LedgerEvaluations()
     for line in lines:
         try:
             _read(line, found)
         except (InvalidInput, *NOT_A_LINE) as error:
-            logger.warning("a line of an evaluation is passed over: %r", error)
+            logger.warning("a malformed line of an evaluation is skipped: %r", error)
     return found
 
 

@@ -1,4 +1,4 @@
-"""Where the books of the ledger lie."""
+"""The files of the ledger."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class LedgerFiles:
     """``<data>/ledger/``.
 
     Args:
-        folder: Where it lies; it is made with its first line.
+        folder: The folder, created with its first line.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -19,30 +19,30 @@ class LedgerFiles:
 
     @property
     def configurations(self) -> Book:
-        """Configurations with their numbers, what users say about them, and those that were deleted."""
+        """Configurations with their numbers, labels, and deletions."""
         return Book(self.folder / "configurations.jsonl")
 
     @property
     def runs(self) -> Book:
-        """Runs as they were queued, and those that were cancelled."""
+        """Queued runs, and cancellations."""
         return Book(self.folder / "runs.jsonl")
 
     @property
     def cells(self) -> Book:
-        """Cells of experiments, and how many cells and runs each has."""
+        """Cells of experiments, and the number of cells and runs of each."""
         return Book(self.folder / "cells.jsonl")
 
     @property
     def evaluations(self) -> Book:
-        """Evaluations that were asked for, and how they ended."""
+        """Requested evaluations, and how they ended."""
         return Book(self.folder / "evaluations.jsonl")
 
     @property
     def catalogue(self) -> Book:
-        """Algorithms with their versions, and datasets; a small book that is always replaced."""
+        """Algorithms with their versions, and datasets; a small file that is always replaced."""
         return Book(self.folder / "catalogue.jsonl")
 
     @property
     def searches(self) -> Book:
-        """Saved searches; a small book that is always replaced."""
+        """Saved searches; a small file that is always replaced."""
         return Book(self.folder / "searches.jsonl")

@@ -1,4 +1,4 @@
-"""A report as files: one self-contained page, plots for print, tables with all data, LaTeX; a folder or a zip."""
+"""Write a report to a folder or zip file: a self-contained page, plots for print, tables, LaTeX."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ Progress = Callable[[float, str], None]
 def report_files(
     report: dict[str, Any], project_root: Path, figures: Collection[str] = FORMATS, progress: Progress | None = None
 ) -> Iterator[tuple[str, bytes]]:
-    """Every file of a report, by its path in the folder, one at a time.
+    """Yield the files of a report, each with its path.
 
     Args:
         report: From :func:`slamhive.services.reports.report.report_json`.
-        project_root: Where the templates lie.
+        project_root: The folder with ``templates/``.
         figures: The formats of printed plots, of :data:`slamhive.analysis.print_chart.FORMATS`.
-        progress: Told the share done and what is written.
+        progress: Called with the share done and the current file or plot.
     """
     tell = progress or (lambda _share, _what: None)
     yield "analysis.yaml", report["source"].encode()
@@ -64,7 +64,7 @@ def write_folder(
     figures: Collection[str] = FORMATS,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Write the report into ``folder``, each file in one step; the paths written. Raises Unavailable."""
+    """Write the report into ``folder``; returns the paths of the files. Raises Unavailable."""
     written = []
     for name, content in report_files(report, project_root, figures, progress):
         path = folder / name
@@ -75,7 +75,7 @@ def write_folder(
 
 
 def zipped(report: dict[str, Any], project_root: Path, figures: Collection[str] = FORMATS) -> bytes:
-    """The report as a zip file; the same report gives the same bytes."""
+    """The report as a zip file, the same bytes for the same report."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in report_files(report, project_root, figures):
@@ -95,7 +95,7 @@ def report_page(report: dict[str, Any], project_root: Path) -> str:
 
 
 def report_environment(project_root: Path) -> Environment:
-    """Templates of pages that are files; text in them is escaped, and Markdown is made HTML."""
+    """The Jinja environment of pages that are files: it escapes text and converts Markdown."""
     environment = Environment(
         loader=FileSystemLoader(project_root / "templates"), autoescape=True, undefined=StrictUndefined
     )
@@ -104,7 +104,7 @@ def report_environment(project_root: Path) -> Environment:
 
 
 def report_content(report: dict[str, Any]) -> dict[str, Any]:
-    """What every page of a report is made from: ``report``, ``forms``, and ``figures`` for a script element."""
+    """The template variables of a report page: ``report``, ``forms``, and ``figures`` for a script element."""
     return {
         "report": report,
         "forms": [shown_form(form) for form in report["forms"]],
@@ -113,7 +113,7 @@ def report_content(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def shown_form(form: dict[str, Any]) -> dict[str, Any]:
-    """What a page shows of a form: plots by key and caption, tables with their first rows."""
+    """One part of a report for its page: plots by key and caption, tables with their first rows."""
     result: FormResult | None = None if form["result"] is None else from_json(form["result"])
     tables = [] if result is None else [table for table in result.tables if not table.raw]
     return {
@@ -160,6 +160,6 @@ def _table_files(place: int, table: ResultTable) -> Iterator[tuple[str, bytes]]:
 
 
 def script_json(content: dict[str, Any]) -> Markup:
-    """JSON inside a script element: nothing in it can end the element."""
+    """JSON for a script element, escaped so that it cannot end the element."""
     text = json.dumps(content, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))  # noqa: S704 - escaped

@@ -1,4 +1,4 @@
-"""What analyses read from run folders: evaluated trajectories and sampled usage."""
+"""Files of run folders that analyses read: evaluated trajectories and sampled resource usage."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class StoredRunFiles:
         self._protocols = protocols
 
     def track(self, run_id: int) -> RunTrack | None:
-        """The evaluated trajectory of a run; None if its evaluation left no files."""
+        """The evaluated trajectory of a run; None if its evaluation wrote no files."""
         fingerprint = self._protocols.get(run_id)
         if fingerprint is None:
             return None

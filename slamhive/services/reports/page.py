@@ -16,7 +16,7 @@ from slamhive.services.reports.report import file_name
 def page_json(report: Mapping[str, Any]) -> dict[str, Any]:
     """The report for :mod:`slamhive.services.analyses.stored_page`: plots without marks, tables cut to what is shown.
 
-    It has the names of all files.
+    It includes the names of all files.
     """
     return {
         **{key: value for key, value in report.items() if key != "forms"},
@@ -36,7 +36,7 @@ def _light(form: dict[str, Any]) -> dict[str, Any]:
 
 
 def _files(form: dict[str, Any]) -> list[tuple[str, list[Any]]]:
-    """Each file of a form by its name: the place of the form, and the key of its plot or table."""
+    """The files of one part of a report by name, with the number of the part and the key of its plot or table."""
     if form["result"] is None:
         return []
     result: FormResult = from_json(form["result"])

@@ -1,4 +1,4 @@
-"""A report: what an analysis came to, as plain JSON that pages and files are made from."""
+"""The report of an analysis as JSON, from which pages and files are made."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from slamhive.services.reports.run import AnalysisOutcome, FormOutcome
 
 FORMAT = 1
 SHOWN_ROWS = 200
-"""A page shows so many rows of a table; the CSV file has all of them."""
+"""A page shows at most this many rows of a table; the CSV file has all of them."""
 
 
 def report_json(outcome: AnalysisOutcome, now: datetime) -> dict[str, Any]:
-    """Everything a reader of the analysis needs, plots and raw data included.
+    """The complete report, including plots and raw data.
 
     Args:
-        outcome: What was computed.
-        now: When.
+        outcome: The computed analysis.
+        now: The time of the report.
     """
     analysis, table = outcome.analysis, outcome.table
     reasons = Counter(table.failed()[FAILED])
@@ -69,11 +69,11 @@ def _form_json(form: FormOutcome, place: int) -> dict[str, Any]:
 
 
 def file_name(place: int, key: str, ending: str) -> str:
-    """``03_scatter_ate.rmse.pdf``: files of a report in the order of its forms."""
+    """A file name such as ``03_scatter_ate.rmse.pdf``, which sorts files in the order of the plots."""
     return f"{place:02d}_{key}.{ending}"
 
 
 def excluded_words(content: Mapping[str, Any]) -> list[str]:
-    """What a form left out, one sentence each."""
+    """One sentence for each kind of data that a plot left out."""
     exclusions = (content["result"] or {}).get("excluded", ())
     return [f"{len(entry['runs'])} runs left out: {entry['reason']}." for entry in exclusions]

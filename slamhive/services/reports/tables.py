@@ -1,4 +1,4 @@
-"""Tables of analyses as files: CSV, Parquet, LaTeX."""
+"""Write tables of analyses as CSV, Parquet and LaTeX."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from slamhive.errors import Unavailable
 from slamhive.services.exports import safe_cell
 
 LATEX_ROWS = 500
-"""A printed table is not longer; the CSV file has all rows."""
+"""A LaTeX table has at most this many rows; the CSV file has all of them."""
 
 WITHOUT_PARQUET = "Parquet needs pyarrow, which is not installed"
 PARQUET_REMEDY = "pip install slamhive[parquet]"
@@ -26,7 +26,7 @@ _LATEX = {
 
 
 def table_csv(table: ResultTable) -> str:
-    """Comma-separated text with units in the heading; no cell is taken for a formula by a spreadsheet."""
+    """CSV text with units in the header; no cell runs as a formula in a spreadsheet."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([safe_cell(column.heading) for column in table.columns])
@@ -36,7 +36,7 @@ def table_csv(table: ResultTable) -> str:
 
 
 def parquet_there() -> bool:
-    """Whether Parquet files can be written: pyarrow is installed."""
+    """Whether pyarrow is installed, which Parquet files need."""
     return find_spec("pyarrow") is not None
 
 
@@ -55,7 +55,7 @@ def table_parquet(table: ResultTable) -> bytes:
 
 
 def table_latex(table: ResultTable) -> str:
-    """A ``tabular`` with booktabs rules; words from outside are escaped, numbers have four significant digits."""
+    """A booktabs ``tabular``; text is escaped, numbers have four significant digits."""
     numeric = [all(isinstance(row[place], int | float | None) for row in table.rows) for place in _places(table)]
     lines = [
         f"% {_comment(table.title)}",
@@ -71,7 +71,7 @@ def table_latex(table: ResultTable) -> str:
 
 
 def latex(text: str) -> str:
-    """Words as LaTeX shows them: nothing in them is a command."""
+    """Escape text for LaTeX, so that nothing in it is a command."""
     return "".join(_LATEX.get(letter, letter) if letter.isprintable() else " " for letter in text)
 
 

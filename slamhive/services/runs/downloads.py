@@ -1,4 +1,4 @@
-"""Which files of a run folder can be downloaded: a list of known names, never a path that somebody sends."""
+"""The files of a run folder that can be downloaded: known names only, never a path from a request."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ EVALUATION_FILES = {
 
 @dataclass(frozen=True, slots=True)
 class Download:
-    """One file that exists. ``key`` is what the address holds, ``name`` what the browser saves it as."""
+    """One existing file. ``key`` is its name in the URL, ``name`` its name on the user's disk."""
 
     key: str
     name: str
@@ -48,7 +48,7 @@ class Download:
 
 
 def list_downloads(folder: RunFolder, fingerprints: Iterable[str]) -> tuple[Download, ...]:
-    """The known files of the run that exist, links and anything but regular files left out."""
+    """The known files of the run that exist and are regular files, not links."""
     found = []
     for key, path, media_type in _known(folder, fingerprints):
         try:
@@ -61,14 +61,14 @@ def list_downloads(folder: RunFolder, fingerprints: Iterable[str]) -> tuple[Down
 
 
 def open_download(folder: RunFolder, fingerprints: Iterable[str], key: str) -> tuple[Download, BinaryIO]:
-    """The file known as ``key``, opened; raises NotFound. A link put in its place meanwhile is not followed."""
+    """Open the file with this key, without following links; raises NotFound."""
     for download in list_downloads(folder, fingerprints):
         if download.key == key:
             stream = open_regular_file(download.path)
             if stream is None:
                 break
             return download, stream
-    raise NotFound(f"there is no file {key!r} in this run", "its page lists the files that are there")
+    raise NotFound(f"there is no file {key!r} in this run", "its page lists the files")
 
 
 def _known(folder: RunFolder, fingerprints: Iterable[str]) -> list[tuple[str, Path, str]]:

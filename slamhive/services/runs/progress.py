@@ -1,4 +1,4 @@
-"""How far a running run is, from what its player and sampler have written so far."""
+"""The progress of a running run, from the files of its player and sampler."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class RunProgress:
 
 
 def run_progress(run: RunRecord, folder: RunFolder, now: datetime, duration_s: float | None) -> RunProgress | None:
-    """The progress of ``run``, None if it is not in a worker's hands.
+    """The progress of ``run``; None if no worker is executing it.
 
-    ``duration_s`` is the recording's duration, which bounds the time left from below in real-time playback.
+    ``duration_s`` is the duration of the recording, the lower bound of the time left in real-time playback.
     """
     if not run.state.active:
         return None
@@ -48,13 +48,13 @@ def run_progress(run: RunRecord, folder: RunFolder, now: datetime, duration_s: f
 
 
 def untracked_s(folder: RunFolder) -> float | None:
-    """For how long the algorithm has found no pose, in s of the recording; None if it does not say."""
+    """How long the algorithm has found no pose, in s of the recording; None if it does not report that."""
     content = read_untrusted_json(folder.progress, _PROGRESS_LIMIT_BYTES) or {}
     return measured_number(content.get("untracked_s"))
 
 
 def _doing(run: RunRecord, folder: RunFolder) -> str:
-    """What a run that does not play yet is at."""
+    """The activity of a run whose recording does not play yet."""
     line = read_regular_file(folder.preparation, _TAIL_BYTES) if run.state is RunState.PREPARING else None
     text = "".join(letter for letter in (line or b"").decode(errors="replace").strip() if letter.isprintable())
     return f"{run.state.value}: {text}" if text else run.state.value
@@ -75,7 +75,7 @@ def _left_s(run: RunRecord, fraction: float | None, elapsed_s: float | None, dur
 
 
 def _last_sample(folder: RunFolder) -> tuple[float | None, int | None]:
-    """CPU (cores) and memory (bytes) of the last whole line of ``profiling.csv``."""
+    """CPU (cores) and memory (bytes) from the last complete line of ``profiling.csv``."""
     try:
         with folder.profiling.open("rb") as stream:
             stream.seek(0, 2)

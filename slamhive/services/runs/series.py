@@ -1,4 +1,4 @@
-"""What the plots of a run show, as arrays: path, error, CPU and memory, latency. Read from its folder."""
+"""Data of a run's plots as arrays, read from its folder: path, error, CPU, memory and latency."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ LIMIT_BYTES = 64_000_000
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A path: ``times_s`` (n,), ``positions_m`` (n, 3). ``poses`` counts them before thinning.
+    """A path: ``times_s`` (n,), ``positions_m`` (n, 3). ``poses`` counts the poses before thinning.
 
-    ``pieces`` (n,) numbers the stretches between gaps, so that nothing is drawn as tracked that was not.
+    ``pieces`` (n,) numbers the pieces between gaps, so that a plot does not connect poses across a gap.
     """
 
     times_s: Array
@@ -41,7 +41,7 @@ class Track:
     pieces: Places
 
     def thinned(self, most: int) -> Track:
-        """At most ``most`` poses, evenly chosen, the first and the last among them."""
+        """At most ``most`` poses, evenly spaced, with the first and the last."""
         kept = np.unique(np.linspace(0, len(self.times_s) - 1, min(len(self.times_s), most)).astype(np.int64))
         return Track(self.times_s[kept], self.positions_m[kept], self.poses, self.pieces[kept])
 
@@ -50,7 +50,7 @@ class Track:
 class Samples:
     """Values over time: ``times_s`` (n,) since the start of what is shown, ``values`` (n,).
 
-    ``count`` is their number before thinning; ``pieces`` (n,) numbers the stretches between gaps.
+    ``count`` is their number before thinning; ``pieces`` (n,) numbers the pieces between gaps.
     """
 
     times_s: Array
@@ -59,14 +59,14 @@ class Samples:
     pieces: Places
 
     def thinned(self, most: int) -> Samples:
-        """At most ``most`` samples, every peak among them."""
+        """At most ``most`` samples, with every peak."""
         kept = thin_keeping_extremes(self.values, most)
         return Samples(self.times_s[kept], self.values[kept], self.count, self.pieces[kept])
 
 
 @dataclass(frozen=True, slots=True)
 class RunSeries:
-    """All plot data of one run. What is None is explained in ``reasons`` under the same name.
+    """All plot data of one run. If a field is None, ``reasons`` explains why.
 
     ``estimate`` lies in the ground truth's frame where ``aligned``, in the algorithm's own otherwise. ``cpu`` is in
     cores, ``memory`` in bytes, ``error`` in m, ``latency`` in s. A gap in the estimate longer than ``gap_s`` is a
@@ -85,7 +85,7 @@ class RunSeries:
 
 
 def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
-    """Read everything that can be drawn of ``run``, the evaluation being the one whose metrics it shows."""
+    """Read the plot data of ``run`` and of its current evaluation."""
     estimate = groundtruth = error = None
     gap_s = math.inf
     if run.protocol is not None:
@@ -118,7 +118,7 @@ def gap_of(evaluation: Path) -> float:
 
 
 def _explanations(run: RunRecord) -> dict[str, str]:
-    """Why each kind of data is not there, if it is not."""
+    """Why data are missing, by kind."""
     if run.protocol is None:
         evaluation = "The run has not been evaluated."
     elif run.metrics is not None and "ate.rmse" not in run.metrics:
@@ -143,15 +143,15 @@ def _explanations(run: RunRecord) -> dict[str, str]:
 
 
 def read_dataset_path(dataset: Dataset) -> Track | None:
-    """The ground-truth path of a dataset, None if it has none that can be read."""
+    """The ground-truth path of a dataset; None if it has none or it cannot be read."""
     path = dataset.groundtruth_path
     return None if path is None else read_track(path)
 
 
 def read_track(path: Path, gap_s: float = math.inf) -> Track | None:
-    """The TUM trajectory at ``path``, thinned for drawing; None if there is none or it is malformed.
+    """The TUM trajectory at ``path``, thinned for plotting; None if it is missing or malformed.
 
-    A pause longer than ``gap_s`` begins another piece.
+    A gap longer than ``gap_s`` starts a new piece.
     """
     data = read_untrusted_lines(path, LIMIT_BYTES)
     if not data:
@@ -170,7 +170,7 @@ def read_track(path: Path, gap_s: float = math.inf) -> Track | None:
 
 
 def thin_keeping_extremes(values: Array, most: int = MAX_POINTS) -> Places:
-    """Which to keep, at most ``most``: each stretch's smallest and largest value, so that no peak disappears."""
+    """Indices of at most ``most`` values to keep: the smallest and largest of each interval, so that peaks remain."""
     if len(values) <= most:
         return np.arange(len(values))
     edges = np.linspace(0, len(values), most // 2 + 1).astype(int)
@@ -190,7 +190,7 @@ def _pieces(times_s: Array, gap_s: float) -> Places:
 
 
 def _columns(path: Path, names: tuple[str, ...]) -> Array | None:
-    """The named columns of a CSV file as (n, len(names)), rows with a missing value left out; None if unreadable."""
+    """The named columns of a CSV file, shape (n, len(names)), without incomplete rows; None if unreadable."""
     rows = read_numeric_columns(path, names, LIMIT_BYTES)
     rows = rows[np.isfinite(rows).all(axis=1)]
     return rows if len(rows) else None

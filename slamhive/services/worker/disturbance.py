@@ -1,4 +1,4 @@
-"""Whether a run was measured on a disturbed machine, out of its folder and by the limits of the installation."""
+"""Whether a run was measured on a disturbed machine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from slamhive.settings import Settings
 
 
 def judge_run(folder: RunFolder, metrics: Mapping[str, float], settings: Settings) -> Disturbance:
-    """Whether the run in ``folder`` with these metrics was disturbed."""
+    """Judge the run in ``folder`` by the limits of the installation."""
     limits = DisturbanceLimits(
         **{entry.name: getattr(settings, f"disturbed_{entry.name}") for entry in fields(DisturbanceLimits)}
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass
 class HeldRuns:
-    """Shared between slots and heartbeat; ``cancel`` are those of them that somebody wants to end."""
+    """Shared between slots and heartbeat; ``cancel`` holds the runs that a user has asked to cancel."""
 
     lock: threading.Lock = field(default_factory=threading.Lock)
     runs: set[int] = field(default_factory=set)
@@ -20,12 +20,12 @@ class HeldRuns:
             self.runs.add(run_id)
 
     def discard(self, run_id: int) -> None:
-        """The run has ended, or another worker has it."""
+        """The run has ended or belongs to another worker now."""
         with self.lock:
             self.runs.discard(run_id)
             self.cancel.discard(run_id)
 
     def snapshot(self) -> set[int]:
-        """The runs that are held now."""
+        """The runs held now."""
         with self.lock:
             return set(self.runs)

@@ -1,4 +1,4 @@
-"""What machine this is, for the provenance of each run."""
+"""A description of this machine, for the provenance of each run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One worker per data root and machine: runs measured side by side by two workers would disturb each other."""
+"""The lock that allows one worker per data root and machine: runs of two workers would disturb each other."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _STEP_S = 0.02
 
 
 class WorkerLock:
-    """An advisory lock that the kernel lets go of when its process dies, however it dies."""
+    """An advisory lock, which the kernel releases when the process dies."""
 
     def __init__(self, data_root: Path) -> None:
         self.path = data_root / f"worker-{platform.node() or 'host'}.lock"
@@ -36,20 +36,20 @@ class WorkerLock:
             os.close(descriptor)
             raise Conflict(
                 f"a worker is already running on this machine (process {holder})",
-                "it takes the queued runs; end it first to start another",
+                "it executes the queued runs; stop it before you start another",
             )
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
         self._descriptor = descriptor
 
     def release(self) -> None:
-        """Let go; fine if the lock is not held."""
+        """Release the lock if it is held."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
 
     def held_elsewhere(self) -> bool:
-        """Whether a worker holds the lock now. Asking makes no file, so a read-only view of the data root may ask."""
+        """Whether a worker holds the lock now. Creates no file, so it works on a read-only data root."""
         try:
             descriptor = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC)
         except FileNotFoundError:
@@ -75,7 +75,7 @@ class WorkerLock:
 
 
 def _lock_patiently(descriptor: int) -> bool:
-    """Whether the lock could be taken; whoever only asks for it holds it for a moment, which is waited for."""
+    """Try to take the lock for a short time: a process that only asks for it holds it for a moment."""
     deadline_s = monotonic_s() + _PATIENCE_S
     while True:
         try:

@@ -1,4 +1,4 @@
-"""A worker in a process of its own, beside the web server."""
+"""A worker in a separate process, beside the web server."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ END_S = 15.0
 
 
 class WorkerProcess:
-    """Starts ``slamhive worker`` on entry and ends it on exit; its runs go on and are found by the next worker.
+    """Starts ``slamhive worker`` on entry and ends it on exit; its runs continue, and the next worker adopts them.
 
     Args:
         settings: The worker's data root and database.
-        wanted: False does nothing. A worker that runs already goes first, this one stands by.
+        wanted: False starts no worker. If another worker is running, this one waits for its end.
     """
 
     def __init__(self, settings: Settings, *, wanted: bool) -> None:
@@ -34,7 +34,7 @@ class WorkerProcess:
                 f"{ENVIRONMENT_PREFIX}DATA": str(self._settings.data),
                 f"{ENVIRONMENT_PREFIX}DATABASE_URL": self._settings.database_url,
             }
-            # A session of its own: Ctrl-C reaches the server, which then ends the worker in order.
+            # A separate session: Ctrl-C reaches the server only, which then stops the worker.
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "slamhive", "worker", "--patient"], env=environment, start_new_session=True
             )

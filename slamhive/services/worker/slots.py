@@ -1,4 +1,4 @@
-"""Which cores a slot of the worker measures on."""
+"""The CPU cores of each slot of the worker."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from slamhive.errors import InvalidInput
 
 
 def share_cores(slots: int, usable: Collection[int] | None = None) -> list[tuple[int, ...] | None]:
-    """The cores of each slot: disjoint and as equal as can be; None (all) if there is one slot.
+    """Share cores between slots: disjoint sets of nearly equal size; None (all cores) for a single slot.
 
     Args:
-        slots: How many slots there are.
-        usable: The numbers of the cores to share, None for those that this process may use.
+        slots: Number of slots.
+        usable: Numbers of the cores to share; None for those that this process may use.
 
     Raises:
         InvalidInput: There are fewer cores than slots.
@@ -23,5 +23,5 @@ def share_cores(slots: int, usable: Collection[int] | None = None) -> list[tuple
     cores = sorted(os.sched_getaffinity(0) if usable is None else usable)
     count = len(cores)
     if slots > count:
-        raise InvalidInput(f"WORKER_SLOTS={slots} is more than the {count} cores that may be used here", "lower it")
+        raise InvalidInput(f"WORKER_SLOTS={slots} exceeds the {count} cores that this process may use", "lower it")
     return [tuple(cores[slot * count // slots : (slot + 1) * count // slots]) for slot in range(slots)]
