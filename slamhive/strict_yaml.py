@@ -1,17 +1,21 @@
-"""YAML from outside, without its traps: no tags, no anchors, no duplicate keys, nothing deep or huge.
+"""YAML 1.2 from outside, without its traps: no tags, no anchors, no duplicate keys, nothing deep or huge.
 
-Text and numbers follow the rule of :mod:`slamhive.input_bounds`. Used by the controller and, inside the algorithm
-images, by the runtime; depends on PyYAML alone.
+The parser is ruamel.yaml's (its C part where installed); what plain words mean is decided here, by the core schema of
+YAML 1.2. The controller uses this module, and the runtime uses it inside algorithm images.
 """
 
 from __future__ import annotations
 
+import io
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
+from ruamel.yaml import YAML, events
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.tag import Tag
 
 from slamhive import input_bounds
 from slamhive.errors import InvalidInput
@@ -35,11 +39,11 @@ class Place:
 
 
 class Places:
-    """Where each part of a file stands.
+    """Where each part of a file was written.
 
     Args:
-        source: What messages call the file.
-        lines: As :func:`parse_with_lines` gives them.
+        source: The name of the file in messages.
+        lines: As :func:`parse_with_lines` returns them.
     """
 
     def __init__(self, source: str, lines: Lines) -> None:
@@ -47,95 +51,12 @@ class Places:
         self._lines = lines
 
     def of(self, *path: str | int) -> Place:
-        """The place of ``path``, or of the nearest thing around it."""
+        """The place of ``path``, or of the nearest part that contains it."""
         for length in range(len(path), 0, -1):
             line = self._lines.get(path[:length])
             if line is not None:
                 return Place(self._source, line)
         return Place(self._source)
-
-
-_NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
-
-
-class _StrictLoader(yaml.SafeLoader):
-    """SafeLoader that refuses aliases, explicit tags, duplicate keys and deep nesting."""
-
-    depth = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        event = self.peek_event()  # type: ignore[no-untyped-call]
-        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-            raise _refusal("anchors and aliases are not allowed", event.start_mark)
-        if getattr(event, "tag", None):
-            raise _refusal(f"the tag {event.tag} is not allowed", event.start_mark)
-        if self.depth >= MAX_DEPTH:
-            raise _refusal(f"nested deeper than {MAX_DEPTH} levels", event.start_mark)
-        self.depth += 1
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
-
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        if not isinstance(node, yaml.ScalarNode):
-            return super().construct_object(node, deep=deep)
-        try:
-            return super().construct_object(node, deep=deep)
-        except ValueError:  # Python reads no whole number of more than 4,300 digits
-            raise _refusal("a value is not a number that can be used", node.start_mark) from None
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key_node, _ in node.value:
-            if not isinstance(key_node, yaml.ScalarNode):
-                raise _refusal("a key must be plain text", key_node.start_mark)
-            if key_node.value in seen:
-                raise _refusal(f"the key {key_node.value!r} appears twice", key_node.start_mark)
-            seen.add(key_node.value)
-        self.flatten_mapping(node)
-        # A key is text, also if it reads like a number, a truth value or nothing at all.
-        return {key_node.value: self.construct_object(value_node, deep=deep) for key_node, value_node in node.value}
-
-
-def _without_surprises(resolvers: dict[str, list[tuple[str, re.Pattern[str]]]]) -> dict[str, list[Any]]:
-    """YAML 1.1 reads 1:30:20 as a number to base 60, and 2026-01-31 as a date; here both are text."""
-    plain: dict[str, list[Any]] = {}
-    for first, entries in resolvers.items():
-        plain[first] = [
-            (tag, re.compile(rf"(?![^:]*:\d)(?:{pattern.pattern})", pattern.flags) if tag in _NUMBER_TAGS else pattern)
-            for tag, pattern in entries
-            if tag != "tag:yaml.org,2002:timestamp"
-        ]
-    return plain
-
-
-_StrictLoader.yaml_implicit_resolvers = _without_surprises(yaml.SafeLoader.yaml_implicit_resolvers)
-
-_SCIENTIFIC = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$")
-"""1e-9: text in YAML 1.1, as it lacks a point; a number in YAML 1.2 (section 10.3.2)."""
-
-
-class _Dumper(yaml.SafeDumper):
-    """SafeDumper without aliases."""
-
-    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002 - PyYAML's signature
-        return True
-
-
-def _represent_list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.Node:
-    """Lists of plain values on one line (matrices), all else in blocks."""
-    flat = not any(isinstance(item, dict | list) for item in items)
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=flat)
-
-
-_Dumper.add_representer(list, _represent_list)
-
-for _yaml in (_StrictLoader, _Dumper):  # the dumper, too: text that looks like a number is to be quoted
-    _yaml.add_implicit_resolver("tag:yaml.org,2002:float", _SCIENTIFIC, list("-+0123456789"))
-
-
-def _refusal(problem: str, mark: yaml.Mark) -> yaml.MarkedYAMLError:
-    return yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
 
 
 def parse(text: str, source: str) -> dict[str, Any]:
@@ -146,61 +67,128 @@ def parse(text: str, source: str) -> dict[str, Any]:
         source: What to call it in messages, usually the path.
 
     Raises:
-        InvalidInput: naming the source, the line and what is wrong with it.
+        InvalidInput: naming the source, the line and the problem.
     """
-    content, _ = _parse_node(text, source)
-    return content
+    return parse_with_lines(text, source)[0]
 
 
 def parse_with_lines(text: str, source: str) -> tuple[dict[str, Any], Lines]:
-    """Parse as :func:`parse` does, and tell where everything stands."""
-    content, node = _parse_node(text, source)
-    lines: Lines = {}
-    _collect_lines(node, (), lines)
-    return content, lines
-
-
-def _parse_node(text: str, source: str) -> tuple[dict[str, Any], yaml.Node]:
+    """Parse as :func:`parse` does; also return the line of every key and item."""
     if len(text) > MAX_BYTES:
         raise input_bounds.too_large(source, MAX_BYTES)
+    document = _Document(text)
     try:
-        loader = _StrictLoader(text)
-        node = loader.get_single_node()
-        content = None if node is None else loader.construct_document(node)
-    except yaml.MarkedYAMLError as error:
-        line = f" line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        content = document.read()
+    except MarkedYAMLError as error:
+        last_line = text.count("\n", 0, len(text) - 1) + 1  # the parser places an early end behind the last line
+        line = f" line {min(error.problem_mark.line + 1, last_line)}" if error.problem_mark else ""
         raise InvalidInput(f"{source}{line}: {error.problem or 'not valid YAML'}") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except (YAMLError, ValueError) as error:
         raise InvalidInput(f"{source}: not valid YAML ({error})") from None
-    if node is None or not isinstance(content, dict):
+    if not isinstance(content, dict):
         found = "nothing" if content is None else type(content).__name__
         raise InvalidInput(f"{source}: expected keys with values at the top level, found {found}")
-    _check_bounds(content, node, source)
-    return content, node
+    broken = input_bounds.find_problem(content, deepest=MAX_DEPTH)
+    if broken is not None:
+        path, problem = broken
+        raise InvalidInput(f"{Places(source, document.lines).of(*path)}: {'.'.join(path)}: {problem}")
+    return content, document.lines
 
 
-def _check_bounds(content: dict[str, Any], node: yaml.Node, source: str) -> None:
-    found = input_bounds.find_problem(content, deepest=MAX_DEPTH)
-    if found is not None:
-        lines: Lines = {}
-        _collect_lines(node, (), lines)
-        path, problem = found
-        raise InvalidInput(f"{Places(source, lines).of(*path)}: {'.'.join(path)}: {problem}")
+class _Document:
+    """Builds the values of one document from the parser's events."""
+
+    def __init__(self, text: str) -> None:
+        self._events: Iterator[Any] = YAML(typ="safe").parse(text)
+        self.lines: Lines = {}
+
+    def read(self) -> Any:
+        content, found = None, False
+        for event in self._events:
+            if isinstance(event, events.DocumentStartEvent):
+                if found:
+                    raise _refusal("a second document begins, expected one", event)
+                content, found = self._value(next(self._events), ()), True
+        return content
+
+    def _value(self, event: Any, path: tuple[str | int, ...]) -> Any:
+        _check_node(event, len(path))
+        if isinstance(event, events.ScalarEvent):
+            return _plain_value(event) if event.implicit[0] else event.value
+        if isinstance(event, events.MappingStartEvent):
+            return self._mapping(path)
+        return self._sequence(path)
+
+    def _mapping(self, path: tuple[str | int, ...]) -> dict[str, Any]:
+        content: dict[str, Any] = {}
+        while not isinstance(event := next(self._events), events.MappingEndEvent):
+            _check_node(event, len(path) + 1)
+            if not isinstance(event, events.ScalarEvent):
+                raise _refusal("a key must be plain text", event)
+            key = event.value  # text, even if it looks like a number or a truth value
+            if key in content:
+                raise _refusal(f"the key {key!r} appears twice", event)
+            self.lines[(*path, key)] = event.start_mark.line + 1
+            content[key] = self._value(next(self._events), (*path, key))
+        return content
+
+    def _sequence(self, path: tuple[str | int, ...]) -> list[Any]:
+        items: list[Any] = []
+        while not isinstance(event := next(self._events), events.SequenceEndEvent):
+            place = (*path, len(items))
+            self.lines[place] = event.start_mark.line + 1
+            items.append(self._value(event, place))
+        return items
 
 
-def _collect_lines(node: yaml.Node, path: tuple[str | int, ...], lines: Lines) -> None:
-    if isinstance(node, yaml.MappingNode):
-        for key, value in node.value:
-            lines[(*path, key.value)] = key.start_mark.line + 1
-            _collect_lines(value, (*path, key.value), lines)
-    elif isinstance(node, yaml.SequenceNode):
-        for index, item in enumerate(node.value):
-            lines[(*path, index)] = item.start_mark.line + 1
-            _collect_lines(item, (*path, index), lines)
+def _check_node(event: Any, depth: int) -> None:
+    if isinstance(event, events.AliasEvent) or event.anchor is not None:
+        raise _refusal("anchors and aliases are not allowed", event)
+    if event.tag is not None:
+        raise _refusal(f"the tag {event.tag} is not allowed", event)
+    if depth >= MAX_DEPTH:
+        raise _refusal(f"nested deeper than {MAX_DEPTH} levels", event)
+
+
+def _refusal(problem: str, event: events.Event) -> MarkedYAMLError:
+    return MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+
+
+_CORE_SCHEMA = re.compile(
+    r"""(?P<null> ~ | null | Null | NULL | )
+    | (?P<true> true | True | TRUE )
+    | (?P<false> false | False | FALSE )
+    | (?P<decimal> [-+]? [0-9]+ )
+    | 0o (?P<octal> [0-7]+ )
+    | 0x (?P<hexadecimal> [0-9a-fA-F]+ )
+    | (?P<float> [-+]? ( \. [0-9]+ | [0-9]+ ( \. [0-9]* )? ) ( [eE] [-+]? [0-9]+ )? )
+    | (?P<infinite> [-+]? ) \. ( inf | Inf | INF )
+    | \. (?P<nan> nan | NaN | NAN )""",
+    re.VERBOSE,
+)
+"""What is not text if written without quotation marks (YAML 1.2, section 10.3.2)."""
+
+_BASES = {"decimal": 10, "octal": 8, "hexadecimal": 16}
+_CONSTANTS = {"null": None, "true": True, "false": False}
+
+
+def _plain_value(event: events.ScalarEvent) -> Any:
+    match = _CORE_SCHEMA.fullmatch(event.value)
+    if match is None:
+        return event.value
+    kind = str(match.lastgroup)
+    if kind in _CONSTANTS:
+        return _CONSTANTS[kind]
+    if kind not in _BASES:
+        return float(event.value.replace(".inf", "inf").replace(".nan", "nan"))
+    try:
+        return int(match[kind], _BASES[kind])
+    except ValueError:  # Python reads no whole number of more than 4,300 digits
+        raise _refusal("a value is not a number that can be used", event) from None
 
 
 def read_text(path: Path) -> str:
-    """The text of the file at ``path``, of which no more is read than may be YAML; raises InvalidInput."""
+    """The text of the file at ``path``; raises InvalidInput if it is larger than any YAML file may be."""
     return input_bounds.read_text(path, MAX_BYTES)
 
 
@@ -210,5 +198,59 @@ def load(path: Path) -> dict[str, Any]:
 
 
 def dump(content: dict[str, Any]) -> str:
-    """``content`` as YAML in the given key order; short lists stay on one line."""
-    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=False, width=110)
+    """``content`` as YAML in the given key order; short lists stay on one line.
+
+    Readers of YAML 1.1 find the same values in it: the images of published algorithms have such readers.
+    """
+    yaml = YAML(typ="safe", pure=True)
+    yaml.allow_unicode = True
+    yaml.width = 110
+    stream = io.StringIO()
+    yaml.emit(_document_events(content), stream)
+    return re.sub(r" +$", "", stream.getvalue(), flags=re.MULTILINE)  # the emitter leaves them where it breaks lists
+
+
+def _document_events(content: dict[str, Any]) -> Iterator[events.Event]:
+    yield events.StreamStartEvent()
+    yield events.DocumentStartEvent(explicit=False)
+    yield from _events(content)
+    yield events.DocumentEndEvent(explicit=False)
+    yield events.StreamEndEvent()
+
+
+def _events(value: Any) -> Iterator[events.Event]:
+    if isinstance(value, dict):
+        yield events.MappingStartEvent(None, None, implicit=True, flow_style=not value)
+        for key, item in value.items():
+            yield from _events(key)
+            yield from _events(item)
+        yield events.MappingEndEvent()
+    elif isinstance(value, list | tuple):
+        plain = not any(isinstance(item, dict | list | tuple) for item in value)  # a matrix, on one line
+        yield events.SequenceStartEvent(None, None, implicit=True, flow_style=plain)
+        for item in value:
+            yield from _events(item)
+        yield events.SequenceEndEvent()
+    elif isinstance(value, str):
+        style = '"' if _LINE_BREAKS.search(value) else None
+        yield events.ScalarEvent(None, _TEXT, (not _NEEDS_QUOTES.fullmatch(value), True, True), value, style=style)
+    else:
+        yield events.ScalarEvent(None, None, (True, False, True), _scalar(value))
+
+
+_YAML_1_1 = r"""
+      y | Y | yes | Yes | YES | n | N | no | No | NO | on | On | ON | off | Off | OFF | = | <<
+    | [-+]? [0-9] [0-9_]* ( : [0-5]? [0-9] )* ( \. [0-9_]* )? ( [eE] [-+]? [0-9]+ )? | [-+]? \. [0-9_]+
+    | [-+]? 0b [01_]+ | [-+]? 0x [0-9a-fA-F_]+
+    | [0-9]{4} - [0-9]{1,2} - [0-9]{1,2} ( ( [Tt] | [ \t]+ ) [0-9] .* )?"""
+_TEXT = Tag(suffix="tag:yaml.org,2002:str")
+_LINE_BREAKS = re.compile("[\n\x85\u2028\u2029]")
+_NEEDS_QUOTES = re.compile(f"{_CORE_SCHEMA.pattern} | {_YAML_1_1}", re.VERBOSE)
+"""Text that a reader of either version takes for something else, unless it is in quotation marks."""
+
+
+def _scalar(value: bool | float | None) -> str:
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    text = repr(value)
+    return text if "." in text else text.replace("e", ".0e")  # YAML 1.1 takes 1e-9 for text

@@ -1,5 +1,5 @@
 """What algorithm images install: configuration, player, trajectory writer.
 
-Depends on ``slamhive.errors`` and ``slamhive.strict_yaml`` only, so that an image needs three small things of the
-product and none of its dependencies (numpy, PyYAML and rosbags).
+It imports nothing of SLAM Hive except ``errors``, ``files``, ``input_bounds`` and ``strict_yaml``, so an image installs
+only numpy, rosbags and ruamel.yaml.
 """

@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from slamhive import strict_yaml
 from slamhive.errors import InvalidInput
@@ -17,13 +20,14 @@ from slamhive.errors import InvalidInput
         ("a: !custom 1", "tag"),
         ("- 1", "found list"),
         ("", "found nothing"),
-        ("a: [1", "x line"),
+        ("a: [1", "x line 1: did not find expected ',' or ']'"),
         ("? [1]\n: 2", "plain text"),
         ("a: " + "[" * 30 + "]" * 30, "nested deeper"),
         ("a: " + "[" * 100_000, "nested deeper"),
-        ('b: 1\na: "\\ud800"', "x line 2: a: holds the character U+D800, half of a surrogate pair"),
+        ('b: 1\na: "\\ud800"', "x line 2: found invalid Unicode character escape code"),
         ('a: "\\0"', "x line 1: a: holds the character U+0000, a control character"),
-        ('"\\udfff": 1', "U+DFFF"),
+        ('"\\udfff": 1', "x line 1: found invalid Unicode"),
+        ("a: \ud800", "x: not valid YAML"),
         ("a: .inf", "x line 1: a: inf is not a finite number"),
         ("a: 1e400", "not a finite number"),
         ("a: 0x" + "f" * 4000, "x line 1: a: is a whole number of more than 64 bits"),
@@ -64,9 +68,82 @@ def test_binary_garbage_is_explained(tmp_path):
         strict_yaml.load(tmp_path / "none.yaml")
 
 
-def test_what_is_written_is_read_back_unchanged():
-    content = {"a": "x: #y\n'", "b": [1.5, 2], "c": {"d": None, "e": True, "f": "1"}}
-    assert strict_yaml.parse(strict_yaml.dump(content), "x") == content
+AMBIGUOUS = (
+    "no y ON 012 0o12 1_000 0x1F 0b1 -0x1 1e-9 1E6 .5 -.5 1. +.inf .NaN ~ null True = << 1:2:3 1:5.5 2026-01-31 0.1.2 "
+    "1e5f - ? : a: #b &c *d !e [ { %f @g ` ' | > , --- ... é 日本"
+)
+TEXTS = [
+    *AMBIGUOUS.split(),
+    "",
+    " a ",
+    "a: b",
+    "a #b",
+    "x\n",
+    "x\ny",
+    "\t",
+    "\x85",
+    "a\u2028b",
+    "2026-1-1 10:00",
+    "word " * 60,
+    '"',
+]
+
+
+def test_what_is_written_is_read_back_unchanged_by_readers_of_both_versions():
+    content = {
+        "numbers": [1.5, 2, 1e-9, 1e22, -5, 2**63],
+        "plain": {"d": None, "e": True, "empty": {}, "list": [], "deep": [[1, "no"], {"a": 1}]},
+        **{text: text for text in TEXTS},
+    }
+    text = strict_yaml.dump(content)
+    assert strict_yaml.parse(text, "x") == content
+    assert yaml.safe_load(text) == content
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        *(
+            (word, word)
+            for word in ("no", "Yes", "on", "OFF", "y", "1_000", "0b1", "-0x1", "=", "<<", "2026-01-31 10:00")
+        ),
+        *((word, True) for word in ("true", "True", "TRUE")),
+        *((word, None) for word in ("", "~", "null", "Null", "NULL")),
+        ("false", False),
+        ("012", 12),
+        ("-07", -7),
+        ("0o14", 12),
+        ("0x1F", 31),
+        ("+1.", 1.0),
+        (".5", 0.5),
+        ("1.e3", 1000.0),
+    ],
+)
+def test_plain_words_mean_what_the_core_schema_of_yaml_1_2_says(text, value):
+    found = strict_yaml.parse(f"a: {text}", "x")["a"]
+    assert (found, type(found)) == (value, type(value))
+
+
+def test_quoted_text_is_text():
+    assert strict_yaml.parse("a: 'null'\nb: \"12\"\nc: |\n  1.5\n", "x") == {"a": "null", "b": "12", "c": "1.5\n"}
+
+
+def test_only_one_document_is_read():
+    with pytest.raises(InvalidInput, match="x line 2: a second document begins, expected one"):
+        strict_yaml.parse("a: 1\n---\nb: 2\n", "x")
+
+
+def test_images_without_the_c_parser_read_the_same():
+    code = (
+        "import sys; sys.modules['_ruamel_yaml'] = None\n"
+        "from slamhive import strict_yaml\n"
+        "print(strict_yaml.parse_with_lines('a: 012\\nb:\\n  - \"no\"\\n  - {c: no}\\n', 'x'))\n"
+        "try: strict_yaml.parse('a: 1\\na: [&x 1]\\n', 'x')\n"
+        "except Exception as error: print(error)\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    content, lines = {"a": 12, "b": ["no", {"c": "no"}]}, {("a",): 1, ("b",): 2, ("b", 0): 3, ("b", 1): 4}
+    assert result.stdout == f"{(content, {**lines, ('b', 1, 'c'): 4})}\nx line 2: the key 'a' appears twice\n"
 
 
 @pytest.mark.parametrize("text", ["1:5:1", "1:5:0.5", "12:30", "500:2500:250", "2026-01-31", "2026-99-99"])
