@@ -16,7 +16,8 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput
 from slamhive.search.binding import Search, bind, read_search
 from slamhive.search.grammar import join
-from slamhive.search.syntax import Comparison, Sign, Word, filter_text, parse_filter
+from slamhive.search.parser import parse_filter
+from slamhive.search.syntax import Comparison, Sign, Word, filter_text
 from slamhive.search.words import in_words
 from slamhive.services.exports import GroupExport, Record, RunExport, TableExport, by_protocol
 from slamhive.services.hive import Hive

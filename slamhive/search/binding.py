@@ -13,8 +13,9 @@ from slamhive.domain.verdict import VerdictKind
 from slamhive.errors import nearest
 from slamhive.search.fields import Field, Kind, Source, Vocabulary
 from slamhive.search.grammar import Junction, Tree, leaves, mapped
+from slamhive.search.parser import parse_filter
 from slamhive.search.reader import FilterError, Place
-from slamhive.search.syntax import PRESENCE, Comparison, Filter, Sign, Word, filter_text, parse_filter, reversed_range
+from slamhive.search.syntax import PRESENCE, Comparison, Filter, Sign, Word, filter_text, reversed_range
 from slamhive.search.units import moments, number, units_of
 
 Value = int | float | str | bool | datetime

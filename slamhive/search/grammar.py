@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Generic, TypeAlias, TypeVar
 
-from slamhive.search.reader import Reader
-
 Leaf = TypeVar("Leaf")
 Other = TypeVar("Other")
 
@@ -21,14 +19,6 @@ class Junction(Generic[Leaf]):
 
 
 Tree: TypeAlias = Junction[Leaf] | Leaf
-
-
-def read_tree(reader: Reader, leaf: Callable[[Reader], Leaf]) -> Tree[Leaf]:
-    """The whole text; ``leaf`` reads one comparison. ``not`` binds closest, then ``and``, then ``or``."""
-    tree = _joined(reader, leaf, "or")
-    if reader.peek().kind != "end":
-        raise reader.misplaced("'and', 'or' or the end")
-    return tree
 
 
 def join(word: str, parts: list[Tree[Leaf]]) -> Tree[Leaf]:
@@ -65,27 +55,3 @@ def written(tree: Tree[Leaf], leaf: Callable[[Leaf], str], outer: str = "") -> s
         return f"not ({inner})" if isinstance(part, Junction) else f"not {inner}"
     text = f" {tree.word} ".join(written(part, leaf, tree.word) for part in tree.parts)
     return f"({text})" if tree.word == "or" and outer == "and" else text
-
-
-def _joined(reader: Reader, leaf: Callable[[Reader], Leaf], word: str) -> Tree[Leaf]:
-    def part() -> Tree[Leaf]:
-        return _joined(reader, leaf, "and") if word == "or" else _negated(reader, leaf)
-
-    parts = [part()]
-    while reader.take(word):
-        parts.append(part())
-    return join(word, parts)
-
-
-def _negated(reader: Reader, leaf: Callable[[Reader], Leaf]) -> Tree[Leaf]:
-    if reader.take("not"):
-        reader.deeper()
-        tree: Tree[Leaf] = Junction("not", (_negated(reader, leaf),))
-    elif reader.take("("):
-        reader.deeper()
-        tree = _joined(reader, leaf, "or")
-        reader.expect(")")
-    else:
-        return leaf(reader)
-    reader.shallower()
-    return tree

@@ -14,7 +14,6 @@ _TOKEN = re.compile(
     |(?P<word>[^\s"'<>=~!(),\[\]]+))""",
     re.VERBOSE,
 )
-_SPACE = re.compile(r"\s*")
 _SHOWN = 60
 KEYWORDS = frozenset({"and", "or", "not", "in", "between"})
 """Words that have to be quoted to be a name or a value."""
@@ -65,88 +64,19 @@ class FilterError(InvalidInput):
         return lead + shown, " " * (len(lead) + self.place.start - begin) + "^" * width
 
 
-class Reader:
-    """A cursor over the tokens of ``text``.
-
-    Args:
-        text: What was typed.
-        title: What it is, for messages: ``filter``, ``condition``.
-        example: A remedy: how such a text looks.
-        longest: Most characters.
-        deepest: Most levels of brackets and ``not``.
-    """
-
-    def __init__(self, text: str, title: str, example: str, *, longest: int, deepest: int) -> None:
-        if len(text) > longest:
-            raise InvalidInput(f"the {title} has {len(text)} characters, at most {longest} are allowed")
-        self.text = text
-        self.title = title
-        self.example = example
-        self._deepest = deepest
-        self._depth = 0
-        self._tokens = self._split()
-        self._next = 0
-
-    def peek(self, ahead: int = 0) -> Token:
-        """The next token, or the one ``ahead`` of it; ``end`` after the last."""
-        return self._tokens[min(self._next + ahead, len(self._tokens) - 1)]
-
-    def step(self) -> Token:
-        """The next token, which is consumed."""
-        token = self.peek()
-        self._next += 1
-        return token
-
-    def take(self, *wanted: str) -> bool:
-        """Consume the next token if it is one of these signs or, in any case, words."""
-        token = self.peek()
-        if token.kind in {"sign", "word"} and token.text.lower() in wanted:
-            self._next += 1
-            return True
-        return False
-
-    def expect(self, wanted: str) -> None:
-        """Consume this sign or word; refuse anything else."""
-        if not self.take(wanted):
-            raise self.misplaced(repr(wanted))
-
-    def deeper(self) -> None:
-        """Note that a bracket or a ``not`` was opened; refuse one level too many."""
-        self._depth += 1
-        if self._depth > self._deepest:
-            raise self.refusal(f"the {self.title} is nested deeper than {self._deepest} levels", self.peek().place)
-
-    def shallower(self) -> None:
-        """Note that it was closed."""
-        self._depth -= 1
-
-    def misplaced(self, expected: str) -> FilterError:
-        """The refusal of the next token, where ``expected`` belongs."""
-        token = self.peek()
-        found = "its end" if token.kind == "end" else repr(_short(token.text))
-        return self.refusal(f"the {self.title} has {found} where {expected} belongs", token.place, self.example)
-
-    def refusal(self, message: str, place: Place, remedy: str | None = None) -> FilterError:
-        """An error about a part of the text."""
-        return FilterError(message, remedy, self.text, place)
-
-    def _split(self) -> list[Token]:
-        tokens: list[Token] = []
-        position = 0
-        while (match := _TOKEN.match(self.text, position)) is not None:
-            kind = str(match.lastgroup)
-            found = match[kind]
-            place = Place(match.start(kind), match.end(kind))
-            tokens.append(Token(kind, _unquoted(found) if kind == "text" else found, place))
-            position = match.end()
-        space = _SPACE.match(self.text, position)
-        rest = position if space is None else space.end()
-        if rest < len(self.text):
-            place = Place(rest, rest + 1)
-            raise self.refusal(
-                f"the {self.title} is not understood at {_short(self.text[rest:])!r}", place, self.example
-            )
-        return [*tokens, Token("end", "", Place(len(self.text), len(self.text)))]
+def split(text: str) -> tuple[list[Token], Place | None]:
+    """The tokens of ``text`` up to its end, or up to the place of a character that begins none."""
+    tokens: list[Token] = []
+    position = 0
+    while (match := _TOKEN.match(text, position)) is not None:
+        kind = str(match.lastgroup)
+        found = match[kind]
+        place = Place(match.start(kind), match.end(kind))
+        tokens.append(Token(kind, _unquoted(found) if kind == "text" else found, place))
+        position = match.end()
+    rest = len(text) - len(text[position:].lstrip())
+    tokens.append(Token("end", "", Place(len(text), len(text))))
+    return tokens, Place(rest, rest + 1) if rest < len(text) else None
 
 
 def quoted(text: str) -> str:
@@ -162,5 +92,6 @@ def _unquoted(text: str) -> str:
     return text[1:-1].replace(mark * 2, mark)
 
 
-def _short(text: str) -> str:
+def shortened(text: str) -> str:
+    """``text`` as a message shows it."""
     return text if len(text) <= _SHOWN else text[:_SHOWN] + "…"

@@ -18,8 +18,9 @@ from slamhive.domain.parameters import Value
 from slamhive.errors import InvalidInput
 from slamhive.search.binding import matches
 from slamhive.search.grammar import Junction, Tree, leaves, mapped
+from slamhive.search.parser import parse_filter
 from slamhive.search.reader import FilterError
-from slamhive.search.syntax import PRESENCE, Sign, Word, parse_filter, reversed_range
+from slamhive.search.syntax import PRESENCE, Sign, Word, reversed_range
 from slamhive.search.syntax import Comparison as Written
 from slamhive.search.units import is_number
 from slamhive.sweep.values import as_scalar

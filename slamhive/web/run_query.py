@@ -14,8 +14,9 @@ from slamhive.input_bounds import whole_number
 from slamhive.search.binding import Search, bind, read_search
 from slamhive.search.fields import Vocabulary
 from slamhive.search.grammar import join
+from slamhive.search.parser import parse_filter
 from slamhive.search.reader import FilterError
-from slamhive.search.syntax import Comparison, Filter, Sign, Word, filter_text, parse_filter
+from slamhive.search.syntax import Comparison, Filter, Sign, Word, filter_text
 from slamhive.search.words import in_words
 from slamhive.services.searches import LeftOut, order_in_words
 from slamhive.services.searches import summary as summary_in_words

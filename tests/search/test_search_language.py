@@ -15,8 +15,9 @@ from slamhive.search.binding import Condition, matches, read_search
 from slamhive.search.build import matching
 from slamhive.search.fields import BUILT_IN, Kind, ParameterKind, vocabulary_of
 from slamhive.search.grammar import Junction, join, leaves
+from slamhive.search.parser import MAX_TERMS, parse_filter
 from slamhive.search.reader import FilterError
-from slamhive.search.syntax import MAX_TERMS, Comparison, Sign, Word, filter_text, parse_filter
+from slamhive.search.syntax import Comparison, Sign, Word, filter_text
 from slamhive.search.words import in_words
 
 VOCABULARY = vocabulary_of(

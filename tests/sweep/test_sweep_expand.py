@@ -55,7 +55,9 @@ def test_a_configuration_holds_every_parameter_typed_and_the_variant():
     assert run.content_hash == run.configuration.content_hash
 
 
-@pytest.mark.parametrize(("text", "flags"), [("[yes, no]", [True, False]), ("off", [False]), ("On | false", [True, False])])
+@pytest.mark.parametrize(
+    ("text", "flags"), [("[yes, no]", [True, False]), ("off", [False]), ("On | false", [True, False])]
+)
 def test_the_declared_type_reads_yes_and_no_as_truth_values(text, flags):
     runs = plan(f"name: t\nalgorithms: icp\ndatasets: room\nparameters:\n  deskew: {text}\nevaluate: no\n")
     assert [run.configuration.parameters["deskew"] for run in runs] == flags
