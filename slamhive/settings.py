@@ -1,19 +1,22 @@
 """Settings: defaults < ``configuration.py`` < environment (``SLAMHIVE_<NAME>``) < options.
 
-Each setting is one field of :class:`Settings` with default, unit and help in one place; ``docs/settings.md`` is
-checked against it by a test.
+Each setting is one field of :class:`Settings`, which holds its default, unit, bounds and help. ``docs/settings.md`` is
+generated from these fields.
 """
 
 from __future__ import annotations
 
-import os
 import re
 import runpy
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
+
+from pydantic import Field, ValidationError, ValidationInfo, field_validator
+from pydantic_core import ErrorDetails
+from pydantic_settings import BaseSettings, EnvSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
 
 from slamhive.errors import InvalidInput, unknown
 from slamhive.input_bounds import check_value
@@ -21,7 +24,7 @@ from slamhive.input_bounds import check_value
 ENVIRONMENT_PREFIX = "SLAMHIVE_"
 CONFIGURATION_FILE = "configuration.py"
 LARGEST = {"bytes": 1e15}
-"""Most that a number of a unit may be; any other 1e9, which is 30 years in s: dates can be reckoned with it."""
+"""The largest number of a unit. All other numbers end at 1e9: that is 30 years in s, so sums with dates stay valid."""
 
 
 class Mode(StrEnum):
@@ -34,23 +37,34 @@ class Mode(StrEnum):
 
 
 def setting(
-    default: Any, help_text: str, *, unit: str = "", minimum: float | None = None, maximum: float | None = None
+    default: Any,
+    help_text: str,
+    *,
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    secret: bool = False,
 ) -> Any:
-    """A field of :class:`Settings` with its documentation; the bounds are those of numbers."""
-    maximum = LARGEST.get(unit, 1e9) if maximum is None else maximum
-    return field(default=default, metadata={"help": help_text, "unit": unit, "minimum": minimum, "maximum": maximum})
+    """A field of :class:`Settings` with its documentation; numbers have bounds, and secrets are shown nowhere."""
+    number = isinstance(default, int | float) and not isinstance(default, bool)
+    highest = LARGEST.get(unit, 1e9) if number and maximum is None else maximum
+    extra: dict[str, Any] = {"unit": unit, "secret": secret}
+    return Field(default, description=help_text, ge=minimum, le=highest, repr=not secret, json_schema_extra=extra)
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
+class Settings(BaseSettings):
     """All settings of one installation, checked and typed."""
+
+    model_config = SettingsConfigDict(frozen=True, extra="forbid", env_prefix=ENVIRONMENT_PREFIX, env_ignore_empty=True)
 
     mode: Mode = setting(Mode.WORKSTATION, "workstation, view-only, cluster or cloud")
     data: Path = setting(Path("data"), "Data root: datasets, runs, database; relative paths start at the project")
     database_url: str = setting("", "SQLAlchemy URL; empty means SQLite at <data>/slamhive.db")
     host: str = setting("127.0.0.1", "Address the web server binds to")
     port: int = setting(5000, "Port the web server binds to", minimum=0, maximum=65535)
-    secret_key: str = setting("", "Signs sessions and forms; empty means a random key kept in <data>/secret_key")
+    secret_key: str = setting(
+        "", "Signs sessions and forms; empty means a random key kept in <data>/secret_key", secret=True
+    )
     executor: str = setting("auto", "auto (Docker if an engine answers, else process), docker or process")
     worker_slots: int = setting(1, "Runs at a time; more than 1 gives each slot cores of its own", minimum=1)
     run_cpu_cores: float = setting(0.0, "CPU limit of a run; 0 means all cores of the slot", unit="cores", minimum=0)
@@ -107,6 +121,18 @@ class Settings:
     no_new_analysis: bool = setting(False, "View-only mode takes no analyses of visitors: true or false")
     orb_vocabulary: str = setting("", "ORB vocabulary file for ORB-SLAM3; empty means the small one of the image")
 
+    @classmethod
+    def settings_customise_sources(cls, *_: Any, **sources: Any) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Only what is passed: ``Settings()`` holds the defaults, and :func:`load_settings` reads the sources."""
+        return (sources["init_settings"],)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _is_no_number(cls, value: object, info: ValidationInfo) -> object:
+        if isinstance(value, bool) and cls.model_fields[str(info.field_name)].annotation is not bool:
+            raise ValueError("a truth value is not a number")
+        return value
+
     @property
     def effective_database_url(self) -> str:
         """The URL in force: the one given, or SQLite in the data root."""
@@ -129,7 +155,7 @@ class Settings:
 
     @property
     def ledger_folder(self) -> Path:
-        """Where it is written down what the database knows and no other folder tells."""
+        """Where facts are recorded that only the database knows otherwise."""
         return self.data / "ledger"
 
     @property
@@ -167,13 +193,13 @@ def describe() -> list[SettingInfo]:
     """Every setting with its documentation, in definition order."""
     return [
         SettingInfo(
-            name=entry.name.upper(),
-            environment=_variable(entry.name),
-            default=str(entry.default) if entry.default is not MISSING else "",
-            unit=entry.metadata["unit"],
-            help=entry.metadata["help"],
+            name=name.upper(),
+            environment=_variable(name),
+            default=str(field.default),
+            unit=_extra(name)["unit"],
+            help=field.description or "",
         )
-        for entry in fields(Settings)
+        for name, field in Settings.model_fields.items()
     ]
 
 
@@ -190,11 +216,16 @@ def load_settings(
         options: From the command line; None values mean "not given".
     """
     given = _given(project_root, environment, options)
-    values = {name: value for name, (value, _) in given.items()}
-    settings = Settings(**values)
-    data = settings.data.expanduser()
-    values["data"] = data if data.is_absolute() else (project_root / data)
-    return Settings(**values)
+    for name, (raw, source) in given.items():
+        check_value(raw, f"{name.upper()} from {source}")
+    try:
+        settings = Settings(**{name: raw for name, (raw, _) in given.items()})
+    except ValidationError as error:
+        problem = error.errors()[0]
+        name = str(problem["loc"][0])
+        raw, source = given[name]
+        raise InvalidInput(f"{name.upper()}={raw!r} from {source}: {_problem(name, problem)}") from None
+    return settings.model_copy(update={"data": project_root / settings.data.expanduser()})
 
 
 def settings_in_force(
@@ -209,42 +240,55 @@ def settings_in_force(
     given = _given(project_root, environment, options)
     settings = load_settings(project_root, environment, options)
     return [
-        SettingInForce(
-            info, _shown(entry.name, getattr(settings, entry.name)), given.get(entry.name, ("", "default"))[1]
-        )
-        for entry, info in zip(fields(Settings), describe(), strict=True)
+        SettingInForce(info, _shown(name, getattr(settings, name)), given[name][1] if name in given else "default")
+        for name, info in zip(Settings.model_fields, describe(), strict=True)
     ]
 
 
 def _shown(name: str, value: object) -> str:
-    if name == "secret_key" and value:
+    if _extra(name)["secret"] and value:
         return "(not shown)"
     return re.sub(r"://.*@", "://***@", str(value))
+
+
+def _extra(name: str) -> dict[str, Any]:
+    extra = Settings.model_fields[name].json_schema_extra
+    return extra if isinstance(extra, dict) else {}
+
+
+def _problem(name: str, problem: ErrorDetails) -> str:
+    """What is wrong with a value, in words."""
+    bounds = {"greater_than_equal": ("at least", "ge"), "less_than_equal": ("at most", "le")}
+    if problem["type"] in bounds:
+        words, key = bounds[problem["type"]]
+        return f"must be {words} {problem['ctx'][key]:g}"
+    kind = Settings.model_fields[name].annotation
+    return f"expected one of {', '.join(Mode)}" if kind is Mode else f"expected {getattr(kind, '__name__', kind)}"
 
 
 def _given(
     project_root: Path, environment: Mapping[str, str] | None, options: Mapping[str, Any] | None
 ) -> dict[str, tuple[Any, str]]:
-    """The settings that are not left at their defaults: value and source."""
-    environment = os.environ if environment is None else environment
-    known = {entry.name: entry for entry in fields(Settings)}
-    raws: dict[str, tuple[Any, str]] = {}
-    for name, raw in _configuration_values(project_root / CONFIGURATION_FILE, list(known)).items():
-        raws[name] = raw, CONFIGURATION_FILE
-    for name in known:
-        if environment.get(_variable(name)):
-            raws[name] = environment[_variable(name)], f"environment variable {_variable(name)}"
+    """The settings that are not left at their defaults: value and source. Later sources win."""
+    variables = EnvSettingsSource(Settings)
+    if environment is not None:
+        variables.env_vars = {name.lower(): value for name, value in environment.items() if value}
+    given: dict[str, tuple[Any, str]] = {}
+    for name, raw in _configuration_values(project_root / CONFIGURATION_FILE).items():
+        given[name] = raw, CONFIGURATION_FILE
+    for name, raw in variables().items():
+        given[name] = raw, f"environment variable {_variable(name)}"
     for name, raw in (options or {}).items():
         if raw is not None:
-            raws[name] = raw, f"option --{name.replace('_', '-')}"
-    return {name: (_typed(known[name], raw, source), source) for name, (raw, source) in raws.items()}
+            given[name] = raw, f"option --{name.replace('_', '-')}"
+    return given
 
 
 def _variable(name: str) -> str:
     return ENVIRONMENT_PREFIX + name.upper()
 
 
-def _configuration_values(path: Path, known: list[str]) -> dict[str, Any]:
+def _configuration_values(path: Path) -> dict[str, Any]:
     """The upper-case names that ``configuration.py`` defines. It is the user's own code, run by path."""
     if not path.is_file():
         return {}
@@ -254,42 +298,6 @@ def _configuration_values(path: Path, known: list[str]) -> dict[str, Any]:
         raise InvalidInput(f"{path} cannot be run: {type(error).__name__}: {error}") from None
     values = {key.lower(): value for key, value in content.items() if key.isupper()}
     for name in values:
-        if name not in known:
-            raise unknown(f"setting in {path}", name.upper(), [entry.upper() for entry in known])
+        if name not in Settings.model_fields:
+            raise unknown(f"setting in {path}", name.upper(), [known.upper() for known in Settings.model_fields])
     return values
-
-
-def _typed(entry: Field[Any], raw: Any, source: str) -> Any:
-    target = get_type_hints(Settings)[entry.name]
-    check_value(raw, f"{entry.name.upper()} from {source}")
-    what = f"{entry.name.upper()}={raw!r} from {source}"
-    try:
-        value = _converted(target, raw)
-    except (ValueError, TypeError, OverflowError, KeyError):
-        expected = f"one of {', '.join(target)}" if issubclass(target, StrEnum) else target.__name__
-        raise InvalidInput(f"{what}: expected {expected}") from None
-    minimum, maximum = entry.metadata["minimum"], entry.metadata["maximum"]
-    if minimum is not None and not value >= minimum:
-        raise InvalidInput(f"{what}: must be at least {minimum:g}")
-    if isinstance(value, int | float) and value > maximum:
-        raise InvalidInput(f"{what}: must be at most {maximum:g}")
-    return value
-
-
-def _converted(target: type, raw: Any) -> Any:
-    """``raw`` as ``target``, read if it is text; raises ValueError, TypeError or OverflowError if it is neither."""
-    if target is bool:
-        return _truth(raw)
-    if isinstance(raw, bool) or (target is str and not isinstance(raw, str)):
-        raise TypeError
-    value = target(raw)
-    if target is int and isinstance(raw, float) and value != raw:
-        raise ValueError
-    return value
-
-
-def _truth(raw: Any) -> bool:
-    """``True`` of a configuration file, ``true`` or ``1`` of a variable, and their opposites."""
-    if isinstance(raw, bool):
-        return raw
-    return {"true": True, "1": True, "false": False, "0": False}[str(raw).lower()]

@@ -19,7 +19,16 @@ HOST_CERTIFICATES = Path("/usr/local/share/ca-certificates")
 RUNTIME_PARTS = ("__init__.py", "errors.py", "files.py", "input_bounds.py", "strict_yaml.py", "runtime")
 """What runs inside the images: the modules that the runtime imports, and itself."""
 
-RENDERING_PARTS = ("__init__.py", "errors.py", "bags/__init__.py", "bags/geometry.py", "bags/room")
+RENDERING_PARTS = (
+    "__init__.py",
+    "errors.py",
+    "files.py",
+    "runtime/__init__.py",
+    "runtime/trajectory.py",
+    "bags/__init__.py",
+    "bags/geometry.py",
+    "bags/room",
+)
 """What renders the images that a package's ``prepare.py`` may train on."""
 
 BASE_SCRIPT = "docker/base/install-runtime.sh"

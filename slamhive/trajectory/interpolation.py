@@ -11,9 +11,10 @@ _NEARLY_PARALLEL = 1 - 1e-9
 
 
 def interpolate(trajectory: Trajectory, stamps_s: FloatArray) -> Poses:
-    """The poses of ``trajectory`` at ``stamps_s``, shape (n,); beyond its ends its first and last pose.
+    """The poses of ``trajectory`` at ``stamps_s``, shape (n,); before its start the first, after its end the last.
 
-    Orientations by slerp (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985).
+    Orientations by slerp (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985). scipy's takes
+    no equal timestamps, which a trajectory may hold.
     """
     if len(trajectory) == 1:
         alone = trajectory.take(np.zeros(len(stamps_s), dtype=np.intp))

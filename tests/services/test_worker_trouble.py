@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -56,7 +55,7 @@ def test_a_fault_of_the_heartbeat_does_not_end_it(hive, monkeypatch):
         enough.set()
 
     worker = hive.worker()
-    worker._settings = replace(worker._settings, lease_s=0.01)
+    worker._settings = worker._settings.model_copy(update={"lease_s": 0.01})
     worker._held.add(7)
     monkeypatch.setattr(worker, "_beat", beat)
     thread = threading.Thread(target=worker._heartbeat, args=(ends,))

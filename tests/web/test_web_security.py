@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import stat
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -46,7 +45,7 @@ def every_change(web: Web) -> list[tuple[str, str]]:
 @pytest.fixture
 def viewing(web: Web, tmp_path: Path, compiled: Path) -> Web:
     hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
-    hive.settings = replace(hive.settings, no_new_analysis=True)
+    hive.settings = hive.settings.model_copy(update={"no_new_analysis": True})
     return make_web(hive, compiled)
 
 

@@ -11,7 +11,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -146,10 +146,8 @@ class AnalysisJobs:
 
     def _asked(self) -> dict[str, Any]:
         settings = self._settings
-        given = {entry.name: getattr(settings, entry.name) for entry in fields(settings)}
-        given.update({name: str(value) for name, value in given.items() if isinstance(value, Path | str)})
         return {
-            "settings": given,
+            "settings": settings.model_dump(mode="json"),
             "project_root": str(self._project_root),
             "version": slamhive.__version__,
             "memory_bytes": settings.analysis_memory_mb * 1_000_000,

@@ -55,12 +55,12 @@ def hive(tmp_path: Path) -> Iterator[Hive]:
 
 
 def work(hive: Hive, **limits: float) -> bool:
-    settings = replace(hive.settings, **limits)  # type: ignore[arg-type]
+    settings = hive.settings.model_copy(update=limits)
     return AnalysisJobs(settings, hive.store, hive.catalogue.project_root).work_once(OWNER, threading.Event())
 
 
 def visiting(hive: Hive, **settings: object) -> StoredAnalyses:
-    changed = replace(hive.settings, mode=Mode.VIEW_ONLY, **settings)  # type: ignore[arg-type]
+    changed = hive.settings.model_copy(update={"mode": Mode.VIEW_ONLY, **settings})
     return StoredAnalyses(changed, hive.store, lambda text: hive.analyses.read(text).name)
 
 
