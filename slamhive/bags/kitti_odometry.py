@@ -5,20 +5,20 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from slamhive.bags.bag_writer import BagWriter, nanoseconds
+from slamhive.bags.bag_writer import nanoseconds
 from slamhive.bags.detection import Detection
 from slamhive.bags.frame_files import read_png, read_velodyne
 from slamhive.bags.geometry import Array, quaternions_from_rotations, transform
 from slamhive.bags.kitti_sequence import KittiSequence, detect_kitti, read_sequence
-from slamhive.bags.staging import GROUND_TRUTH_FILE, Progress, checksum, new_dataset_folder, seal
+from slamhive.bags.staging import GROUND_TRUTH_FILE, NewDataset, Progress, new_dataset
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.names import check_name
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput
-from slamhive.trajectory.tum import write_tum
 
 _LOG = logging.getLogger(__name__)
 _FIRST_COLOUR_CAMERA = 2
@@ -66,25 +66,24 @@ class KittiOdometryImporter:
         sequence = read_sequence(source)
         cameras = [_camera(sequence, number) for number in sequence.images]
         lidar = _lidar(sequence)
-        with new_dataset_folder(folder, _expected_bytes(sequence, cameras)) as aside:
-            bag = aside / f"{name}.bag"
-            _record(bag, sequence, cameras, lidar, progress)
+        with new_dataset(folder, _expected_bytes(sequence, cameras)) as new:
+            _record(new, sequence, cameras, lidar, progress)
             if sequence.poses is not None:
-                _write_ground_truth(aside / GROUND_TRUTH_FILE, sequence.times_s, sequence.poses)
+                poses = sequence.poses
+                new.write_ground_truth(sequence.times_s, poses[:, :, 3], quaternions_from_rotations(poses[:, :, :3]))
             progress(0.97, "computing the checksum")
             sensors = (*(camera.sensor for camera in cameras), *([lidar] if lidar else []))
-            dataset = _describe(folder, name, sequence, sensors, checksum(bag))
-            seal(aside, dataset)
+            dataset = new.seal(sensors=sensors, **_description(sequence))
         _LOG.info("imported %s as dataset %s", source, name)
         progress(1.0, "done")
         return dataset
 
 
 def _record(
-    path: Path, sequence: KittiSequence, cameras: list[_Camera], lidar: Sensor | None, progress: Progress
+    new: NewDataset, sequence: KittiSequence, cameras: list[_Camera], lidar: Sensor | None, progress: Progress
 ) -> None:
     frames = len(sequence.times_s)
-    with BagWriter(path) as bag:
+    with new.recording() as bag:
         for index, time_s in enumerate(sequence.times_s):
             stamp_ns = nanoseconds(float(time_s))
             for camera in cameras:
@@ -158,28 +157,17 @@ def _lidar(sequence: KittiSequence) -> Sensor | None:
     )
 
 
-def _describe(
-    folder: Path, name: str, sequence: KittiSequence, sensors: tuple[Sensor, ...], bag_checksum: str
-) -> Dataset:
+def _description(sequence: KittiSequence) -> dict[str, Any]:
     has_truth = sequence.poses is not None
-    return Dataset(
-        name=name,
-        folder=folder,
-        bag=f"{name}.bag",
-        duration_s=float(sequence.times_s[-1] - sequence.times_s[0]),
-        sensors=sensors,
-        groundtruth=GroundTruth(GROUND_TRUTH_FILE, gravity_aligned=False) if has_truth else None,
-        checksum=bag_checksum,
-        title=f"KITTI odometry, {sequence.source.resolve().name}",
-        description=f"{len(sequence.times_s)} frames of the KITTI odometry benchmark; the body is camera 0.",
-        licence="CC BY-NC-SA 3.0",
-        source="https://www.cvlibs.net/datasets/kitti/eval_odometry.php",
-        attributes=("real", "outdoor", "car"),
-    )
-
-
-def _write_ground_truth(path: Path, times_s: Array, poses: Array) -> None:
-    write_tum(path, times_s, poses[:, :, 3], quaternions_from_rotations(poses[:, :, :3]))
+    return {
+        "duration_s": float(sequence.times_s[-1] - sequence.times_s[0]),
+        "groundtruth": GroundTruth(GROUND_TRUTH_FILE, gravity_aligned=False) if has_truth else None,
+        "title": f"KITTI odometry, {sequence.source.resolve().name}",
+        "description": f"{len(sequence.times_s)} frames of the KITTI odometry benchmark; the body is camera 0.",
+        "licence": "CC BY-NC-SA 3.0",
+        "source": "https://www.cvlibs.net/datasets/kitti/eval_odometry.php",
+        "attributes": ("real", "outdoor", "car"),
+    }
 
 
 def _rate_hz(sequence: KittiSequence) -> float:

@@ -1,4 +1,4 @@
-"""Making a dataset folder: everything is written aside and renamed at the end, so a folder is whole or absent."""
+"""New dataset folders: everything is written aside and renamed at the end, so a folder is complete or absent."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+from slamhive.bags.bag_writer import BagWriter
+from slamhive.bags.geometry import Array
 from slamhive.catalogue.dataset_file import DATASET_FILE, dataset_to_yaml
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import Conflict, Unavailable
 from slamhive.files import sweep_folder
+from slamhive.trajectory.tum import write_tum
 
 Progress = Callable[[float, str], None]
 """Called with the fraction done (0..1) and what is being done."""
@@ -23,11 +27,56 @@ PLAY_SCRIPT = "rosbag_play.py"
 _SPARE_BYTES = 50_000_000
 
 
+class NewDataset:
+    """A dataset that is being made: where its recording, ground truth and other files go.
+
+    Args:
+        aside: The folder to write to, see :func:`new_dataset_folder`.
+        folder: Where the dataset will be; its name is that of the dataset.
+    """
+
+    def __init__(self, aside: Path, folder: Path) -> None:
+        self.aside = aside
+        self._folder = folder
+        self._bag = f"{folder.name}.bag"
+
+    def recording(self) -> BagWriter:
+        """The writer of the dataset's bag; use as a context manager."""
+        return BagWriter(self.aside / self._bag)
+
+    def write_ground_truth(self, times_s: Array, positions_m: Array, quats_xyzw: Array) -> None:
+        """Write the poses of the body: times (n,), positions (n, 3), quaternions (n, 4)."""
+        write_tum(self.aside / GROUND_TRUTH_FILE, times_s, positions_m, quats_xyzw)
+
+    def seal(self, **description: Any) -> Dataset:
+        """Write ``dataset.yaml`` and the play script.
+
+        ``description`` holds the fields of :class:`~slamhive.domain.dataset.Dataset` except name, folder, bag and
+        checksum, which follow from the folder.
+        """
+        dataset = Dataset(
+            name=self._folder.name,
+            folder=self._folder,
+            bag=self._bag,
+            checksum=checksum(self.aside / self._bag),
+            **description,
+        )
+        seal(self.aside, dataset)
+        return dataset
+
+
+@contextmanager
+def new_dataset(folder: Path, needed_bytes: int) -> Iterator[NewDataset]:
+    """Make the dataset ``folder``, complete or not at all; raises as :func:`new_dataset_folder`."""
+    with new_dataset_folder(folder, needed_bytes) as aside:
+        yield NewDataset(aside, folder)
+
+
 @contextmanager
 def new_dataset_folder(folder: Path, needed_bytes: int) -> Iterator[Path]:
-    """Yield an empty folder beside ``folder`` that takes its place when the block ends well.
+    """Yield an empty folder beside ``folder``, which is renamed to ``folder`` when the block succeeds.
 
-    On any error the folder aside is removed; after a kill it stays and the next call for the same name empties it.
+    If the block fails, the folder is removed. After a kill it remains, and the next call for the same name empties it.
 
     Raises:
         Conflict: ``folder`` exists, or another process is making it.
@@ -54,7 +103,7 @@ def new_dataset_folder(folder: Path, needed_bytes: int) -> Iterator[Path]:
 
 
 def sweep_partial_folders(root: Path) -> None:
-    """Remove the datasets below ``root`` whose making was killed."""
+    """Remove what killed imports left below ``root``."""
     for aside in root.glob(".*.partial"):
         sweep_folder(aside)
 

@@ -10,17 +10,17 @@ import numpy as np
 
 from slamhive.bags.bag_writer import NS_PER_S, BagWriter
 from slamhive.bags.geometry import Array, quaternions_from_rotations
-from slamhive.bags.room.description import describe
+from slamhive.bags.room.description import description_of, sensors_of
 from slamhive.bags.room.imu import ImuSamples, measure
-from slamhive.bags.room.motion import Motion, motion_at
+from slamhive.bags.room.motion import motion_at
 from slamhive.bags.room.options import RoomOptions
 from slamhive.bags.room.reference_map import REFERENCE_MAP_FILE, sample_surfaces
 from slamhive.bags.room.rig import BASELINE_M, Rig, make_rig
 from slamhive.bags.room.sensing import Scene, Task, TaskKind, sense_all
-from slamhive.bags.staging import GROUND_TRUTH_FILE, Progress, checksum, new_dataset_folder, seal
+from slamhive.bags.staging import Progress, new_dataset
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.sensors import Sensor
 from slamhive.runtime.pcd import write_pcd
-from slamhive.trajectory.tum import write_tum
 
 START_NS = 1000 * NS_PER_S
 """The sequence's start: not 0, which ROS reads as "no time"; small, so float64 timestamps are exact to 1e-12."""
@@ -55,49 +55,48 @@ def render_room(folder: Path, options: RoomOptions, progress: Progress) -> Datas
         Unavailable: no space, or a render process died. Nothing is left behind.
     """
     rig = make_rig(options.width, options.height, options.lidar_rate_hz)
-    with new_dataset_folder(folder, _expected_bytes(options, rig)) as aside:
+    sensors = sensors_of(options, rig)
+    with new_dataset(folder, _expected_bytes(options, rig)) as new:
         progress(0.0, "painting the room")
-        bag = aside / f"{options.name}.bag"
-        _record(bag, options, rig, progress)
+        with new.recording() as bag:
+            _record(bag, options, rig, sensors, progress)
         times_ns = _times_ns(options.imu_samples, options.imu_rate_hz)
-        _write_ground_truth(aside / GROUND_TRUTH_FILE, times_ns, motion_at(times_ns * 1e-9, options.duration_s))
-        write_pcd(aside / REFERENCE_MAP_FILE, sample_surfaces())
+        motion = motion_at(times_ns * 1e-9, options.duration_s)
+        quats_xyzw = quaternions_from_rotations(motion.R_world_body)
+        new.write_ground_truth((START_NS + times_ns) / NS_PER_S, motion.positions_m, quats_xyzw)
+        write_pcd(new.aside / REFERENCE_MAP_FILE, sample_surfaces())
         progress(0.98, "computing the checksum")
-        dataset = describe(folder, options, rig, checksum(bag))
-        seal(aside, dataset)
+        dataset = new.seal(sensors=sensors, **description_of(options))
     progress(1.0, "done")
     return dataset
 
 
-def _record(path: Path, options: RoomOptions, rig: Rig, progress: Progress) -> None:
+def _record(bag: BagWriter, options: RoomOptions, rig: Rig, sensors: tuple[Sensor, ...], progress: Progress) -> None:
     events = _schedule(options)
     heavy = [event for event in events if event.kind is not _Kind.IMU]
     tasks = [Task(TaskKind(event.kind), event.number, event.measured_ns * 1e-9) for event in heavy]
     scene = Scene(options.seed, options.duration_s, options.width, options.height, options.lidar_rate_hz)
     results = sense_all(scene, tasks, options.workers)
     samples = _imu(options, rig)
-    recorder = _Recorder(describe(path.parent, options, rig, ""))
+    recorder = _Recorder(sensors)
     frames = 0
-    with BagWriter(path) as bag:
-        for event in events:
-            stamp_ns = START_NS + event.measured_ns
-            if event.kind is _Kind.IMU:
-                recorder.imu(bag, stamp_ns, samples, event.number)
-            elif event.kind is _Kind.SCAN:
-                recorder.scan(bag, stamp_ns, START_NS + event.received_ns, next(results)[0])
-            else:
-                recorder.frame(bag, stamp_ns, next(results))
-                frames += 1
-                progress(0.02 + 0.95 * frames / options.frames, f"rendering frame {frames} of {options.frames}")
+    for event in events:
+        stamp_ns = START_NS + event.measured_ns
+        if event.kind is _Kind.IMU:
+            recorder.imu(bag, stamp_ns, samples, event.number)
+        elif event.kind is _Kind.SCAN:
+            recorder.scan(bag, stamp_ns, START_NS + event.received_ns, next(results)[0])
+        else:
+            recorder.frame(bag, stamp_ns, next(results))
+            frames += 1
+            progress(0.02 + 0.95 * frames / options.frames, f"rendering frame {frames} of {options.frames}")
 
 
 class _Recorder:
     """Puts what the sensors saw on their topics."""
 
-    def __init__(self, dataset: Dataset) -> None:
-        self._left, self._right = dataset.sensor("cam0"), dataset.sensor("cam1")
-        self._depth, self._imu = dataset.sensor("depth0"), dataset.sensor("imu0")
-        self._lidar = dataset.sensor("lidar0")
+    def __init__(self, sensors: tuple[Sensor, ...]) -> None:
+        self._left, self._right, self._depth, self._imu, self._lidar = sensors
 
     def imu(self, bag: BagWriter, stamp_ns: int, samples: ImuSamples, number: int) -> None:
         bag.imu(self._imu, stamp_ns, samples.rates_radps[number], samples.specific_forces_mps2[number])
@@ -136,12 +135,6 @@ def _imu(options: RoomOptions, rig: Rig) -> ImuSamples:
     motion = motion_at(_times_ns(options.imu_samples, options.imu_rate_hz) * 1e-9, options.duration_s)
     rng = np.random.default_rng(np.random.SeedSequence([options.seed, _IMU_NOISE_STREAM]))
     return measure(motion, options.imu_rate_hz, rig.imu_noise, rng)
-
-
-def _write_ground_truth(path: Path, times_ns: Array, motion: Motion) -> None:
-    quats_xyzw = quaternions_from_rotations(motion.R_world_body)
-    stamps_s = (START_NS + times_ns) / NS_PER_S
-    write_tum(path, stamps_s, motion.positions_m, quats_xyzw)
 
 
 def _expected_bytes(options: RoomOptions, rig: Rig) -> int:

@@ -2,37 +2,37 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 from slamhive.bags.geometry import Array
 from slamhive.bags.room.options import RoomOptions
 from slamhive.bags.room.reference_map import REFERENCE_MAP_FILE
 from slamhive.bags.room.rig import DEPTH_UNITS_PER_M, Rig
 from slamhive.bags.staging import GROUND_TRUTH_FILE
-from slamhive.domain.dataset import Dataset, GroundTruth
+from slamhive.domain.dataset import GroundTruth
 from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
 
 
-def describe(folder: Path, options: RoomOptions, rig: Rig, checksum: str) -> Dataset:
-    """The dataset that ``options`` and ``rig`` make."""
-    return Dataset(
-        name=options.name,
-        folder=folder,
-        bag=f"{options.name}.bag",
-        duration_s=options.duration_s,
-        sensors=(*_cameras(options, rig), _imu(options, rig), _lidar(options, rig)),
-        groundtruth=GroundTruth(GROUND_TRUTH_FILE, gravity_aligned=True),
-        checksum=checksum,
-        title="Synthetic room",
-        description=(
+def sensors_of(options: RoomOptions, rig: Rig) -> tuple[Sensor, ...]:
+    """The sensors of the room, as ``dataset.yaml`` describes them."""
+    return (*_cameras(options, rig), _imu(options, rig), _lidar(options, rig))
+
+
+def description_of(options: RoomOptions) -> dict[str, Any]:
+    """What ``dataset.yaml`` says besides the sensors."""
+    return {
+        "duration_s": options.duration_s,
+        "groundtruth": GroundTruth(GROUND_TRUTH_FILE, gravity_aligned=True),
+        "title": "Synthetic room",
+        "description": (
             f"A rendered, textured room of 8 x 6 x 3 m, {options.duration_s:g} s, seed {options.seed}: rectified grey "
             "stereo, exact depth, IMU with noise and drifting biases, LiDAR distorted by the motion."
         ),
-        licence="GPL-3.0-or-later",
-        source=f"slamhive dataset room --seconds {options.duration_s:g} --seed {options.seed}",
-        attributes=("synthetic", "indoor"),
-        reference_map=REFERENCE_MAP_FILE,
-    )
+        "licence": "GPL-3.0-or-later",
+        "source": f"slamhive dataset room --seconds {options.duration_s:g} --seed {options.seed}",
+        "attributes": ("synthetic", "indoor"),
+        "reference_map": REFERENCE_MAP_FILE,
+    }
 
 
 def _cameras(options: RoomOptions, rig: Rig) -> tuple[Sensor, Sensor, Sensor]:
