@@ -104,8 +104,10 @@ class Settings(BaseSettings):
     database_retry_s: float = setting(60.0, "How long a locked or absent database is tried again", unit="s", minimum=0)
     log_max_bytes: int = setting(10_000_000, "Most bytes kept of a run's log", unit="bytes", minimum=1000)
     min_free_disk_mb: int = setting(500, "No run starts with less free space in the data root", unit="MB", minimum=0)
-    association_tolerance_s: float = setting(0.01, "Largest gap between matched stamps", unit="s", minimum=0)
-    gap_threshold_s: float = setting(1.0, "A pause of the estimate longer than this is a gap", unit="s", minimum=0.001)
+    association_tolerance_s: float = setting(0.01, "Largest gap between matched timestamps", unit="s", minimum=0)
+    gap_threshold_s: float = setting(
+        1.0, "A longer time without a pose of the estimate is a gap", unit="s", minimum=0.001
+    )
     variant_cache_bytes: int = setting(
         50_000_000_000, "Room for pre-processed variants of datasets; unused ones go", unit="bytes", minimum=0
     )

@@ -25,8 +25,8 @@ _ORTHONORMAL_TOLERANCE = 1e-3
 class KittiSequence:
     """One sequence, its text read and checked, its frames listed but not opened.
 
-    ``projections`` holds P0..P3 (3, 4) of the cameras present, ``images`` their frames, ``T_cam0_lidar`` (4, 4) is
-    None without scans, ``poses`` (n, 3, 4) of camera 0 are None without ground truth.
+    ``projections`` holds P0..P3 (3, 4) of the cameras present, and ``images`` their frames. ``T_cam0_lidar`` (4, 4) is
+    None without scans. ``poses`` (n, 3, 4) of camera 0 are None without ground truth.
     """
 
     source: Path

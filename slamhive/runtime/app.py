@@ -117,7 +117,7 @@ class _Progress:
         self._untracked_s = round(max(0.0, stamp_s - self._tracked_at_s), 4)
 
     def _write(self, fraction: float, frames: int) -> None:
-        """Renamed into place, but not flushed to the disk: the value is out of date in half a second anyway."""
+        """Renamed into place, but not flushed to the disk: the content is out of date in half a second anyway."""
         aside = self._path.with_name(f".{self._path.name}")
         content = {"fraction": round(min(fraction, 1.0), 4), "frames": frames, "untracked_s": self._untracked_s}
         aside.write_text(_json(content), encoding="ascii")

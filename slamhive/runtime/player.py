@@ -41,9 +41,9 @@ class PlayerOptions:
 
 @dataclass(frozen=True, slots=True)
 class PlaybackSummary:
-    """What ``playback.json`` says. Lag is how late frames joined the queue; None when there was no schedule.
+    """The content of ``playback.json``. Lag is how late frames joined the queue; None when there was no schedule.
 
-    ``cpu_s`` is all CPU time of the player's process since it was started, to be told from the algorithm's;
+    ``cpu_s`` is all CPU time of the player's process since its start, which is subtracted from the algorithm's.
     ``duration_s`` is the time from the first message to the last.
     """
 

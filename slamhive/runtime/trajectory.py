@@ -33,7 +33,7 @@ def write_trajectory(path: Path, poses: Poses) -> None:
     stamps_s = np.asarray(poses.stamps_s, dtype=np.float64).reshape(-1)
     T = np.asarray(poses.T_world_sensor, dtype=np.float64).reshape(-1, 4, 4)
     if len(stamps_s) != len(T):
-        raise InvalidInput(f"{len(stamps_s)} stamps for {len(T)} poses")
+        raise InvalidInput(f"{len(stamps_s)} timestamps for {len(T)} poses")
     if not (np.isfinite(stamps_s).all() and np.isfinite(T).all()):
         raise InvalidInput("the estimated trajectory holds a value that is not a number")
     rotations = nearest_rotations(T[:, :3, :3])

@@ -1,4 +1,4 @@
-"""Names and values get their meaning: a parsed filter becomes a typed one, or is refused at the place."""
+"""Looks up names and values: a parsed filter becomes a typed one, or an error that points at the place."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ Bound: TypeAlias = Tree[Condition]
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """Which runs: ``tree`` (None: all), and the protocol whose metrics are meant (None: each run's current one)."""
+    """Which runs: ``tree`` (None: all), and the protocol of the metrics (None: each run's current one)."""
 
     tree: Bound | None = None
     protocol: str | None = None
@@ -154,7 +154,7 @@ class _Binder:
         return Condition(meaning, leaf.sign, tuple(values))
 
     def _number(self, meaning: Field, word: Word) -> int | float:
-        """Columns of a run hold whole numbers, which must be told exactly: seeds have 64 bits."""
+        """Columns of a run hold whole numbers, which must stay exact: seeds have 64 bits."""
         value = number(word.text, meaning.unit)
         if value is None:
             raise self._unfit(meaning, word)
@@ -212,7 +212,7 @@ class _Binder:
         by_label = [fingerprint for fingerprint, label in known.items() if text in {fingerprint, label}]
         if not by_label:
             raise self._refusal(
-                f"no figure is filed under protocol {text[:80]!r}",
+                f"no metric has been computed under protocol {text[:80]!r}",
                 nearest(text[:80], list(known)),
                 leaf.values[0].place,
             )
@@ -241,5 +241,5 @@ def _chosen(meaning: Field, sign: Sign, values: tuple[str, ...]) -> Condition:
 
 
 def matches(text: str, pattern: str) -> bool:
-    """Whether ``text`` is of the form ``pattern``: ``*`` stands for any text, ``?`` for one character."""
+    """Whether ``text`` matches ``pattern``: ``*`` stands for any text, ``?`` for one character."""
     return fnmatchcase(text, pattern.replace("[", "[[]"))

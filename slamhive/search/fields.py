@@ -42,7 +42,7 @@ class Source(StrEnum):
 class Field:
     """One name of the language.
 
-    ``groups`` tells, for an attribute of algorithms, which algorithms have which value; for the verdict, which kinds
+    ``groups`` says, for an attribute of algorithms, which algorithms have which value; for the verdict, which kinds
     a choice stands for.
     """
 
@@ -73,7 +73,11 @@ SENSOR = Field(
     choices=tuple(map(str, SensorSetup)),
 )
 PROTOCOL = Field(
-    "protocol", "Protocol", Kind.TEXT, Source.PROTOCOL, help="fingerprint that the figures are taken from; once only"
+    "protocol",
+    "Protocol",
+    Kind.TEXT,
+    Source.PROTOCOL,
+    help="fingerprint of the protocol whose metrics count; once only",
 )
 VERDICT = Field(
     "verdict",
@@ -141,8 +145,8 @@ class Vocabulary:
     """The names that a filter may use besides the built-in ones.
 
     ``parameters`` by key and by general name, each with every way in which it is defined; ``own_keys`` are the keys
-    behind each general name; ``sensors`` says which algorithms sense with what; ``protocols`` are all that metrics
-    are filed under, {fingerprint: label}.
+    behind each general name; ``sensors`` says which algorithms use which sensors. ``protocols`` are all
+    that metrics were computed under, {fingerprint: label}.
     """
 
     parameters: Mapping[str, tuple[ParameterKind, ...]] = field(default_factory=dict)

@@ -44,7 +44,7 @@ def is_number(text: str) -> bool:
 
 
 def units_of(stored: str) -> dict[str, float]:
-    """The units that a metric stored in ``stored`` can be compared in, with their factors."""
+    """The units in which a metric stored in ``stored`` can be compared, with their factors."""
     return _SCALES.get(stored, {stored: 1.0} if stored else {})
 
 

@@ -29,7 +29,7 @@ def in_words(search: Search) -> str:
     """The search in words; empty for all runs."""
     parts = [] if search.tree is None else [written(search.tree, _words)]
     if search.protocol is not None:
-        parts.append(f"figures under protocol {search.protocol}")
+        parts.append(f"metrics under protocol {search.protocol}")
     return ", ".join(parts)
 
 

@@ -3,8 +3,8 @@
 A word on the right that is the name of an axis or parameter means its value; text that must not be taken for one stands
 in quotes. Numbers are plain: what unit an axis has is not known here.
 
-A name that has no meaning for a combination (a parameter that its algorithm does not have) makes the comparison
-undecided; undecided parts follow Kleene's three-valued logic, and an undecided condition keeps the combination.
+A name may have no meaning for a combination: its algorithm does not have the parameter. The comparison is then
+undecided. Undecided parts follow Kleene's three-valued logic, and an undecided condition keeps the combination.
 """
 
 from __future__ import annotations

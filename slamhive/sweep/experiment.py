@@ -93,7 +93,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Whether runs are evaluated, and how; ``alignment`` None means the one that the sensors deserve."""
+    """Whether runs are evaluated, and how; ``alignment`` None means that it is chosen from the sensors."""
 
     enabled: bool = True
     alignment: Alignment | None = None

@@ -1,4 +1,4 @@
-"""Read ``experiment.yaml`` into :class:`~slamhive.sweep.experiment.Experiment`; errors name file and line."""
+"""``experiment.yaml`` to :class:`~slamhive.sweep.experiment.Experiment`; every mistake names file and line."""
 
 from __future__ import annotations
 

@@ -170,7 +170,7 @@ class LimitsModel(_Model):
 class EvaluateModel(_Model):
     """How runs are evaluated."""
 
-    alignment: Alignment | None = Field(default=None, description="The one that the sensors deserve if absent.")
+    alignment: Alignment | None = Field(default=None, description="Chosen from the sensors if absent.")
 
 
 SwitchOrEvaluate = Annotated[

@@ -1,7 +1,7 @@
 """Value expressions: ``a | b | c``, ``500:2500:250``, ``lin(0, 1, 5)``, ``log(0.001, 1, 4)``, or a plain list.
 
-What an expression means does not depend on what it is for: numbers without point or exponent are integers, the rest
-is typed by the parameter that takes the values (:meth:`slamhive.domain.parameters.Parameter.parse`).
+An expression means the same for every parameter. Numbers without point or exponent are integers. The parameter that
+takes the values gives them their type (:meth:`slamhive.domain.parameters.Parameter.parse`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from slamhive.domain.parameters import Parameter, ParameterType, Scalar, Value
 from slamhive.errors import InvalidInput
 
 MAX_VALUES = 100_000
-"""Of one expression; more is a slip of the keyboard."""
+"""Of one expression; more is a typing mistake."""
 
 _DIGITS = 12
 """Significant digits of computed floats, so that steps of 0.1 read 0.3 and not 0.30000000000000004."""

@@ -1,4 +1,4 @@
-"""Steps on sensors, brought into the one form that identifies a variant."""
+"""Steps on sensors, in the canonical order and spelling that identifies a variant."""
 
 from __future__ import annotations
 

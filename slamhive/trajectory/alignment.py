@@ -104,9 +104,9 @@ def align(alignment: Alignment, estimate: Poses, reference: Poses, first: int | 
 def align_umeyama(estimate_m: FloatArray, reference_m: FloatArray, *, scaled: bool) -> Similarity:
     """Rotation, translation and, if ``scaled``, scale that minimise the squared distances.
 
-    Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991: with the
-    covariance (equation 38) = U D V^T and S = diag(1, 1, sign(det U det V)), R = U S V^T (40), c = tr(D S) / variance
-    (42), t = mean q - c R mean p (41).
+    Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991. The
+    covariance (equation 38) is U D V^T, and S = diag(1, 1, sign(det U det V)). Then R = U S V^T (40),
+    c = tr(D S) / variance (42), and t = mean q - c R mean p (41).
 
     Args:
         estimate_m: Matched estimated positions p, shape (n, 3).
@@ -129,8 +129,8 @@ def align_umeyama(estimate_m: FloatArray, reference_m: FloatArray, *, scaled: bo
 def align_yaw_position(estimate_m: FloatArray, reference_m: FloatArray) -> Similarity:
     """Rotation about z and translation, the four degrees of freedom that visual-inertial odometry cannot observe.
 
-    With C = sum (p - mean p)(q - mean q)^T over the pairs, yaw = atan2(C01 - C10, C00 + C11) maximises tr(Rz C), and
-    t = mean q - Rz mean p (Zhang and Scaramuzza, "A Tutorial on Quantitative Trajectory Evaluation", IROS 2018).
+    Zhang and Scaramuzza, "A Tutorial on Quantitative Trajectory Evaluation", IROS 2018. With C = sum (p - mean p)(q -
+    mean q)^T over the pairs, yaw = atan2(C01 - C10, C00 + C11) maximises tr(Rz C). Then t = mean q - Rz mean p.
 
     Args:
         estimate_m: Matched estimated positions p, shape (n, 3).

@@ -101,7 +101,7 @@ def match_one_to_one(reference_s: FloatArray, estimate_s: FloatArray, tolerance_
 
 
 def match_in_one_sweep(reference_s: FloatArray, estimate_s: FloatArray, tolerance_s: float) -> tuple[Indices, Indices]:
-    """Each timestamp of the estimate takes the nearest of the ground truth after the last one taken.
+    """Each timestamp of the estimate in turn takes the nearest one of the ground truth after the last one taken.
 
     The rule of OpenVINS (https://github.com/rpng/open_vins, ``ov_eval``): one to one and in order, but what an earlier
     timestamp has taken is lost for a later one that would be nearer. Arguments and result as those of

@@ -11,8 +11,8 @@ from slamhive.trajectory.model import FloatArray, Poses, Trajectory
 def repair(poses: Poses, how: Duplicates) -> Trajectory:
     """The trajectory of ``poses``, whose timestamps never decrease, with what ``how`` leaves of equal timestamps.
 
-    The mean of orientations is the one with the least squared chordal distance to first order: their quaternions, signs
-    made equal, are added and normalised (Markley et al., "Averaging quaternions", JGCD 2007, holds the exact form).
+    The mean of orientations has the least squared chordal distance to first order: quaternions of equal sign are added
+    and normalised. Markley et al., "Averaging quaternions", JGCD 2007, give the exact solution.
     """
     begins = np.flatnonzero(np.diff(poses.stamps_s, prepend=-np.inf) > 0)
     if how in (Duplicates.REFUSE, Duplicates.KEEP) or len(begins) == len(poses):

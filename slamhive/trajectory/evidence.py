@@ -1,6 +1,6 @@
-"""In which unit times are and in which order quaternions, told from the numbers; where they do not tell, doubt.
+"""The unit of times and the order of quaternions, from the numbers of a file.
 
-Nothing is guessed: a finding holds a value and what speaks for it, or no value and what speaks against a choice.
+Nothing is guessed. A finding holds a value and the evidence for it, or no value and the reason for the doubt.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def find_order(
 
 def _order_by_truth(spreads_deg: Mapping[QuaternionOrder, float]) -> Finding[QuaternionOrder]:
     if len(spreads_deg) < len(QuaternionOrder):
-        return Finding(None, "nothing tells the order of the quaternions")
+        return Finding(None, "nothing shows the order of the quaternions")
     (best_deg, best), (other_deg, other) = sorted((spread, order) for order, spread in spreads_deg.items())
     words = (
         f"the orientations agree with the ground truth to {best_deg:.1f} deg read as {best}, "
@@ -189,7 +189,7 @@ _IDENTITY = 1 - 1e-6
 
 
 def _order_by_start(quats: FloatArray) -> Finding[QuaternionOrder] | None:
-    """An estimate mostly begins with no rotation at all, which says where w stands."""
+    """Most estimates begin without rotation, which shows the place of w."""
     first = np.abs(quats[0])
     for place, order in ((3, QuaternionOrder.XYZW), (0, QuaternionOrder.WXYZ)):
         if first[place] >= _IDENTITY:

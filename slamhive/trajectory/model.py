@@ -66,8 +66,8 @@ class Trajectory(Poses):
     """Poses of a moving frame in a fixed one, in the order of time.
 
     Creating one validates it: at least one pose, timestamps never decreasing, every number finite, quaternions unit
-    within :data:`QUATERNION_TOLERANCE`. They are normalised, and the arrays are made read-only. A timestamp may occur
-    more than once only if the reader of a file keeps such poses.
+    within :data:`QUATERNION_TOLERANCE`. Quaternions are normalised, and the arrays become read-only. Equal timestamps
+    remain only where the user chose to keep them.
 
     Raises:
         InvalidInput: Naming the first bad pose, counted from 0, and the value.
@@ -133,7 +133,7 @@ def _out_of_order(stamps_s: FloatArray, *, duplicates: bool) -> PoseProblem | No
         return PoseProblem(
             before + 1,
             f"timestamp {later:.9f} occurs twice",
-            "write one pose for each timestamp, or say with --duplicates first, mean or keep which one counts",
+            "write one pose for each timestamp, or choose with --duplicates first, mean or keep",
         )
     return PoseProblem(
         before + 1,

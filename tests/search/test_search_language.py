@@ -134,7 +134,7 @@ def test_what_is_typed_has_one_spelling_and_words(text, canonical, words):
             "created_at between 2026-02-01 and 2026-01-31",
         ),
         ("dataset = " + "x" * 191, "cannot be compared with this text", "x" * 191),
-        ("protocol = 0", "no figure is filed under protocol '0'", "0"),
+        ("protocol = 0", "no metric has been computed under protocol '0'", "0"),
         ("protocol > 0123456789ab", "a protocol is chosen with =", "protocol > 0123456789ab"),
         ("state=failed or protocol=0123456789ab", "protocol is chosen for the whole", "protocol=0123456789ab"),
         ("<script> = 1", "has '<' where a name belongs", "<"),
@@ -173,7 +173,7 @@ def test_protocol_is_taken_out_of_the_outermost_and():
     assert found.protocol == "0123456789ab"
     assert only("ate.rmse < 1") == found.tree
     assert read('protocol = "SE(3), association 0.01 s"').protocol == "0123456789ab"
-    assert in_words(found) == "ATE RMSE below 1 m, figures under protocol 0123456789ab"
+    assert in_words(found) == "ATE RMSE below 1 m, metrics under protocol 0123456789ab"
 
 
 def test_days_are_spans():

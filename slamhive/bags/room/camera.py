@@ -1,8 +1,8 @@
 """Rendering: what a pinhole camera in the room sees, as a grey image and as depth.
 
 Every face is a plane, so its inverse depth, and its texture coordinates divided by depth, are affine in the pixel
-coordinates: with the ray d = ((x-cx)/fx, (y-cy)/fy, 1) and a plane n·p = c seen from the camera centre,
-1/z = (n·d)/c. Visibility is a comparison of inverse depths, texturing is a homography. Each face is restricted to
+coordinates. With the ray d = ((x-cx)/fx, (y-cy)/fy, 1) and a plane n·p = c seen from the camera centre, 1/z = (n·d)/c.
+Visibility is a comparison of inverse depths, texturing is a homography. Each face is restricted to
 the rectangle its clipped outline projects to. Pixel centres have integer coordinates, as in OpenCV.
 """
 

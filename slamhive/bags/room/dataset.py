@@ -23,7 +23,7 @@ from slamhive.domain.sensors import Sensor
 from slamhive.runtime.pcd import write_pcd
 
 START_NS = 1000 * NS_PER_S
-"""The sequence's start: not 0, which ROS reads as "no time"; small, so float64 timestamps are exact to 1e-12."""
+"""Start of the sequence. ROS takes 0 for "no time"; a small number keeps timestamps in float64 exact to 1e-12."""
 _IMU_NOISE_STREAM = 4
 _SCAN_BYTES_PER_RAY = 22
 _MAP_BYTES = 10_000_000
@@ -46,7 +46,7 @@ class _Event:
 
 
 def render_room(folder: Path, options: RoomOptions, progress: Progress) -> Dataset:
-    """Render the dataset ``options.name`` into ``folder``, which must not exist; the same options make the same bytes.
+    """Render the dataset ``options.name`` into ``folder``, which must not exist; equal options give equal bytes.
 
     A cloud of the room's surfaces lies beside the bag as the reference for maps.
 
@@ -114,7 +114,7 @@ class _Recorder:
 
 
 def _schedule(options: RoomOptions) -> list[_Event]:
-    """Everything in the order in which it is received; the IMU first where timestamps are equal."""
+    """All events by receive time; at equal times the IMU comes first."""
     imu = [
         _Event(int(t), _Kind.IMU, n, int(t)) for n, t in enumerate(_times_ns(options.imu_samples, options.imu_rate_hz))
     ]

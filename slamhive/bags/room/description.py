@@ -26,7 +26,7 @@ def description_of(options: RoomOptions) -> dict[str, Any]:
         "title": "Synthetic room",
         "description": (
             f"A rendered, textured room of 8 x 6 x 3 m, {options.duration_s:g} s, seed {options.seed}: rectified grey "
-            "stereo, exact depth, IMU with noise and drifting biases, LiDAR distorted by the motion."
+            "stereo, exact depth. The IMU has noise and drifting biases; motion distorts the LiDAR scans."
         ),
         "licence": "GPL-3.0-or-later",
         "source": f"slamhive dataset room --seconds {options.duration_s:g} --seed {options.seed}",

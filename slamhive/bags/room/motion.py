@@ -1,8 +1,8 @@
 """The trajectory of the body through the room: smooth, analytic, from rest back to where it began.
 
-Positions and angles are sums of sines of a phase that a smooth time law drives; exact first and second
-derivatives come from second-order forward differentiation (:class:`Jet`), so that the IMU and the ground truth agree
-to rounding.
+Positions and angles are sums of sines of a phase that a smooth time law drives. Second-order forward
+differentiation (:class:`Jet`) gives exact first and second derivatives, so the IMU agrees with the ground truth up to
+rounding.
 """
 
 from __future__ import annotations

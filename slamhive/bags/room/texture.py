@@ -1,7 +1,7 @@
 """Painted surfaces: one grey image per face with its mip levels, made from a seed.
 
-Patterns are those of a furnished room (bricks, boards, books, posters) at several scales, so that corner detectors
-find structure both near and far, and every place looks different from the next.
+The patterns are those of a furnished room (bricks, boards, books, posters) at several scales. Corner detectors
+find structure near and far, and every place looks different from the next.
 """
 
 from __future__ import annotations

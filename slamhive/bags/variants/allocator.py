@@ -17,8 +17,8 @@ def freed_memory_kept() -> Iterator[None]:
     """Let freed blocks of up to 32 MB be used again at once, by all threads; given back at the end.
 
     Each chunk and image takes some blocks of a megabyte. In threads glibc returns those to the kernel whenever they are
-    freed, and getting them again costs a page fault for every 4 KB: half the time of treating LZ4 chunks. Where there
-    is no glibc nothing happens.
+    freed. Getting them again costs a page fault for every 4 KB, which is half the time of treating LZ4 chunks. Without
+    glibc this does nothing.
     """
     library = ctypes.CDLL(None)
     if not hasattr(library, "mallopt"):

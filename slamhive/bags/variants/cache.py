@@ -260,7 +260,7 @@ class VariantCache:
         return sorted(path.parent.name for path in self._root.glob(f"[!.]*/{MANIFEST}"))
 
     def _entry(self, key: str, kept: Collection[str]) -> VariantEntry | None:
-        """None if it was removed meanwhile, or cannot be read: it is made again when asked for."""
+        """None if it was removed meanwhile, or cannot be read: the next request makes it again."""
         try:
             manifest = read_manifest(self._folder(key))
             used_s = (self._folder(key) / MANIFEST).stat().st_mtime

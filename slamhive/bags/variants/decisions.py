@@ -26,9 +26,9 @@ _PEEK_BYTES = 4096
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decisions:
-    """For each row of the index: is it kept, do its bytes change, its number on its topic, its new timestamp.
+    """For each row of the index: whether it is kept or changed, its number on its topic, its new timestamp.
 
-    ``edits`` holds by connection how the content changes; messages of other connections at most get a new timestamp.
+    ``edits`` says by connection how the content changes. Messages of other connections get a new timestamp at most;
     ``stamps_ns`` is 0 where the timestamp stays.
     """
 
@@ -134,6 +134,6 @@ def _check_definitions(connections: list[Ros1Connection], message_type: str) -> 
 def _checked(stamp_ns: int, topic: str) -> int:
     if not 0 < stamp_ns < 2**32 * 1_000_000_000:
         raise InvalidInput(
-            f"{topic}: a step moves a stamp to {stamp_ns * 1e-9:.3f} s", "ROS 1 knows times from 0 s to 2^32 s"
+            f"{topic}: a step moves a timestamp to {stamp_ns * 1e-9:.3f} s", "ROS 1 knows times from 0 s to 2^32 s"
         )
     return stamp_ns

@@ -1,4 +1,4 @@
-"""What identifies a variant, and how large it may get: told from ``dataset.yaml`` and the steps alone."""
+"""The identity and the largest size of a variant, from ``dataset.yaml`` and the steps alone."""
 
 from __future__ import annotations
 

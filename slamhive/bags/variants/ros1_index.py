@@ -42,7 +42,7 @@ Fields = dict[bytes, bytes]
 
 @dataclass(frozen=True, slots=True)
 class Ros1Connection:
-    """A connection; ``record`` is its whole record as in the file."""
+    """A connection; ``record`` is its whole record in the file, byte by byte."""
 
     id: int
     topic: str

@@ -229,7 +229,7 @@ class Rewriter:
             start = stop
 
     def _changed(self, row: int, record: Buffer) -> list[Buffer | range]:
-        """A message's record with another timestamp or content; its header with the receive time stays."""
+        """A message's record with another timestamp or content; its header, with the receive time, stays."""
         try:
             start = message_offset(record)
             (header_bytes,) = U32.unpack_from(record, start)

@@ -24,7 +24,7 @@ _BOUNDS = {
 
 @dataclass(frozen=True, slots=True)
 class OptionInfo:
-    """One option of a step, as a form shows it; ``default`` None means that it must be given or is left out."""
+    """One option of a step, for pages and docs; a ``default`` of None means required, or left out."""
 
     name: str
     type: str

@@ -3,7 +3,7 @@
 A step is a frozen pydantic model: its fields are its options. It says which sensors it can be used on, how their
 calibration changes, and what happens to the messages of one topic (:class:`Operation`). Steps are applied in order;
 each sees what the ones before it have left. To add one, subclass :class:`Step` (or :class:`SeededStep`) in a file of
-its own and register the class in ``steps/__init__.py``, or announce it from a package of yours in the entry-point group
+its own. Register the class in ``steps/__init__.py``, or announce it from a package of yours in the entry-point group
 ``slamhive.variant_steps``.
 """
 
@@ -67,9 +67,9 @@ Restamp = Callable[[int, int], int]
 Transform = Callable[[Array, Message], Array]
 """A pure function of its arguments, called from several threads at once and in any order; it returns a new array.
 
-Images come as (h, w) or (h, w, channels) in the encoding's own type (channels in the encoding's order; a compressed
-image as OpenCV decodes it, blue first), point clouds as structured arrays (n,) with the cloud's fields, IMU samples as
-float64 (6,): angular velocity (rad/s), then specific force (m/s²).
+Images come as (h, w) or (h, w, channels) in the type and channel order of the encoding; OpenCV decodes compressed
+images, blue first. Point clouds come as structured arrays (n,) with the cloud's fields. IMU samples come as float64
+(6,): angular rate (rad/s), then specific force (m/s²).
 """
 
 
@@ -78,8 +78,8 @@ class Operation:
     """What a step does to the messages of one topic; a part that is None leaves them as they are.
 
     ``keep`` and ``restamp`` are decided before anything is decoded. Messages with neither a new timestamp nor a
-    transform are copied byte by byte. ``uses_stamps`` asks for header timestamps; without it the time given is that
-    of reception, which the bag's index holds and costs nothing. A restamp implies it.
+    transform are copied byte by byte. ``uses_stamps`` asks for header timestamps, and ``restamp`` implies it. Otherwise
+    the time is that of reception, which the bag's index holds at no cost.
     """
 
     keep: Keep | None = None
@@ -126,8 +126,8 @@ class Step(BaseModel, ABC):
     def stream_seed(self, position: int, sensor: Sensor) -> Seed:
         """Entropy for one use of the step: its seed, kind and place among those of its kind, and the sensor's topic.
 
-        Neither the data nor other steps take part, so a fault hits the same messages alike at every rate and
-        resolution, and two settings can be compared without the luck of the draw between them.
+        They depend neither on the data nor on other steps. A fault hits the same messages at every rate and resolution,
+        so two settings can be compared under the same draws.
         """
         text = f"{self.kind}\0{position}\0{sensor.topic}".encode()
         digest = hashlib.sha256(text).digest()

@@ -1,4 +1,4 @@
-"""What the steps of a variant do to each topic: which messages stay, their timestamps and transforms."""
+"""What the steps of a variant do with each topic: the messages that stay, their timestamps, their transforms."""
 
 from __future__ import annotations
 

@@ -18,8 +18,8 @@ class Calibration(Step):
     """The focal lengths and the principal point that are announced; no pixel changes.
 
     What is not given stays as the steps before have left it. The variant's ``dataset.yaml``, the algorithm's settings
-    and ``CameraInfo`` in the recording all get the values (in ``CameraInfo`` the matrices K and P keep their relation
-    to ``dataset.yaml``, so P keeps the stereo baseline). After ``resolution`` it overrides the intrinsics that follow
+    and ``CameraInfo`` in the recording all get the values. In ``CameraInfo`` the matrices K and P keep their relation
+    to ``dataset.yaml``, so P keeps the stereo baseline. After ``resolution`` it overrides the intrinsics that follow
     from the resize: linked to the scale in an experiment, each scale has values of its own, as in the published system.
     """
 

@@ -13,7 +13,7 @@ from slamhive.errors import InvalidInput
 
 
 class PointRange(Step):
-    """Keep the points between two distances; the calibration contains the new limits."""
+    """Keep the points between two distances; the calibration states the new limits."""
 
     kind: ClassVar[str] = "point_range"
 

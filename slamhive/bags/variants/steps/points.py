@@ -46,7 +46,7 @@ def beam_numbers(points: Array, beams: int) -> Array:
     turns = int(numbers[-1]) + 1
     if not beams / 2 <= turns <= beams + 1:
         raise InvalidInput(
-            f"the beams of a scan cannot be told: it has no field {RING_FIELD!r}, and its order shows {turns} turns "
+            f"the beams of a scan are unknown: it has no field {RING_FIELD!r}, and its order shows {turns} turns "
             f"where {beams} beams are expected",
             "record the field, or thin out with point_stride or voxel",
         )

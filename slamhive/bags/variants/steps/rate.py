@@ -21,7 +21,7 @@ class Rate(Step):
 
     With ``hz``, the clock of the header timestamps is cut into periods of 1/hz, and the first message of each period is
     kept. The cut depends on nothing else, so sensors with equal timestamps (a stereo pair) keep equal frames wherever
-    their topics begin. Periods begin half a source period early: timestamps on round times stay clear of the cuts.
+    their topics begin. Periods begin half a source period early, so that round timestamps lie away from the cuts.
     """
 
     kind: ClassVar[str] = "rate"

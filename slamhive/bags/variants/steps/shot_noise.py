@@ -13,7 +13,7 @@ from slamhive.domain.sensors import Sensor, SensorKind
 
 
 class ShotNoise(SeededStep):
-    """Poisson noise: a pixel of brightness b (0..1) counts ``photons`` * b photons on average, in every frame again.
+    """Poisson noise: a pixel of brightness b (0..1) counts ``photons`` * b photons on average, drawn for every frame.
 
     Dark regions suffer most, relative to what they show (Foi et al., "Practical Poissonian-Gaussian noise modeling and
     fitting for single-image raw-data", 2008).

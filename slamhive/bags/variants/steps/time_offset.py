@@ -1,4 +1,4 @@
-"""The fault ``time_offset``: a sensor whose clock has an offset and a drift. The calibration stays the same."""
+"""The fault ``time_offset``: a clock that is wrong by a constant and by a drift, unknown to the algorithm."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class TimeOffset(Step):
 
     kind: ClassVar[str] = "time_offset"
 
-    offset_s: float = option("Added to every stamp.", unit="s", default=0.0, ge=-10, le=10)
+    offset_s: float = option("Added to every timestamp.", unit="s", default=0.0, ge=-10, le=10)
     drift_ppm: float = option("How much too fast the clock runs.", unit="ppm", default=0.0, ge=-10_000, le=10_000)
 
     def applies_to(self, sensor: Sensor) -> bool:  # noqa: ARG002 - every message has a timestamp
