@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.parameters import Value
@@ -138,21 +138,38 @@ class Experiment:
     @property
     def content_hash(self) -> str:
         """SHA-256 over what is stated: places and comments in the file do not count, the order of axes does."""
-        return hashlib.sha256(json.dumps(_content(self), allow_nan=False).encode()).hexdigest()
+        return _hash(_content(self))
+
+    def has_hash(self, content_hash: str) -> bool:
+        """Whether ``content_hash`` was taken of the same content, now or when files were read as YAML 1.1."""
+        return content_hash in {self.content_hash, _hash(_content(self, yaml_1_1=True))}
 
 
 _LATER = (("repeat_disturbed", 0),)
 """Fields that came later, at their defaults: experiments that were stored before keep their hash."""
 
 
-def _content(value: object) -> object:
-    """``value`` as JSON without the places; numbers keep their type, since 1 and 1.0 are two values."""
+_TRUTH_IN_YAML_1_1 = {"yes": True, "on": True, "no": False, "off": False}
+
+
+def _hash(content: object) -> str:
+    return hashlib.sha256(json.dumps(content, allow_nan=False).encode()).hexdigest()
+
+
+def _content(value: object, *, yaml_1_1: bool = False) -> object:
+    """``value`` as JSON without the places; numbers keep their type, since 1 and 1.0 are two values.
+
+    With ``yaml_1_1`` the values of axes are those that an experiment stored by an earlier version had.
+    """
     if isinstance(value, Where):
         return value.text
+    if yaml_1_1 and isinstance(value, Axis):
+        values = tuple(_TRUTH_IN_YAML_1_1.get(str(entry).lower(), entry) for entry in value.values)
+        return _content(replace(value, values=values))
     if is_dataclass(value):
         parts = ((entry.name, getattr(value, entry.name)) for entry in fields(value))
         parts = ((name, part) for name, part in parts if (name, part) not in _LATER)
-        return {name: _content(part) for name, part in parts if not isinstance(part, Place)}
+        return {name: _content(part, yaml_1_1=yaml_1_1) for name, part in parts if not isinstance(part, Place)}
     if isinstance(value, tuple):
-        return [_content(part) for part in value]
+        return [_content(part, yaml_1_1=yaml_1_1) for part in value]
     return value if value is None else [type(value).__name__, str(value)]

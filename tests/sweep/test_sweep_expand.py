@@ -63,6 +63,13 @@ def test_the_declared_type_reads_yes_and_no_as_truth_values(text, flags):
     assert [run.configuration.parameters["deskew"] for run in runs] == flags
 
 
+def test_an_experiment_that_was_stored_when_no_meant_false_is_still_the_same():
+    text = "name: t\nalgorithms: icp\ndatasets: room\nparameters:\n  deskew: [{}, {}]\n"
+    stored = parse_experiment(text.format("true", "false")).content_hash
+    assert parse_experiment(text.format("yes", "Off")).has_hash(stored)
+    assert not parse_experiment(text.format("no", "yes")).has_hash(stored)
+
+
 def test_the_identity_is_the_dataset_itself():
     runs = plan(
         STEREO_ON_ROOM + "steps:\n  r: {step: rate, sensors: camera, every: 1}\n"

@@ -33,7 +33,7 @@ def start(context: ExperimentContext, source: ExperimentSource, executor: str | 
     if stamp is None:
         chosen = context.executors.choose(executor or experiment.executor)
         stamp = _new_stamp(experiment, chosen)
-    elif stamp.content_hash != experiment.content_hash:
+    elif not experiment.has_hash(stamp.content_hash):
         raise Conflict(
             f"{folder.root} holds another experiment of this name, which the database does not know",
             "slamhive reindex files it; or choose another name",
@@ -52,7 +52,7 @@ def check_same(
     context: ExperimentContext, record: ExperimentRecord, experiment: Experiment, executor: str | None
 ) -> None:
     """Raise Conflict unless the stored experiment has the same content as the file and was not cancelled."""
-    if record.content_hash != experiment.content_hash:
+    if not experiment.has_hash(record.content_hash):
         raise Conflict(
             f"{experiment.place}: an experiment called {record.name} is there already and states something else",
             "choose another name; add-repeats runs the same one more often",
