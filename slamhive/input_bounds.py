@@ -1,8 +1,8 @@
-"""What may come in: the one rule for text, numbers, depth and length of requests, files and commands.
+"""The limits of all input: text, numbers, depth and length of requests, files and commands.
 
-Text can be encoded and holds no control characters; numbers are finite and fit 64 bits; nothing is nested deeply.
-Whoever reads something from outside reads it through this module, and everything behind can rely on it. Depends on
-nothing but the standard library, since algorithm images install it with :mod:`slamhive.runtime`.
+Text can be encoded and holds no control characters. Numbers are finite and fit 64 bits. Nothing is nested deeply.
+All input is read through this module, so the code behind relies on these limits. It needs only the standard library,
+because algorithm images install it with :mod:`slamhive.runtime`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from slamhive.errors import CONTROL_CHARACTERS, SURROGATES, InvalidInput
 LARGEST_INTEGER = 2**64
 DEEPEST_JSON = 32
 MOST_RECORD_BYTES = 64_000_000
-"""Of a JSON file that SLAM Hive itself has written."""
+"""The largest JSON file that SLAM Hive writes itself."""
 _MOST_DIGITS = 20
 _SHOWN = 40
 _NOT_TYPED = re.compile(f"[{CONTROL_CHARACTERS}{SURROGATES}]")
@@ -26,7 +26,7 @@ _NOT_RECORDED = re.compile(f"[{SURROGATES}]")
 
 
 def check_text(text: str, place: str, *, recorded: bool = False) -> str:
-    """Return ``text`` if it is text; raise InvalidInput, naming ``place`` and the character, if it is not.
+    """Return ``text``; raise InvalidInput that names ``place`` and the character if it holds one that is not allowed.
 
     ``recorded`` text comes from a program, for example from the log of an algorithm: it may hold control characters,
     and still has to be text that can be encoded.
@@ -38,7 +38,7 @@ def check_text(text: str, place: str, *, recorded: bool = False) -> str:
 
 
 def check_value(value: object, place: str, *, recorded: bool = False, deepest: int = DEEPEST_JSON) -> None:
-    """Raise InvalidInput if a text, number or level anywhere in ``value`` breaks the rule.
+    """Raise InvalidInput if a text, number or level anywhere in ``value`` exceeds the limits.
 
     Args:
         value: What a parser made of the input: dict, list, text, numbers, None.
@@ -55,7 +55,7 @@ def check_value(value: object, place: str, *, recorded: bool = False, deepest: i
 def find_problem(
     value: object, *, recorded: bool = False, deepest: int = DEEPEST_JSON
 ) -> tuple[tuple[str, ...], str] | None:
-    """Where in ``value`` the rule is broken and how, None if it is kept; see :func:`check_value`."""
+    """The path and description of the first problem in ``value``, or None; see :func:`check_value`."""
     return _problem(value, _NOT_RECORDED if recorded else _NOT_TYPED, deepest)
 
 
@@ -69,7 +69,7 @@ def decode(data: bytes, source: str) -> str:
 
 
 def read_text(path: Path, most_bytes: int) -> str:
-    """The text of the file at ``path``, of which no more than ``most_bytes`` is ever read; raises InvalidInput."""
+    """The text of the file at ``path``; raises InvalidInput, also for more than ``most_bytes``, which are never read."""
     try:
         with path.open("rb") as stream:
             data = stream.read(most_bytes + 1)
@@ -84,12 +84,12 @@ def read_text(path: Path, most_bytes: int) -> str:
 
 
 def too_large(source: str, most_bytes: int) -> InvalidInput:
-    """The refusal of something that is larger than anything of its kind."""
+    """The error for input that is too large."""
     return InvalidInput(f"{source} is larger than {most_bytes} bytes", "is it the right file?")
 
 
 def parse_json(data: str | bytes, source: str, *, recorded: bool = False, deepest: int = DEEPEST_JSON) -> Any:
-    """The JSON value that ``data`` is; raises InvalidInput, naming the place, if it is none or breaks the rule."""
+    """Parse a JSON value; raises InvalidInput that names the place of a mistake or of an exceeded limit."""
     text = decode(data, source) if isinstance(data, bytes) else data
     try:
         value = json.loads(text, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_integer)
@@ -102,7 +102,7 @@ def parse_json(data: str | bytes, source: str, *, recorded: bool = False, deepes
 
 
 def parse_json_object(data: str | bytes, source: str, *, recorded: bool = False) -> dict[str, Any]:
-    """As :func:`parse_json`, of a JSON object."""
+    """Parse a JSON object; see :func:`parse_json`."""
     value = parse_json(data, source, recorded=recorded)
     if not isinstance(value, dict):
         raise InvalidInput(f"{source} is not a JSON object", "it begins with { and ends with }")
@@ -110,12 +110,12 @@ def parse_json_object(data: str | bytes, source: str, *, recorded: bool = False)
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """The JSON object in a file that SLAM Hive has written; raises InvalidInput."""
+    """Read a JSON object from a file that SLAM Hive has written; raises InvalidInput."""
     return parse_json_object(read_text(path, MOST_RECORD_BYTES), str(path), recorded=True)
 
 
 def whole_number(text: str, name: str, minimum: int, maximum: int) -> int:
-    """The whole number that ``text`` stands for; raises InvalidInput that names it and the bounds."""
+    """Parse a whole number; raises InvalidInput that names it and the bounds."""
     digits = text.strip()
     number = int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= _MOST_DIGITS else None
     if number is None or not minimum <= number <= maximum:
@@ -153,7 +153,7 @@ def _scalar_problem(value: object, not_text: re.Pattern[str]) -> str | None:
 
 
 def _named(key: object) -> str:
-    """A key as a part of a place; it may be anything at all."""
+    """A key as a part of a place."""
     if isinstance(key, int) and abs(key) > LARGEST_INTEGER:
         return "(a huge number)"
     return str(key)[:_SHOWN]

@@ -1,1 +1,1 @@
-"""Recordings: reading them, and making datasets of them (importers, the synthetic room)."""
+"""Reads recordings and makes datasets from them (importers, the synthetic room)."""

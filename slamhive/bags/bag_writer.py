@@ -1,4 +1,4 @@
-"""Writing ROS 1 bags with the standard sensor messages."""
+"""Writes ROS 1 bags with standard sensor messages."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def nanoseconds(seconds: float) -> int:
 
 
 class BagWriter:
-    """A ROS 1 bag being written; use as a context manager. Timestamps are integer nanoseconds.
+    """Writes a ROS 1 bag; use as a context manager. Timestamps are integer nanoseconds.
 
     Connections appear in the bag in the order of their first message; header sequence numbers count from 0 for each
     topic. Nothing but the arguments ends up in the file, so equal input makes equal bytes.

@@ -1,4 +1,4 @@
-"""What an importer says of a folder it has looked at."""
+"""The result of an importer's look at a folder."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """Whether a folder is in one format: ``found`` speaks for it, ``missing`` is needed and absent; both in words."""
+    """Whether a folder has a format: ``found`` is the evidence for it, ``missing`` what it lacks; both in words."""
 
     found: tuple[str, ...]
     missing: tuple[str, ...]
 
     @property
     def complete(self) -> bool:
-        """The folder can be converted as it is."""
+        """Whether the folder can be converted."""
         return bool(self.found) and not self.missing

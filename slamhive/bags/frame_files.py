@@ -1,4 +1,4 @@
-"""Reading single frames from files, refusing damaged ones rather than decoding half of them."""
+"""Reads single frames from files, and refuses damaged ones instead of decoding a part."""
 
 from __future__ import annotations
 

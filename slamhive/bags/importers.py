@@ -1,4 +1,4 @@
-"""Dataset importers: what turns a recording in some format into a dataset folder.
+"""Dataset importers, which turn a recording of some format into a dataset folder.
 
 To add one: write a class with ``name``, ``detect`` and ``convert`` and register an instance, here or through the
 entry-point group ``slamhive.dataset_importers``. ``docs/dataset-format.md`` says what a dataset folder holds.
@@ -18,16 +18,16 @@ from slamhive.registry import Registry
 
 
 class Importer(Protocol):
-    """The seam; see the module's text."""
+    """Converts one format."""
 
     name: str
 
     def detect(self, path: Path) -> Detection:
-        """Look at ``path`` without reading much of it."""
+        """Check quickly whether ``path`` has this format."""
         ...
 
     def convert(self, source: Path, folder: Path, name: str, progress: Progress) -> Dataset:
-        """Make the dataset ``name`` in ``folder``, whole or not at all; raises InvalidInput, Conflict, Unavailable."""
+        """Make the dataset ``name`` in ``folder`` completely, or raise InvalidInput, Conflict or Unavailable."""
         ...
 
 
@@ -36,7 +36,7 @@ IMPORTERS.register(KittiOdometryImporter.name, KittiOdometryImporter())
 
 
 AUTO = "auto"
-"""In place of a format: the one that fits."""
+"""Instead of a format: choose the one that fits."""
 
 
 def detect_format(path: Path) -> str:

@@ -51,11 +51,11 @@ class KittiOdometryImporter:
     name = "kitti-odometry"
 
     def detect(self, path: Path) -> Detection:
-        """What of a sequence lies in ``path``."""
+        """The parts of a sequence in ``path``."""
         return detect_kitti(path)
 
     def convert(self, source: Path, folder: Path, name: str, progress: Progress) -> Dataset:
-        """Make the dataset ``name`` in ``folder``, whole or not at all.
+        """Make the dataset ``name`` in ``folder``, complete or not at all.
 
         Raises:
             InvalidInput: naming the file, the line or frame, what was found, and the remedy.

@@ -1,4 +1,4 @@
-"""The text files of a KITTI odometry sequence: times, calibration, poses, and which frames there are.
+"""Reads the text files of a KITTI odometry sequence, and lists its frames.
 
 Layout: https://www.cvlibs.net/datasets/kitti/eval_odometry.php and the readme of its development kit.
 """
@@ -23,7 +23,7 @@ _ORTHONORMAL_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class KittiSequence:
-    """One sequence, its text read and checked, its frames listed but not opened.
+    """One sequence: its text is read and checked, its frames are listed but not opened.
 
     ``projections`` holds P0..P3 (3, 4) of the cameras present, and ``images`` their frames. ``T_cam0_lidar`` (4, 4) is
     None without scans. ``poses`` (n, 3, 4) of camera 0 are None without ground truth.
@@ -39,7 +39,7 @@ class KittiSequence:
 
 
 def detect_kitti(path: Path) -> Detection:
-    """What of a KITTI odometry sequence lies in ``path``."""
+    """The parts of a KITTI odometry sequence in ``path``."""
     present = [name for name in (TIMES_FILE, CALIBRATION_FILE) if (path / name).is_file()]
     missing = [name for name in (TIMES_FILE, CALIBRATION_FILE) if name not in present]
     folders = [name for name in _sensor_folders() if (path / name).is_dir()]

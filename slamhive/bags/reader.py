@@ -1,4 +1,4 @@
-"""Opening recordings of any kind (ROS 1 ``.bag``, ROS 2 folder, MCAP file) with errors a user can act on."""
+"""Opens recordings (ROS 1 ``.bag``, ROS 2 folder, MCAP file), with errors that name a remedy."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class TopicSummary:
 
 @dataclass(frozen=True, slots=True)
 class BagSummary:
-    """What a recording holds; ``start_ns`` and ``end_ns`` are the first and last receive times."""
+    """The content of a recording; ``start_ns`` and ``end_ns`` are the first and last receive times."""
 
     topics: tuple[TopicSummary, ...]
     start_ns: int

@@ -28,7 +28,7 @@ _SPARE_BYTES = 50_000_000
 
 
 class NewDataset:
-    """A dataset that is being made: where its recording, ground truth and other files go.
+    """A new dataset: writes its recording, ground truth and description.
 
     Args:
         aside: The folder to write to, see :func:`new_dataset_folder`.

@@ -29,7 +29,7 @@ _PROGRESS_LINE_EVERY_S = 1.0
 
 
 class Algorithm(Protocol):
-    """What a ``mapping.py`` provides."""
+    """The interface that a ``mapping.py`` implements."""
 
     def process(self, frame: Frame) -> bool | None:
         """Take one frame; called in the order of the recording.
@@ -38,7 +38,7 @@ class Algorithm(Protocol):
         """
 
     def finish(self) -> Poses:
-        """The recording is over: the trajectory."""
+        """Return the trajectory, after the end of the recording."""
 
     def about(self) -> dict[str, Any]:
         """What the run should record of the algorithm: package, version, files used."""
@@ -48,7 +48,7 @@ MakeAlgorithm = Callable[[RunConfig], Algorithm]
 
 
 def run(make: MakeAlgorithm) -> int:
-    """Run the algorithm that ``make`` builds; returns the exit code. Every expected mistake is one line on stderr."""
+    """Run the algorithm that ``make`` builds; returns the exit code. Each known error is one line on stderr."""
     try:
         _run(make, run_paths())
     except SlamHiveError as error:
@@ -85,7 +85,7 @@ def _process_all(algorithm: Algorithm, player: Player, result: Path) -> list[Fra
 
 
 class _Progress:
-    """``progress.json`` for the controller, a line now and then for whoever reads the log."""
+    """Writes ``progress.json`` for the controller, and sometimes a line to the log."""
 
     def __init__(self, path: Path, total: int) -> None:
         self._path = path

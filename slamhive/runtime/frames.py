@@ -1,4 +1,4 @@
-"""Frames: what one step of an algorithm gets to see, put together from the messages of a recording."""
+"""Frames, the input of one step of an algorithm, assembled from the messages of a recording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slamhive.runtime.messages import PointCloud
 Array = NDArray[Any]
 
 _MOST_WAITING = 100
-"""Messages of one stream that wait for their partners; a partner that never comes must not fill the memory."""
+"""The most messages of one stream that wait for partners, so that a missing partner does not fill the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """A message as it came in: its header timestamp, when it was recorded, its content."""
+    """A message with its header timestamp and receive time."""
 
     stamp_ns: int
     recorded_ns: int
@@ -79,7 +79,7 @@ class Synchroniser:
         """Messages that found no partner."""
 
     def add(self, role: str, received: Received) -> dict[str, Received] | None:
-        """Take a message in; returns the group that it completes."""
+        """Add a message; returns the group that it completes."""
         own = self._waiting[role]
         own.append(received)
         if len(own) > _MOST_WAITING:
@@ -98,7 +98,7 @@ class Synchroniser:
         return None
 
     def end(self) -> None:
-        """The recording is over: what still waits stays without partner."""
+        """Count all waiting messages as unmatched at the end of the recording."""
         self.unmatched += sum(len(queue) for queue in self._waiting.values())
         for queue in self._waiting.values():
             queue.clear()
@@ -127,5 +127,5 @@ def write_frames_csv(path: Path, frames: list[FrameTimes]) -> None:
 
 
 def imu_array(rows: list[tuple[float, ...]]) -> Array:
-    """``rows`` as (n, 7), also for none."""
+    """``rows`` as an array (n, 7), even if there are none."""
     return np.array(rows, dtype=np.float64).reshape(-1, 7)

@@ -1,4 +1,4 @@
-"""From deserialised ROS messages to numpy: images, point clouds, IMU samples."""
+"""Converts ROS messages to numpy: images, point clouds, IMU samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a run finds its things: the container contract's places, or what the process executor says instead."""
+"""The paths of a run: those of the container contract, or those that the process executor sets."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class RunPaths:
 
 
 def run_paths(environment: Mapping[str, str] = os.environ) -> RunPaths:
-    """The places of this run: ``/slamhive/...`` unless ``environment`` names others."""
+    """The paths of this run: ``/slamhive/...`` unless ``environment`` names others."""
     return RunPaths(
         config=Path(environment.get(CONFIG_VARIABLE, "/slamhive/config.yaml")),
         dataset=Path(environment.get(DATASET_VARIABLE, "/slamhive/dataset")),

@@ -1,4 +1,4 @@
-"""The algorithm's side of the player: start it, ask it for frames, notice when it dies."""
+"""The algorithm's side of the player: starts it, requests frames, detects its death."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class PlayerDied(SlamHiveError):
 
 
 def player_options(config: RunConfig, recording: Path) -> PlayerOptions:
-    """What the run's configuration asks of the player.
+    """The player options that follow from the run's configuration.
 
     ``general-parameter`` may hold ``queue_size`` (frames, 10 as a ROS subscriber's usual queue) and
     ``sync_tolerance_s``. Raises InvalidInput for values that make no sense.
@@ -111,7 +111,7 @@ class Player:
             self._ask()
 
     def close(self) -> None:
-        """End the player; it notices a closed socket at its next message, and is killed if it does not."""
+        """End the player: it stops when it finds the socket closed, or is killed."""
         self._connection.close()
         try:
             self._process.wait(0.0 if self._process.poll() is not None else 0.2)

@@ -1,4 +1,4 @@
-"""The player: a process of its own that reads the recording and hands frames to the algorithm.
+"""The player: a separate process that reads the recording and sends frames to the algorithm.
 
 Started by :class:`slamhive.runtime.playback.Player` as ``python3 -m slamhive.runtime.player``; the two talk through a
 socket. The algorithm asks for each frame (``NEXT``), so nothing is buffered between the processes and the player's own
@@ -94,7 +94,7 @@ class _Playback:
         self._start_s = 0.0
 
     def run(self) -> None:
-        """Wait until the algorithm is ready, play everything, then say how it went."""
+        """Wait until the algorithm is ready, play everything, then send the summary."""
         total = min(self._recording.count(role) for role in self._roles)
         self._connection.send(("ready", total))
         self._wait_until_asked()

@@ -1,4 +1,4 @@
-"""The recording as the player reads it: messages in order of time, the page cache kept small, errors explained."""
+"""Reads a recording for the player: messages in order of time, with a small page cache and clear errors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ DAMAGE = (
     MemoryError,
     SyntaxError,
 )
-"""What rosbags and the codecs below it were seen to raise on damaged bytes.
+"""Errors that rosbags and its codecs raise on damaged bytes.
 
 ValueError includes text that is not UTF-8, OverflowError and MemoryError are lengths that bytes make up, SyntaxError
 is a damaged message definition (rosbags generates code from it).
@@ -87,11 +87,11 @@ class Recording:
         self.close()
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         self._reader.close()
 
     def count(self, role: str) -> int:
-        """How many messages ``role`` has in the recording."""
+        """The number of messages of ``role``."""
         return sum(entry.msgcount for entry in self._connections if self._roles[entry.topic] == role)
 
     def messages(self) -> Iterator[Incoming]:
@@ -139,7 +139,7 @@ def forget_pages(path: Path) -> None:
 
 
 def damaged(path: Path, error: Exception) -> InvalidInput:
-    """One line for what rosbags or the codecs below it found wrong with the recording at ``path``."""
+    """A one-line error for what rosbags or its codecs found wrong with the recording at ``path``."""
     reason = " ".join(str(error).split())[:200]
     inner = isinstance(error, UnicodeError | EOFError) or "('" in reason or not reason
     return InvalidInput(

@@ -1,4 +1,4 @@
-"""Writing ``traj.txt``: TUM format, whole or not at all."""
+"""Writes ``traj.txt`` in TUM format, complete or not at all."""
 
 from __future__ import annotations
 

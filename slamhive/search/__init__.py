@@ -1,1 +1,1 @@
-"""The filter language: text to a typed condition on runs, and back to text and words. ``store`` makes SQL of it."""
+"""The filter language: parses text to a typed condition on runs, and writes it as text and words."""

@@ -20,10 +20,10 @@ from slamhive.search.units import moments, number, units_of
 
 Value = int | float | str | bool | datetime
 LONGEST_TEXT = 190
-"""Characters of a text value that the store can search by."""
+"""The longest text value that the store can search for."""
 
 MOST_STARS = 4
-"""Of a pattern: the time to try one grows with the length of the text to the power of their number."""
+"""The largest number in a pattern: matching time grows with the text length to the power of this number."""
 
 _WHOLE = re.compile(r"[-+]?\d{1,18}", re.ASCII)
 _FLAGS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
@@ -46,7 +46,7 @@ _EXPECTED = {
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """A comparison whose name and values have a meaning.
+    """A comparison with its field and typed values.
 
     Moments are written as half-open spans: ``created_at <= 2026-01-31`` has become ``created_at < 2026-02-01``.
     """
@@ -69,7 +69,7 @@ class Search:
 
     @property
     def metrics(self) -> tuple[Field, ...]:
-        """The metrics that it compares, each once."""
+        """The compared metrics, each once."""
         found = [] if self.tree is None else [leaf.field for leaf in leaves(self.tree)]
         return tuple(dict.fromkeys(entry for entry in found if entry.source is Source.METRIC))
 
@@ -78,7 +78,7 @@ EVERYTHING = Search()
 
 
 def read_search(text: str, vocabulary: Vocabulary) -> Search:
-    """The search that ``text`` states; raises FilterError pointing at what is not understood."""
+    """Parse a search; raises FilterError that points at the mistake."""
     return bind(parse_filter(text), text, vocabulary)
 
 
@@ -98,7 +98,7 @@ class _Binder:
         self._vocabulary = vocabulary
 
     def split_protocol(self, tree: Filter) -> tuple[Filter | None, str | None]:
-        """``protocol = X`` taken out of the outermost ``and``; anywhere else it has no meaning and is refused."""
+        """Take ``protocol = X`` out of the outermost ``and``; refuse it anywhere else."""
         outermost = tree.parts if isinstance(tree, Junction) and tree.word == "and" else (tree,)
         chosen = [part for part in outermost if isinstance(part, Comparison) and part.name.text == "protocol"]
         rest = tuple(part for part in outermost if part not in chosen)
@@ -113,7 +113,7 @@ class _Binder:
         return left, self._protocol(chosen[0])
 
     def condition(self, leaf: Comparison) -> Condition:
-        """One comparison, of the first meaning of its name that fits."""
+        """Bind one comparison to the first meaning of its name that fits."""
         meanings = self._vocabulary.fields(leaf.name.text)
         if not meanings:
             name = leaf.name.text
@@ -177,7 +177,7 @@ class _Binder:
         return word.text
 
     def _choice(self, meaning: Field, leaf: Comparison) -> Condition:
-        """Patterns are resolved here: what remains is a list of known values."""
+        """Resolve patterns to a list of known values."""
         if leaf.sign in _PATTERNS:
             (word,) = leaf.values
             found = tuple(choice for choice in meaning.choices if matches(choice, word.text))
@@ -232,7 +232,7 @@ class _Binder:
 
 
 def _chosen(meaning: Field, sign: Sign, values: tuple[str, ...]) -> Condition:
-    """A comparison with choices. Of the verdict: with kinds, of those that there are, since a run may have none."""
+    """A comparison with choices. The verdict is compared by kinds, positively, since a run may have none."""
     if meaning.source is not Source.VERDICT:
         return Condition(meaning, sign, values)
     wanted = {kind for value in values for kind in meaning.groups[value]}

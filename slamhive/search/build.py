@@ -1,4 +1,4 @@
-"""Searches made in code rather than typed."""
+"""Builds searches in code."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def matching(  # noqa: PLR0913 - every one may be left out
     created_before: datetime | None = None,
     evaluated: bool | None = None,
 ) -> Search:
-    """The runs that fit all that is given; empty and None do not restrict.
+    """Search for runs that match all arguments; empty and None do not restrict.
 
     ``created_after`` is inclusive, ``created_before`` is not; ``evaluated``: whether an evaluation succeeded.
     """

@@ -1,4 +1,4 @@
-"""What a filter can name: columns of a run and its configuration, metrics, parameters, attributes of algorithms."""
+"""The names of filters: columns of runs and configurations, metrics, parameters, attributes of algorithms."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from slamhive.errors import nearest
 
 
 class Kind(StrEnum):
-    """What values a field has, and with it which signs it takes."""
+    """The kind of values of a field, which decides the signs that may follow."""
 
     NUMBER = "number"
     TEXT = "text"
@@ -118,10 +118,10 @@ BUILT_IN: dict[str, Field] = {
     )
 }
 PARAMETER_PREFIX = "parameter."
-"""Before the name of a parameter that something else is called, too: ``parameter.seed``."""
+"""Prefix of a parameter whose name something else has too: ``parameter.seed``."""
 
 VARIANT_PREFIX = "variant."
-"""Before kind and option of a pre-processing step: ``variant.resolution.scale``."""
+"""Prefix of kind and option of a pre-processing step: ``variant.resolution.scale``."""
 
 
 def metric_field(key: str) -> Field:
@@ -169,7 +169,7 @@ class Vocabulary:
         )
 
     def names(self) -> Sequence[str]:
-        """Every name that can stand on the left of a comparison."""
+        """Every name that may begin a comparison."""
         return [*BUILT_IN, *CATALOGUE, *self.parameters]
 
     def nearest(self, name: str) -> str:
@@ -179,7 +179,7 @@ class Vocabulary:
 
 
 def vocabulary_of(kinds: Iterable[ParameterKind], **others: Mapping[str, object]) -> Vocabulary:
-    """A vocabulary of these parameters; definitions that differ in nothing that matters here are one."""
+    """A vocabulary of these parameters; definitions that are equal for searching are merged."""
     by_name: dict[str, dict[ParameterKind, None]] = {}
     for entry in kinds:
         by_name.setdefault(entry.name, {})[entry] = None

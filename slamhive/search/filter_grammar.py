@@ -1,4 +1,4 @@
-"""The grammar of filters, and what Lark makes of it. Importing Lark costs 30 ms, so this module is imported late."""
+"""The grammar of filters, parsed by Lark. Importing Lark costs 30 ms, so this module is imported late."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def terminal(kind: str, token: reader.Token) -> Token:
 
 
 def allowed_after(terminals: list[Token]) -> set[str]:
-    """The kinds of terminals that may follow; a parser that has refused one may have reduced too much to know."""
+    """The kinds of terminals that may follow. A parser that refused one may have reduced too much to know them."""
     fresh = parser()
     for entry in terminals:
         fresh.feed_token(entry)
@@ -62,7 +62,7 @@ def levels(parser: Any) -> int:
 
 
 class _Builder(Transformer[Token, Filter]):
-    """One method for each rule; it gets what its parts have become."""
+    """One method for each rule of the grammar; ``parts`` are the results of its parts."""
 
     def disjunction(self, parts: list[Filter]) -> Filter:
         return join("or", parts)

@@ -22,7 +22,7 @@ Tree: TypeAlias = Junction[Leaf] | Leaf
 
 
 def join(word: str, parts: list[Tree[Leaf]]) -> Tree[Leaf]:
-    """The parts under one ``and`` or ``or``; a single one is itself."""
+    """Join parts by ``and`` or ``or``; a single part stays alone."""
     flat: list[Tree[Leaf]] = []
     for part in parts:
         flat.extend(part.parts if isinstance(part, Junction) and part.word == word else [part])
@@ -39,7 +39,7 @@ def leaves(tree: Tree[Leaf]) -> Iterator[Leaf]:
 
 
 def mapped(tree: Tree[Leaf], change: Callable[[Leaf], Other]) -> Tree[Other]:
-    """The same tree over what ``change`` makes of each comparison."""
+    """The same tree with each comparison replaced by ``change`` of it."""
     if isinstance(tree, Junction):
         return Junction(tree.word, tuple(mapped(part, change) for part in tree.parts))
     return change(tree)

@@ -1,4 +1,4 @@
-"""Text to a filter, or to a message that points at the part that is not understood."""
+"""Parses filters; an error points at the part that is not understood."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _EXPECTED = {
     "OR": "')'",
     "AND": "'and'",
 }
-"""What belongs at a place, by the first of these terminals that the grammar allows there."""
+"""What is expected at a place, by the first of these terminals that the grammar allows there."""
 
 
 def parse_filter(text: str, title: str = "filter", example: str = EXAMPLE, longest: int = MAX_LENGTH) -> Filter | None:
-    """The filter that ``text`` states, None for an empty one; raises FilterError pointing at what is not understood.
+    """Parse a filter, None for an empty one; raises FilterError that points at the mistake.
 
     ``title`` and ``example`` are for messages; ``longest`` is the largest number of characters.
     """

@@ -1,4 +1,4 @@
-"""Text to tokens, a cursor over them, and refusals that point at the place. Filters and sweep conditions share it."""
+"""Splits filters into tokens, and points at mistakes. Conditions of experiments use it too."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ _TOKEN = re.compile(
 )
 _SHOWN = 60
 KEYWORDS = frozenset({"and", "or", "not", "in", "between"})
-"""Words that have to be quoted to be a name or a value."""
+"""Words that need quotes to be a name or a value."""
 
 
 class Place(NamedTuple):
-    """Where something stands in a text: the first character and the one after the last, from 0."""
+    """A place in a text: the first character and the one after the last, from 0."""
 
     start: int
     end: int
 
 
 NOWHERE = Place(0, 0)
-"""The place of what was not read from a text."""
+"""The place of something that was not read from a text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Token:
 
 
 class FilterError(InvalidInput):
-    """A text that is not understood. The message is one line; :attr:`pointer` shows the place below the text.
+    """A mistake in a filter. The message is one line; :attr:`pointer` marks the place below the text.
 
     Args:
         message: What is wrong.
@@ -65,7 +65,7 @@ class FilterError(InvalidInput):
 
 
 def split(text: str) -> tuple[list[Token], Place | None]:
-    """The tokens of ``text`` up to its end, or up to the place of a character that begins none."""
+    """The tokens of ``text``, and the place of the first character that begins none, if there is one."""
     tokens: list[Token] = []
     position = 0
     while (match := _TOKEN.match(text, position)) is not None:
@@ -80,7 +80,7 @@ def split(text: str) -> tuple[list[Token], Place | None]:
 
 
 def quoted(text: str) -> str:
-    """``text`` as it has to be written to be read as one word or text again."""
+    """``text`` in quotes if it needs them to be read as one word."""
     match = _TOKEN.fullmatch(text)
     if match is not None and match.lastgroup == "word" and text.lower() not in KEYWORDS and text == text.strip():
         return text

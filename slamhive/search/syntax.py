@@ -1,4 +1,4 @@
-"""What a filter says before its names and values are looked up, and how it is written."""
+"""Filters before their names and values are looked up, and how they are written."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ SIGNS = {
     "=>": Sign.AT_LEAST,
     "=<": Sign.AT_MOST,
 }
-"""Every spelling of a sign that is no word."""
+"""All spellings of signs that are not words."""
 
 
 @dataclass(frozen=True, slots=True)
 class Word:
-    """A name or a value, where it stands, and whether in quotes."""
+    """A name or a value, its place, and whether it was quoted."""
 
     text: str
     place: Place = field(default=NOWHERE, compare=False)
@@ -62,14 +62,14 @@ Filter: TypeAlias = Tree[Comparison]
 
 
 def reversed_range(leaf: Comparison, source: str) -> FilterError:
-    """The refusal of a ``between`` whose first value is the larger; ``source`` is the whole text."""
+    """The error for a ``between`` whose first value is larger; ``source`` is the whole text."""
     low, high = (_value_text(value.text) for value in leaf.values)
     remedy = f"write {quoted(leaf.name.text)} between {high} and {low}"
     return FilterError(f"nothing lies between {low} and {high}", remedy, source, leaf.place)
 
 
 def filter_text(tree: Filter | None) -> str:
-    """The filter in its one canonical spelling; parsing it gives ``tree`` again."""
+    """The filter in its canonical spelling; parsing it gives ``tree`` again."""
     return "" if tree is None else written(tree, _comparison_text)
 
 

@@ -1,4 +1,4 @@
-"""Numbers, units and moments as they are typed in a filter."""
+"""Numbers, units and times as users type them in filters."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SCALES: dict[str, dict[str, float]] = {
 """{unit a metric is stored in: {unit that may be typed: factor to the stored one}}."""
 
 UNITS = frozenset(unit for scales in _SCALES.values() for unit in scales) | {"%"}
-"""What is read as a unit behind a number."""
+"""Words that are read as a unit after a number."""
 
 
 def is_number(text: str) -> bool:

@@ -1,4 +1,4 @@
-"""A search as the end of a sentence: ``ATE RMSE below 0.1 m and state failed``."""
+"""Writes a search as the end of a sentence: ``ATE RMSE below 0.1 m and state failed``."""
 
 from __future__ import annotations
 
@@ -87,5 +87,5 @@ def _moment(at: datetime) -> str:
 
 
 def _lower(label: str) -> str:
-    """A label inside a sentence; abbreviations stay as they are."""
+    """A label in lower case, except for abbreviations."""
     return label if label[:2].isupper() else label[:1].lower() + label[1:]

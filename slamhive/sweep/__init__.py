@@ -1,1 +1,1 @@
-"""Experiments: one file that states many configurations, checked and expanded without touching a store or a bag."""
+"""Experiments: one file that describes many configurations. Neither store nor recordings are needed."""

@@ -1,4 +1,4 @@
-"""An experiment bound to one algorithm and one dataset: which axes apply, with which typed values, to what."""
+"""Binds an experiment to one algorithm and one dataset: the axes that apply, with typed values."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class BoundStep:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Axes that move together (often one alone), by name. Values are typed when they are asked for."""
+    """Axes that change together (often a single one), by name. Values are typed on access."""
 
     axes: Mapping[str, BoundAxis]
 
@@ -56,13 +56,13 @@ class Group:
         return len(next(iter(self.axes.values())).raw)
 
     def rows(self) -> tuple[tuple[Value, ...], ...]:
-        """One value for each axis, as often as there are values; raises InvalidInput for one that does not fit."""
+        """Tuples with one value for each axis; raises InvalidInput for a value that does not fit."""
         return tuple(zip(*(axis.values() for axis in self.axes.values()), strict=True))
 
 
 @dataclass(frozen=True, slots=True)
 class BoundAxis:
-    """The values of an axis as written, and the parameter that types them, None for anything else."""
+    """The values of an axis as written; ``parameter`` gives them their type, if the axis is a parameter."""
 
     raw: tuple[Value, ...]
     place: Place
@@ -82,7 +82,7 @@ class BoundAxis:
 
 @dataclass(slots=True)
 class Pair:
-    """One algorithm on one dataset, with the axes that have a meaning for it.
+    """One algorithm on one dataset, with the axes that apply.
 
     ``parameters``: {axis name: parameter key}. ``fixed`` are the values of names that do not vary, ``aliases`` the
     further names of axes: {name: axis name}; conditions may use them all. ``variants`` remembers what was resolved.
@@ -100,14 +100,14 @@ class Pair:
 
     @property
     def size(self) -> int:
-        """How many rows there are before conditions."""
+        """Number of rows before conditions."""
         size = 1
         for group in self.groups:
             size *= len(group)
         return size
 
     def rows(self) -> Iterator[Row]:
-        """All combinations; what stands first in the file varies slowest."""
+        """All combinations; the first axis of the file varies slowest."""
         names = [name for group in self.groups for name in group.axes]
         for parts in itertools.product(*(group.rows() for group in self.groups)):
             yield dict(zip(names, itertools.chain.from_iterable(parts), strict=True))
@@ -117,7 +117,7 @@ class Pair:
         return {**self.fixed, **row, **{alias: row[name] for alias, name in self.aliases.items()}}
 
     def configuration(self, row: Row) -> Configuration:
-        """What the combination runs."""
+        """The configuration of a combination."""
         parameters = {parameter.key: parameter.default for parameter in self.algorithm.parameters}
         for name, key in self.parameters.items():
             parameters[key] = row[name]
@@ -271,7 +271,7 @@ def _parameter_axes(experiment: Experiment, algorithm: Algorithm) -> list[tuple[
 
 
 def _groups(experiment: Experiment, axes: Mapping[str, BoundAxis]) -> Iterator[Group]:
-    """Axes in order; a linked set stands where its first axis stands."""
+    """Axes in order; a linked set takes the place of its first axis."""
     done: set[str] = set()
     for name in axes:
         if name in done:

@@ -1,4 +1,4 @@
-"""Checks of an experiment as a whole: every name means something, once, and what moves together fits together."""
+"""Checks an experiment as a whole: every name is known and unique, and linked axes have equally many values."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Filter:
 
 
 def bind_all(experiment: Experiment, view: CatalogueView) -> tuple[list[Pair], Filter]:
-    """Every algorithm on every dataset that the conditions do not exclude as such, and the conditions.
+    """The conditions, and all pairs of algorithm and dataset that they leave.
 
     Raises NotFound and InvalidInput that name the place.
     """
@@ -75,7 +75,7 @@ def _check_catalogue(experiment: Experiment, view: CatalogueView) -> None:
 
 
 def _axes_by_name(experiment: Experiment) -> dict[str, Axis]:
-    """Every axis under its name; raises InvalidInput for a name that means two things."""
+    """Every axis by name; raises InvalidInput for an ambiguous name."""
     axes: dict[str, Axis] = {}
     options = [axis for step in experiment.steps for axis in step.options]
     for axis in (*options, *experiment.parameters):
@@ -135,7 +135,7 @@ def _condition_names(experiment: Experiment, view: CatalogueView, axes: Mapping[
 
 
 def _check_steps(experiment: Experiment, view: CatalogueView, pairs: list[Pair]) -> None:
-    """Every step is known, and treats a sensor of some algorithm."""
+    """Check that every step is known and applies to a sensor of some algorithm."""
     touched = {step.declaration.name for pair in pairs for step in pair.steps}
     for step in experiment.steps:
         try:

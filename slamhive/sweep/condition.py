@@ -76,7 +76,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What a combination must meet."""
+    """A condition on combinations."""
 
     tree: Tree[Comparison]
 
@@ -123,7 +123,7 @@ def _operand(word: Word, text: str) -> Operand:
 
 
 def _value(operand: Operand, context: Context, known: frozenset[str]) -> Value | None:
-    """What an operand stands for; None for a name that has no value in ``context``."""
+    """The value of an operand; None for a name without a value in ``context``."""
     if isinstance(operand, str):
         return operand
     return context.get(operand.word) if operand.word in known else operand.value
@@ -154,7 +154,7 @@ def _all(verdicts: Iterable[Verdict]) -> Verdict:
 
 
 def _compare(sign: Sign, left: Value, right: list[Value | None]) -> Verdict:
-    """One of the signs that are not the negation of another."""
+    """Compare by a sign that is not the negation of another one."""
     if sign is Sign.BETWEEN:
         return _all([_one(Sign.AT_LEAST, left, right[0]), _one(Sign.AT_MOST, left, right[1])])
     return _any(_one(sign, left, value) for value in right)

@@ -1,4 +1,4 @@
-"""A configuration as YAML, both ways, and out of the ``config.yaml`` of a published SLAM Hive."""
+"""Writes and reads configurations as YAML; also reads the ``config.yaml`` of a published SLAM Hive."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PUBLISHED_KEY = "slam-hive-algorithm"
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """A configuration that came in. ``notes`` tell, one line each, what of the text was not taken over, and why.
+    """An imported configuration. ``notes`` name, one line each, what was not imported and why.
 
     ``name`` and ``note`` are what its owner said about it, None where the text says nothing.
     """
@@ -87,7 +87,7 @@ def configuration_to_yaml(configuration: Configuration, name: str | None = None,
 
 
 def configuration_from_yaml(text: str, view: CatalogueView, source: str = "configuration.yaml") -> Imported:
-    """The configuration that ``text`` states: as exported, or the ``config.yaml`` of a published SLAM Hive.
+    """Read an exported configuration, or the ``config.yaml`` of a published SLAM Hive.
 
     Parameters that are not mentioned have their defaults.
 
@@ -173,12 +173,12 @@ def _steps(dataset: Dataset, kind: str, option: str, factors: Mapping[str, Scala
 
 
 def _sharing_pixels(dataset: Dataset, cameras: Sequence[str]) -> tuple[str, ...]:
-    """Depth sensors registered to these cameras: the published files scale images alone, which would part the two."""
+    """Depth sensors registered to these cameras: published files scale images alone, but both need one size."""
     return tuple(sensor.name for sensor in dataset.sensors if sensor.calibration.get("registered_to") in cameras)
 
 
 def _notes(config: RunConfig, ours: RunConfig, algorithm: Algorithm) -> Iterator[str]:
-    """What the run will not see as ``config`` states it."""
+    """Notes on the parts of ``config`` that the run will not use."""
     sections: tuple[tuple[str, Mapping[str, Any], Mapping[str, Any], str], ...] = (
         ("algorithm-parameters", config.algorithm_parameters, {}, f"{algorithm.name} has no such parameter"),
         ("dataset-parameters", config.dataset_parameters, ours.dataset_parameters, "the dataset describes itself"),

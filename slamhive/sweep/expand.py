@@ -1,4 +1,4 @@
-"""From an experiment to its runs: counted, checked, and expanded in a fixed order under fixed names."""
+"""Expands an experiment into its runs, in a fixed order and under fixed names."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
-    """One run to come.
+    """A planned run.
 
     ``number`` counts runs, ``cell`` configurations and ``repeat`` repeats from 1; ``name`` belongs to the configuration
     (``paper-euroc-0007``).
@@ -54,7 +54,7 @@ class PlannedRun:
 
 
 def count(experiment: Experiment, view: CatalogueView, limit: int = MAX_COMBINATIONS) -> Size:
-    """Check the whole experiment and count what it asks for; nothing is kept in memory.
+    """Check the whole experiment and count its runs; nothing is kept in memory.
 
     Raises:
         NotFound: a name that nothing answers to, with the nearest that there is.
@@ -65,7 +65,7 @@ def count(experiment: Experiment, view: CatalogueView, limit: int = MAX_COMBINAT
 
 
 class Expansion(Iterator[PlannedRun]):
-    """The runs of a checked experiment, one after the other.
+    """Yield the runs of a checked experiment.
 
     Attributes:
         size: As counted beforehand.

@@ -1,4 +1,4 @@
-"""An experiment as typed values: what is combined with what, before any of it is bound to an algorithm or a dataset."""
+"""An experiment as typed values, before it is bound to algorithms and datasets."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class StepOption(Axis):
 
 @dataclass(frozen=True, slots=True)
 class StepDeclaration:
-    """A pre-processing step under a name of the user's, each option an axis.
+    """A pre-processing step under a name that the user chose; each option is an axis.
 
     ``sensors`` name sensor kinds (``camera``, ``image`` for cameras and depth cameras ...), roles of the algorithm
     (``left``), sensors or topics of the dataset.
@@ -60,13 +60,13 @@ class StepDeclaration:
 
     @property
     def blame(self) -> Place:
-        """Where to look when its options do not fit a sensor."""
+        """The place to name when its options do not fit a sensor."""
         return self.options[0].place if len(self.options) == 1 else self.place
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """Axes that move together, value by value. ``equal`` asks for the same values on all of them (a tie)."""
+    """Axes that change together, value by value. ``equal``: all have the same values (a tie)."""
 
     axes: tuple[str, ...]
     equal: bool
@@ -109,7 +109,7 @@ class PlaybackAxes:
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """Everything that an experiment file states.
+    """The content of an experiment file.
 
     ``repeat_disturbed``: how often a run is repeated at most because it was measured on a disturbed machine.
     The combinations are algorithms x datasets x steps x parameters x playback, each of them run with every seed,

@@ -29,7 +29,7 @@ from slamhive.sweep.experiment_model import EvaluateModel, ExperimentModel, Step
 
 
 def parse_experiment(text: str, source: str = "experiment.yaml") -> Experiment:
-    """The experiment that ``text`` states.
+    """Parse an experiment.
 
     Args:
         text: The YAML.

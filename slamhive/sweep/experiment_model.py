@@ -1,4 +1,4 @@
-"""The shape of ``experiment.yaml``; also what its published JSON Schema is made from."""
+"""The structure of ``experiment.yaml``, from which its JSON Schema is generated."""
 
 from __future__ import annotations
 

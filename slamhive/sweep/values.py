@@ -21,22 +21,22 @@ _DIGITS = 12
 """Significant digits of computed floats, so that steps of 0.1 read 0.3 and not 0.30000000000000004."""
 
 _NUMBER = r"[-+]?(?:\d{1,40}\.?\d{0,40}|\.\d{1,40})(?:[eE][-+]?\d{1,3})?"
-"""Longer ones are text: as exact fractions they would take gigabytes, and no parameter means them."""
+"""Longer ones are text. As exact fractions they would take gigabytes, and no parameter needs them."""
 _INTEGER = re.compile(r"[-+]?\d{1,40}", re.ASCII)
 _FLOAT = re.compile(_NUMBER, re.ASCII)
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*:\s*({_NUMBER})\s*(?::\s*({_NUMBER})\s*)?", re.ASCII)
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\((.*)\)\s*")
 _LARGEST_END, _SMALLEST_END = 1e100, 1e-100
-"""Of a range: what is computed between such ends can neither overflow nor vanish."""
+"""Limits of the ends of a range, between which nothing can overflow or vanish."""
 _WORDS: dict[str, Scalar] = {"true": True, "false": False}
 
 
 class Computed(float):
-    """A value that ``lin`` or ``log`` came up with; an integer parameter takes the nearest integer."""
+    """A value computed by ``lin`` or ``log``; an integer parameter takes the nearest integer."""
 
 
 def parse_values(raw: object) -> tuple[Value, ...]:
-    """All values that ``raw`` stands for, in order.
+    """All values of ``raw``, in order.
 
     A list is taken literally: each element is one value, an element that is a list is a matrix. Text is an
     expression; parts between ``|`` may be ranges (the end included), ``lin(first, last, n)`` and
@@ -86,7 +86,7 @@ def rounded(value: float | Fraction) -> float:
 
 
 def check_distinct(values: Iterable[Value]) -> None:
-    """Raise InvalidInput if a value is there twice: it would ask for the same runs again."""
+    """Raise InvalidInput if a value is repeated: it would add the same runs again."""
     seen: set[tuple[str, Value]] = set()
     for value in values:
         if (type(value).__name__, value) in seen:

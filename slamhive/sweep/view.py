@@ -1,4 +1,4 @@
-"""What an experiment is checked against: the algorithms, datasets and kinds of steps that there are."""
+"""The known algorithms, datasets and kinds of steps, against which an experiment is checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well the orientations of an estimate go with those of its ground truth, whatever the two frames are."""
+"""Measures how well the orientations of an estimate agree with the ground truth, in whatever frames."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slamhive.trajectory.transforms import inverse_quats, multiply_quats, quats_
 MATCHED_WITHIN_S = 0.05
 MINIMUM_MATCHED = 10
 COMPARED_POSES = 500
-"""Spread over the trajectory; more tell no more."""
+"""Spread over the trajectory; more give no further information."""
 
 
 def thinned_pair(reference: Trajectory, estimate: Trajectory) -> tuple[Poses, Poses] | None:

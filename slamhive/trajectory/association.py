@@ -1,4 +1,4 @@
-"""Association: which pose of the ground truth answers to which pose of the estimate."""
+"""Association: pairs poses of the estimate with poses of the ground truth."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Indices = npt.NDArray[np.intp]
 
 
 def associate(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -> tuple[Poses, Poses]:
-    """Matched poses of ground truth and estimate, as many of both, as ``protocol.association`` has it.
+    """Matched poses of ground truth and estimate, by the rule of ``protocol.association``.
 
     Args:
         reference: The ground truth.

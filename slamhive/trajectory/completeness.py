@@ -1,4 +1,4 @@
-"""How much of the recording the estimate covers."""
+"""Measures how much of the recording the estimate covers."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class Completeness:
 
 
 OWN_INTERVALS = 10.0
-"""So many times the median interval between its poses is a gap of an estimate."""
+"""A gap of an estimate is longer than this many times the median interval between its poses."""
 LARGEST_OWN_SHARE = 0.1
-"""A longer share of the recording without a pose is a gap whatever the spacing."""
+"""A larger share of the recording without a pose is always a gap."""
 
 
 @dataclass(frozen=True, slots=True)
 class OwnCoverage:
-    """What the estimate covers, judged by its own spacing: keyframes are further apart than frames.
+    """Coverage judged by the spacing of the estimate itself: keyframes are further apart than frames.
 
     Attributes:
         path_share: Share of the true path between poses no further apart than ``gap_s``, 0..1.
@@ -111,7 +111,7 @@ def measure_own_coverage(estimate_stamps_s: FloatArray, reference: Poses, gap_s:
 
 
 def own_gap(stamps_s: FloatArray, span_s: float, gap_s: float) -> float:
-    """What counts as a gap between timestamps: by their own spacing, within reason."""
+    """The gap threshold that follows from the spacing of the timestamps, within limits."""
     if len(stamps_s) < 2:
         return gap_s
     typical_s = float(np.median(np.diff(stamps_s)))

@@ -23,7 +23,7 @@ _Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
 
 @dataclass(frozen=True, slots=True)
 class Finding(Generic[_Choice]):
-    """What is known of a file: a value and why, or None and what was found instead."""
+    """A value with its evidence, or None with the reason for the doubt."""
 
     value: _Choice | None
     because: str
@@ -34,9 +34,9 @@ SHORTEST_STEP_S, LONGEST_STEP_S = 5e-4, 10.0
 SPARSE_STEP_S = 600.0
 """... unless they are surveyed points, which people write in seconds."""
 FIRST_DATE_S, LAST_DATE_S = 6.3e8, 4.1e9
-"""1990 and 2100 as seconds since 1970: dates beyond are none of a recording."""
+"""1990 and 2100 as seconds since 1970: no recording is older or newer."""
 MOST_OVERLAP, LITTLE_OVERLAP = 0.3, 0.03
-"""Of what two spans of time cover together, the share that they have in common: one fits, another does not."""
+"""Shares of the time that two spans have in common: above the first they fit, below the second they do not."""
 
 
 def find_unit(times: FloatArray, stated: Finding[TimeUnit] | None, truth: Span | None) -> Finding[TimeUnit]:
@@ -52,7 +52,7 @@ def find_unit(times: FloatArray, stated: Finding[TimeUnit] | None, truth: Span |
 
 
 def _with_stated(stated: Finding[_Choice] | None, by_numbers: Finding[_Choice]) -> Finding[_Choice]:
-    """What the file says, unless the numbers contradict it: then nothing is known."""
+    """The statement of the file; no value if the numbers contradict it."""
     if stated is None:
         return by_numbers
     if by_numbers.value in (None, stated.value):
@@ -66,14 +66,14 @@ def span_of(times: FloatArray, unit: TimeUnit) -> Span:
 
 
 def overlap(first: Span, second: Span) -> float:
-    """The share that two spans have in common of what they cover together, 0 to 1."""
+    """Intersection over union of two spans, 0 to 1."""
     together_s = max(first[1], second[1]) - min(first[0], second[0])
     common_s = min(first[1], second[1]) - max(first[0], second[0])
     return max(0.0, common_s / together_s) if together_s > 0 else 0.0
 
 
 def _unit_by_overlap(times: FloatArray, truth: Span) -> Finding[TimeUnit] | None:
-    """The one unit in which the file covers the time of the ground truth; None if there is none, or several."""
+    """The only unit in which the file covers the time of the ground truth, or None."""
     shares = sorted(((overlap(span_of(times, unit), truth), unit) for unit in TimeUnit), reverse=True)
     (most, unit), (next_most, _) = shares[0], shares[1]
     if most > 0 and next_most == 0 and unit in _likely_units(times):
@@ -85,7 +85,7 @@ def _unit_by_overlap(times: FloatArray, truth: Span) -> Finding[TimeUnit] | None
 
 
 def _unit_by_itself(times: FloatArray) -> Finding[TimeUnit]:
-    """By the time from pose to pose, and by the date."""
+    """The unit by the time between poses, and by the date."""
     step, fitting = _step(times), _likely_units(times)
     dates = {unit: float(times[0]) / unit.per_second for unit in fitting}
     dated = [unit for unit, first_s in dates.items() if FIRST_DATE_S <= first_s <= LAST_DATE_S]
@@ -101,7 +101,7 @@ def _unit_by_itself(times: FloatArray) -> Finding[TimeUnit]:
 
 
 def _likely_units(times: FloatArray) -> list[TimeUnit]:
-    """Those in which the poses are a likely time apart."""
+    """The units in which the time between poses is likely."""
     step = _step(times)
     longest_s = {TimeUnit.S: SPARSE_STEP_S}
     return [

@@ -1,4 +1,4 @@
-"""Poses between poses: positions linearly, orientations along the shortest rotation (slerp)."""
+"""Interpolates poses: positions linearly, orientations along the shortest rotation (slerp)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from slamhive.trajectory.model import FloatArray, Poses, Trajectory
 
 _NEARLY_PARALLEL = 1 - 1e-9
-"""Above this cosine slerp divides by almost nothing, and a straight line is as good."""
+"""Above this cosine slerp divides by almost 0, and linear interpolation is as good."""
 
 
 def interpolate(trajectory: Trajectory, stamps_s: FloatArray) -> Poses:

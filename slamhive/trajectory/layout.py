@@ -1,4 +1,4 @@
-"""Rows of numbers that are poses, before unit of times and order of quaternions are known.
+"""Poses as rows of numbers, before unit of times and order of quaternions are known.
 
 TUM files hold seconds and x y z w; EuRoC's ground truth (Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR
 2016) nanoseconds and w x y z; what programs write is any combination.
@@ -22,7 +22,7 @@ _HEADER_LINES = 20
 
 
 class TimeUnit(StrEnum):
-    """What the times of a file are counted in."""
+    """The unit of the times of a file."""
 
     S = "s"
     MS = "ms"
@@ -31,7 +31,7 @@ class TimeUnit(StrEnum):
 
     @property
     def per_second(self) -> float:
-        """How many of them are a second."""
+        """Number of units in a second."""
         return _PER_SECOND[self]
 
 
@@ -39,7 +39,7 @@ _PER_SECOND = {TimeUnit.S: 1.0, TimeUnit.MS: 1e3, TimeUnit.US: 1e6, TimeUnit.NS:
 
 
 class QuaternionOrder(StrEnum):
-    """In which order the four numbers of a quaternion stand."""
+    """The order of the four numbers of a quaternion."""
 
     XYZW = "xyzw"
     WXYZ = "wxyz"
@@ -47,7 +47,7 @@ class QuaternionOrder(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Convention:
-    """Unit and order, each None where it is not known."""
+    """Unit and order; None where unknown."""
 
     time_unit: TimeUnit | None = None
     quaternion_order: QuaternionOrder | None = None
@@ -58,7 +58,7 @@ UNKNOWN = Convention()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawPoses:
-    """The poses of a file as its numbers are.
+    """The poses of a file, as written.
 
     Attributes:
         table: Where they stood, for messages.

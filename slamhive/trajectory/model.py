@@ -1,4 +1,4 @@
-"""The trajectory: stamped poses that are known to be valid."""
+"""Trajectories: timestamped poses that are known to be valid."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class PoseProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """Stamped poses of a moving frame in a fixed one.
+    """Timestamped poses of a moving frame in a fixed one.
 
     Those of a :class:`Trajectory`, or those of it that were matched: the same pose may then stand twice.
 

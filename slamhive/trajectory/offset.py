@@ -1,4 +1,4 @@
-"""The time offset between two clocks, found where the motion fits best: the turning, or else the positions."""
+"""Finds the time offset between two clocks, at which the angular rates fit best, or else the positions."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ PRECISION_S = 1e-5
 """The search ends when the offset is known to this: a fiftieth of the shortest frame time of a camera or less."""
 
 _FLAT = 1e-6
-"""Errors (rad/s or m) that differ by less say nothing."""
+"""Smaller differences of errors (rad/s or m) are not significant."""
 _GOLDEN = (math.sqrt(5) - 1) / 2
 
 
 STEP_S = 0.02
-"""Between the offsets that are tried first: turning and position change little in this time."""
+"""Step of the first search: angular rate and position change little in this time."""
 TURNING_S = 0.1
 """The angular rate is taken over about this time: shorter drowns in noise, longer smears fast turns."""
 LONGEST_TURNING_S = 0.5
 MINIMUM_COMPARED = 10
-"""Fewer rates or positions fit anything."""
+"""With fewer rates or positions any offset fits."""
 
 Misfit = Callable[[float], tuple[float, int]]
 """Of an offset in s: the error, and over how many poses; infinite and 0 where nothing can be compared."""
@@ -143,11 +143,11 @@ def _golden_section(error: Callable[[float], float], low_s: float, high_s: float
 
 
 COARSE_STEP_S = 0.05
-"""Between the samples whose correlation is taken: a peak of turning is wider."""
+"""Time between the correlated samples: a peak of the angular rate is wider."""
 MOST_SAMPLES = 200_000
-"""The first ten thousand seconds tell an offset."""
+"""The first ten thousand seconds suffice to find an offset."""
 _LEAST_CORRELATION = 0.25
-"""Less is chance; what is found is a start, to be checked."""
+"""A smaller correlation is chance. The result is a start that is checked later."""
 
 
 def coarse_offset(reference: Trajectory, estimate: Trajectory, within_s: float, *, by_turning: bool) -> float | None:

@@ -1,4 +1,4 @@
-"""Number tables in text files, read fast; whatever is wrong with one is said with its line."""
+"""Reads tables of numbers from text files; errors name the line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SHOWN_CHARACTERS = 40
 
 @dataclass(frozen=True, slots=True)
 class NumberTable:
-    """The numbers of a text file, and where they stood.
+    """The numbers of a text file, and their lines.
 
     Attributes:
         name: The file, as messages shall call it.
@@ -32,12 +32,12 @@ class NumberTable:
     _lines: list[str]
 
     def line_number(self, row: int) -> int:
-        """The line of the file, counted from 1, that row ``row`` stood on."""
+        """The line of row ``row`` in the file, from 1."""
         holding = (number for number, line in enumerate(self._lines, start=1) if _is_row(line))
         return next(number for index, number in enumerate(holding) if index == row)
 
     def error(self, row: int, found: str, remedy: str) -> InvalidInput:
-        """The error that says what was found in row ``row``."""
+        """An error about row ``row``."""
         return InvalidInput(f"{self.name}, line {self.line_number(row)}: {found}", remedy)
 
 
@@ -65,7 +65,7 @@ def read_bounded(path: Path) -> bytes:
 
 
 def count_columns(data: bytes) -> int:
-    """How many numbers the first row holds; 0 if there is none."""
+    """The number of columns of the first row; 0 without rows."""
     rows = (line for line in data.splitlines() if line.strip() and not line.lstrip().startswith(b"#"))
     return len(next(rows, b"").replace(b",", b" ").split())
 

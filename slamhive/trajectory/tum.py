@@ -40,7 +40,7 @@ def parse_tum(data: bytes, name: str, duplicates: Duplicates = Duplicates.REFUSE
 
 
 def parse_positions(data: bytes, name: str, duplicates: Duplicates = Duplicates.REFUSE) -> Trajectory:
-    """The trajectory in lines of timestamp and position, from a receiver or a total station; its orientations are void.
+    """A trajectory of timestamps and positions from a receiver or a total station; orientations have no meaning.
 
     Raises InvalidInput.
     """
@@ -50,7 +50,7 @@ def parse_positions(data: bytes, name: str, duplicates: Duplicates = Duplicates.
 
 
 def checked(table: NumberTable, poses: Poses, duplicates: Duplicates) -> Trajectory:
-    """The trajectory of the poses that stood in the rows of ``table``; raises InvalidInput naming the line."""
+    """The trajectory in the rows of ``table``; raises InvalidInput that names the line."""
     allowed = duplicates is not Duplicates.REFUSE
     problem = find_problem(poses.stamps_s, poses.positions_m, poses.quats_xyzw, duplicates=allowed)
     if problem is not None:

@@ -1,1 +1,1 @@
-"""Pre-processing: variants of a dataset with sensor data thinned, shrunk or degraded on purpose."""
+"""Pre-processing: variants of a dataset whose sensor data are thinned, scaled or degraded on purpose."""

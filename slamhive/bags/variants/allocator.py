@@ -1,4 +1,4 @@
-"""Keeping the C library from handing memory back between two messages."""
+"""Keeps the C library from returning memory to the kernel between two messages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 _ARENA_MAX, _TRIM_THRESHOLD, _MMAP_THRESHOLD = -8, -1, -3
 """Parameters of glibc's ``mallopt`` (malloc.h)."""
 _LARGE_BYTES = 32 << 20
-"""The most that glibc takes for the threshold, and what it comes to itself after a block of that size was freed."""
+"""The largest threshold that glibc accepts; it reaches this value by itself after a block of that size was freed."""
 
 
 @contextmanager

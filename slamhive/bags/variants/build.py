@@ -1,4 +1,4 @@
-"""Making a variant of a dataset: its recording treated step by step, its description kept true to it."""
+"""Makes a variant of a dataset: applies the steps to its recording, and describes the result."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _check_source(dataset: Dataset) -> None:
 
 
 def _duration_s(dataset: Dataset, before: BagExtent, after: BagExtent) -> float:
-    """The stated duration less what is missing at the ends."""
+    """The stated duration minus what is missing at the ends."""
     if before.start_ns is None or before.end_ns is None or after.start_ns is None or after.end_ns is None:
         return 0.0
     lost_ns = (before.end_ns - before.start_ns) - (after.end_ns - after.start_ns)

@@ -1,4 +1,4 @@
-"""The cache of variants: each made once however many ask for it, whole or absent, dropped least recently used first.
+"""The cache of variants. Each is made once, is complete or absent, and the least recently used goes first.
 
 ``<root>/<key>/`` is a dataset folder with ``variant.json`` beside the recording; ``<key>.lock`` beside it carries the
 locks (``flock``: the kernel lets go of them with the process, however it dies). Whoever uses a variant shares its lock,
@@ -42,7 +42,7 @@ _LOCK = ".lock"
 _PARTIAL = ".partial"
 
 Builder = Callable[[Path, Progress], Dataset]
-"""Writes the dataset into an empty folder and says what it has written."""
+"""Writes the dataset into an empty folder and returns its description."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,14 +61,14 @@ class VariantEntry:
 
 @dataclass(frozen=True, slots=True)
 class CacheLimits:
-    """How much the cache may hold, and what is to stay free on its disk."""
+    """The size of the cache, and the space to keep free on its disk."""
 
     cache_bytes: int
     free_bytes: int = 0
 
 
 def nothing_kept() -> Collection[str]:
-    """No variant is in use but those that processes hold."""
+    """Only variants that processes hold are in use."""
     return ()
 
 
@@ -88,7 +88,7 @@ class VariantCache:
 
     @contextmanager
     def hold(self, plan: VariantPlan, build: Builder, progress: Progress) -> Iterator[Dataset]:
-        """The variant, made first if need be; nobody removes it before the block ends.
+        """Hold a variant, which is made if necessary; nobody removes it before the block ends.
 
         ``progress`` is also called while another process makes it; an exception from there ends the wait.
 
@@ -110,7 +110,7 @@ class VariantCache:
 
     @contextmanager
     def hold_made(self, key: str) -> Iterator[None]:
-        """Keep a variant that was made earlier, for a run that goes on; fine if it is gone."""
+        """Keep an existing variant for a run that continues; it may be gone."""
         self._make_root()
         with shared(self._lock(key), _silent):
             yield
@@ -151,7 +151,7 @@ class VariantCache:
             raise in_use from None
 
     def verify(self, key: str) -> str | None:
-        """Read every byte of a variant; what is wrong with it, None if nothing is."""
+        """Read every byte of a variant; returns the problem, or None."""
         folder = self._folder(key)
         with shared(self._lock(key), _silent):
             return problem(folder) or changed_file(folder)
@@ -205,7 +205,7 @@ class VariantCache:
             )
 
     def _evict(self, wanted_bytes: int) -> None:
-        """Remove what was not used for longest, until the cache and the disk have room for ``wanted_bytes``."""
+        """Remove the least recently used variants until cache and disk have space for ``wanted_bytes``."""
         entries = self.entries()
         held_bytes = sum(entry.size_bytes for entry in entries) + sum(self._reserved().values())
         for entry in reversed(entries):
@@ -219,13 +219,13 @@ class VariantCache:
             logger.info("variant %s of %s made room (%s)", entry.key, entry.dataset, _megabytes(entry.size_bytes))
 
     def _free_bytes(self) -> int:
-        """What the disk can still take: less than is free, by the reserve and by what others are about to write."""
+        """Free space of the disk, minus the reserve and what others are about to write."""
         unwritten = sum(max(0, wanted - folder_bytes(self._aside(key))) for key, wanted in self._reserved().items())
         place = self._root if self._root.exists() else self._root.parent
         return shutil.disk_usage(place).free - self._limits.free_bytes - unwritten
 
     def _reserved(self) -> dict[str, int]:
-        """Bytes asked for by each variant that is being made."""
+        """Bytes reserved by each variant in the making."""
         found: dict[str, int] = {}
         for aside in self._root.glob(f".*{_PARTIAL}"):
             key = aside.name[1 : -len(_PARTIAL)]
@@ -236,7 +236,7 @@ class VariantCache:
         return found
 
     def sweep(self) -> None:
-        """Remove what killed builds have left behind."""
+        """Remove leftovers of killed builds."""
         for key in self._reserved():
             try:
                 with exclusive(self._lock(key)):
@@ -278,7 +278,7 @@ class VariantCache:
         )
 
     def _touch(self, key: str) -> None:
-        """Used now: the manifest's time of change says when."""
+        """Note the use now, as the modification time of the manifest."""
         try:
             os.utime(self._folder(key) / MANIFEST)
         except OSError as error:
@@ -305,4 +305,4 @@ def _megabytes(size_bytes: int) -> str:
 
 
 def _silent(_fraction: float, _text: str) -> None:
-    """Progress that nobody looks at."""
+    """Discard the progress."""

@@ -1,4 +1,4 @@
-"""Intrinsics of an image that was resized, or whose calibration is stated by hand.
+"""Computes intrinsics of images that were resized, or whose calibration the user states.
 
 Integer pixel coordinates are at pixel centres, so the image's left edge is at -0.5. An image of ``w`` pixels resized to
 ``w'`` maps the coordinate ``u`` to ``u' = (u + 0.5) s - 0.5`` with ``s = w'/w``, each axis with its own factor. Hence
@@ -18,7 +18,7 @@ from slamhive.domain.sensors import Sensor
 from slamhive.errors import InvalidInput
 
 _ROUNDING = 1e-9
-"""Several resizes in a row come out as one but for this."""
+"""Several resizes in a row equal one resize up to this."""
 
 
 def image_size(sensor: Sensor) -> tuple[int, int]:
@@ -74,7 +74,7 @@ def follow_sensor(info: Any, before: Sensor, after: Sensor, topic: str) -> Any:
 
 
 def same_intrinsics(before: Sensor, after: Sensor) -> bool:
-    """Whether focal lengths and principal point are equal but for rounding."""
+    """Whether focal lengths and principal point are equal up to rounding."""
     return bool(np.allclose(_intrinsics(before), _intrinsics(after), rtol=_ROUNDING, atol=_ROUNDING))
 
 

@@ -1,4 +1,4 @@
-"""What becomes of each message of a ROS 1 bag, decided from its index before any message is decoded."""
+"""Decides from the index of a ROS 1 bag what happens to each message, before any is decoded."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def _records(file: Ros1File, index: Ros1Index, rows: Array) -> Iterator[tuple[in
 
 
 def _check_definitions(connections: list[Ros1Connection], message_type: str) -> None:
-    """Only the standard definition is decoded; others may share the name."""
+    """Check that a type has its standard definition; others may share its name."""
     store = get_typestore(Stores.ROS1_NOETIC)
     for connection in connections:
         if message_type not in store.types or store.generate_msgdef(message_type)[1] != connection.md5:

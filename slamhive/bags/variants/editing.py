@@ -1,4 +1,4 @@
-"""What happens to the content of one topic's messages."""
+"""Edits the content of the messages of one topic."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def topics_of(dataset: Dataset, treatments: tuple[Treatment, ...], present: dict
 
 
 def make_edit(topic: str, message_type: str, stream: TopicStream) -> Edit | None:
-    """How the content of a topic's messages changes, None if it does not.
+    """The function that changes the content of a topic's messages, None if nothing changes.
 
     Raises InvalidInput where the steps ask for a change and the topic carries something else than its sensor should.
     """

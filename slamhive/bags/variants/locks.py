@@ -1,4 +1,4 @@
-"""Locks between processes on a file, shared or alone; the kernel drops them with the process that holds them."""
+"""Locks files between processes, shared or exclusive; the kernel releases them when the process ends."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ POLL_S = 0.05
 
 
 class Busy(Exception):
-    """Somebody else holds the lock, and waiting was not asked for."""
+    """Another process holds the lock."""
 
 
 @contextmanager
 def shared(path: Path, waiting: Progress) -> Iterator[None]:
-    """Hold the lock together with others; ``waiting`` is called while somebody has it alone."""
+    """Hold the lock together with others; ``waiting`` is called while another process holds it exclusively."""
     with _held(path, fcntl.LOCK_SH, waiting):
         yield
 
 
 @contextmanager
 def exclusive(path: Path, waiting: Progress | None = None) -> Iterator[None]:
-    """Hold the lock alone; ``waiting`` is called until nobody else has it. Without it, raise Busy at once."""
+    """Hold the lock exclusively; ``waiting`` is called while others hold it. Without it, raise Busy at once."""
     with _held(path, fcntl.LOCK_EX, waiting):
         yield
 
 
 def is_held(path: Path) -> bool:
-    """Whether anybody holds the lock now, shared or alone. Asking makes no file."""
+    """Whether any process holds the lock now; creates no file."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
@@ -64,7 +64,7 @@ def _held(path: Path, kind: int, waiting: Progress | None) -> Iterator[None]:
 
 
 def _take(path: Path, kind: int) -> int | None:
-    """The descriptor that holds the lock, None if it cannot be had now."""
+    """Try to take the lock; returns its descriptor or None."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:

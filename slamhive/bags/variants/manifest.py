@@ -1,4 +1,4 @@
-"""``variant.json``, which lies beside a variant's recording: where it comes from, and how to see that it is whole."""
+"""``variant.json`` beside a variant's recording: its origin, and the checksums of its files."""
 
 from __future__ import annotations
 
