@@ -69,7 +69,7 @@ def decode(data: bytes, source: str) -> str:
 
 
 def read_text(path: Path, most_bytes: int) -> str:
-    """The text of the file at ``path``; raises InvalidInput, also for more than ``most_bytes``, which are never read."""
+    """The text of the file at ``path``; raises InvalidInput, also for more than ``most_bytes`` (never read)."""
     try:
         with path.open("rb") as stream:
             data = stream.read(most_bytes + 1)
