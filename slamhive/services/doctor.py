@@ -97,7 +97,7 @@ def _energy(_: Hive) -> list[Check]:
     try:
         found = f"measured for {len(read_packages())} processor packages"
     except Unavailable as error:
-        return [Check("energy", Verdict.OK, f"runs have no energy figure: {error.message}")]
+        return [Check("energy", Verdict.OK, f"the energy of runs is not measured: {error.message}")]
     return [Check("energy", Verdict.OK, found)]
 
 

@@ -41,9 +41,8 @@ class Executors:
     def choose(self, asked: str | None = None) -> str:
         """The name of the executor that a run will use: ``asked``, or the one of the settings.
 
-        If the settings name an executor and a worker is running, the name is taken on trust: a web server in a
-        container of its own cannot reach the worker's engine. Otherwise raises Unavailable, with the remedy, if the
-        executor cannot be used on this machine.
+        While a worker is running, the executor of the settings is not checked: a web server in its own container cannot
+        reach the worker's engine. Otherwise raises Unavailable, with the remedy, if the executor cannot be used here.
         """
         wanted = asked or self._settings.executor
         if wanted == self._settings.executor != AUTO and self._worker_alive():

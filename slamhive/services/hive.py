@@ -86,8 +86,8 @@ class Hive:
 def open_hive(options: Mapping[str, Any] | None = None, data_root: DataRoot = DataRoot.MADE) -> Hive:
     """Read the settings, open the database, and check that mode and data root can be used.
 
-    Raises InvalidInput for a mode that does not exist yet, NotFound if something is missing that ``data_root`` expects,
-    Unavailable if the data root cannot be written or the database does not answer.
+    Raises InvalidInput for wrong settings, and NotFound if something is missing that ``data_root`` requires. Raises
+    Unavailable for a mode that does not exist yet, and if the data root or the database cannot be used.
     """
     root = project_root()
     settings = load_settings(root, options=options)
@@ -104,6 +104,6 @@ def check_indexed(hive: Hive) -> None:
             raise Conflict(f"{runs} holds runs that are missing from the database", "slamhive reindex files them")
     if hive.ledger.knows_more():
         raise Conflict(
-            f"{hive.settings.ledger_folder} tells of configurations and searches, but the database is empty",
+            f"{hive.settings.ledger_folder} holds configurations or searches, but the database is empty",
             "slamhive reindex restores them",
         )

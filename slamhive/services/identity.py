@@ -16,8 +16,8 @@ _PID_NAMESPACE = Path("/proc/self/ns/pid")
 def worker_identity() -> str:
     """``host:pid namespace:pid:boot:start``, unique for each process on each machine.
 
-    The boot id distinguishes machines (and their containers) with the same host name. The start time, in clock
-    ticks since boot, distinguishes processes that were given the same pid.
+    The boot id distinguishes machines (and their containers) with the same host name. The start time
+    (in kernel clock units since boot) distinguishes processes that were given the same pid.
     """
     pid = os.getpid()
     birth = process_birth(pid) or f"{_UNKNOWN}:{uuid.uuid4().hex}"

@@ -117,7 +117,7 @@ class EvaluationRepository(LeaseQueue[int]):
             found = set(self._session.execute(done).scalars())
             lacking = next((run_id for run_id in part if run_id not in found), None)
             if lacking is not None:
-                raise Conflict(f"run {lacking} has no figures under protocol {fingerprint}", "evaluate it first")
+                raise Conflict(f"run {lacking} has no metrics under protocol {fingerprint}", "evaluate it first")
             runs = Run.__table__
             self._session.execute(update(runs).where(runs.c.id.in_(part)).values(current_protocol_id=protocol_id))
             MetricRepository(self._session).follow_protocols(part)

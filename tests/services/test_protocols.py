@@ -82,7 +82,7 @@ def test_another_protocol_leaves_what_is_shown_until_it_is_chosen(hive: Hive, ru
     hive.current_protocols.use([run_id], sim3.fingerprint)
     assert ate_m(hive, run_id) == figures[sim3.fingerprint]["ate.rmse"]
     assert hive.protocols.named(sim3.fingerprint).on(sim3) == sim3
-    with pytest.raises(Conflict, match="has no figures under protocol"):
+    with pytest.raises(Conflict, match="has no metrics under protocol"):
         hive.current_protocols.use_asked([run_id], hive.protocols.named("none"))
     assert ate_m(hive, run_id) == figures[sim3.fingerprint]["ate.rmse"]
 

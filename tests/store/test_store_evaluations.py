@@ -81,7 +81,7 @@ def test_a_protocol_without_figures_cannot_be_chosen(store: Store, samples: Samp
     evaluate(store, done, result(ate_rmse=0.07))
     evaluate(store, done, result(SIM3, ate_rmse=0.05), SIM3)
     evaluate(store, other, result(ate_rmse=0.09))
-    with pytest.raises(Conflict, match=f"run {other} has no figures under protocol"):
+    with pytest.raises(Conflict, match=f"run {other} has no metrics under protocol"):
         store.write(lambda tx: tx.evaluations.use([done, other], SIM3.fingerprint))
     assert store.read(lambda tx: tx.metrics.for_runs([done])) == {done: {"ate.rmse": 0.07}}
     with pytest.raises(NotFound, match="unknown protocol 'measured'"):

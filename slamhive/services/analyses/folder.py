@@ -127,7 +127,7 @@ class AnalysisFolder:
         try:
             return json.loads(gzip.decompress(self.result_bytes(name)))
         except (OSError, EOFError, ValueError, zlib.error) as error:
-            remedy = "compute the analysis anew"
+            remedy = "compute the analysis again"
             raise Unavailable(f"{self.root / name} is damaged: {error}", remedy) from None
 
     def result_bytes(self, name: str) -> bytes:

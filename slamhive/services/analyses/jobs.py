@@ -170,7 +170,7 @@ def _said(code: int, output: str, errors: str) -> dict[str, Any]:
         return {"error": "the analysis needs more memory than ANALYSIS_MEMORY_MB; select fewer runs"}
     logger.error("the process that computes an analysis ended with %d: %s", code, errors[-5000:])
     ended = f"by signal {-code}" if code < 0 else f"with {code}"
-    return {"error": f"the process that computed it ended {ended}; the log of the worker tells more"}
+    return {"error": f"the process that computed it ended {ended}; see the log of the worker"}
 
 
 def _tail(stream: IO[bytes]) -> str:

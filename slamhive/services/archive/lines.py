@@ -119,7 +119,7 @@ def row_as_record(run: RunRecord, mode: str, events: list[RunEvent]) -> dict[str
 
 
 def completed(record: dict[str, Any], run: RunRecord, events: list[RunEvent]) -> dict[str, Any]:
-    """The record of a run whose folder was not sealed, with the end that its row tells."""
+    """The record of a run whose folder was not sealed, completed from its row."""
     if record.get("state") == run.state.value:
         return record
     return {**record, **_outcome(run), "events": events_to_json(events)}

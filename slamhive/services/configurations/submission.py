@@ -49,7 +49,7 @@ BOUNDS = {
 class Submission:
     """A request as it comes in, values still unchecked text where a user typed them.
 
-    ``alignment`` None means the one that the sensors deserve. ``cpu_cores`` and ``memory_mb`` None mean the
+    ``alignment`` None means the default for the sensors. ``cpu_cores`` and ``memory_mb`` None mean the
     defaults of settings and package. ``timeout_s`` None derives the limit from the dataset's duration. ``variant``
     are steps that the dataset goes through beforehand. ``stop_when`` are the rules that end a run early.
     """

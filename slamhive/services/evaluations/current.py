@@ -51,7 +51,7 @@ class CurrentProtocols:
         chosen = [(run.id, self._evaluations.protocol_of(run, asked).fingerprint) for run in runs]
         for run_id, fingerprint in chosen:
             if fingerprint not in self.figures(run_id):
-                raise Conflict(f"run {run_id} has no figures under protocol {asked.name}", "evaluate it first")
+                raise Conflict(f"run {run_id} has no metrics under protocol {asked.name}", "evaluate it first")
         self._use_each(chosen)
 
     def make_current(self, ended: Iterable[EvaluationRecord]) -> None:

@@ -30,8 +30,8 @@ class AxisTable:
     """The cells of an experiment by axis.
 
     ``numbers`` and ``configurations``, shape (n,), are the ascending cell numbers and their configurations. For each
-    axis, ``values`` holds its values in order of appearance (last None, for cells to which the axis does not apply),
-    and ``codes``, shape (n,), the index of each cell's value.
+    axis, ``values`` holds its values in order of appearance; the last is None if the axis does not apply to some cells.
+    ``codes``, shape (n,), holds the index of each cell's value.
     """
 
     numbers: Integers

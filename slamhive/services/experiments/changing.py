@@ -31,7 +31,7 @@ def changing(context: ExperimentContext, name: str) -> Iterator[ExperimentRecord
 
 
 def stamp_of(record: ExperimentRecord) -> ExperimentStamp:
-    """The stamp of an experiment, for its folder."""
+    """The :class:`ExperimentStamp` of a row, for the folder."""
     return ExperimentStamp(**{name: getattr(record, name) for name in ExperimentStamp.__dataclass_fields__})
 
 

@@ -71,14 +71,14 @@ class ExperimentFolder:
             os.close(descriptor)
 
     def write(self, stamp: ExperimentStamp, source: str | None = None) -> None:
-        """Write the stamp, and for a new experiment first its source, so that a stamp always has a source."""
+        """Write ``stamp``, and for a new experiment first its source: ``stamp`` without a source is of no use."""
         if source is not None:
             write_aside(self.root / SOURCE, source)
         content = {**asdict(stamp), "format": FORMAT, "created_at": stamp.created_at.isoformat()}
         write_aside(self.root / RECORD, json.dumps(content, indent=1) + "\n")
 
     def read(self) -> ExperimentStamp | None:
-        """The stamp; None if there is none; raises InvalidInput if it cannot be read."""
+        """What :meth:`write` stored; None if there is nothing; raises InvalidInput if it cannot be read."""
         path = self.root / RECORD
         if not path.exists():
             return None

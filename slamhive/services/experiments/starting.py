@@ -108,7 +108,7 @@ def _new_stamp(experiment: Experiment, executor: str) -> ExperimentStamp:
 
 
 def _settled(folder: ExperimentFolder, stamp: ExperimentStamp, source: ExperimentSource) -> ExperimentStamp:
-    """The stamp on disk, which another process may have written first; else writes ``stamp``."""
+    """What is on disk, if another process has stored the same experiment first; else stores ``stamp``."""
     found = folder.read()
     if found is not None and found.content_hash == stamp.content_hash:
         return found

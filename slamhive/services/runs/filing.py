@@ -150,7 +150,7 @@ def _checked(result: EvaluationResult, protocol: Protocol) -> EvaluationResult:
     if result.fingerprint != protocol.fingerprint:
         raise ValueError(f"it is a result of protocol {result.fingerprint}")
     if not all(isinstance(key, str) and math.isfinite(value) for key, value in result.metrics.items()):
-        raise ValueError("a figure is not finite")
+        raise ValueError("a metric is not finite")
     return result
 
 
