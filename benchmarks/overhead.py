@@ -27,7 +27,7 @@ import docker
 
 from slamhive.bags.room import RoomOptions
 from slamhive.errors import NotFound
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.runs.record import spec_from_json
 from slamhive.store import RunRecord

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import click
@@ -17,6 +18,12 @@ from slamhive.analysis.forms import FORMS, FormOptions
 from slamhive.bags.variants.rules import RegisteredSteps, describe_options, explain_step
 from slamhive.catalogue.protocol_file import protocol_schema
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
+from slamhive.schema import catalogue, experiment
+from slamhive.schema.archive import RunLine
+from slamhive.schema.model import Document, json_schema
+from slamhive.schema.record import RunFile
+from slamhive.schema.run import Evaluation, RunWith
+from slamhive.schema.submission import Submission
 from slamhive.settings import describe
 from slamhive.sweep.experiment_file import experiment_schema
 
@@ -124,6 +131,21 @@ def cli_page() -> str:
     return NOTE + CLI_HEAD + "".join(sections)
 
 
+DOCUMENTS: dict[str, type[Document]] = {
+    "algorithm": catalogue.Algorithm,
+    "archive-run": RunLine,
+    "configuration": catalogue.Configuration,
+    "dataset": catalogue.Dataset,
+    "evaluation": Evaluation,
+    "experiment-cell": experiment.Cell,
+    "experiment-grid": experiment.Grid,
+    "experiment-preview": experiment.ExperimentPreview,
+    "experiment-status": experiment.ExperimentStatus,
+    "run": RunWith,
+    "run-record": RunFile,
+}
+"""What commands, the web API, run folders and archives write."""
+
 PAGES: dict[str, Callable[[], str]] = {
     "settings.md": settings_page,
     "cli.md": cli_page,
@@ -133,6 +155,8 @@ PAGES: dict[str, Callable[[], str]] = {
     "schemas/analysis.schema.json": analysis_schema,
     "schemas/experiment.schema.json": experiment_schema,
     "schemas/protocol.schema.json": protocol_schema,
+    "schemas/submission.schema.json": lambda: json_schema(Submission),
+    **{f"schemas/{name}.schema.json": partial(json_schema, kind, "serialization") for name, kind in DOCUMENTS.items()},
 }
 
 

@@ -14,9 +14,9 @@ from slamhive.analysis.analysis_model import AnalysisModel, SetModel
 from slamhive.analysis.forms import FORMS, Form, FormOptions
 from slamhive.analysis.paper_file import PaperNames, convert, is_paper_file
 from slamhive.analysis.selection import Expression, check_names, in_words, parse_expression, union_of
-from slamhive.catalogue.validation import first_problem_at
 from slamhive.domain.verdict import FailureRule
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
+from slamhive.schema.validation import first_problem_at
 
 PROTOCOL = "protocol:"
 

@@ -8,13 +8,13 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from slamhive import strict_yaml
-from slamhive.catalogue.validation import check_name_in, first_problem
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input
 from slamhive.domain.numbers import plain
 from slamhive.domain.parameters import Parameter, ParameterType
 from slamhive.domain.sensors import SensorKind, SensorSetup
 from slamhive.errors import InvalidInput
 from slamhive.files import hash_files
+from slamhive.schema.validation import check_name_in, first_problem
 
 ALGORITHM_FILE = "algorithm.yaml"
 MAPPING_SCRIPT = "slamhive/mapping.py"

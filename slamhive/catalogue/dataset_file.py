@@ -9,10 +9,10 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from slamhive import strict_yaml
-from slamhive.catalogue.validation import check_name_in, first_problem
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.sensors import IDENTITY4, Sensor, SensorKind, is_rigid
 from slamhive.errors import InvalidInput
+from slamhive.schema.validation import check_name_in, first_problem
 
 DATASET_FILE = "dataset.yaml"
 FORMAT = 1

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from slamhive import strict_yaml
-from slamhive.catalogue.validation import first_problem_at
 from slamhive.domain.protocol import (
     BOUNDS,
     MOST_SEGMENT_LENGTHS,
@@ -22,6 +21,7 @@ from slamhive.domain.protocol import (
 from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.domain.sensors import is_rigid
 from slamhive.errors import InvalidInput
+from slamhive.schema.validation import first_problem_at
 
 
 def _number(name: str, unit: str, description: str) -> Any:

@@ -7,9 +7,9 @@ from typing import Any
 import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.output import messages, print_json, print_table
+from slamhive.cli.output import print_json, print_table, tell
 from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.services.datasets import algorithm_to_json
+from slamhive.schema.catalogue import Algorithm
 
 
 @click.group()
@@ -34,7 +34,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
             problems[package.name] = f"not available: {error}"
     found = hive.catalogue.algorithms()
     if as_json:
-        print_json([{**algorithm_to_json(entry), "identity": identities[entry.package.name]} for entry in found])
+        print_json([{**Algorithm.of(entry).content, "identity": identities[entry.package.name]} for entry in found])
         return
     rows = [
         (
@@ -48,7 +48,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
     ]
     print_table(("name", "title", "version", "licence", f"for {executor.name}"), rows)
     for broken in hive.catalogue.broken():
-        messages.print(f"left out: {broken.problem}", markup=False, soft_wrap=True)
+        tell(f"left out: {broken.problem}")
 
 
 @algorithm.command("show")
@@ -59,7 +59,7 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
     """Show one algorithm: what it needs, and its parameters with type, default, range and unit."""
     entry = cli.hive(indexed=False).catalogue.algorithm(name)
     if as_json:
-        print_json(algorithm_to_json(entry))
+        print_json(Algorithm.of(entry).content)
         return
     click.echo(f"{entry.name}: {entry.title} ({entry.package.title} {entry.package.version}, {entry.package.licence})")
     click.echo(f"needs {', '.join(f'{i.role} ({i.kind})' for i in entry.inputs)}; {entry.package.upstream}")
@@ -82,12 +82,12 @@ def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | N
     chosen = hive.executors.get(hive.executors.choose(executor))
     failures: list[SlamHiveError] = []
     for package in sorted(packages, key=lambda entry: entry.name):
-        messages.print(f"building {package.name} for {chosen.name}", style="bold")
+        tell(f"building {package.name} for {chosen.name}", style="bold")
         try:
-            identity = chosen.build(package, lambda line: messages.print(line, style="dim", markup=False))
+            identity = chosen.build(package, lambda line: tell(line, style="dim"))
         except SlamHiveError as error:
             failures.append(error)
-            messages.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+            tell(f"error: {error}", style="red")
         else:
             click.echo(f"{package.name}: {identity}")
     if failures:

@@ -1,4 +1,4 @@
-"""``slamhive analyse``: an analysis file to a report in a folder, without the web."""
+"""``slamhive analyse``: compute an analysis file into a report, without the web."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.output import messages, print_json, print_table, progress_bar
+from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.errors import InvalidInput
 
 FIGURE_FORMATS = ("pdf", "svg", "png")
@@ -18,12 +18,12 @@ FIGURE_FORMATS = ("pdf", "svg", "png")
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), help="Folder or .zip file for the report.")
-@click.option("--figures", default=",".join(FIGURE_FORMATS), show_default=True, help="Printed formats, or none.")
-@click.option("--timeout", "timeout_s", type=click.FloatRange(1), default=3600.0, show_default=True, help="In s.")
+@click.option("--figures", default=",".join(FIGURE_FORMATS), show_default=True, help="Plot formats, or none.")
+@click.option("--timeout", "timeout_s", type=click.FloatRange(1), default=3600.0, show_default=True, help="Limit in s.")
 @json_option
 @pass_cli
 def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **options: Any) -> None:
-    """Compute the analysis in FILE: its figures, tables and report.
+    """Compute the analysis in FILE: its plots, tables and report.
 
     FILE is an analysis file (docs/analysis.md), or one of the published SLAM Hive. Without --out only the counts and
     what could not be shown are printed. Ends with exit code 1 if a form of the analysis does not fit the runs.
@@ -41,8 +41,8 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
     figures = _formats(options["figures"])
     hive = cli.hive()
     analysis = hive.analyses.read_file(file)
-    with progress_bar(analysis.name) as tell:
-        report = hive.analyses.compute(analysis, AnalysisLimits(sys.maxsize, options["timeout_s"]), tell)
+    with progress_bar(analysis.name) as progress:
+        report = hive.analyses.compute(analysis, AnalysisLimits(sys.maxsize, options["timeout_s"]), progress)
     root = hive.catalogue.project_root
     if out is not None and out.suffix == ".zip":
         from slamhive.files import write_aside  # noqa: PLC0415
@@ -50,31 +50,29 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         out.parent.mkdir(parents=True, exist_ok=True)
         write_aside(out, zipped(report, root, figures))
     elif out is not None:
-        with progress_bar("writing the report") as tell:
-            write_folder(report, root, out, figures, tell)
+        with progress_bar("writing the report") as progress:
+            write_folder(report, root, out, figures, progress)
     refused = [form for form in report["forms"] if form["error"]]
     if as_json:
         print_json({key: report[key] for key in report if key != "forms"} | {"forms": _brief(report)})
     else:
-        messages.print(f"{report['runs']} runs, {report['failed']} failed: {report['selection']}")
+        tell(f"{report['runs']} runs, {report['failed']} failed: {report['selection']}")
         if report["unevaluated"]:
-            messages.print(
-                f"left out: {report['unevaluated']} runs: not evaluated under this protocol, cancelled or not ended"
-            )
+            tell(f"left out: {report['unevaluated']} runs: not evaluated under this protocol, cancelled or not ended")
         _tell_disturbance(report["disturbance"])
         rows = [(entry["form"], entry["title"], entry["charts"], entry["error"] or "") for entry in _brief(report)]
-        print_table(("form", "title", "figures", "not shown because"), rows)
+        print_table(("form", "title", "plots", "not shown because"), rows)
         if out is not None:
-            messages.print(f"written to {out}" + ("" if parquet_there() else f"; {WITHOUT_PARQUET}: {PARQUET_REMEDY}"))
+            tell(f"written to {out}" + ("" if parquet_there() else f"; {WITHOUT_PARQUET}: {PARQUET_REMEDY}"))
     if refused:
         raise InvalidInput(f"{len(refused)} of {len(report['forms'])} forms do not fit: {refused[0]['error']}")
 
 
 def _tell_disturbance(found: dict[str, int | None]) -> None:
     if found["left_out"]:
-        messages.print(f"left out: {found['left_out']} runs that were measured on a disturbed machine")
+        tell(f"left out: {found['left_out']} runs that were measured on a disturbed machine")
     if found["disturbed"]:
-        messages.print(f"{found['disturbed']} runs were measured on a disturbed machine")
+        tell(f"{found['disturbed']} runs were measured on a disturbed machine")
 
 
 def _brief(report: dict[str, Any]) -> list[dict[str, Any]]:

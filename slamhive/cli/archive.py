@@ -1,4 +1,4 @@
-"""``slamhive archive``: runs with all that belongs to them as one file, and as pages without a server."""
+"""``slamhive archive``: runs and everything they need, as one file or as static pages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
-from slamhive.cli.output import messages, print_json, progress_bar
+from slamhive.cli.output import print_json, progress_bar, tell
 from slamhive.errors import InvalidInput
 from slamhive.services.archive import ArchiveImport, ExportRequest, Part, check_archive, export_archive, open_archive
 from slamhive.services.hive import Hive
@@ -18,20 +18,20 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 
 @click.group()
 def archive() -> None:
-    """Take runs from one installation to another, or publish them. docs/archive.md explains archives."""
+    """Move runs between installations, or publish them. See docs/archive.md."""
 
 
 @archive.command("export")
 @click.argument("file", type=_FILE)
-@click.option("--all", "everything", is_flag=True, help="All runs, and all else that is stored.")
-@click.option("--where", metavar="FILTER", help="Only runs that a filter finds.")
-@click.option("--experiment", metavar="NAME", help="Only the runs of an experiment.")
-@click.option("--without", type=choice(Part), multiple=True, help="Leave out files of a kind; may be repeated.")
-@click.option("--replace", is_flag=True, help="Write over a file that exists.")
+@click.option("--all", "everything", is_flag=True, help="All runs, and everything else that is stored.")
+@click.option("--where", metavar="FILTER", help="Only runs that match this filter.")
+@click.option("--experiment", metavar="NAME", help="Only the runs of this experiment.")
+@click.option("--without", type=choice(Part), multiple=True, help="Leave out files of this kind; may be repeated.")
+@click.option("--replace", is_flag=True, help="Replace an existing file.")
 @json_option
 @pass_cli
 def export(cli: CliContext, /, file: Path, as_json: bool, **options: object) -> None:
-    """Write runs that have ended, with their folders, to FILE (zip)."""
+    """Write finished runs and their folders to FILE (zip)."""
     hive = cli.hive()
     run_ids = _chosen(hive, bool(options["everything"]), options["where"], options["experiment"])
     request = ExportRequest(
@@ -51,16 +51,16 @@ def export(cli: CliContext, /, file: Path, as_json: bool, **options: object) -> 
         return
     click.echo(f"{report.counts['runs']} runs exported to {file}, {report.size_bytes / 1e6:.1f} MB")
     for why, number in report.left_out.items():
-        messages.print(f"left out: {number} runs that {why}", markup=False)
+        tell(f"left out: {number} runs that {why}")
     for what, number in report.files_left_out.items():
-        messages.print(f"left out: {number} {what}", markup=False)
+        tell(f"left out: {number} {what}")
 
 
 @archive.command("verify")
 @click.argument("file", type=_FILE)
 @json_option
 def verify(file: Path, as_json: bool) -> None:
-    """Check FILE as an import would, and change nothing."""
+    """Check FILE as an import would, without changing anything."""
     with progress_bar("checking") as show, open_archive(file) as opened:
         check_archive(opened, show)
         manifest = opened.manifest
@@ -77,7 +77,7 @@ def verify(file: Path, as_json: bool) -> None:
 def import_archive(cli: CliContext, file: Path, as_json: bool) -> None:
     """Merge FILE into this installation.
 
-    Runs that are here already are recognised. The same command completes an import that was killed.
+    Known runs are skipped. Running the command again completes an interrupted import.
     """
     hive = cli.hive()
     with progress_bar("importing") as show:
@@ -98,17 +98,17 @@ def import_archive(cli: CliContext, file: Path, as_json: bool) -> None:
     text = f"{report.imported} runs imported {numbers}, {report.known} known already"
     click.echo(text + (f", {report.completed} completed" if report.completed else ""))
     for note in report.notes:
-        messages.print(f"note: {note}", markup=False, soft_wrap=True)
+        tell(f"note: {note}")
 
 
 @archive.command("site")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
-@click.option("--where", metavar="FILTER", help="Only runs that a filter finds; default: all.")
-@click.option("--experiment", metavar="NAME", help="Only the runs of an experiment.")
-@click.option("--title", default="SLAM Hive", show_default=True, help="Heads the pages.")
+@click.option("--where", metavar="FILTER", help="Only runs that match this filter; default: all.")
+@click.option("--experiment", metavar="NAME", help="Only the runs of this experiment.")
+@click.option("--title", default="SLAM Hive", show_default=True, help="Title of the pages.")
 @pass_cli
 def site(cli: CliContext, folder: Path, where: str | None, experiment: str | None, title: str) -> None:
-    """Write pages of runs into FOLDER, which need no server and no network."""
+    """Write static pages of runs into FOLDER; they need no server and no network."""
     from slamhive.web.static_site import SiteRequest, StaticSite  # noqa: PLC0415 - Plotly takes a second
 
     hive = cli.hive()
@@ -122,14 +122,14 @@ def site(cli: CliContext, folder: Path, where: str | None, experiment: str | Non
 
 
 def _chosen(hive: Hive, everything: bool, where: object, experiment: object) -> Sequence[int] | None:
-    """The numbers of the runs that were asked for, None for all."""
+    """The numbers of the selected runs, None for all."""
     if (everything, where is not None, experiment is not None).count(True) != 1:
-        raise click.UsageError("say which runs: one of --all, --where FILTER and --experiment NAME")
+        raise click.UsageError("select the runs with one of --all, --where FILTER and --experiment NAME")
     if everything:
         return None
     chosen = hive.searches.find(str(where)) if where is not None else hive.experiments.run_ids(str(experiment))
     if not chosen:
-        raise InvalidInput("no run is like that", "slamhive runs --where FILTER shows what a filter finds")
+        raise InvalidInput("no run matches", "slamhive runs --where FILTER shows what a filter finds")
     return chosen
 
 

@@ -1,4 +1,4 @@
-"""Many evaluations at once: worked on, or waited for, until all have ended."""
+"""Run many evaluations, or wait until a worker has."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from slamhive.store import EvaluationRecord
 
 PAUSE_S = 0.5
 PART = 500
-"""Evaluations that are looked at together: a statement can name so many runs."""
+"""How many evaluations one query names."""
 
 
 def evaluate_to_end(service: Evaluations, evaluation_ids: Sequence[int]) -> list[EvaluationRecord]:
-    """Work on the evaluations, or wait for the worker that does; the evaluations as they ended, in their order.
+    """Run the evaluations, or wait for the worker that does. Returns them as they ended, in their order.
 
-    Whatever ends this process, those that are left stay queued.
+    If this process is interrupted, the others stay queued.
     """
     stopping = threading.Event()
     service.take_over_from_the_dead()

@@ -1,21 +1,22 @@
-"""What all commands share: the installation, opened when it is first needed."""
+"""What all commands share: the installation, opened on first use."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamhive.cli.data_root import LISTS, command_name, expected_of
 from slamhive.errors import NotFound
-from slamhive.services.hive import Hive, check_indexed, open_hive
+
+if TYPE_CHECKING:
+    from slamhive.services.hive import Hive
 
 
 class CliContext:
-    """The options of the root command, and the installation they lead to."""
+    """The options of the root command, and the installation they select."""
 
     def __init__(self, options: dict[str, Any]) -> None:
         self._options = options
@@ -24,11 +25,15 @@ class CliContext:
 
     @property
     def options(self) -> dict[str, Any]:
-        """The settings given as options of the root command and of the subcommand."""
+        """Settings given as options."""
         return dict(self._options)
 
     def hive(self, *, indexed: bool = True) -> Hive:
-        """The installation. ``indexed`` refuses one whose database has lost its runs."""
+        """The installation. ``indexed`` refuses one whose database lacks its runs."""
+        # Importing the services takes half a second, which `--help` and `--version` need not wait for.
+        from slamhive.cli.data_root import LISTS, command_name, expected_of  # noqa: PLC0415
+        from slamhive.services.hive import check_indexed, open_hive  # noqa: PLC0415
+
         if self._hive is None:
             context = click.get_current_context()
             self._hive = open_hive(self._options, expected_of(context))
@@ -54,7 +59,7 @@ def choice(kind: type[StrEnum]) -> click.Choice[str]:
 
 
 def run_number(text: str) -> int:
-    """The number of a run, as the type of an argument; one that no database can hold is unknown as any other."""
+    """The number of a run, as the type of an argument. A number too large for a database is an unknown run."""
     try:
         number = int(text)
     except ValueError:

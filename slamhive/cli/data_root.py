@@ -1,4 +1,4 @@
-"""Which commands make a data root, which need one, and which do without: decided here for all of them."""
+"""Whether a command creates the data root, needs it, or works without it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EXPECTED: dict[str, DataRoot] = {
     "algorithm show": DataRoot.OPTIONAL,
     "doctor": DataRoot.OPTIONAL,
 }
-"""By the name of a command; all others read what is there, and refuse a data root that is not."""
+"""By the name of a command. All others read, and refuse a data root that does not exist."""
 
 LISTS = frozenset(
     {

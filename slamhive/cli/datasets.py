@@ -9,14 +9,14 @@ import click
 
 from slamhive.bags.room import RoomOptions
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.output import messages, print_json, print_table, progress_bar
+from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.domain.dataset import Dataset
-from slamhive.services.datasets import dataset_to_json
+from slamhive.services.datasets import dataset_document
 
 
 @click.group()
 def dataset() -> None:
-    """Import, render and look at datasets."""
+    """Import, render and show datasets."""
 
 
 @dataset.command("import")
@@ -26,7 +26,7 @@ def dataset() -> None:
 @json_option
 @pass_cli
 def import_(cli: CliContext, importer: str, source: Path, name: str, as_json: bool) -> None:
-    """Convert a recording in FORMAT (kitti-odometry; auto finds out) at SOURCE into a dataset."""
+    """Convert a recording in FORMAT (kitti-odometry, or auto to detect it) at SOURCE into a dataset."""
     with progress_bar(f"importing {name}") as progress:
         made = cli.hive(indexed=False).catalogue.import_dataset(importer, source, name, progress)
     _report(made, as_json)
@@ -35,7 +35,7 @@ def import_(cli: CliContext, importer: str, source: Path, name: str, as_json: bo
 @dataset.command("room")
 @click.option("--name", default="room", show_default=True, help="Name of the new dataset.")
 @click.option("--seconds", type=float, default=15.0, show_default=True, help="Duration in s.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Same seed, same bytes.")
+@click.option("--seed", type=int, default=1, show_default=True, help="The same seed gives the same bytes.")
 @json_option
 @pass_cli
 def room(cli: CliContext, name: str, seconds: float, seed: int, as_json: bool) -> None:
@@ -57,7 +57,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
         print_json([_to_json(entry) for entry in found])
         return
     if not found:
-        messages.print("no datasets yet; `slamhive dataset room` renders one")
+        tell("no datasets yet; `slamhive dataset room` renders one")
     else:
         rows = [
             (
@@ -70,7 +70,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
         ]
         print_table(("name", "duration s", "sensors", "ground truth"), rows, right=("duration s",))
     for broken in catalogue.broken():
-        messages.print(f"left out: {broken.problem}", markup=False, soft_wrap=True)
+        tell(f"left out: {broken.problem}")
 
 
 @dataset.command("show")
@@ -95,11 +95,11 @@ def remove(cli: CliContext, name: str) -> None:
     hive = cli.hive(indexed=False)
     hive.catalogue.remove_dataset(name)
     hive.variants.drop_unused(name)
-    messages.print(f"dataset {name} removed", markup=False)
+    tell(f"dataset {name} removed")
 
 
 def _to_json(entry: Dataset) -> dict[str, Any]:
-    return {**dataset_to_json(entry), "folder": str(entry.folder)}
+    return {**dataset_document(entry).content, "folder": str(entry.folder)}
 
 
 def _report(entry: Dataset, as_json: bool) -> None:

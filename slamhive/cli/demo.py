@@ -1,4 +1,4 @@
-"""``slamhive demo``: the main job from end to end, re-using what is there."""
+"""``slamhive demo``: the main use case from end to end; existing results are used again."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import click
 from slamhive import strict_yaml
 from slamhive.bags.room import RoomOptions
 from slamhive.cli.experiment_tables import print_report
-from slamhive.cli.output import messages
+from slamhive.cli.output import tell
 from slamhive.cli.phases import Phase, Phases, words
 from slamhive.cli.waiting import experiment_to_end
 from slamhive.clock import monotonic_s
@@ -43,7 +43,7 @@ def run_demo(hive: Hive, seconds: float) -> None:
     hive.check_writable()
     began = monotonic_s()
     executor, reason = hive.executors.default()
-    messages.print(f"executor: {executor} ({reason})", markup=False, soft_wrap=True)
+    tell(f"executor: {executor} ({reason})")
     text = (hive.catalogue.project_root / FILE).read_text(encoding="utf-8")
     asked = [str(name) for name in parse_experiment(text, FILE).algorithms.values]
     packages = list(dict.fromkeys(hive.catalogue.algorithm(name).package.name for name in asked))
@@ -54,11 +54,11 @@ def run_demo(hive: Hive, seconds: float) -> None:
     source = _source(hive, strict_yaml.parse(text, FILE), algorithms, executor)
     status = hive.experiments.start(source, executor)
     if status.standing is Standing.FINISHED:
-        messages.print(f"experiment {status.name} has run already, its results are shown again", markup=False)
+        tell(f"experiment {status.name} has run already, its results are shown again")
     experiment_to_end(hive, status.name, on_end=_announce, title=f"step {phases.count} of {phases.count}, runs")
     status = hive.experiments.status(status.name)
     print_report(status, list(hive.experiments.report(status.name)), varying(hive.experiments.axes(status.name)))
-    messages.print(f"demo done in {monotonic_s() - began:.0f} s; data in {hive.settings.data}", markup=False)
+    tell(f"demo done in {monotonic_s() - began:.0f} s; data in {hive.settings.data}")
     if not status.counts[RunPhase.GOOD]:
         raise click.exceptions.Exit(1)
 
@@ -82,7 +82,7 @@ def _phases(hive: Hive, executor: str, packages: Sequence[str], seconds: float) 
     room = Phase(f"rendering {DATASET}", 1.0 if _rendered(hive, seconds) else RENDER_S_FOR_1_S * seconds, "render")
     runs = Phase("runs", (len(packages) + 1) * (seconds + AROUND_A_RUN_S), "run")
     phases = Phases([*builds, evaluation, room, runs])
-    messages.print(f"{phases.count} steps, {words(phases.after_s())} in all", markup=False)
+    tell(f"{phases.count} steps, {words(phases.after_s())} in all")
     return phases
 
 
@@ -102,7 +102,7 @@ def _buildable(hive: Hive, executor: str, algorithms: Sequence[str], phases: Pha
                 show(1.0, "ready")
     for name, problem in problems.items():
         if problem is not None:
-            messages.print(f"skipped {name}: {problem}", style="yellow", markup=False, soft_wrap=True)
+            tell(f"skipped {name}: {problem}", style="yellow")
     found = [algorithm for algorithm in algorithms if problems[packages[algorithm]] is None]
     if not found:
         raise ImageMissing("none of the demo's algorithms can be run on this machine", "slamhive doctor says why")
@@ -136,4 +136,4 @@ def _render_room(hive: Hive, seconds: float, phases: Phases) -> None:
 def _announce(run: RunRecord) -> None:
     error_m = (run.metrics or {}).get("ate.rmse")
     result = f"ATE RMSE {error_m:.4f} m" if error_m is not None else (run.detail or "not evaluated")
-    messages.print(f"run {run.id}: {run.algorithm} {run.state}, {run.poses or 0} poses, {result}", markup=False)
+    tell(f"run {run.id}: {run.algorithm} {run.state}, {run.poses or 0} poses, {result}")

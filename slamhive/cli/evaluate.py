@@ -1,7 +1,8 @@
-"""``slamhive evaluate``: figures and plots for runs that have succeeded."""
+"""``slamhive evaluate``: metrics and plots of successful runs."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -10,19 +11,20 @@ import click
 from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
 from slamhive.cli.hints import hints_of, print_hints
-from slamhive.cli.output import messages, print_json
+from slamhive.cli.output import print_json, tell
 from slamhive.cli.runs import print_runs
-from slamhive.domain.hint import hints_to_json
+from slamhive.domain.hint import Hint
 from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Alignment, Duplicates
 from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.job import Artefacts
+from slamhive.schema.model import dump
+from slamhive.schema.run import Run
 from slamhive.search.build import matching
 from slamhive.search.grammar import join
 from slamhive.services.hive import Hive
-from slamhive.services.runs import run_to_json
 from slamhive.store import EvaluationRecord
 
 _NAMED_RUNS = 20
@@ -30,20 +32,20 @@ _NAMED_RUNS = 20
 
 @click.command()
 @click.argument("run_ids", type=run_number, nargs=-1)
-@click.option("--all-unevaluated", is_flag=True, help="All that succeeded and have no evaluation, or wait for one.")
-@click.option("--where", metavar="FILTER", help="All that succeeded and match, e.g. 'dataset ~ MH_*'.")
-@click.option("--protocol", metavar="NAME|FILE", help="`slamhive protocol list` names them; default: by the sensors.")
-@click.option("--align", type=choice(Alignment), help="Short for a protocol of this alignment, the rest by default.")
+@click.option("--all-unevaluated", is_flag=True, help="All successful runs that are not evaluated yet.")
+@click.option("--where", metavar="FILTER", help="All successful runs that match, e.g. 'dataset ~ MH_*'.")
+@click.option("--protocol", metavar="NAME|FILE", help="See `slamhive protocol list`; default: chosen from the sensors.")
+@click.option("--align", type=choice(Alignment), help="Alignment; other fields of the protocol keep their defaults.")
 @click.option("--duplicates", type=choice(Duplicates), help="Which poses count where a timestamp occurs twice.")
-@click.option("--current", is_flag=True, help="Lists and pages shall show the figures of this protocol from now on.")
-@click.option("--plots", is_flag=True, help="Also draw the figures (trajectory, xyz, rpy, raw errors, error map).")
+@click.option("--current", is_flag=True, help="Show the metrics of this protocol in lists and pages from now on.")
+@click.option("--plots", is_flag=True, help="Also draw plots (trajectory, xyz, rpy, raw errors, error map).")
 @json_option
 @pass_cli
 def evaluate(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **options: Any) -> None:
     """Evaluate runs RUN_IDS against their ground truth.
 
-    A run keeps the figures of every protocol it was evaluated under. Shown are those of the first, until --current
-    or `slamhive protocol use` chooses another. What is not done when this command is ended stays queued.
+    A run keeps the metrics of every protocol it was evaluated under. Lists show those of the first, until --current
+    or `slamhive protocol use` selects another. If the command is interrupted, the other evaluations stay queued.
     """
     if bool(run_ids) + options["all_unevaluated"] + (options["where"] is not None) != 1:
         raise InvalidInput(
@@ -61,7 +63,7 @@ def evaluate(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **opti
         wanted = list(dict.fromkeys(run_ids)) if run_ids else _succeeded(hive, options["where"])
     if not wanted and not waiting:
         none = "every run that succeeded has been evaluated" if options["all_unevaluated"] else "no such run succeeded"
-        messages.print(none)
+        tell(none)
         print_json([]) if as_json else None
         return
     evaluation_ids = service.queue(wanted, asked, Artefacts.PLOTS if options["plots"] else Artefacts.FILES)
@@ -94,27 +96,18 @@ def _asked(hive: Hive, protocol: str | None, align: str | None, duplicates: str 
 
 
 def _report(hive: Hive, ended: list[EvaluationRecord], *, as_json: bool) -> None:
-    """The runs with the figures of the protocol they were evaluated under; hints and failures on stderr."""
+    """Print the runs with the metrics of this evaluation; hints and failures go to stderr."""
     service = hive.current_protocols
     hints = hints_of(hive, ended)
     reasons = {record.run_id: record.reason for record in ended if record.reason is not None}
     entries = service.as_evaluated(ended)
     if as_json:
-        print_json(
-            [
-                {
-                    **run_to_json(entry),
-                    "evaluation_reason": reasons.get(entry.id),
-                    "hints": hints_to_json(hints.get(entry.id, ())),
-                }
-                for entry in entries
-            ]
-        )
+        print_json([_evaluated(Run.of(entry), reasons, hints) for entry in entries])
     else:
         print_runs(entries, as_json=False)
     print_hints(hints)
     for run_id, reason in reasons.items():
-        messages.print(f"run {run_id} cannot be evaluated: {reason}", markup=False, soft_wrap=True)
+        tell(f"run {run_id} cannot be evaluated: {reason}")
     others = service.shown_otherwise(ended)
     if others:
         if len(others) > _NAMED_RUNS:
@@ -123,7 +116,12 @@ def _report(hive: Hive, ended: list[EvaluationRecord], *, as_json: bool) -> None
             numbers = " ".join(map(str, others))
             fingerprint = next(record.protocol.fingerprint for record in ended if record.run_id == others[0])
             words = f"run {numbers}; to change that: slamhive protocol use {fingerprint} {numbers}"
-        messages.print(f"lists go on showing other figures of {words}", markup=False, soft_wrap=True)
+        tell(f"lists still show metrics of another protocol for {words}")
+
+
+def _evaluated(run: Run, reasons: Mapping[int, str], hints: Mapping[int, tuple[Hint, ...]]) -> dict[str, Any]:
+    found = dump(tuple[Hint, ...], hints.get(run.id, ()))
+    return {**run.content, "evaluation_reason": reasons.get(run.id), "hints": found}
 
 
 COMMANDS = (evaluate,)

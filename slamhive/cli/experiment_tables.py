@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from slamhive.cli.output import messages, print_table
+from slamhive.cli.output import print_table, tell
 from slamhive.domain.numbers import plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.verdict import DEFAULT_RULE
@@ -31,11 +31,11 @@ FIGURES = (
     ("RAM MB", "ram.max", 1e-6, "{:.0f}"),
     ("time s", "duration", 1.0, "{:.1f}"),
 )
-"""Heading, metric, factor and form of the figures of a report."""
+"""Heading, metric, factor and format of the metrics of a report."""
 
 
 def print_preview(found: ExperimentPreview) -> None:
-    """What starting an experiment would do."""
+    """Print the preview of an experiment."""
     merged = f", {found.merged} of them identical to another" if found.merged else ""
     click.echo(f"{found.name}: {found.combinations:,} combinations, {found.cells:,} configurations{merged}")
     varied = ", ".join(f"{axis} {count}" for axis, count in found.axes.items()) or "nothing varies"
@@ -52,7 +52,7 @@ def print_preview(found: ExperimentPreview) -> None:
         f"run folders: {found.run_bytes / 1e6:,.0f} MB; free: {found.free_bytes / 1e6:,.0f} MB"
     )
     if found.standing is not None:
-        click.echo(f"this experiment is there already: {found.standing}")
+        click.echo(f"this experiment exists already: {found.standing}")
     axes = [axis for axis in found.rows[0].values if len({str(row.values.get(axis)) for row in found.rows}) > 1]
     print_table(
         ("name", *axes, "runs so far"),
@@ -62,9 +62,9 @@ def print_preview(found: ExperimentPreview) -> None:
     if found.cells > len(found.rows):
         click.echo(f"… and {found.cells - len(found.rows):,} more")
     for text in found.warnings:
-        messages.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)
+        tell(f"warning: {text}", style="yellow")
     for text in found.refusals:
-        messages.print(f"refused: {text}", style="bold red", markup=False, soft_wrap=True)
+        tell(f"refused: {text}", style="bold red")
 
 
 def _basis(found: ExperimentPreview) -> str:
@@ -75,7 +75,7 @@ def _basis(found: ExperimentPreview) -> str:
 
 
 def print_status(status: ExperimentStatus) -> None:
-    """How far one experiment is."""
+    """Print the progress of one experiment."""
     counts = ", ".join(f"{count:,} {phase.label}" for phase, count in status.counts.items() if count)
     click.echo(f"{status.name}: {status.standing}; {status.runs:,} runs of {status.cells:,} configurations: {counts}")
     if status.failures:
@@ -92,7 +92,7 @@ def print_status(status: ExperimentStatus) -> None:
 
 
 def print_statuses(found: Sequence[ExperimentStatus]) -> None:
-    """A line for each experiment."""
+    """Print one line for each experiment."""
     columns = ("name", "state", "configurations", "runs", *(phase.label for phase in Phase), "created (UTC)")
     rows = [
         (
@@ -109,7 +109,7 @@ def print_statuses(found: Sequence[ExperimentStatus]) -> None:
 
 
 def print_report(status: ExperimentStatus, cells: Sequence[Cell], axes: Sequence[str]) -> None:
-    """A row for each cell and protocol: counts, and mean ± standard deviation of the figures."""
+    """Print a row for each cell and protocol: counts, and mean ± standard deviation of the metrics."""
     ate, *others = (heading for heading, *_ in FIGURES)
     headings = (ate, "median", *others)
     columns = ("cell", *axes, "runs", "good", "failed", "failures", "disturbed", *headings, "protocol")

@@ -1,4 +1,4 @@
-"""``slamhive experiment``: plan, start, watch, pause, cancel, try again, report."""
+"""``slamhive experiment``: preview, start, watch, pause, cancel, retry, report."""
 
 from __future__ import annotations
 
@@ -10,18 +10,17 @@ import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.experiment_tables import print_preview, print_report, print_status, print_statuses
-from slamhive.cli.output import messages, print_json, progress_bar
+from slamhive.cli.output import messages, print_json, progress_bar, tell
 from slamhive.cli.waiting import experiment_to_end
 from slamhive.files import write_aside
+from slamhive.schema import experiment as schema
 from slamhive.services.experiments import (
     ExperimentSource,
+    ExperimentStatus,
     Phase,
     Progress,
     Standing,
-    cell_to_json,
     csv_text,
-    preview_to_json,
-    status_to_json,
     varying,
 )
 from slamhive.services.hive import Hive
@@ -33,7 +32,7 @@ name_argument = click.argument("name", metavar="NAME|FILE")
 
 @click.group()
 def experiment() -> None:
-    """Experiments: many configurations out of one file."""
+    """Run many configurations from one file."""
 
 
 @experiment.command("plan")
@@ -42,11 +41,11 @@ def experiment() -> None:
 @json_option
 @pass_cli
 def plan(cli: CliContext, file: Path, executor: str | None, as_json: bool) -> None:
-    """Check FILE and say what starting it would do; nothing is stored. Exit code 1 if it would be refused."""
+    """Preview FILE; nothing is stored. Exits with 1 if starting it would be refused."""
     with _counting("checking") as progress:
         found = cli.hive().experiments.preview(ExperimentSource.read(file), executor, progress)
     if as_json:
-        print_json(preview_to_json(found))
+        print_json(schema.ExperimentPreview.of(found).content)
     else:
         print_preview(found)
     if found.refusals:
@@ -56,12 +55,12 @@ def plan(cli: CliContext, file: Path, executor: str | None, as_json: bool) -> No
 @experiment.command("start")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--executor", help="docker or process; default: the file's, or the one in force.")
-@click.option("--wait", is_flag=True, help="Stay until all runs have ended; works on them if no worker runs.")
-@click.option("--yes", is_flag=True, help="Do not ask, however many runs there are.")
+@click.option("--wait", is_flag=True, help="Wait until all runs have ended; run them here if there is no worker.")
+@click.option("--yes", is_flag=True, help="Do not ask for confirmation.")
 @json_option
 @pass_cli
 def start(cli: CliContext, file: Path, executor: str | None, wait: bool, yes: bool, as_json: bool) -> None:
-    """Queue everything that FILE asks for. Again, it completes what was interrupted and doubles nothing."""
+    """Queue all runs of FILE. Running it again completes an interrupted start; no run is queued twice."""
     hive = cli.hive()
     hive.check_writable()
     source = ExperimentSource.read(file)
@@ -73,11 +72,8 @@ def start(cli: CliContext, file: Path, executor: str | None, wait: bool, yes: bo
         experiment_to_end(hive, status.name)
         status = hive.experiments.status(status.name)
     elif not hive.worker_alive() and status.counts[Phase.QUEUED]:
-        messages.print("no worker runs on this machine; `slamhive worker` (or `slamhive serve`) takes the queued runs")
-    if as_json:
-        print_json(status_to_json(status))
-    else:
-        print_status(status)
+        tell("no worker is running here; start one with `slamhive worker` or `slamhive serve`")
+    _show_status(status, as_json)
     if wait and status.counts[Phase.GOOD] + status.counts[Phase.UNJUDGED] < status.runs:
         raise click.exceptions.Exit(1)
 
@@ -86,14 +82,14 @@ def start(cli: CliContext, file: Path, executor: str | None, wait: bool, yes: bo
 @json_option
 @pass_cli
 def list_(cli: CliContext, as_json: bool) -> None:
-    """List experiments, the newest first."""
+    """List experiments, newest first."""
     found = cli.hive().experiments.list()
     if as_json:
-        print_json([status_to_json(status) for status in found])
+        print_json([schema.ExperimentStatus.of(status).content for status in found])
     elif found:
         print_statuses(found)
     else:
-        messages.print("no experiments; `slamhive experiment start FILE` starts one")
+        tell("no experiments; `slamhive experiment start FILE` starts one")
 
 
 @experiment.command("status")
@@ -101,79 +97,83 @@ def list_(cli: CliContext, as_json: bool) -> None:
 @json_option
 @pass_cli
 def status_(cli: CliContext, name: str | None, as_json: bool) -> None:
-    """Say how far an experiment is, or all that have not ended."""
+    """Show the progress of an experiment, or of all unfinished ones."""
     hive = cli.hive()
     if name is not None:
-        status = hive.experiments.status(name_of(name))
-        if as_json:
-            print_json(status_to_json(status))
-        else:
-            print_status(status)
+        _show_status(hive.experiments.status(name_of(name)), as_json)
         return
     ended = (Standing.FINISHED, Standing.CANCELLED)
     found = [status for status in hive.experiments.list() if status.standing not in ended]
     if as_json:
-        print_json([status_to_json(status) for status in found])
+        print_json([schema.ExperimentStatus.of(status).content for status in found])
     elif found:
         print_statuses(found)
     else:
-        messages.print("no experiment is under way; `slamhive experiment list` lists all")
+        tell("no unfinished experiment; `slamhive experiment list` lists all")
 
 
 @experiment.command("pause")
 @name_argument
+@json_option
 @pass_cli
-def pause(cli: CliContext, name: str) -> None:
-    """Start no further runs; those under way end as they would."""
-    print_status(cli.hive().experiments.pause(name_of(name)))
+def pause(cli: CliContext, name: str, as_json: bool) -> None:
+    """Stop starting runs; active runs continue."""
+    _show_status(cli.hive().experiments.pause(name_of(name)), as_json)
 
 
 @experiment.command("resume")
 @name_argument
+@json_option
 @pass_cli
-def resume(cli: CliContext, name: str) -> None:
-    """Go on with a paused experiment."""
-    print_status(cli.hive().experiments.resume(name_of(name)))
+def resume(cli: CliContext, name: str, as_json: bool) -> None:
+    """Continue a paused experiment."""
+    _show_status(cli.hive().experiments.resume(name_of(name)), as_json)
 
 
 @experiment.command("cancel")
 @name_argument
+@json_option
 @pass_cli
-def cancel(cli: CliContext, name: str) -> None:
-    """Cancel what is queued, and end what is under way; for good."""
-    print_status(cli.hive().experiments.cancel(name_of(name)))
+def cancel(cli: CliContext, name: str, as_json: bool) -> None:
+    """Cancel all queued and active runs, for good."""
+    _show_status(cli.hive().experiments.cancel(name_of(name)), as_json)
 
 
 @experiment.command("retry-failed")
 @name_argument
+@json_option
 @pass_cli
-def retry_failed(cli: CliContext, name: str) -> None:
-    """Queue a new run in the place of each failed one."""
+def retry_failed(cli: CliContext, name: str, as_json: bool) -> None:
+    """Queue a new run for each failed one."""
     hive = cli.hive()
     count = hive.experiments.retry_failed(name_of(name))
-    click.echo(f"{count} runs queued again")
+    if as_json:
+        print_json({"queued": count})
+    else:
+        click.echo(f"{count} runs queued again")
 
 
 @experiment.command("add-repeats")
 @name_argument
 @click.argument("count", type=int)
+@json_option
 @pass_cli
-def add_repeats(cli: CliContext, name: str, count: int) -> None:
-    """Run every configuration COUNT times more with each seed."""
+def add_repeats(cli: CliContext, name: str, count: int, as_json: bool) -> None:
+    """Run every configuration COUNT more times with each seed."""
     with _counting("storing") as progress:
         status = cli.hive().experiments.add_repeats(name_of(name), count, progress)
-    print_status(status)
+    _show_status(status, as_json)
 
 
 @experiment.command("report")
 @name_argument
-@click.option("--csv", "csv_file", type=click.Path(path_type=Path), help="Write the table to this file.")
+@click.option("--csv", "csv_file", type=click.Path(path_type=Path), help="Write the table to this CSV file.")
 @json_option
 @pass_cli
 def report(cli: CliContext, name: str, csv_file: Path | None, as_json: bool) -> None:
-    """Print a row for each configuration: runs, failures with reasons, mean and spread of the figures.
+    """Print a row for each configuration: runs, failures with reasons, mean and spread of the metrics.
 
-    Figures that were taken under different protocols have rows of their own.
+    Each protocol has its own row.
     """
     experiments = cli.hive().experiments
     known = name_of(name)
@@ -181,15 +181,22 @@ def report(cli: CliContext, name: str, csv_file: Path | None, as_json: bool) -> 
     cells = experiments.report(known)
     if csv_file is not None:
         write_aside(csv_file, csv_text(cells, axes))
-        messages.print(f"written to {csv_file}", markup=False, soft_wrap=True)
+        tell(f"written to {csv_file}")
     elif as_json:
-        print_json([cell_to_json(cell) for cell in cells])
+        print_json([schema.Cell.of(cell).content for cell in cells])
     else:
         print_report(experiments.status(known), list(cells), axes)
 
 
+def _show_status(status: ExperimentStatus, as_json: bool) -> None:
+    if as_json:
+        print_json(schema.ExperimentStatus.of(status).content)
+    else:
+        print_status(status)
+
+
 def name_of(text: str) -> str:
-    """The name of an experiment, given as such or by its file; a file wins where both could be meant."""
+    """The name of an experiment, given directly or by its file."""
     path = Path(text)
     if path.suffix not in SUFFIXES:
         return text

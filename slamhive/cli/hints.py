@@ -1,10 +1,10 @@
-"""Hints at common mistakes, as commands print them."""
+"""How commands print hints at common mistakes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-from slamhive.cli.output import messages
+from slamhive.cli.output import tell
 from slamhive.domain.hint import Hint
 from slamhive.services.evaluations import evaluation_notes
 from slamhive.services.hive import Hive
@@ -19,7 +19,7 @@ def hint_in_words(hint: Hint) -> str:
 
 
 def hints_of(hive: Hive, ended: Iterable[EvaluationRecord]) -> dict[int, tuple[Hint, ...]]:
-    """{run: hints} of evaluations that succeeded, those without left out."""
+    """{run: hints} of successful evaluations that have hints."""
     found = {
         entry.run_id: evaluation_notes(hive.runs.folder(entry.run_id), entry.protocol.fingerprint).hints
         for entry in ended
@@ -29,7 +29,7 @@ def hints_of(hive: Hive, ended: Iterable[EvaluationRecord]) -> dict[int, tuple[H
 
 
 def print_hints(found: dict[int, tuple[Hint, ...]]) -> None:
-    """A line on stderr for each hint, with the numbers of the first run that has it."""
+    """Print each hint on stderr once, with the numbers of the first run that has it."""
     alike: dict[tuple[str, str], list[tuple[int, Hint]]] = {}
     for run_id, hints in found.items():
         for hint in hints:
@@ -39,4 +39,4 @@ def print_hints(found: dict[int, tuple[Hint, ...]]) -> None:
         numbers = ", ".join(str(run_id) for run_id, _ in members[:_NAMED_RUNS])
         more = f" and {len(members) - _NAMED_RUNS} more" if len(members) > _NAMED_RUNS else ""
         where = f"run {first}" if len(members) == 1 else f"runs {numbers}{more} (the numbers are those of run {first})"
-        messages.print(f"hint for {where}: {hint_in_words(hint)}", markup=False, soft_wrap=True)
+        tell(f"hint for {where}: {hint_in_words(hint)}")

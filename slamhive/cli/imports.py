@@ -1,4 +1,4 @@
-"""``slamhive runs import``: trajectories that were made elsewhere become runs."""
+"""``slamhive runs import``: import trajectories as runs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.hints import hints_of, print_hints
-from slamhive.cli.output import messages, print_json, progress_bar
+from slamhive.cli.output import print_json, progress_bar, tell
 from slamhive.domain.hint import Hint, hints_to_json
 from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Duplicates
@@ -37,34 +37,32 @@ _SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Witho
 @click.command("import")
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("--table", is_flag=True, help="SOURCE is a CSV: algorithm,dataset,trial,file[,sensors,groundtruth,...].")
-@click.option("--pattern", default=DEFAULT_PATTERN, show_default=True, help="Where trajectories lie in the folder.")
-@click.option("--groundtruth", default=DEFAULT_GROUND_TRUTH, show_default=True, help="Where ground truths lie.")
-@click.option("--relations", default=DEFAULT_RELATIONS, show_default=True, help="Where relations between poses lie.")
-@click.option("--times", default=DEFAULT_TIMES, show_default=True, help="Where the stamps of KITTI poses lie.")
+@click.option("--pattern", default=DEFAULT_PATTERN, show_default=True, help="Path pattern of trajectories.")
+@click.option("--groundtruth", default=DEFAULT_GROUND_TRUTH, show_default=True, help="Path pattern of ground truths.")
+@click.option("--relations", default=DEFAULT_RELATIONS, show_default=True, help="Path pattern of relations.")
+@click.option("--times", default=DEFAULT_TIMES, show_default=True, help="Path pattern of timestamps of KITTI poses.")
 @click.option("--format", "wanted", type=choice(TrajectoryFormat), default="auto", show_default=True)
 @click.option("--sensors", multiple=True, metavar="[NAME=]SETUP", help=_SENSORS_HELP)
-@click.option("--time-unit", type=choice(TimeUnit), help="Unit of the timestamps; detected if left out.")
-@click.option(
-    "--quaternion-order", type=choice(QuaternionOrder), help="Order of the quaternions; detected if left out."
-)
+@click.option("--time-unit", type=choice(TimeUnit), help="Unit of the timestamps; detected by default.")
+@click.option("--quaternion-order", type=choice(QuaternionOrder), help="Order of the quaternions; detected by default.")
 @click.option("--groundtruth-time-unit", type=choice(TimeUnit), help="Unit of the ground truths' timestamps.")
 @click.option(
     "--groundtruth-quaternion-order", type=choice(QuaternionOrder), help="Order of the ground truths' quaternions."
 )
 @click.option("--duplicates", type=choice(Duplicates), default="refuse", show_default=True, help=_DUPLICATES_HELP)
-@click.option("--gravity-aligned", is_flag=True, help="The z axis of the ground truths points up.")
-@click.option("--evaluate/--no-evaluate", default=True, show_default=True, help="Evaluate what has no evaluation yet.")
-@click.option("--dry-run", is_flag=True, help="Read everything, write nothing.")
+@click.option("--gravity-aligned", is_flag=True, help="The z axis of the ground truth points up.")
+@click.option("--evaluate/--no-evaluate", default=True, show_default=True, help="Evaluate runs without an evaluation.")
+@click.option("--dry-run", is_flag=True, help="Read and check everything, write nothing.")
 @json_option
 @pass_cli
 def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, **options: Any) -> None:
     """Import trajectories from SOURCE, a folder or a table.
 
-    The unit of timestamps and the order of quaternions are detected from the files, and reported. A file that leaves
-    them in doubt is refused, and the message names the option that decides.
+    The unit of timestamps and the order of quaternions are detected and reported. An ambiguous file is refused; the
+    message names the option that decides.
 
-    Poses are those of the body, in the frame that the ground truth describes. The same command again imports what is
-    new, and completes an import that was killed.
+    Poses are those of the body, in the frame of the ground truth. Running the command again imports new files and
+    completes an interrupted import.
     """
     hive = cli.hive()
     request = ImportRequest(
@@ -117,17 +115,17 @@ def _sensors(texts: tuple[str, ...]) -> dict[str, SensorSetup]:
 
 
 def _show(report: ImportReport, evaluated: int, failures: dict[int, str]) -> None:
-    """What was done on stdout, what was not on stderr."""
+    """Print what was done on stdout, and problems on stderr."""
     for problem in report.problems:
-        messages.print(f"{problem.name}: {problem.text}", markup=False, soft_wrap=True)
+        tell(f"{problem.name}: {problem.text}")
     for run_id, reason in failures.items():
-        messages.print(f"run {run_id} cannot be evaluated: {reason}", markup=False, soft_wrap=True)
+        tell(f"run {run_id} cannot be evaluated: {reason}")
     for line in _readings_in_words(report.readings):
-        messages.print(line, markup=False, soft_wrap=True)
+        tell(line)
     if report.left_out:
         shown = ", ".join(report.left_out[:_SHOWN_LEFT_OUT])
         more = f" and {len(report.left_out) - _SHOWN_LEFT_OUT} more" if len(report.left_out) > _SHOWN_LEFT_OUT else ""
-        messages.print(f"left out, as they match no pattern: {shown}{more}", markup=False, soft_wrap=True)
+        tell(f"skipped because they match no pattern: {shown}{more}")
     would = "would be " if report.dry_run else ""
     words = [f"{plural(report.imported, 'run')} {would}imported", f"{report.known:,} known already"]
     words += [f"{plural(len(report.datasets), 'dataset')} {would}made of ground truth"] if report.datasets else []

@@ -1,65 +1,112 @@
-"""The root command, its options, and what belongs to no group."""
+"""The root command: its options, how it finds commands, and how it reports mistakes."""
 
 from __future__ import annotations
 
 import logging
+import sys
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import click
 
 from slamhive import __version__
-from slamhive.cli import (
-    algorithms,
-    analyse,
-    archive,
-    configurations,
-    datasets,
-    evaluate,
-    experiments,
-    maintenance,
-    protocols,
-    runs,
-    searching,
-    serving,
-    variants,
-)
 from slamhive.cli.context import CliContext
-from slamhive.cli.output import OneLineErrors
+from slamhive.errors import InvalidInput, SlamHiveError, one_line
+from slamhive.input_bounds import check_text
+
+MODULES = {
+    "algorithm": "algorithms",
+    "analyse": "analyse",
+    "archive": "archive",
+    "configuration": "configurations",
+    "dataset": "datasets",
+    "demo": "serving",
+    "doctor": "maintenance",
+    "evaluate": "evaluate",
+    "experiment": "experiments",
+    "protocol": "protocols",
+    "reindex": "maintenance",
+    "run": "runs",
+    "runs": "runs",
+    "search": "searching",
+    "serve": "serving",
+    "settings": "maintenance",
+    "variants": "variants",
+    "worker": "serving",
+}
+"""The module of each command. Only that module is imported: importing all takes a second."""
 
 
-@click.group(
-    "slamhive", cls=OneLineErrors, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
-)
+class Root(click.Group):
+    """The group of all commands. An explained error ends a command with one line and exit code 1."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
+        """The names of all commands."""
+        return sorted(MODULES)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """The command of that name; its module is imported now."""
+        if cmd_name not in MODULES:
+            return None
+        commands: tuple[click.Command, ...] = import_module(f"slamhive.cli.{MODULES[cmd_name]}").COMMANDS
+        return next(command for command in commands if command.name == cmd_name)
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Parse the options of the root command; a mistake in them ends as one in a subcommand does."""
+        try:
+            for number, text in enumerate(args, start=1):
+                check_text(text, f"argument {number}")
+            return super().make_context(info_name, args, parent, **extra)
+        except InvalidInput as error:  # bytes that are not UTF-8 arrive as halves of surrogate pairs
+            _print_error(str(error))
+            raise click.exceptions.Exit(1) from None
+        except click.UsageError as error:
+            _print_error(_usage(error))
+            raise click.exceptions.Exit(1) from None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; turn SlamHiveError into a message."""
+        try:
+            return super().invoke(ctx)
+        except SlamHiveError as error:
+            _print_error(str(error), getattr(error, "pointer", ()))
+            ctx.exit(1)
+        except click.UsageError as error:
+            _print_error(_usage(error))
+            ctx.exit(1)
+        except BrokenPipeError:
+            sys.stderr.close()
+            ctx.exit(0)
+
+
+def _print_error(text: str, pointer: tuple[str, ...] = ()) -> None:
+    """The message on stderr; ``pointer`` are lines above it that show the place in a filter."""
+    from slamhive.cli.output import print_error  # noqa: PLC0415 - rich takes a moment, which success need not wait for
+
+    print_error(text, pointer)
+
+
+def _usage(error: click.UsageError) -> str:
+    """One line: what is wrong with the arguments, and where the right ones are listed."""
+    path = "slamhive" if error.ctx is None else error.ctx.command_path
+    return f"{one_line(error.format_message()).rstrip('.')}; see {path} --help"
+
+
+@click.group("slamhive", cls=Root, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="slamhive")
 @click.option("--data", type=click.Path(path_type=Path), help="Data root; wins over SLAMHIVE_DATA.")
 @click.option("--database-url", help="Database; wins over SLAMHIVE_DATABASE_URL.")
-@click.option("-v", "--verbose", is_flag=True, help="Say more of what is going on.")
+@click.option("-v", "--verbose", is_flag=True, help="Print what is going on.")
 @click.pass_context
 def main(context: click.Context, data: Path | None, database_url: str | None, verbose: bool) -> None:
     """Run any SLAM algorithm on any dataset, evaluate every run, compare.
 
-    Data lies in the data root (default: ./data in the project). `slamhive doctor` tells what works on this machine.
+    Data lies in the data root (default: ./data in the project). `slamhive doctor` checks this machine.
     """
     level = logging.INFO if verbose else logging.ERROR
     logging.basicConfig(level=level, format="%(levelname)s %(name)s: %(message)s")
     context.obj = CliContext({"data": None if data is None else data.absolute(), "database_url": database_url})
     context.call_on_close(context.obj.close)
-
-
-for module in (
-    datasets,
-    variants,
-    algorithms,
-    configurations,
-    experiments,
-    runs,
-    searching,
-    evaluate,
-    protocols,
-    analyse,
-    archive,
-    serving,
-    maintenance,
-):
-    for command in module.COMMANDS:
-        main.add_command(command)

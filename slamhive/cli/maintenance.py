@@ -7,7 +7,7 @@ from dataclasses import asdict
 import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.output import counting_bar, messages, print_json, print_table
+from slamhive.cli.output import counting_bar, print_json, print_table, tell
 from slamhive.project import project_root
 from slamhive.services.doctor import Verdict, examine
 from slamhive.services.reindex import reindex, run_folders
@@ -18,7 +18,7 @@ from slamhive.settings import settings_in_force
 @json_option
 @pass_cli
 def reindex_command(cli: CliContext, as_json: bool) -> None:
-    """Rebuild all rows of the database from the folders of runs, experiments, analyses and the ledger."""
+    """Rebuild the database from the folders of runs, experiments and analyses, and the ledger."""
     hive = cli.hive(indexed=False)
     hive.check_writable()
     with counting_bar("reading run folders", len(run_folders(hive.settings.runs_folder))) as show:
@@ -39,7 +39,7 @@ def reindex_command(cli: CliContext, as_json: bool) -> None:
         if report.analyses:
             click.echo(f"{report.analyses} analyses filed")
         for folder, reason in report.skipped:
-            messages.print(f"left out: {folder}: {reason}", markup=False, soft_wrap=True)
+            tell(f"left out: {folder}: {reason}")
     if report.skipped:
         raise click.exceptions.Exit(1)
 
@@ -48,7 +48,7 @@ def reindex_command(cli: CliContext, as_json: bool) -> None:
 @json_option
 @pass_cli
 def doctor(cli: CliContext, as_json: bool) -> None:
-    """Tell what works on this machine, what does not, and what to do about it."""
+    """Check what works on this machine, and say how to fix the rest."""
     checks = examine(cli.hive(indexed=False))
     if as_json:
         print_json([asdict(check) for check in checks])
@@ -63,7 +63,7 @@ def doctor(cli: CliContext, as_json: bool) -> None:
 @json_option
 @pass_cli
 def settings(cli: CliContext, as_json: bool) -> None:
-    """List all settings: the value in force, where it comes from, unit and meaning."""
+    """List all settings with value, source, unit and meaning."""
     entries = settings_in_force(project_root(), options=cli.options)
     if as_json:
         print_json([{**asdict(entry.info), "value": entry.value, "source": entry.source} for entry in entries])

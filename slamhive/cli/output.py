@@ -1,4 +1,4 @@
-"""How the command line speaks: JSON and tables on stdout, progress and messages on stderr, one line per error."""
+"""Output of the command line: JSON and tables on stdout, progress and messages on stderr."""
 
 from __future__ import annotations
 
@@ -15,9 +15,6 @@ from rich.table import Table
 from rich.text import Text
 
 from slamhive.clock import monotonic_s
-from slamhive.errors import InvalidInput, SlamHiveError, one_line
-from slamhive.input_bounds import check_text
-from slamhive.search.reader import FilterError
 
 STATE_STYLES = {"succeeded": "green", "failed": "red", "cancelled": "yellow", "running": "cyan", "queued": "dim"}
 PIPED_WIDTH = 160
@@ -27,50 +24,16 @@ _PLAIN_INTERVAL_S = 5.0
 messages = Console(stderr=True, highlight=False)
 
 
-class OneLineErrors(click.Group):
-    """A group whose commands end with one line and exit code 1 for every explained error."""
-
-    def make_context(
-        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
-    ) -> click.Context:
-        """Parse the options of the root command; a mistake in them ends as one in a subcommand does."""
-        try:
-            for number, text in enumerate(args, start=1):
-                check_text(text, f"argument {number}")
-            return super().make_context(info_name, args, parent, **extra)
-        except InvalidInput as error:  # bytes that are not UTF-8 arrive as halves of surrogate pairs
-            _print_error(str(error))
-            raise click.exceptions.Exit(1) from None
-        except click.UsageError as error:
-            _print_usage_error(error)
-            raise click.exceptions.Exit(1) from None
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; turn SlamHiveError into a message."""
-        try:
-            return super().invoke(ctx)
-        except SlamHiveError as error:
-            if isinstance(error, FilterError):
-                messages.print("\n".join(error.pointer), markup=False, soft_wrap=True)
-            _print_error(str(error))
-            ctx.exit(1)
-        except click.UsageError as error:
-            _print_usage_error(error)
-            ctx.exit(1)
-        except BrokenPipeError:
-            sys.stderr.close()
-            ctx.exit(0)
-
-
-def _print_error(text: str) -> None:
+def print_error(text: str, pointer: Sequence[str] = ()) -> None:
+    """An error on stderr, in one line; ``pointer`` are lines above it that show the place in a text."""
+    if pointer:
+        messages.print("\n".join(pointer), markup=False, soft_wrap=True)
     messages.print(Text.assemble(("error: ", "bold red"), text), soft_wrap=True)
 
 
-def _print_usage_error(error: click.UsageError) -> None:
-    """One line: what is wrong with the arguments, and where the right ones are listed."""
-    text = one_line(error.format_message()).rstrip(".")
-    path = "slamhive" if error.ctx is None else error.ctx.command_path
-    _print_error(f"{text}; see {path} --help")
+def tell(text: str, style: str | None = None) -> None:
+    """A line on stderr. Nothing in it is taken for markup."""
+    messages.print(text, style=style, markup=False, soft_wrap=True)
 
 
 def print_json(content: Any) -> None:
@@ -88,10 +51,10 @@ def print_table(
     """A table on stdout. Nothing in a cell is taken for markup.
 
     Args:
-        columns: The head of each column.
-        rows: A cell for each column; None is shown as a dash.
+        columns: The heading of each column.
+        rows: One cell per column; None is shown as a dash.
         right: Columns of numbers.
-        spare: Columns that a narrow terminal goes without, the first to go first; which ones is said on stderr.
+        spare: Columns to drop on a narrow terminal, in this order; a message on stderr names them.
     """
     width = Console().width if sys.stdout.isatty() else PIPED_WIDTH
     left_out = columns_to_leave_out(columns, rows, spare, width)
@@ -110,7 +73,7 @@ def print_table(
 def columns_to_leave_out(
     columns: Sequence[str], rows: Sequence[Sequence[Any]], spare: Sequence[str], width: int
 ) -> list[str]:
-    """Which of the ``spare`` columns have to go, in their order, for the rest to fit into ``width`` characters."""
+    """The ``spare`` columns to drop, in their order, so that the others fit into ``width`` characters."""
     widths = {
         column: max([len(column), *(len(str(row[index])) for row in rows)]) + COLUMN_GAP
         for index, column in enumerate(columns)
@@ -156,7 +119,7 @@ def progress_bar(title: str, *, tells_left: bool = True) -> Iterator[Callable[[f
 def counting_bar(title: str, total: int, *, tells_left: bool = True) -> Iterator[Callable[[int, str], None]]:
     """As :func:`progress_bar`, for done / total; yields a function that takes how many are done, and a text.
 
-    ``tells_left``: the time left is told, taking the rest to go as fast as what is done; for texts that say nothing.
+    ``tells_left``: show the time left, assuming that the rest is as fast as what is done.
     """
     if not messages.is_terminal:
         plain = _plain_progress(title, tells_left=tells_left)

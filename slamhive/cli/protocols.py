@@ -1,4 +1,4 @@
-"""``slamhive protocol``: what a figure depends on besides the trajectories, by name; figures side by side."""
+"""``slamhive protocol``: evaluation protocols by name, and metrics side by side."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from slamhive.strict_yaml import dump
 
 @click.group("protocol")
 def protocol() -> None:
-    """Evaluation protocols: the presets, and those that runs were evaluated under."""
+    """Show evaluation protocols, and choose the one whose metrics are shown."""
 
 
 @protocol.command("list")
 @json_option
 @pass_cli
 def list_protocols(cli: CliContext, as_json: bool) -> None:
-    """List protocols by name, and those in use by fingerprint."""
+    """List presets, and protocols in use by fingerprint."""
     used = cli.hive().protocols.used()
     if as_json:
         print_json({"presets": [_preset_json(name) for name, _ in presets()], "used": [_used_json(e) for e in used]})
@@ -49,7 +49,7 @@ def list_protocols(cli: CliContext, as_json: bool) -> None:
 @json_option
 @pass_cli
 def show(cli: CliContext, name: str, as_json: bool) -> None:
-    """Show a protocol as a file would have it: a preset, a fingerprint, or a file."""
+    """Show a protocol as YAML: a preset, a fingerprint or a file."""
     request = cli.hive().protocols.find(name)
     preset = dict(presets()).get(name)
     if as_json:
@@ -67,9 +67,9 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
 @click.argument("run_ids", type=run_number, nargs=-1, required=True)
 @pass_cli
 def use(cli: CliContext, name: str, run_ids: tuple[int, ...]) -> None:
-    """Show the figures of PROTOCOL (a name, fingerprint or file) for runs RUN_IDS, in lists and on pages.
+    """Show the metrics of PROTOCOL (a name, fingerprint or file) for runs RUN_IDS in lists and pages.
 
-    The runs must have been evaluated under it. The figures of their other protocols stay.
+    The runs must have been evaluated under it. The metrics of their other protocols are kept.
     """
     hive = cli.hive()
     hive.check_writable()
@@ -82,7 +82,7 @@ def use(cli: CliContext, name: str, run_ids: tuple[int, ...]) -> None:
 @json_option
 @pass_cli
 def compare(cli: CliContext, run_id: int, as_json: bool) -> None:
-    """Evaluate run RUN_ID the way each published tool counts, and show the figures side by side."""
+    """Evaluate run RUN_ID as each published tool does, and show the metrics side by side."""
     hive = cli.hive()
     if not hive.runs.get(run_id).state.ended:
         raise Conflict(f"run {run_id} has not ended", "wait for it")
@@ -94,7 +94,7 @@ def compare(cli: CliContext, run_id: int, as_json: bool) -> None:
     if as_json:
         print_json([_tool_json(row) for row in rows])
         return
-    print_table(("tool", "protocol", "figures", "note"), [_tool_row(row) for row in rows])
+    print_table(("tool", "protocol", "metrics", "note"), [_tool_row(row) for row in rows])
     for row in rows:
         click.echo(f"{row.name}: {row.preset.differs}")
 

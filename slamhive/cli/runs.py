@@ -10,23 +10,20 @@ import click
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
 from slamhive.cli.hints import hint_in_words
 from slamhive.cli.imports import import_runs
-from slamhive.cli.output import messages, print_json, print_table
+from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.run_options import submission_options, submission_values
 from slamhive.cli.searching import Listing, print_export, print_groups, search_of, split_columns, write_parquet
-from slamhive.cli.variants import parse_steps, step_option
 from slamhive.cli.waiting import run_to_end
-from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.metrics import metric
 from slamhive.domain.numbers import plural
-from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.stop_when import RULES, parse_stop_when
 from slamhive.errors import InvalidInput
-from slamhive.services.configurations import Submission, unwatchable
+from slamhive.schema.run import Run
+from slamhive.schema.submission import Submission
+from slamhive.services.configurations import unwatchable
 from slamhive.services.evaluations import evaluation_notes
 from slamhive.services.exports import disturbed_text
 from slamhive.services.hive import Hive
-from slamhive.services.json_values import timestamp
-from slamhive.services.runs import evaluation_to_json, run_to_json
 from slamhive.store import RunRecord, RunSort
 
 SPARE = ("time s", "RAM MB", "CPU cores", "tracked", "poses", "dataset", "reason", "disturbed")
@@ -45,7 +42,6 @@ COLUMNS = (
     "RAM MB",
     "time s",
 )
-STOP_HELP = f"End early, with the reason: {', '.join(RULES)}; may be repeated."
 LISTS = ("states", "reasons", "experiments", "algorithms", "datasets")
 NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 
@@ -53,61 +49,26 @@ NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 @click.command()
 @click.argument("algorithm")
 @click.argument("dataset")
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; may be repeated.")
-@step_option
-@click.option("--repeat", type=int, default=1, show_default=True, help="How many runs of this configuration.")
-@click.option("--executor", help="docker or process; default: the one in force.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the first repeat.")
-@click.option("--playback", type=choice(PlaybackMode), default="realtime", show_default=True)
-@click.option("--rate", type=float, default=1.0, show_default=True, help="Playback speed.")
-@click.option("--cpus", type=float, help="CPU limit in cores.")
-@click.option("--memory", type=int, help="Memory limit in MB.")
-@click.option("--timeout", type=float, help="Wall-clock limit in s; default: from the dataset's duration.")
-@click.option("--stop-when", "rules", multiple=True, metavar="RULE=NUMBER", help=STOP_HELP)
-@click.option("--align", type=choice(Alignment), help="Alignment; default: what the sensors deserve.")
-@click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first.")
-@click.option("--wait", is_flag=True, help="Stay until the runs have ended; works on them if no worker runs.")
-@click.option("--evaluate/--no-evaluate", default=True, show_default=True, help="Evaluate each run that succeeds.")
+@submission_options()
+@click.option("--wait", is_flag=True, help="Wait until the runs have ended; run them here if there is no worker.")
 @json_option
 @pass_cli
-def run(cli: CliContext, algorithm: str, dataset: str, settings: tuple[str, ...], **options: Any) -> None:
+def run(cli: CliContext, as_json: bool, wait: bool, **options: Any) -> None:
     """Run ALGORITHM on DATASET."""
     hive = cli.hive()
-    rules = parse_stop_when(options["rules"])
-    submitted = hive.runs.submit(
-        Submission(
-            algorithm=algorithm,
-            dataset=dataset,
-            parameters=parse_assignments(settings),
-            repeat=options["repeat"],
-            executor=options["executor"],
-            seed=options["seed"],
-            playback_mode=options["playback"],
-            playback_rate=options["rate"],
-            evaluate=options["evaluate"],
-            alignment=options["align"],
-            cpu_cores=options["cpus"],
-            memory_mb=options["memory"],
-            timeout_s=options["timeout"],
-            priority=options["priority"],
-            variant=parse_steps(options["steps"]),
-            stop_when=rules,
-        )
-    )
-    unseen = unwatchable(rules, [hive.catalogue.algorithm(algorithm)])
+    submission = Submission(**submission_values(options))
+    submitted = hive.runs.submit(submission)
+    unseen = unwatchable(submission.stop_when, [hive.catalogue.algorithm(submission.algorithm)])
     if unseen is not None:
-        messages.print(f"note: {unseen}", markup=False, soft_wrap=True)
+        tell(f"note: {unseen}")
     run_ids = [entry.id for entry in submitted]
-    if options["wait"]:
-        run_to_end(hive, run_ids, evaluate=options["evaluate"])
+    if wait:
+        run_to_end(hive, run_ids, evaluate=submission.evaluate)
     elif not hive.worker_alive():
-        messages.print(
-            "no worker runs on this machine; `slamhive worker` (or `slamhive serve`) takes the queued runs",
-            soft_wrap=True,
-        )
+        tell("no worker is running here; start one with `slamhive worker` or `slamhive serve`")
     ended = [hive.runs.get(run_id) for run_id in run_ids]
-    print_runs(ended, options["as_json"])
-    if options["wait"] and any(entry.state is not RunState.SUCCEEDED for entry in ended):
+    print_runs(ended, as_json)
+    if wait and any(entry.state is not RunState.SUCCEEDED for entry in ended):
         raise click.exceptions.Exit(1)
 
 
@@ -123,24 +84,24 @@ def run(cli: CliContext, algorithm: str, dataset: str, settings: tuple[str, ...]
 @click.option("--sort", help="Column, metric or parameter, e.g. ate.rmse.  [default: id]")
 @click.option("--ascending", is_flag=True, help="Smallest first.")
 @click.option("--group", type=click.Choice(["configuration"]), help="Mean and spread over the repeats.")
-@click.option("--limit", type=click.IntRange(1), help="At most so many.  [default: 50, files: all]")
+@click.option("--limit", type=click.IntRange(1), help="At most this many.  [default: 50; files: all]")
 @click.option("--csv", "as_csv", is_flag=True, help="Print CSV.")
 @click.option("--parquet", type=click.Path(dir_okay=False, path_type=Path), help="Write a Parquet file.")
 @json_option
 @pass_cli
 @click.pass_context
 def runs(context: click.Context, cli: CliContext, /, as_json: bool, **options: Any) -> None:
-    """Search runs, or look at one. docs/search.md explains filters."""
+    """Search runs, or show one. docs/search.md explains filters."""
     if context.invoked_subcommand is not None:
         return
     if sum(map(bool, (options["as_csv"], options["parquet"], as_json))) > 1:
-        raise InvalidInput("--csv, --json and --parquet say how to show the runs", "choose one of them")
+        raise InvalidInput("--csv, --json and --parquet exclude each other", "choose one of them")
     hive = cli.hive()
     list_runs(hive, _with_saved(hive, options), as_json=as_json)
 
 
 def _with_saved(hive: Hive, options: dict[str, Any]) -> dict[str, Any]:
-    """The options, completed by a saved search where they say nothing."""
+    """The options, with the rest from the saved search."""
     if options["saved"] is None:
         return {**options, "sort": options["sort"] or ("configuration" if options["group"] else "id")}
     saved = hive.searches.saved_named(options["saved"])
@@ -157,7 +118,7 @@ def _with_saved(hive: Hive, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def list_runs(hive: Hive, options: dict[str, Any], *, as_json: bool) -> None:
-    """The runs that the options of ``slamhive runs`` ask for, in the form that they ask for."""
+    """Print or write the selected runs in the selected format."""
     search = search_of(hive, options["where"], {name.removesuffix("s"): options[name] for name in LISTS})
     sort = RunSort(options["sort"], not options["ascending"])
     listing = Listing(hive, search, sort, tuple(split_columns(options["columns"])), options["limit"])
@@ -188,7 +149,7 @@ def _print_page(listing: Listing, *, as_json: bool) -> None:
         print_table(content.columns, list(content.rows(lambda _: (page.records, None))))
     elif page.records:
         print_runs(list(page.records), as_json)
-    messages.print(listing.summary(len(page.records), page.count), markup=False, soft_wrap=True)
+    tell(listing.summary(len(page.records), page.count))
 
 
 @runs.command("show")
@@ -196,17 +157,12 @@ def _print_page(listing: Listing, *, as_json: bool) -> None:
 @json_option
 @pass_cli
 def show(cli: CliContext, run_id: int, as_json: bool) -> None:
-    """Show one run: configuration, outcome, figures, events, evaluations."""
+    """Show one run: configuration, outcome, metrics, events, evaluations."""
     hive = cli.hive()
     entry = hive.runs.get(run_id)
     content = {
-        **run_to_json(entry),
+        **hive.runs.in_full(run_id).content,
         "folder": str(hive.runs.folder(run_id).root),
-        "events": [
-            {"at": timestamp(e.at), "from": e.from_state, "to": e.to_state, "why": e.why}
-            for e in hive.runs.events(run_id)
-        ],
-        "evaluations": [evaluation_to_json(e, hive.runs.folder(run_id)) for e in hive.evaluations.of_run(run_id)],
         "provenance": {key: hive.runs.record(run_id).get(key) for key in ("software", "algorithm", "dataset", "host")},
     }
     if as_json:
@@ -237,21 +193,34 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
 
 @runs.command("log")
 @click.argument("run_id", type=run_number)
-@click.option("--bytes", "max_bytes", type=click.IntRange(1), default=200_000, show_default=True, help="The last ...")
+@click.option(
+    "--bytes",
+    "max_bytes",
+    type=click.IntRange(1),
+    default=200_000,
+    show_default=True,
+    help="At most this much of the end.",
+)
 @pass_cli
 def log(cli: CliContext, run_id: int, max_bytes: int) -> None:
-    """Print what the run has printed so far."""
+    """Print the output of a run."""
     click.echo(cli.hive().runs.log(run_id, max_bytes), nl=False)
 
 
 @runs.command("cancel")
 @click.argument("run_ids", type=run_number, nargs=-1, required=True)
+@json_option
 @pass_cli
-def cancel(cli: CliContext, run_ids: tuple[int, ...]) -> None:
-    """Cancel runs: queued ones at once, active ones as soon as their worker has ended them."""
+def cancel(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
+    """Cancel runs: queued ones at once, active ones when their worker has stopped them."""
+    entries: list[RunRecord] = []
     for run_id in run_ids:
         entry = cli.hive().runs.cancel(run_id)
-        click.echo(f"run {entry.id}: {entry.state if entry.state.ended else 'is being cancelled'}")
+        entries.append(entry)
+        if not as_json:
+            click.echo(f"run {entry.id}: {entry.state if entry.state.ended else 'is being cancelled'}")
+    if as_json:
+        print_runs(entries, as_json)
 
 
 @runs.command("retry")
@@ -259,14 +228,14 @@ def cancel(cli: CliContext, run_ids: tuple[int, ...]) -> None:
 @json_option
 @pass_cli
 def retry(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
-    """Queue new runs with the configurations of ended ones."""
+    """Queue new runs with the configurations of finished ones."""
     hive = cli.hive()
     new = [hive.runs.retry(run_id) for run_id in run_ids]
     print_runs(new, as_json)
 
 
 def _print_outcome(entry: RunRecord) -> None:
-    """Why the run ended as it did, whether it counts as good, and whether the machine was disturbed."""
+    """Print why the run ended, its verdict, and whether the machine was disturbed."""
     if entry.detail:
         click.echo(f"{entry.reason or 'note'}: {entry.detail}")
     if entry.verdict is not None:
@@ -275,21 +244,8 @@ def _print_outcome(entry: RunRecord) -> None:
         click.echo(f"disturbed: {entry.disturbance.words}; {'; '.join(entry.disturbance.remedies)}")
 
 
-def parse_assignments(settings: tuple[str, ...]) -> dict[str, str]:
-    """``KEY=VALUE`` texts as a mapping; raises InvalidInput for one without ``=`` or a key given twice."""
-    parsed: dict[str, str] = {}
-    for text in settings:
-        key, sign, value = text.partition("=")
-        if not sign or not key:
-            raise InvalidInput(f"--set {text!r} is not KEY=VALUE", "for example --set nFeatures=2000")
-        if key in parsed:
-            raise InvalidInput(f"--set {key} is given twice")
-        parsed[key] = value
-    return parsed
-
-
 def run_row(entry: RunRecord) -> tuple[Any, ...]:
-    """One line of the table of runs."""
+    """One row of the table of runs."""
     metrics = entry.metrics or {}
     return (
         entry.id,
@@ -315,18 +271,18 @@ def _number(value: float | None, pattern: str, factor: float = 1.0) -> str | Non
 def print_runs(entries: list[RunRecord], as_json: bool) -> None:
     """Runs as a table on stdout, or as a JSON list."""
     if as_json:
-        print_json([run_to_json(entry) for entry in entries])
+        print_json([Run.of(entry).content for entry in entries])
     elif entries:
         print_table(COLUMNS, [run_row(entry) for entry in entries], right=NUMBERS, spare=SPARE)
         for entry in entries:
             if entry.detail and entry.state is RunState.FAILED:
-                messages.print(f"run {entry.id}: {entry.detail}", markup=False, soft_wrap=True)
+                tell(f"run {entry.id}: {entry.detail}")
             if entry.verdict is not None and entry.verdict.failed and entry.state is RunState.SUCCEEDED:
-                messages.print(f"run {entry.id}: {entry.verdict.words}", markup=False, soft_wrap=True)
+                tell(f"run {entry.id}: {entry.verdict.words}")
             if entry.disturbance is not None and entry.disturbance.disturbed:
-                messages.print(f"run {entry.id} was disturbed: {entry.disturbance.words}", markup=False, soft_wrap=True)
+                tell(f"run {entry.id} was disturbed: {entry.disturbance.words}")
     else:
-        messages.print("no runs; `slamhive run ALGORITHM DATASET` starts one")
+        tell("no runs; `slamhive run ALGORITHM DATASET` starts one")
 
 
 runs.add_command(import_runs)

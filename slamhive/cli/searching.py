@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeAlias
 import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.output import messages, print_json, print_table
+from slamhive.cli.output import print_json, print_table, tell
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput
 from slamhive.search.binding import Search, bind, read_search
@@ -37,10 +37,10 @@ WORDS = ("algorithm", "dataset", "experiment", "executor", "state", "reason")
 
 
 def search_of(hive: Hive, where: str, lists: dict[str, Sequence[str]]) -> Search:
-    """The filter, and what further options restrict, joined by "and"."""
+    """The filter and the restrictions of other options, joined by "and"."""
     vocabulary = hive.searches.vocabulary()
     typed = parse_filter(where)
-    bind(typed, where, vocabulary)  # a mistake is told in the text that was typed
+    bind(typed, where, vocabulary)  # so that a message points into the text that was typed
     chosen = [Comparison(Word(name), Sign.IN, tuple(map(Word, values))) for name, values in lists.items() if values]
     parts = [*([] if typed is None else [typed]), *chosen]
     return read_search(filter_text(join("and", parts)), vocabulary) if parts else Search()
@@ -147,7 +147,7 @@ def print_groups(listing: Listing) -> None:
     ]
     if rows:
         print_table((*GROUP_HEAD, *metrics), rows, right=("configuration", "runs", "failed", "disturbed", *metrics))
-    messages.print(listing.summary(len(page.records), page.runs, grouped=True), markup=False, soft_wrap=True)
+    tell(listing.summary(len(page.records), page.runs, grouped=True))
 
 
 def _spread_text(spread: Spread | None) -> str | None:
@@ -158,7 +158,7 @@ def _spread_text(spread: Spread | None) -> str | None:
 
 @click.group("search")
 def search_group() -> None:
-    """Saved searches: a filter, columns and an order under a name."""
+    """Save a filter with columns and an order under a name."""
 
 
 @search_group.command("save")
@@ -167,10 +167,10 @@ def search_group() -> None:
 @click.option("--columns", default="", help="Keys of columns, metrics and parameters, with commas.")
 @click.option("--sort", default="id", show_default=True, help="Column, metric or parameter.")
 @click.option("--ascending", is_flag=True, help="Smallest first.")
-@click.option("--group", is_flag=True, help="Show configurations with mean and spread.")
+@click.option("--group", is_flag=True, help="Group by configuration, with mean and spread.")
 @pass_cli
 def save(cli: CliContext, /, name: str, where: str, **options: Any) -> None:
-    """Save the filter WHERE as NAME; what has the name is replaced."""
+    """Save the filter WHERE as NAME, replacing a search of that name."""
     hive = cli.hive()
     chosen = tuple(split_columns(options["columns"]))
     RunExport(chosen, hive.searches.vocabulary())

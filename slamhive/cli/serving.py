@@ -11,7 +11,7 @@ import click
 
 from slamhive.cli.context import CliContext, pass_cli
 from slamhive.cli.demo import run_demo
-from slamhive.cli.output import messages
+from slamhive.cli.output import tell
 from slamhive.services.worker import WorkerProcess
 from slamhive.settings import Mode
 
@@ -19,12 +19,12 @@ STAND_BY_S = 1.0
 
 
 @click.command("worker")
-@click.option("--slots", type=int, help="Runs at a time; each slot has cores of its own.")
-@click.option("--until-idle", is_flag=True, help="End when nothing is left to do.")
-@click.option("--patient", is_flag=True, help="If a worker runs already, wait and take over when it ends.")
+@click.option("--slots", type=int, help="Runs at a time; each slot has its own cores.")
+@click.option("--until-idle", is_flag=True, help="Stop when the queue is empty.")
+@click.option("--patient", is_flag=True, help="If a worker is running, wait and take over when it stops.")
 @pass_cli
 def worker_command(cli: CliContext, slots: int | None, until_idle: bool, patient: bool) -> None:
-    """Take queued runs, one after the other, and evaluate them. Ends on Ctrl-C; runs go on and are found again."""
+    """Run queued runs and evaluate them. Ctrl-C stops the worker; active runs continue and are found again."""
     cli.options_with(worker_slots=slots)
     logging.getLogger("slamhive").setLevel(logging.INFO)
     hive = cli.hive()
@@ -39,9 +39,7 @@ def worker_command(cli: CliContext, slots: int | None, until_idle: bool, patient
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     name, reason = hive.executors.default()
-    messages.print(
-        f"worker {worker.owner}: {hive.settings.worker_slots} slot(s), executor {name} ({reason})", soft_wrap=True
-    )
+    tell(f"worker {worker.owner}: {hive.settings.worker_slots} slot(s), executor {name} ({reason})")
     while patient and not stopped.is_set() and hive.worker_alive():
         stopped.wait(STAND_BY_S)
     if not stopped.is_set():
@@ -54,7 +52,7 @@ def worker_command(cli: CliContext, slots: int | None, until_idle: bool, patient
 @click.option("--worker/--no-worker", "with_worker", default=True, show_default=True, help="Also start a worker.")
 @pass_cli
 def serve_command(cli: CliContext, host: str | None, port: int | None, with_worker: bool) -> None:
-    """Serve the web pages, and start a worker unless one runs already."""
+    """Serve the web pages, and start a worker unless one is running."""
     cli.options_with(host=host, port=port)
     logging.getLogger("slamhive").setLevel(logging.WARNING)
     hive = cli.hive()
@@ -68,13 +66,13 @@ def serve_until_stopped(cli: CliContext, *, with_worker: bool) -> None:
     hive = cli.hive()
     server = WebServer(hive, hive.settings.host, hive.settings.port)
     with WorkerProcess(hive.settings, wanted=with_worker):
-        messages.print(f"serving {server.url} (Ctrl-C ends)", markup=False)
+        tell(f"serving {server.url} (Ctrl-C ends)")
         server.run()
 
 
 @click.command("demo")
-@click.option("--serve/--no-serve", "serving", default=True, show_default=True, help="Serve the web pages at the end.")
-@click.option("--seconds", type=float, default=15.0, show_default=True, help="Duration of the room in s.")
+@click.option("--serve/--no-serve", "serving", default=True, show_default=True, help="Serve the web pages afterwards.")
+@click.option("--seconds", type=float, default=15.0, show_default=True, help="Duration of the recording in s.")
 @pass_cli
 def demo_command(cli: CliContext, serving: bool, seconds: float) -> None:
     """Render the room, run three SLAM systems on it, evaluate, print a table, serve the pages."""

@@ -1,4 +1,4 @@
-"""``slamhive variants``: which steps there are; list, make, drop and verify variants of datasets."""
+"""``slamhive variants``: list steps; list, create, delete and verify variants of datasets."""
 
 from __future__ import annotations
 
@@ -9,21 +9,18 @@ import click
 from slamhive.bags.variants.cache import VariantEntry
 from slamhive.bags.variants.rules import RegisteredSteps, describe_options, describe_step
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.output import messages, print_json, print_table, progress_bar
-from slamhive.domain.variant import Variant, parse_step, variant_from_json
+from slamhive.cli.output import print_json, print_table, progress_bar, tell
+from slamhive.cli.run_options import parse_steps, step_option
+from slamhive.domain.variant import variant_from_json
 from slamhive.errors import Conflict, InvalidInput
 from slamhive.services.json_values import timestamp
 
 KEY_SHOWN = 12
-STEP_HELP = (
-    "A step, as 'KIND@SENSOR,SENSOR OPTION=VALUE'; may be repeated, in order. `slamhive variants steps` lists all."
-)
-step_option = click.option("--step", "steps", multiple=True, metavar="STEP", help=STEP_HELP)
 
 
 @click.group()
 def variants() -> None:
-    """Pre-processed variants of datasets: fewer, smaller, degraded data."""
+    """Manage pre-processed variants of datasets."""
 
 
 @variants.command("steps")
@@ -51,14 +48,14 @@ def steps_(kind: str | None, as_json: bool) -> None:
 @json_option
 @pass_cli
 def list_(cli: CliContext, dataset: str | None, as_json: bool) -> None:
-    """List what lies in the cache, the most recently used first."""
+    """List the cached variants, the most recently used first."""
     hive = cli.hive(indexed=False)
     found = hive.variants.entries(dataset)
     if as_json:
         print_json([variant_to_json(entry) for entry in found])
         return
     if not found:
-        messages.print("no variants; runs make those they need, `slamhive variants make` makes one")
+        tell("no variants; runs make those they need, `slamhive variants make` makes one")
         return
     rows = [
         (
@@ -73,7 +70,7 @@ def list_(cli: CliContext, dataset: str | None, as_json: bool) -> None:
     ]
     print_table(("key", "dataset", "MB", "last used (UTC)", "in use", "steps"), rows, right=("MB",))
     total_bytes, allowed_bytes = sum(entry.size_bytes for entry in found), hive.settings.variant_cache_bytes
-    messages.print(f"{len(found)} variants, {total_bytes / 1e6:.1f} MB of {allowed_bytes / 1e6:.0f} MB")
+    tell(f"{len(found)} variants, {total_bytes / 1e6:.1f} MB of {allowed_bytes / 1e6:.0f} MB")
 
 
 @variants.command("make")
@@ -81,17 +78,17 @@ def list_(cli: CliContext, dataset: str | None, as_json: bool) -> None:
 @step_option
 @json_option
 @pass_cli
-def make(cli: CliContext, dataset: str, steps: tuple[str, ...], as_json: bool) -> None:
-    """Make the variant of DATASET that goes through these steps, or find it in the cache."""
+def make(cli: CliContext, dataset: str, variant: tuple[str, ...], as_json: bool) -> None:
+    """Create the variant of DATASET with these steps, unless it is cached."""
     hive = cli.hive(indexed=False)
     hive.check_writable()
     source = hive.catalogue.dataset(dataset)
-    variant = hive.variants.resolve(source, parse_steps(steps))
-    if not variant:
+    steps = hive.variants.resolve(source, parse_steps(variant))
+    if not steps:
         raise InvalidInput(f"these steps change nothing in {dataset}", "give --step, with a factor other than 1")
     with (
         progress_bar(f"variant of {dataset}") as progress,
-        hive.variants.hold(source, variant, progress) as used,
+        hive.variants.hold(source, steps, progress) as used,
     ):
         progress(1.0, "done")
     entry = hive.variants.find(used.key)
@@ -108,7 +105,7 @@ def make(cli: CliContext, dataset: str, steps: tuple[str, ...], as_json: bool) -
 @json_option
 @pass_cli
 def drop(cli: CliContext, keys: tuple[str, ...], dataset: str | None, everything: bool, as_json: bool) -> None:
-    """Remove variants by KEY (its beginning is enough). Those in use stay; runs make again what they need."""
+    """Delete variants by KEY (a prefix is enough). Variants in use are kept; runs create again what they need."""
     hive = cli.hive(indexed=False)
     hive.check_writable()
     chosen = _chosen(cli, keys, dataset, everything)
@@ -153,11 +150,6 @@ def verify(cli: CliContext, keys: tuple[str, ...], dataset: str | None, as_json:
         click.echo(f"{len(problems) - len(damaged)} of {len(problems)} variants are whole")
     if damaged:
         raise click.exceptions.Exit(1)
-
-
-def parse_steps(texts: tuple[str, ...]) -> Variant:
-    """The steps given by ``--step``; raises InvalidInput naming the one that cannot be read."""
-    return tuple(parse_step(text) for text in texts)
 
 
 def variant_to_json(entry: VariantEntry) -> dict[str, Any]:

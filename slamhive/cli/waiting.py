@@ -1,4 +1,4 @@
-"""Waiting for runs with progress, and working on them if nobody else does."""
+"""Wait for runs and show progress; run them here if there is no worker."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 
-from slamhive.cli.output import counting_bar, messages
+from slamhive.cli.output import counting_bar, tell
 from slamhive.cli.phases import words
 from slamhive.clock import monotonic_s
 from slamhive.domain.run import RunState
@@ -39,7 +39,7 @@ def run_to_end(
     try:
         _show_until_complete(hive, run_ids, evaluate, on_end, helper.failure)
     except KeyboardInterrupt:
-        messages.print("interrupted: cancelling what has not ended")
+        tell("interrupted: cancelling what has not ended")
         _cancel_all(hive, run_ids)
         raise
     finally:
@@ -62,9 +62,7 @@ def experiment_to_end(
     try:
         _show_experiment(hive, name, on_end, helper.failure, title)
     except KeyboardInterrupt:
-        messages.print(
-            f"interrupted: what is queued stays queued; `slamhive experiment cancel {name}` cancels it", soft_wrap=True
-        )
+        tell(f"interrupted: what is queued stays queued; `slamhive experiment cancel {name}` cancels it")
         raise
     finally:
         helper.stop()
@@ -142,7 +140,7 @@ def _show_experiment(
             waiting = left
             status = hive.experiments.status(name)
             if status.standing is Standing.PAUSED and not status.counts[Phase.RUNNING]:
-                messages.print(f"experiment {name} is paused; `slamhive experiment resume {name}` lets it go on")
+                tell(f"experiment {name} is paused; `slamhive experiment resume {name}` lets it go on")
                 return
             time_left = "" if status.left_s is None else f", {words(status.left_s)} left"
             show(max(0, total - len(waiting)), f"{status.counts[Phase.FAILED]} failed{time_left}")

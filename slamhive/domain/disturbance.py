@@ -6,7 +6,7 @@ latency, and in real time dropped frames and errors too, depend on what else the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -145,6 +145,23 @@ class Disturbance:
         return "; ".join(reason.words for reason in self.reasons)
 
     @property
+    def content(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "disturbed": self.disturbed,
+            "reasons": [{"kind": reason.kind.value, "words": reason.words} for reason in self.reasons],
+            "not_measured": list(self.not_measured),
+        }
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> Disturbance:
+        """From :attr:`content`; raises ValueError, KeyError or TypeError for anything else."""
+        reasons = tuple(
+            DisturbanceReason(DisturbanceKind(entry["kind"]), str(entry["words"])) for entry in content["reasons"]
+        )
+        return cls(content["disturbed"] is not None, reasons, tuple(map(str, content["not_measured"])))
+
+    @property
     def remedies(self) -> tuple[str, ...]:
         """What to do about the reasons, each once."""
         return tuple(dict.fromkeys(REMEDIES[reason.kind] for reason in self.reasons))
@@ -219,23 +236,3 @@ def _percent(share: float) -> str:
 
 def _above(value: float | None, limit: float) -> bool:
     return value is not None and value > limit
-
-
-def disturbance_to_json(found: Disturbance) -> dict[str, Any]:
-    """What a record stores, and what JSON shows."""
-    return {
-        "disturbed": found.disturbed,
-        "reasons": [{"kind": reason.kind.value, "words": reason.words} for reason in found.reasons],
-        "not_measured": list(found.not_measured),
-    }
-
-
-def disturbance_from_json(content: Mapping[str, Any] | None) -> Disturbance | None:
-    """What :func:`disturbance_to_json` made, None for None; raises ValueError, KeyError or TypeError for others."""
-    if content is None:
-        return None
-    reasons = tuple(
-        DisturbanceReason(DisturbanceKind(entry["kind"]), str(entry["words"])) for entry in content["reasons"]
-    )
-    not_measured: Sequence[Any] = content["not_measured"]
-    return Disturbance(content["disturbed"] is not None, reasons, tuple(map(str, not_measured)))

@@ -21,7 +21,7 @@ class VariantStep:
     """
 
     kind: str
-    sensors: tuple[str, ...]
+    sensors: tuple[str, ...] = ()
     options: Mapping[str, Scalar] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

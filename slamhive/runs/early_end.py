@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from slamhive.domain.run import FailureReason
-from slamhive.domain.stop_when import StopWhen
+from slamhive.schema.submission import StopWhen
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunState
-from slamhive.domain.stop_when import stop_when_from_json
+from slamhive.schema.submission import StopWhen
 from slamhive.store.changes import AskedEvaluations, NewRow
 from slamhive.store.configuration_models import ConfigurationGroup, ConfigurationLabel
 from slamhive.store.configurations import ConfigurationRepository
@@ -232,5 +232,5 @@ def _request(row: Any) -> RunRequest:
     return RunRequest(
         **{name: getattr(row, name) for name in _REQUEST},
         protocol=None if override is None else domain.protocol_from_content(override),
-        stop_when=stop_when_from_json(row.stop_when),
+        stop_when=StopWhen.of(row.stop_when),
     )

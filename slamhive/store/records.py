@@ -14,11 +14,11 @@ from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunEvent, RunState
-from slamhive.domain.stop_when import NEVER, StopWhen
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import Verdict, VerdictKind, ended_badly, judge, not_evaluable
 from slamhive.errors import Conflict
 from slamhive.evaluation.job import Artefacts
+from slamhive.schema.submission import NEVER, Limits, StopWhen
 
 
 class LeaseLost(Conflict):
@@ -197,6 +197,11 @@ class RunRecord:
     repeat_disturbed: int = 0
     metrics: dict[str, float] | None = None
     judged: VerdictKind | None = None
+
+    @property
+    def limits(self) -> Limits:
+        """The limits that were asked for or, once the run has started, set."""
+        return Limits(self.cpu_cores, self.memory_mb, self.timeout_s)
 
     @property
     def verdict(self) -> Verdict | None:

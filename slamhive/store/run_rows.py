@@ -9,12 +9,12 @@ from sqlalchemy import Integer, Row, Select, func, literal, select
 from sqlalchemy.orm import Session
 
 from slamhive.domain.configuration import Playback
-from slamhive.domain.disturbance import disturbance_from_json
+from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import protocol_from_content
-from slamhive.domain.stop_when import stop_when_from_json
 from slamhive.domain.variant import variant_from_json
 from slamhive.domain.verdict import VerdictKind
+from slamhive.schema.submission import StopWhen
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.metrics import VERDICT, MetricRepository
 from slamhive.store.models import Algorithm, AlgorithmVersion, Configuration, Dataset, Experiment, Host, Protocol, Run
@@ -126,8 +126,8 @@ def _record(
         if row.cpu_model is None
         else HostRecord(row.cpu_model, row.cpu_count, row.memory_bytes, row.kernel, row.os),
         experiment=row.experiment,
-        stop_when=stop_when_from_json(row.stop_when),
-        disturbance=disturbance_from_json(row.disturbance),
+        stop_when=StopWhen.of(row.stop_when),
+        disturbance=None if row.disturbance is None else Disturbance.of(row.disturbance),
         metrics=metrics,
         judged=judged,
     )

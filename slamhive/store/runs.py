@@ -10,9 +10,8 @@ from typing import Any, Unpack
 from sqlalchemy import func, insert, select, update
 from sqlalchemy.orm import Session
 
-from slamhive.domain.disturbance import Disturbance, disturbance_to_json
+from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.run import RunEvent, RunState, check_move
-from slamhive.domain.stop_when import stop_when_to_json
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.search.binding import EVERYTHING, Search
 from slamhive.store.changes import NewRow, changes_of
@@ -227,7 +226,7 @@ def snapshot_row(snapshot: RunSnapshot) -> dict[str, Any]:
 def _new_row(request: RunRequest, now: datetime) -> dict[str, Any]:
     values = {name: getattr(request, name) for name in _AS_ASKED}
     values["protocol_override"] = None if request.protocol is None else request.protocol.content
-    values["stop_when"] = stop_when_to_json(request.stop_when) or None
+    values["stop_when"] = request.stop_when.content or None
     return {**values, "state": RunState.QUEUED, "created_at": now, "attempt": 0, "cancel_requested": False}
 
 
@@ -239,7 +238,7 @@ def _checked(fields: RunFields) -> dict[str, Any]:
     if "disturbance" in values:
         found: Disturbance | None = values["disturbance"]
         known = found is not None and found.known
-        values["disturbance"] = None if found is None else disturbance_to_json(found)
+        values["disturbance"] = None if found is None else found.content
         values["disturbed_by"] = " ".join(reason.kind for reason in found.reasons) if found and known else None
     return values
 

@@ -10,7 +10,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slamhive import strict_yaml
 from slamhive.catalogue.run_config import build_run_config
-from slamhive.catalogue.validation import first_problem
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
@@ -19,6 +18,7 @@ from slamhive.domain.variant import VariantStep
 from slamhive.errors import InvalidInput, SlamHiveError, unknown
 from slamhive.runtime import config as run_config
 from slamhive.runtime.config import RunConfig
+from slamhive.schema.validation import first_problem
 from slamhive.sweep.variants import resolve_variant
 from slamhive.sweep.view import CatalogueView
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Alignment
-from slamhive.domain.stop_when import StopWhen
+from slamhive.schema.submission import Limits, StopWhen
 from slamhive.strict_yaml import Place
 from slamhive.sweep.condition import Condition
 
@@ -80,15 +80,6 @@ class Where:
     condition: Condition
     text: str
     place: Place
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """What each run may use; None means the defaults of settings and package."""
-
-    cpu_cores: float | None = None
-    memory_mb: int | None = None
-    timeout_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

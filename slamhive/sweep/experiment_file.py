@@ -9,15 +9,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from slamhive import strict_yaml
-from slamhive.catalogue.validation import first_problem_at
-from slamhive.domain.stop_when import StopWhen
 from slamhive.errors import InvalidInput
+from slamhive.schema.validation import first_problem_at
 from slamhive.sweep.condition import parse_condition
 from slamhive.sweep.experiment import (
     Axis,
     Evaluation,
     Experiment,
-    Limits,
     Link,
     ParameterAxis,
     PlaybackAxes,
@@ -73,8 +71,8 @@ def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experimen
         repeats=model.repeats,
         repeat_disturbed=model.repeat_disturbed,
         playback=PlaybackAxes(model.playback.mode, model.playback.rate),
-        stop_when=StopWhen(**model.stop_when.model_dump()),
-        limits=Limits(**model.limits.model_dump()),
+        stop_when=model.stop_when,
+        limits=model.limits,
         evaluation=Evaluation(alignment=evaluate.alignment)
         if isinstance(evaluate, EvaluateModel)
         else Evaluation(enabled=evaluate),

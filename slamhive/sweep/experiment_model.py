@@ -7,18 +7,26 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, PlainValidator, Tag, WithJsonSchema
 
-from slamhive.catalogue.validation import PLAIN, SECTION, explained
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.names import NAME_PATTERN, check_name
 from slamhive.domain.parameters import Value
-from slamhive.domain.protocol import Alignment
 from slamhive.errors import InvalidInput
+from slamhive.schema.submission import (
+    NEVER,
+    OPTIONS,
+    Executor,
+    Limits,
+    Priority,
+    RepeatDisturbed,
+    RequestedAlignment,
+    StopWhen,
+)
+from slamhive.schema.validation import PLAIN, SECTION, explained
 from slamhive.sweep.condition import parse_condition
 from slamhive.sweep.values import check_distinct, parse_values
 
 MAX_REPEATS = 1000
-MAX_REPEAT_DISTURBED = 10
-MAX_SEED = 2**31 - 1
+_SEED, _RATE = OPTIONS["seed"], OPTIONS["playback_rate"]
 _NAME = re.compile(NAME_PATTERN)
 
 _SCALAR_SCHEMA: dict[str, Any] = {"type": ["number", "string", "boolean"]}
@@ -57,16 +65,16 @@ def _words(raw: object) -> tuple[str, ...]:
 
 
 def _seeds(values: tuple[Value, ...]) -> tuple[int, ...]:
-    seeds = tuple(value for value in values if type(value) is int and 0 <= value <= MAX_SEED)
+    seeds = tuple(value for value in values if type(value) is int and _SEED.allows(value))
     if len(seeds) < len(values):
-        raise explained(InvalidInput(f"seeds are integers from 0 to {MAX_SEED}, found {list(values)}"))
+        raise explained(InvalidInput(f"seeds are integers from {_SEED.expectation}, found {list(values)}"))
     return seeds
 
 
 def _rates(values: tuple[Value, ...]) -> tuple[float, ...]:
-    rates = tuple(float(value) for value in values if isinstance(value, int | float) and 0.01 <= value <= 100)
+    rates = tuple(float(value) for value in values if isinstance(value, int | float) and _RATE.allows(value))
     if len(rates) < len(values):
-        raise explained(InvalidInput(f"playback rates are numbers from 0.01 to 100, found {list(values)}"))
+        raise explained(InvalidInput(f"playback rates are numbers from {_RATE.expectation}, found {list(values)}"))
     return rates
 
 
@@ -148,29 +156,10 @@ class PlaybackModel(_Model):
     rate: Rates = Field(default=(1.0,), description="Times real time.")
 
 
-class StopWhenModel(_Model):
-    """When a run ends early, with the reason recorded."""
-
-    lost_tracking_s: float | None = Field(default=None, gt=0, description="No pose for so long, in s of the recording.")
-    memory_mb: int | None = Field(default=None, gt=0, description="The run takes more memory, in MB.")
-    time_s: float | None = Field(default=None, gt=0, description="The run takes longer, in s.")
-    failures_of_configuration: int | None = Field(
-        default=None, gt=0, description="The configuration has failed so often; its further runs are skipped."
-    )
-
-
-class LimitsModel(_Model):
-    """What each run may use."""
-
-    cpu_cores: float | None = Field(default=None, ge=0.1, le=1024)
-    memory_mb: int | None = Field(default=None, ge=16, le=10_000_000)
-    timeout_s: float | None = Field(default=None, ge=1, le=30 * 86_400)
-
-
 class EvaluateModel(_Model):
     """How runs are evaluated."""
 
-    alignment: Alignment | None = Field(default=None, description="Chosen from the sensors if absent.")
+    alignment: RequestedAlignment = None
 
 
 SwitchOrEvaluate = Annotated[
@@ -202,15 +191,10 @@ class ExperimentModel(_Model):
     where: Conditions = Field(default=(), description="Conditions that every combination must meet.")
     seeds: Seeds = Field(default=(0,), description="Each configuration is run with each seed.")
     repeats: int = Field(default=1, ge=1, le=MAX_REPEATS, description="How often, with each seed.")
-    repeat_disturbed: int = Field(
-        default=0,
-        ge=0,
-        le=MAX_REPEAT_DISTURBED,
-        description="How often a run is repeated at most because it was measured on a disturbed machine.",
-    )
+    repeat_disturbed: RepeatDisturbed = 0
     playback: PlaybackModel = Field(default_factory=PlaybackModel)
-    stop_when: StopWhenModel = Field(default_factory=StopWhenModel)
-    limits: LimitsModel = Field(default_factory=LimitsModel)
+    stop_when: StopWhen = NEVER
+    limits: Limits = Limits()
     evaluate: SwitchOrEvaluate = Field(default=True, description="false leaves the evaluation to you.")
-    executor: str | None = None
-    priority: int = Field(default=0, ge=-1000, le=1000)
+    executor: Executor = None
+    priority: Priority = 0

@@ -12,6 +12,8 @@ from werkzeug.datastructures import MultiDict
 
 from slamhive import strict_yaml
 from slamhive.errors import InvalidInput
+from slamhive.schema.fields import options_of
+from slamhive.schema.submission import RULES, Limits
 from slamhive.sweep.values import as_scalar, parse_values
 from slamhive.web.formatting import value_text
 
@@ -28,8 +30,8 @@ _WORDS = ("name", "description", "executor")
 _VALUES = ("seeds", "repeats", "repeat_disturbed", "priority")
 _SECTIONS = {
     "playback": ("mode", "rate"),
-    "stop_when": ("lost_tracking_s", "memory_mb", "time_s", "failures_of_configuration"),
-    "limits": ("cpu_cores", "memory_mb", "timeout_s"),
+    "stop_when": RULES,
+    "limits": tuple(option.name for option in options_of(Limits)),
 }
 _SETS = ("linked", "tied")
 _PARAMETERS = "parameters/"

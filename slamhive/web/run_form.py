@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.parameters import ParameterType
-from slamhive.domain.protocol import Alignment
+from slamhive.domain.parameters import ParameterType, Value
 from slamhive.domain.variant import Variant, parse_step, step_text
 from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.services.configurations import BOUNDS, Submission
+from slamhive.schema.fields import Option
+from slamhive.schema.submission import CONTENT, OPTIONS, Submission, nested
 from slamhive.services.hive import Hive
 from slamhive.settings import Settings
 from slamhive.web.formatting import duration, plural, value_text
 
 PARAMETER_PREFIX = "parameter."
-DEFAULTS = {
-    "repeat": "1",
-    "seed": "0",
-    "executor": "",
-    "playback_mode": PlaybackMode.REALTIME.value,
-    "playback_rate": "1.0",
-    "evaluate": "yes",
-    "alignment": "",
-    "cpu_cores": "",
-    "memory_mb": "",
-    "timeout_s": "",
-}
+_OWN_FIELDS = ("algorithm", "dataset", "parameters", "variant")
+"""What a form reads with the catalogue at hand; ``variant`` is typed into the field ``steps``."""
+_TYPED = [option for option in OPTIONS.values() if option.name not in _OWN_FIELDS]
+CONTENT_OPTIONS = [option for option in _TYPED if option.group == CONTENT]
+RUN_OPTIONS = [option for option in _TYPED if option.group != CONTENT]
 T = TypeVar("T")
 
 
@@ -50,7 +43,14 @@ class RunForm:
 
     def value(self, name: str) -> str:
         """The text to show in a field."""
-        return self.values.get(name, DEFAULTS.get(name, ""))
+        if name in self.values or name not in OPTIONS:
+            return self.values.get(name, "")
+        default = OPTIONS[name].default
+        return "" if default is None else _switch(default) if isinstance(default, bool) else value_text(default)
+
+    def has_typed(self, group: str) -> bool:
+        """Whether something is typed into an option of this group."""
+        return any(self.values.get(option.name) for option in RUN_OPTIONS if option.group == group)
 
     def fail(self, error: SlamHiveError) -> None:
         """Show an error that only the services could find, above the fields."""
@@ -70,7 +70,7 @@ def read_form(services: Hive, values: Mapping[str, str], *, content_only: bool =
     form.dataset = _checked(form, "dataset", lambda: _named(catalogue.dataset, form.value("dataset")))
     algorithm, dataset = form.algorithm, form.dataset
     parameters = {} if algorithm is None else _read_parameters(form, algorithm)
-    run_fields = _read_run_fields(form, CONTENT_FIELDS if content_only else READERS)
+    run_fields = _read_options(form, CONTENT_OPTIONS if content_only else _TYPED)
     if algorithm is None or dataset is None:
         return form
     _checked(form, "dataset", lambda: algorithm.assign(dataset))
@@ -81,7 +81,7 @@ def read_form(services: Hive, values: Mapping[str, str], *, content_only: bool =
             dataset=dataset.name,
             parameters=parameters,
             variant=variant or (),
-            **run_fields,
+            **nested(run_fields),
         )
         _checked(form, "", submission.check)
         form.submission = submission if not form.errors else None
@@ -123,16 +123,9 @@ def preview(submission: Submission, dataset: Dataset, settings: Settings, waitin
     return f"{what}, {each}about {duration(once_s)} plus start-up{whole}; time limit {duration(limit_s)}.{behind}"
 
 
-def checked_alignment(text: str | None) -> str | None:
-    """The alignment as it was asked for; raises InvalidInput if there is none of that name."""
-    if text is not None and text not in set(Alignment):
-        raise InvalidInput(f"alignment {text[:40]!r} is not known", f"use one of {', '.join(Alignment)}")
-    return text
-
-
-def _read_parameters(form: RunForm, algorithm: Algorithm) -> dict[str, object]:
+def _read_parameters(form: RunForm, algorithm: Algorithm) -> dict[str, Value]:
     """The values of the algorithm's parameters, checked; an empty field means the default."""
-    parameters: dict[str, object] = {}
+    parameters: dict[str, Value] = {}
     for parameter in algorithm.parameters:
         name = PARAMETER_PREFIX + parameter.key
         form.values.setdefault(name, value_text(parameter.default))
@@ -146,15 +139,19 @@ def _read_parameters(form: RunForm, algorithm: Algorithm) -> dict[str, object]:
     return parameters
 
 
-def _read_run_fields(form: RunForm, readers: Mapping[str, Callable[[str], object]]) -> dict[str, Any] | None:
-    """The fields that do not depend on the algorithm."""
+def _read_options(form: RunForm, options: Iterable[Option]) -> dict[str, Any] | None:
+    """The fields that do not depend on the algorithm, None if one of all cannot be used."""
     found: dict[str, Any] = {}
-    for name, reader in readers.items():
+    for option in options:
         try:
-            found[name] = reader(form.value(name))
+            found[option.name] = option.read(form.value(option.name))
         except InvalidInput as error:
-            form.errors[name] = str(error)
+            form.errors[option.name] = str(error)
     return None if form.errors else found
+
+
+def _switch(value: bool) -> str:
+    return "yes" if value else "no"
 
 
 def _named(find: Callable[[str], T], name: str) -> T:
@@ -169,39 +166,3 @@ def _checked(form: RunForm, name: str, read: Callable[[], T]) -> T | None:
     except SlamHiveError as error:
         form.errors.setdefault(name, str(error))
         return None
-
-
-def _number(text: str, kind: type[int | float], name: str) -> float:
-    """The number typed into the field ``name``, within the bounds of a submission."""
-    bounds = BOUNDS[name]
-    try:
-        value = kind(text.strip())
-    except ValueError:
-        what = "a whole number" if kind is int else "a number"
-        raise InvalidInput(f"{text[:40]!r} is not {what}", bounds.remedy) from None
-    bounds.check(value)
-    return value
-
-
-def _one_of(text: str, choices: list[PlaybackMode]) -> str:
-    if text not in choices:
-        raise InvalidInput(f"{text[:40]!r} is not known", f"use one of {', '.join(choices)}")
-    return text
-
-
-READERS: dict[str, Callable[[str], object]] = {
-    "repeat": lambda text: _number(text, int, "repeat"),
-    "seed": lambda text: _number(text, int, "seed"),
-    "playback_mode": lambda text: _one_of(text, list(PlaybackMode)),
-    "playback_rate": lambda text: _number(text, float, "playback_rate"),
-    "executor": lambda text: text.strip() or None,
-    "evaluate": lambda text: text == "yes",
-    "alignment": lambda text: checked_alignment(text.strip() or None),
-    "cpu_cores": lambda text: _number(text, float, "cpu_cores") if text.strip() else None,
-    "memory_mb": lambda text: _number(text, int, "memory_mb") if text.strip() else None,
-    "timeout_s": lambda text: _number(text, float, "timeout_s") if text.strip() else None,
-}
-"""How each field that does not depend on the algorithm is read."""
-
-CONTENT_FIELDS = {name: READERS[name] for name in ("playback_mode", "playback_rate")}
-"""Those of them that are part of a configuration."""

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 import pytest
 
 from slamhive.bags.room import RoomOptions
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import RunState
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 
 pytestmark = pytest.mark.integration
@@ -28,7 +30,7 @@ def hive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
 )
 def test_each_system_follows_the_room_within_ten_centimetres(hive: Hive, algorithm: str, poses: int) -> None:
     # Sequential: what is tested here is that the system is right, not how fast this machine is at the moment.
-    (queued,) = hive.runs.submit(Submission(algorithm, "room", playback_mode="sequential"))
+    (queued,) = hive.runs.submit(Submission(algorithm, "room", playback_mode=PlaybackMode.SEQUENTIAL))
     hive.worker(only=[queued.id]).run(until_idle=True)
     run = hive.runs.get(queued.id)
     assert run.state is RunState.SUCCEEDED, f"{run.detail}: {hive.runs.log(run.id)[-2000:]}"
@@ -45,7 +47,11 @@ def test_each_system_follows_the_room_within_ten_centimetres(hive: Hive, algorit
 def test_kiss_icp_leaves_its_map_if_asked(hive: Hive) -> None:
     """Compared as its first pose has it: on so short a path positions alone leave some degrees of rotation open."""
     asked = Submission(
-        "kiss-icp", "room", parameters={"save_map": True}, playback_mode="sequential", alignment="first_pose"
+        "kiss-icp",
+        "room",
+        parameters={"save_map": True},
+        playback_mode=PlaybackMode.SEQUENTIAL,
+        alignment=Alignment.FIRST_POSE,
     )
     (queued,) = hive.runs.submit(asked)
     hive.worker(only=[queued.id]).run(until_idle=True)

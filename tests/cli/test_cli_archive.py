@@ -53,7 +53,7 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_template: Path
 def test_out_checked_and_in_again(world: Path) -> None:
     file = str(world / "a.zip")
     assert "one of --all, --where" in call("archive", "export", file).stderr
-    assert "no run is like that" in call("archive", "export", file, "--where", "seed = 99").stderr
+    assert "no run matches" in call("archive", "export", file, "--where", "seed = 99").stderr
     found = json.loads(call("archive", "export", file, "--where", "state = succeeded", "--json").stdout)
     assert found["counts"]["runs"] == 11
     assert "exists already" in call("archive", "export", file, "--all").stderr

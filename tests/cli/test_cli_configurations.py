@@ -62,7 +62,7 @@ def test_lists_filter_and_compare_along_one_axis(configuration: Command):
     assert configuration.json("groups") == {"some": 2}
     listing = configuration("list", "--show", "seconds", "--limit", "2")
     assert listing.stdout.splitlines()[0].split()[:5] == ["id", "name", "algorithm", "dataset", "seconds"]
-    assert "2 of 3 configurations; --after 2 goes on" in listing.stderr
+    assert "2 of 3 configurations; continue with --after 2" in listing.stderr
     assert [entry["id"] for entry in configuration.json("list", "--after", "2")] == [1]
     assert configuration("group", "some", "1", "3", "--remove").stdout == "some: 0 configurations\n"
 

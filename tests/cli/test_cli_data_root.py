@@ -29,7 +29,10 @@ def leaves(command: click.Command, name: str = "") -> Iterator[tuple[str, click.
     if not isinstance(command, click.Group) or (command.invoke_without_command and name):
         yield name, command
     if isinstance(command, click.Group):
-        for part, below in command.commands.items():
+        context = click.Context(command)
+        for part in command.list_commands(context):
+            below = command.get_command(context, part)
+            assert below is not None
             yield from leaves(below, f"{name} {part}".strip())
 
 

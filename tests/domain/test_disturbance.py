@@ -11,8 +11,6 @@ from slamhive.domain.disturbance import (
     DisturbanceLimits,
     HostInterval,
     HostLoad,
-    disturbance_from_json,
-    disturbance_to_json,
     judge,
 )
 from slamhive.settings import Settings
@@ -113,8 +111,7 @@ def test_json_keeps_everything(known):
         load(*[replace(QUIET, steal_fraction=0.5)] * 3, not_measured=("throttling: no file",)), 3.0, None, LIMITS
     )
     found = found if known else Disturbance(known=False, not_measured=("the machine",))
-    assert disturbance_from_json(json.loads(json.dumps(disturbance_to_json(found)))) == found
-    assert disturbance_from_json(None) is None
+    assert Disturbance.of(json.loads(json.dumps(found.content))) == found
 
 
 def test_the_default_limits_are_those_tested_here():

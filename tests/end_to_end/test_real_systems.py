@@ -9,7 +9,7 @@ import pytest
 
 from slamhive.bags.room import RoomOptions
 from slamhive.domain.run import RunState
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.store import RunRecord
 

@@ -11,11 +11,12 @@ import pytest
 
 from slamhive.bags.room import RoomOptions
 from slamhive.catalogue.dataset_file import dataset_to_yaml
+from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.run import RunState
 from slamhive.domain.variant import Variant, VariantStep, parse_step
 from slamhive.runtime import config as run_config
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.store import RunRecord
 
@@ -51,7 +52,7 @@ def half_size_run(hive: Hive) -> RunRecord:
 def run(hive: Hive, algorithm: str, dataset: str, variant: Variant = ()) -> RunRecord:
     """Message by message: frames that a busy machine loses are not what is asked about here."""
     parameters = {"nFeatures": 2000} if algorithm == ORB else {}
-    wanted = Submission(algorithm, dataset, parameters, playback_mode="sequential", variant=variant)
+    wanted = Submission(algorithm, dataset, parameters, playback_mode=PlaybackMode.SEQUENTIAL, variant=variant)
     (queued,) = hive.runs.submit(wanted)
     hive.worker(only=[queued.id]).run(until_idle=True)
     return hive.runs.get(queued.id)

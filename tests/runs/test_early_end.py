@@ -3,9 +3,9 @@ from __future__ import annotations
 import pytest
 
 from slamhive.domain.run import FailureReason
-from slamhive.domain.stop_when import NEVER, StopWhen
 from slamhive.runs.early_end import EarlyEnd, Observation, broken_rule, skipped
 from slamhive.runs.outcome import UNSEEN, Evidence, TrajectoryCheck, decide
+from slamhive.schema.submission import NEVER, StopWhen
 
 ALL = StopWhen(lost_tracking_s=5, memory_mb=100, time_s=60)
 VALID = TrajectoryCheck(poses=7)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
+from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.variant import VariantStep
 from slamhive.evaluation.job import Artefacts
+from slamhive.schema.submission import Submission
 from slamhive.services.configurations.changes import Changes, Label
-from slamhive.services.configurations.submission import Submission
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.services.imports.request import ImportRequest
@@ -125,7 +126,9 @@ def _edit_definition(hive: Hive) -> None:
 
 def _leave_waiting(hive: Hive) -> None:
     """Runs and experiments of which no worker has begun anything."""
-    waiting = hive.runs.submit(Submission("tiny", "track", {"seconds": 0.02}, repeat=3, seed=5, alignment="se3"))
+    waiting = hive.runs.submit(
+        Submission("tiny", "track", {"seconds": 0.02}, repeat=3, seed=5, alignment=Alignment.SE3)
+    )
     hive.runs.cancel(waiting[1].id)
     for name, seconds in (("waits", 0.03), ("paused", 0.04), ("cancelled", 0.05)):
         hive.experiments.start(ExperimentSource(EXPERIMENT.format(name=name, seconds=seconds), f"{name}.yaml"))

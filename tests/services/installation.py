@@ -12,7 +12,7 @@ import pytest
 
 from slamhive.executors.docker.engine import INSTALLATION_LABEL
 from slamhive.executors.registry import installation_id
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from tests.services.accounts import Accounts, settle_accounts
 from tests.services.docker_base import run_docker

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import parse_step
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError
 from slamhive.runtime import config as run_config
+from slamhive.schema.submission import Submission
 from slamhive.services.configurations.changes import Changes, Label
-from slamhive.services.configurations.submission import Submission
-from slamhive.services.configurations.words import configuration_to_json, parse_conditions
+from slamhive.services.configurations.words import configuration_document, parse_conditions
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.worker import worker as worker_module
 from slamhive.settings import Mode
@@ -44,7 +45,14 @@ parameters:
   kind: {type: enum, default: fast, choices: [fast, slow], help: An enum.}
   K: {type: matrix, default: [1, 0, 0.5], help: A matrix.}
 """
-EVERY_TYPE = {"count": 5, "wait_s": 1.0, "loud": False, "words": "#1: é", "kind": "slow", "K": (1.0, 2.0)}
+EVERY_TYPE: dict[str, Value] = {
+    "count": 5,
+    "wait_s": 1.0,
+    "loud": False,
+    "words": "#1: é",
+    "kind": "slow",
+    "K": (1.0, 2.0),
+}
 
 
 @pytest.fixture
@@ -67,7 +75,7 @@ def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_template: Path)
     opened.close()
 
 
-def typed(**parameters: object) -> Submission:
+def typed(**parameters: Value) -> Submission:
     return Submission("typed", "track", parameters)
 
 
@@ -115,7 +123,7 @@ def test_every_type_from_definition_to_store_to_config_yaml_to_search(hive: Hive
     for text in conditions:
         page = hive.configurations.page(ConfigurationFilter(conditions=parse_conditions([text])))
         assert [record.id for record in page.records] == [stored.record.id], text
-    shown = configuration_to_json(stored.record)["parameters"]
+    shown = configuration_document(stored.record).content["parameters"]
     assert shown["count"] == {"value": 5, "type": "int", "unit": "", "general": "features"}
     assert {key: entry["type"] for key, entry in shown.items()} == {
         "count": "int", "wait_s": "float", "loud": "bool", "words": "string", "kind": "enum", "K": "matrix"

@@ -10,10 +10,10 @@ import pytest
 from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.run import RunState
 from slamhive.executors.status import Exited, RunHandle, Running
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.run import Run
+from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
-from slamhive.services.runs.as_json import run_to_json
 from slamhive.store.records import RunRecord
 from tests.burning import busy_machine
 from tests.services.disturbed_machine import beside
@@ -40,7 +40,7 @@ def test_a_disturbed_run_succeeds_and_says_so_everywhere(hive: Hive) -> None:
     assert run.disturbance.disturbed
     words = "other processes used more than 0.5 of 2 cores for 75 % of the run (1.4 on average)"
     assert run.disturbance.words == words
-    shown = run_to_json(run)["disturbance"]
+    shown = Run.of(run).content["disturbance"]
     assert shown == hive.runs.record(run.id)["disturbance"]
     assert shown == {
         "disturbed": True,

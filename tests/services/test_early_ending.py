@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.stop_when import StopWhen
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Running
 from slamhive.runs.outcome import UNSEEN
-from slamhive.services.configurations.submission import Submission, unwatchable
+from slamhive.schema.submission import StopWhen, Submission
+from slamhive.services.configurations.submission import unwatchable
 from slamhive.services.worker.evidence import STOP_RULE, STOPPED_BECAUSE
 from slamhive.store import Lease
 from tests.services.fake_executor import FakeExecutor, write_trajectory

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive
 from slamhive.services.worker.leftovers import sweep_leftovers
 from slamhive.store import Lease

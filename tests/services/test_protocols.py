@@ -14,7 +14,7 @@ from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.evaluation.presets import PRESETS
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
 from slamhive.settings import Settings

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from slamhive.runs.folder import RunFolder
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
 from slamhive.services.runs.record import begin_record

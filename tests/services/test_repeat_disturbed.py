@@ -11,7 +11,7 @@ import pytest
 
 from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput, Unavailable
-from slamhive.services.experiments.as_json import cell_to_json, preview_to_json, status_to_json
+from slamhive.schema import experiment as schema
 from slamhive.services.experiments.status import counted_runs
 from slamhive.services.experiments.views import ExperimentSource, Phase, Standing
 from slamhive.services.hive import Hive, open_hive
@@ -72,11 +72,11 @@ def test_it_is_repeated_so_often_at_most_and_the_last_counts_marked(hive: Hive) 
     assert [run.repeat_disturbed for run in runs_of(hive)] == [2, 1, 0]
     status = hive.experiments.status("one")
     assert (status.counts[Phase.UNJUDGED], status.retried, status.disturbed) == (1, 2, 1)
-    assert status_to_json(status)["disturbed"] == 1
+    assert schema.ExperimentStatus.of(status).content["disturbed"] == 1
     (cell,) = hive.experiments.report("one")
     (figures,) = cell.figures
     assert (figures.runs, figures.disturbed) == (1, 1)
-    assert [run["disturbed"] for run in cell_to_json(cell)["runs"]] == [True, True, True]
+    assert [run["disturbed"] for run in schema.Cell.of(cell).content["runs"]] == [True, True, True]
 
 
 def test_without_the_field_nothing_is_repeated_but_all_is_marked(hive: Hive) -> None:
@@ -201,7 +201,7 @@ def test_reindexing_queues_the_repetition_that_had_not_begun(hive: Hive, tmp_pat
 def test_the_plan_shows_it(hive: Hive) -> None:
     preview = hive.experiments.preview(source())
     assert (preview.runs, preview.repeat_disturbed) == (1, 2)
-    assert preview_to_json(preview)["repeat_disturbed"] == 2
+    assert schema.ExperimentPreview.of(preview).content["repeat_disturbed"] == 2
 
 
 @pytest.mark.parametrize("text", ["-1", "11", "often", "1.5"])

@@ -15,7 +15,7 @@ from slamhive.domain.variant import VariantStep
 from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Running
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.datasets import variants as variants_module
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.searches import service as module
 from slamhive.services.searches.service import LeftOut, Searches
 from slamhive.store import Count

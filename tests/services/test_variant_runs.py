@@ -18,14 +18,14 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import VariantStep, parse_step
 from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
 from slamhive.runtime import config as run_config
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.run import Run
+from slamhive.schema.submission import Submission
 from slamhive.services.datasets import variants as variants_module
 from slamhive.services.datasets.variants import IDENTITY
 from slamhive.services.experiments.checks import UNMEASURED_BYTES_PER_S
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
-from slamhive.services.runs.as_json import run_to_json
 from slamhive.services.worker import worker as worker_module
 from slamhive.tree import folder_bytes
 from tests.services.fake_executor import FakeExecutor, Running, write_trajectory
@@ -100,7 +100,7 @@ def test_the_record_says_which_variant_it_was(hive):
     source = hive.catalogue.dataset("track")
     assert record["dataset"]["variant"] == entry.key
     assert record["dataset"]["checksum"] == source.checksum != record["dataset"]["variant_checksum"]
-    assert record["request"]["variant"] == run_to_json(run)["variant"] == list(map(dict, entry.steps))
+    assert record["request"]["variant"] == Run.of(run).content["variant"] == list(map(dict, entry.steps))
     assert run.variant == HALF
     assert run.dataset_checksum == source.checksum
 

@@ -16,9 +16,9 @@ from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, Unavail
 from slamhive.executors.base import EngineUnavailable, ImageMissing, StartFailed
 from slamhive.executors.status import Exited, Gone, Running
 from slamhive.runs.folder import RunFolder
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.run import Run
+from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, check_indexed, open_hive
-from slamhive.services.runs.as_json import run_to_json
 from slamhive.services.worker import worker as worker_module
 from slamhive.services.worker.run_in_hand import RunInHand
 from slamhive.store import Lease, LeaseLost
@@ -83,7 +83,7 @@ def test_each_way_to_fail_has_its_reason(hive, executor, reason, detail):
     assert (run.state, run.reason) == (RunState.FAILED, reason)
     assert detail in run.detail
     assert hive.runs.record(run.id)["reason"] == reason.value
-    assert run_to_json(run)["metrics"].get("ate.rmse") is None
+    assert Run.of(run).content["metrics"].get("ate.rmse") is None
 
 
 def test_a_stuck_algorithm_ends_by_its_timeout(hive):

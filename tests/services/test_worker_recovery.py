@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.domain.run import RunState
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.evaluations.service import Evaluations
 from slamhive.services.hive import Hive, open_hive
 from tests.waiting import PATIENCE_S, eventually

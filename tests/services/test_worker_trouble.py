@@ -13,7 +13,7 @@ from slamhive.errors import Unavailable
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.base import EngineUnavailable, ImageMissing
 from slamhive.executors.status import Exited, RunHandle, Running
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.store import EvaluationState, Lease
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit

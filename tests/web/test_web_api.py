@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+from slamhive.schema import catalogue
+from slamhive.schema.run import RunWith
 from slamhive.services.executors import Executors
 from slamhive.web.security import API_HEADER
 from tests.web.web_world import Web
@@ -28,6 +30,21 @@ def test_a_run_has_the_fields_that_everything_shares(shown: Web):
         assert field in run
     assert [event["to"] for event in run["events"]][-1] == "succeeded"
     assert run["evaluations"][0]["state"] == "succeeded"
+
+
+def test_every_answer_is_what_its_model_says(shown: Web):
+    """What is read by the model and written again is the same: the schemas of the documentation hold."""
+
+    def get(path: str) -> Any:
+        return shown.client.get(f"/api/v1/{path}").get_json()
+
+    for run_id in shown.runs.values():
+        assert RunWith.read(get(f"runs/{run_id}")).content == get(f"runs/{run_id}")
+    for kind, name in ((catalogue.Algorithm, "algorithms"), (catalogue.Dataset, "datasets")):
+        entries = get(name)[name]
+        assert [kind.read(entry).content for entry in entries] == entries
+    for entry in get("configurations")["configurations"]:
+        assert catalogue.Configuration.read(entry).content == entry
 
 
 def test_runs_are_paged(shown: Web):

@@ -9,9 +9,9 @@ from pydantic import Field, model_validator
 
 from slamhive.analysis.forms.base import FormOptions, number_column
 from slamhive.analysis.table import RunTable
-from slamhive.catalogue.validation import explained
 from slamhive.domain.metrics import Direction
 from slamhive.errors import InvalidInput
+from slamhive.schema.validation import explained
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Multiple = Annotated[float, Field(ge=1, le=1000)]

@@ -26,9 +26,9 @@ from slamhive.analysis.forms.base import (
 from slamhive.analysis.forms.places import legend, look_of
 from slamhive.analysis.result import FormResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED, RunTable
-from slamhive.catalogue.validation import explained
 from slamhive.domain.metrics import Direction
 from slamhive.errors import InvalidInput
+from slamhive.schema.validation import explained
 
 
 class ParetoOptions(FormOptions):

@@ -1,4 +1,4 @@
-"""Check an archive: read everything that will be filed before anything is filed."""
+"""Everything in an archive that will be filed is read once before anything is filed."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 from slamhive.domain.names import check_name
 from slamhive.errors import InvalidInput
 from slamhive.files import temporary_folder
+from slamhive.schema.archive import AlgorithmLine, RunLine
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.reading import ArchiveReader, Place, not_unpacked
 from slamhive.services.experiments import RECORD, SOURCE
@@ -17,12 +18,12 @@ from slamhive.store.experiment_records import ExperimentRecord
 from slamhive.sweep.experiment_file import parse_experiment
 
 Progress = Callable[[float, str], None]
-"""Called with the share done (0..1) and the current activity."""
+"""Called with the share done (0..1) and what is being done."""
 
 
 @dataclass
 class Contents:
-    """The content of a checked archive: {uid: number} of its runs, and its experiments."""
+    """What is known of an archive that was checked: uids of its runs with their numbers, and its experiments."""
 
     runs: dict[str, int] = field(default_factory=dict)
     datasets: list[str] = field(default_factory=list)
@@ -31,27 +32,25 @@ class Contents:
 
 
 def check_archive(archive: ArchiveReader, progress: Progress, place: Place = not_unpacked) -> Contents:
-    """Compare every member with its checksum and read every row; raises InvalidInput for the first error.
+    """Compare every member with its checksum and read every row; raises InvalidInput for the first that is wrong.
 
-    Members for which ``place`` returns a path are unpacked meanwhile.
+    What ``place`` tells is unpacked on the way.
     """
     archive.verify(lambda done, total: progress(0.8 * done / max(total, 1), "comparing checksums"), place)
     contents = Contents()
     _check_runs(archive, contents, progress)
     _check_datasets(archive, contents)
-    algorithms = {lines.algorithm_from_line(content)[0] for content in archive.lines(layout.ALGORITHMS)}
+    algorithms = {lines.read_line(AlgorithmLine, content).name for content in archive.lines(layout.ALGORITHMS)}
     configurations = set()
     for content in archive.lines(layout.CONFIGURATIONS):
         line = lines.configuration_from_line(content)
         if line.configuration.algorithm not in algorithms or line.configuration.dataset not in contents.datasets:
-            raise InvalidInput(
-                f"configuration {line.id} of the archive refers to something that is missing in it", "export it again"
-            )
+            raise InvalidInput(f"configuration {line.id} of the archive refers to what it lacks", "export it again")
         configurations.add(line.id)
     contents.experiments = [lines.experiment_from_line(content) for content in archive.lines(layout.EXPERIMENTS)]
     names = {record.name for record in contents.experiments}
     if len(names) < len(contents.experiments):
-        raise InvalidInput("the archive has two experiments with the same name", "export it again")
+        raise InvalidInput("the archive has two experiments of one name", "export it again")
     for record in contents.experiments:
         parse_experiment(record.source, f"experiment {record.name} of the archive")
     cells: set[tuple[str, int]] = set()
@@ -61,9 +60,7 @@ def check_archive(archive: ArchiveReader, progress: Progress, place: Place = not
             raise InvalidInput(f"the archive has cell {cell.number} of {experiment[:64]} twice", "export it again")
         cells.add((experiment, cell.number))
         if experiment not in names or cell.configuration_id not in configurations:
-            raise InvalidInput(
-                f"a cell of the archive refers to something that is missing in it: {experiment[:64]}, {cell.name}"
-            )
+            raise InvalidInput(f"a cell of the archive refers to what it lacks: {experiment[:64]}, {cell.name}")
     for content in archive.lines(layout.SEARCHES):
         lines.search_from_line(content)
     for content in archive.lines(layout.ANALYSES):
@@ -76,7 +73,7 @@ def _check_runs(archive: ArchiveReader, contents: Contents, progress: Progress) 
     expected = max(archive.manifest.counts.get("runs", 0), 1)
     numbers: set[int] = set()
     for content in archive.lines(layout.RUNS):
-        line = lines.run_from_line(content)
+        line = lines.read_line(RunLine, content)
         if line.uid in contents.runs or line.id in numbers:
             raise InvalidInput(f"the archive has run {line.id} twice", "export it again")
         record = archive.json(f"runs/{line.id}/run.json") if line.record is None else line.record
@@ -88,7 +85,7 @@ def _check_runs(archive: ArchiveReader, contents: Contents, progress: Progress) 
             contents.runs_of_experiment[name] = contents.runs_of_experiment.get(name, 0) + 1
         progress(0.8 + 0.2 * min(len(numbers) / expected, 1.0), "reading records")
     if len(numbers) != archive.manifest.counts.get("runs", 0):
-        raise InvalidInput(f"the archive has {len(numbers)} runs, but states another number", "export it again")
+        raise InvalidInput(f"the archive has {len(numbers)} runs and says to have another number", "export it again")
 
 
 def _check_datasets(archive: ArchiveReader, contents: Contents) -> None:
@@ -106,7 +103,7 @@ def _check_datasets(archive: ArchiveReader, contents: Contents) -> None:
 
 
 def _check_folders(archive: ArchiveReader, contents: Contents, experiments: set[str]) -> None:
-    """Raise InvalidInput for a member outside the folders of the filed runs, datasets and experiments."""
+    """No member is outside the folders of what is filed."""
     numbers = set(contents.runs.values())
     datasets = set(contents.datasets)
     for name in archive.names:

@@ -1,4 +1,4 @@
-"""Export runs with everything that belongs to them, as a stream; the file is complete or does not exist."""
+"""Exporting runs with all that belongs to them: streamed, and a file that is whole or not there."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from slamhive.clock import utc_now
 from slamhive.domain.run import RunEvent
 from slamhive.errors import Conflict, InvalidInput, SlamHiveError
 from slamhive.runs.folder import RunFolder
+from slamhive.schema.archive import AlgorithmLine, AnalysisLine, ExperimentLine
 from slamhive.services.analyses import AnalysisFolder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.writing import ArchiveWriter, archive_writer
@@ -33,11 +34,11 @@ ODD_NAMES = "files with names that no archive holds"
 _SCRATCH, _RESULT = "work", "result"
 
 Progress = Callable[[int, int], None]
-"""Called with the number of runs done and their total."""
+"""Called with how many runs are done, and how many there are."""
 
 
 class Part(StrEnum):
-    """Files of runs that an export can leave out."""
+    """Files of runs that an export may go without."""
 
     TRAJECTORIES = "trajectories"
     MAPS = "maps"
@@ -56,7 +57,7 @@ _LEFT_OUT: dict[Part, Callable[[str], bool]] = {
 
 @dataclass(frozen=True, slots=True)
 class ExportRequest:
-    """What to export: everything (``run_ids`` None), or these runs with everything that they refer to."""
+    """What to export: all runs (``run_ids`` None) with everything else that is stored, or these with what they need."""
 
     path: Path
     run_ids: Sequence[int] | None = None
@@ -66,7 +67,7 @@ class ExportRequest:
 
 @dataclass
 class ExportReport:
-    """Number of rows of each kind in the archive; number of runs and files left out, by reason."""
+    """How many rows of each kind are in the archive, and how many runs, and files of runs, are not, by reason."""
 
     counts: Counter[str] = field(default_factory=Counter)
     left_out: Counter[str] = field(default_factory=Counter)
@@ -76,7 +77,7 @@ class ExportReport:
 
 @dataclass(frozen=True, slots=True)
 class _Batch:
-    """A batch of runs with their rows."""
+    """Some runs with what is exported of their rows."""
 
     runs: tuple[RunRecord, ...]
     originals: Mapping[int, str]
@@ -87,13 +88,13 @@ class _Batch:
 def export_archive(settings: Settings, store: Store, request: ExportRequest, progress: Progress) -> ExportReport:
     """Write the archive; raises Conflict if the file exists, InvalidInput if there is nothing to export."""
     if request.path.exists() and not request.replace:
-        raise Conflict(f"{request.path} exists already", "choose another file, or use --replace")
+        raise Conflict(f"{request.path} exists already", "choose another file, or say --replace")
     if not request.path.absolute().parent.is_dir():
-        raise InvalidInput(f"the folder of {request.path} does not exist", "create it first")
+        raise InvalidInput(f"the folder of {request.path} does not exist", "make it first")
     report = ExportReport()
     run_ids = _ended(store, request, report)
     if not run_ids:
-        raise InvalidInput("no run that could be exported has ended", "slamhive runs lists them")
+        raise InvalidInput("there is no run to export that has ended", "slamhive runs lists them")
     with archive_writer(request.path.absolute()) as archive:
         export = _Export(settings, store, archive, request, report)
         for start in range(0, len(run_ids), BATCH):
@@ -143,14 +144,14 @@ class _Export:
         self._modes = {record.name: record.mode for record in store.read(lambda t: t.catalogue.algorithms())}
 
     def runs(self, run_ids: Sequence[int]) -> Iterator[int]:
-        """Add runs with their folders; yields the number of each."""
+        """Add runs with their folders; the number of each."""
         batch = self._store.read(lambda t: _batch(t, run_ids))
         for run in batch.runs:
             self._run(run, batch)
             yield run.id
 
     def rest(self, run_ids: Sequence[int]) -> None:
-        """Add everything that the runs refer to; in a complete export, also everything else."""
+        """Add what the runs refer to, and if all are exported, everything else."""
         experiments = self._experiments_of_runs()
         ids = [record.id for record in experiments]
         if self._request.run_ids is None:
@@ -166,21 +167,20 @@ class _Export:
             self._experiment(record)
         for algorithm in self._store.read(lambda t: t.catalogue.algorithms()):
             if algorithm.name in self._algorithms:
-                content = {"name": algorithm.name, "package": algorithm.package, "mode": algorithm.mode}
-                self._line(layout.ALGORITHMS, content)
+                self._line(layout.ALGORITHMS, AlgorithmLine.of(algorithm).content)
         for dataset in self._store.read(lambda t: t.catalogue.datasets()):
             if dataset.name in self._datasets:
                 self._line(layout.DATASETS, lines.dataset_to_line(dataset))
                 self._dataset_folder(dataset.name)
 
     def _analyses(self) -> None:
-        """Add the files of listed analyses."""
+        """The listed ones, as they are stated."""
         for record in self._store.read(lambda t: t.analyses.listed(_MOST_ANALYSES)):
             try:
                 source = AnalysisFolder(self._settings.analyses_folder / record.token).source
             except SlamHiveError:
                 continue
-            self._line(layout.ANALYSES, lines.analysis_to_line(record, source))
+            self._line(layout.ANALYSES, AnalysisLine.of(record, source=source).content)
 
     def _line(self, member: str, content: dict[str, Any]) -> None:
         self._archive.add_line(member, content)
@@ -207,7 +207,7 @@ class _Export:
             self._experiments.add(run.experiment)
 
     def _sealed(self, folder: RunFolder, run: RunRecord, events: list[RunEvent]) -> dict[str, Any] | None:
-        """The record in the run's folder; None if it is missing or belongs to another run."""
+        """The record in the run's folder; None if there is none, or that of another run."""
         try:
             record = folder.read_record()
         except SlamHiveError:
@@ -236,7 +236,7 @@ class _Export:
         ]
 
     def _experiment(self, record: ExperimentRecord) -> None:
-        self._line(layout.EXPERIMENTS, lines.experiment_to_line(record))
+        self._line(layout.EXPERIMENTS, ExperimentLine.of(record).content)
         for name in (SOURCE, RECORD):
             self._archive.add_file(
                 f"experiments/{record.name}/{name}", self._settings.experiments_folder / record.name / name
@@ -256,7 +256,7 @@ class _Export:
                 self._datasets.add(record.configuration.dataset)
 
     def _dataset_folder(self, name: str) -> None:
-        """Add the description and ground truth of a dataset, without its recording."""
+        """Its description and its ground truth; the recording stays where it is."""
         folder = self._settings.datasets_folder / name
         try:
             dataset = load_dataset(folder)
@@ -299,7 +299,7 @@ def _files(root: Path, left_out: Counter[str]) -> Iterator[tuple[str, Path]]:
 
 
 def _unfit(entry: Entry) -> str | None:
-    """Why a path below a run folder cannot be a member; empty if it can; None for a folder."""
+    """Why something below a run folder cannot be a member, empty if it can; None for a folder, which is none."""
     if entry.is_folder:
         return None if entry.entered else "folders too deep to be looked into"
     return "" if entry.is_file else "links, pipes and other things that are no files"

@@ -1,8 +1,8 @@
-"""Import an archive and merge it with the installation; nothing is imported twice.
+"""Importing an archive: merged with what is here, whole or completed by the same command, nothing twice.
 
-Folders of runs are unpacked aside while their checksums are compared. Once the whole archive is verified, each batch of
-runs is filed in one transaction, and its folders are renamed into place. The same command completes an import that was
-killed at any time.
+Folders of runs are unpacked aside while their checksums are compared. When all is known to be whole, each batch of runs
+is filed in one transaction, and their folders are renamed into place right after; an import that is killed in between,
+or anywhere else, is completed by the same command.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any
 from slamhive.clock import utc_now
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.runs.folder import RunFolder
+from slamhive.schema.archive import RunLine
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.checking import Contents, Progress, check_archive
 from slamhive.services.archive.reading import ArchiveReader, open_archive
@@ -40,13 +41,13 @@ from slamhive.store import Store, Transaction
 
 BATCH = 100
 _CHECKING = 0.7
-"""The share of the time that checking and unpacking take."""
+"""The share of the time that comparing checksums takes, unpacking on the way."""
 _MB = 1_000_000
 
 
 @dataclass
 class ArchiveReport:
-    """Numbers of imported runs, and notes on everything that differs from the archive."""
+    """What became of the runs of an archive, in numbers, and what was done otherwise than one may think."""
 
     imported: int = 0
     known: int = 0
@@ -58,16 +59,16 @@ class ArchiveReport:
 
 @dataclass(frozen=True, slots=True)
 class _Unpacked:
-    """An unpacked run of the archive (``folder`` None if it has no folder)."""
+    """A run of the archive, unpacked aside (``folder`` None if it has no folder)."""
 
-    line: lines.RunLine
+    line: RunLine
     run: FolderRun
     folder: RunFolder | None
 
 
 @dataclass(frozen=True, slots=True)
 class _Ready:
-    """The folder of the unpacked runs, and what the runs refer to."""
+    """Where folders of runs lie unpacked, and what the runs refer to."""
 
     aside: Path
     around: Surroundings
@@ -78,8 +79,8 @@ class ArchiveImport:
 
     Args:
         settings: Mode and data root.
-        store: The database.
-        catalogue: The algorithms of this installation.
+        store: Where rows are filed.
+        catalogue: The algorithms that are here.
     """
 
     def __init__(self, settings: Settings, store: Store, catalogue: Catalogue) -> None:
@@ -91,9 +92,9 @@ class ArchiveImport:
         """Check the archive as a whole, then import it.
 
         Raises:
-            InvalidInput: The archive is damaged, modified or not an archive of SLAM Hive; nothing has changed.
-            Conflict: Another import is running.
-            Unavailable: The disk or the database failed; runs imported until then stay.
+            InvalidInput: The archive is damaged, tampered with or none of ours; nothing has changed.
+            Conflict: Another import is under way.
+            Unavailable: The disk or the database refuses; what was imported until then stays.
         """
         check_writable(self._settings)
         report = ArchiveReport()
@@ -131,9 +132,11 @@ class ArchiveImport:
             raise Unavailable(f"{aside} cannot be written: {error.strerror}", "check space and rights") from None
 
     def _wanted(self, archive: ArchiveReader) -> set[int]:
-        """The numbers, in the archive, of runs whose folders are missing here. The archive is not checked yet."""
+        """The runs, by their numbers in the archive, whose folders are not here. Nothing of it has been checked yet."""
         with_folder = {
-            line.uid: line.id for line in map(lines.run_from_line, archive.lines(layout.RUNS)) if line.record is None
+            line.uid: line.id
+            for line in (lines.read_line(RunLine, content) for content in archive.lines(layout.RUNS))
+            if line.record is None
         }
         known = self._store.read(lambda t: t.archive.known(list(with_folder)))
         return {number for uid, number in with_folder.items() if uid not in known or self._lacks_folder(known[uid])}
@@ -156,12 +159,12 @@ class ArchiveImport:
         report.kept_numbers = not others and all(contents.runs[uid] == number for uid, number in known.items())
         stream = iter(archive.lines(layout.RUNS))
         done = 0
-        while batch := [lines.run_from_line(content) for content in islice(stream, BATCH)]:
+        while batch := [lines.read_line(RunLine, content) for content in islice(stream, BATCH)]:
             self._batch(batch, ready, numbers, report)
             done += len(batch)
             progress(_CHECKING + (1 - _CHECKING) * done / len(contents.runs), f"{done}/{len(contents.runs)} runs")
 
-    def _batch(self, batch: list[lines.RunLine], ready: _Ready, numbers: dict[str, int], report: ArchiveReport) -> None:
+    def _batch(self, batch: list[RunLine], ready: _Ready, numbers: dict[str, int], report: ArchiveReport) -> None:
         wanted = [
             line
             for line in batch
@@ -186,7 +189,7 @@ class ArchiveImport:
     def _lacks_folder(self, number: int) -> bool:
         return not self._folder(number).record.exists()
 
-    def _read(self, line: lines.RunLine, ready: _Ready) -> _Unpacked:
+    def _read(self, line: RunLine, ready: _Ready) -> _Unpacked:
         folder, record, found = None, line.record, []
         if record is None:
             folder = RunFolder(ready.aside / str(line.id))
@@ -194,16 +197,16 @@ class ArchiveImport:
         experiment = ready.around.experiment_name(line.experiment)
         record = {**record, "request": {**record["request"], "experiment": experiment}}
         filed = read_filed(self._catalogue, record, f"the record of run {line.id}")
-        run = FolderRun(record, filed, found, _current(line, folder, found), line.evaluations, line.attempt)
+        run = FolderRun(record, filed, found, _current(line, folder, found), lines.evaluations_of(line), line.attempt)
         return _Unpacked(line, run, folder)
 
     def _put_in_place(self, entry: _Unpacked, folder: RunFolder, numbers: dict[str, int]) -> None:
-        """Renumber the record for this installation and rename the folder."""
+        """Give the record its numbers here, and rename the folder."""
         target = self._folder(numbers[entry.line.uid]).root
         record = _renumbered(entry, numbers)
         try:
             if record != folder.read_record():
-                # Nobody sees the folder before it is renamed, so the file need not be replaced atomically.
+                # Nobody sees the folder before it is renamed: no need to replace the file in one step.
                 folder.record.write_text(RunFolder.record_text(record), encoding="utf-8")
             folder.root.rename(target)
         except OSError as error:
@@ -213,8 +216,8 @@ class ArchiveImport:
         return RunFolder(self._settings.runs_folder / str(number))
 
 
-def _current(line: lines.RunLine, folder: RunFolder | None, found: list[FoundEvaluation]) -> str | None:
-    """The current protocol of the run in its original installation, if its metrics are in the archive."""
+def _current(line: RunLine, folder: RunFolder | None, found: list[FoundEvaluation]) -> str | None:
+    """The protocol that the run showed where it comes from, if its figures have come along."""
     if folder is None:
         return None
     done = {result.fingerprint for _, result, _ in found if result.succeeded}
@@ -222,7 +225,7 @@ def _current(line: lines.RunLine, folder: RunFolder | None, found: list[FoundEva
 
 
 def _renumbered(entry: _Unpacked, numbers: dict[str, int]) -> dict[str, Any]:
-    """The record with numbers of this installation; a reference to a missing run is removed."""
+    """The record with the numbers that runs have here; a run that repeats one that is not here repeats none."""
     original = None if entry.line.retry_of is None else numbers.get(entry.line.retry_of)
     record = entry.run.record
     return {**record, "id": numbers[entry.line.uid], "request": {**record["request"], "retry_of": original}}
@@ -231,7 +234,7 @@ def _renumbered(entry: _Unpacked, numbers: dict[str, int]) -> dict[str, Any]:
 def _file(
     t: Transaction, catalogue: Catalogue, entries: list[_Unpacked], known: dict[str, int], *, keep: bool
 ) -> dict[str, int]:
-    """File runs with their evaluations; returns {uid: number here}."""
+    """File runs with all that is known of them; {uid: number here}."""
     if not keep or t.archive.taken([entry.line.id for entry in entries]):
         given = _new_numbers(t, catalogue, entries)
     else:
@@ -246,7 +249,7 @@ def _file(
 
 
 def _new_numbers(t: Transaction, catalogue: Catalogue, entries: list[_Unpacked]) -> dict[str, int]:
-    """{uid: number of this installation}, with new rows that the caller fills right after."""
+    """{uid: number of this installation}, those of rows which are made what the records say right after."""
     places = put_configurations(t, catalogue, [entry.run.filed for entry in entries])
     requests = []
     for entry, (_, configuration_id) in zip(entries, places, strict=True):

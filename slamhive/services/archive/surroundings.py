@@ -1,4 +1,4 @@
-"""Merge what the runs of an archive refer to; existing data of the installation do not change."""
+"""What runs of an archive refer to, merged with what is here: what is here stays as it is."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from slamhive.bags.staging import new_dataset_folder
 from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 from slamhive.domain.parameters import Parameter
 from slamhive.errors import Conflict, SlamHiveError
+from slamhive.schema.archive import AlgorithmLine, ConfigurationLine
 from slamhive.services.analyses import AnalysisFolder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.checking import Contents
@@ -31,12 +32,12 @@ class Surroundings:
     """Datasets, algorithms, configurations, experiments and saved searches of one archive.
 
     Args:
-        settings: The folders.
-        store: The database.
-        catalogue: The algorithms of this installation.
-        archive: A checked archive.
-        contents: The result of the check.
-        notes: Gets a line for everything that differs from the archive.
+        settings: Where folders lie.
+        store: Where rows are filed.
+        catalogue: The algorithms that are here.
+        archive: Checked.
+        contents: What the check found.
+        notes: Gets a line for each thing that is not as in the archive.
     """
 
     def __init__(
@@ -58,7 +59,7 @@ class Surroundings:
         self._configurations: dict[int, int] = {}
 
     def import_before_runs(self, counts: Counter[str]) -> None:
-        """Import everything that the rows of runs refer to."""
+        """Everything that rows of runs refer to."""
         self._datasets(counts)
         self._algorithms()
         self._import_configurations(counts)
@@ -67,7 +68,7 @@ class Surroundings:
         self._cells()
 
     def import_after_runs(self, counts: Counter[str], *, kept_numbers: bool) -> None:
-        """Import what refers to runs; analyses only if run numbers are kept, because they may name runs by number."""
+        """What refers to all of it. Analyses may name runs by number: they come only where numbers are kept."""
         self._labels()
         if kept_numbers:
             self._analyses(counts)
@@ -83,7 +84,7 @@ class Surroundings:
                 self._notes.append(f"the saved search {record.name} is another one here, and stays")
 
     def _analyses(self, counts: Counter[str]) -> None:
-        """Import analyses under their tokens, to be computed by the worker."""
+        """Under the addresses that they have, to be computed by the worker."""
         for content in self._archive.lines(layout.ANALYSES):
             record, source = lines.analysis_from_line(content)
             folder = AnalysisFolder(self._settings.analyses_folder / record.token)
@@ -93,7 +94,7 @@ class Surroundings:
                 self._store.write(lambda t: t.analyses.put(record))  # noqa: B023
 
     def experiment_name(self, name: str | None) -> str | None:
-        """The name in this installation of an experiment of the archive."""
+        """What the experiment of this name in the archive is called here."""
         return None if name is None else self._experiment_names.get(name)
 
     # -- datasets and algorithms -----------------------------------------------------------------------------------
@@ -113,7 +114,7 @@ class Surroundings:
                 self._notes.append(f"dataset {name} is another one here: runs of the archive were made on theirs")
 
     def _dataset_folder(self, name: str) -> bool:
-        """Create the folder, without the recording, unless it exists; returns whether it was created."""
+        """Make the folder, without the recording, if there is none; whether it was made."""
         members = self._archive.below(f"datasets/{name}/")
         folder = self._settings.datasets_folder / name
         if folder.exists() or f"datasets/{name}/{DATASET_FILE}" not in members:
@@ -124,11 +125,11 @@ class Surroundings:
         return True
 
     def _algorithms(self) -> None:
-        known = [lines.algorithm_from_line(content) for content in self._archive.lines(layout.ALGORITHMS)]
+        known = [lines.read_line(AlgorithmLine, content) for content in self._archive.lines(layout.ALGORITHMS)]
 
         def work(t: Transaction) -> None:
-            for name, package, mode in known:
-                t.archive.algorithm_if_absent(name, package, mode)
+            for line in known:
+                t.archive.algorithm_if_absent(line.name, line.package, line.mode)
 
         self._store.write(work)
 
@@ -159,18 +160,18 @@ class Surroundings:
                 self._configurations[line.id] = number
                 counts["configurations"] += new
 
-    def _configuration_lines(self) -> Iterator[lines.ConfigurationLine]:
+    def _configuration_lines(self) -> Iterator[ConfigurationLine]:
         for content in self._archive.lines(layout.CONFIGURATIONS):
             yield lines.configuration_from_line(content)
 
     def _labels(self) -> None:
-        """Import names, notes and groups; existing names and notes do not change."""
+        """Names, notes and groups; a name or note that is here already stays."""
         for line in self._configuration_lines():
             if line.name is None and not line.note and not line.groups:
                 continue
             number = self._configurations[line.id]
 
-            def work(t: Transaction, line: lines.ConfigurationLine = line, number: int = number) -> str | None:
+            def work(t: Transaction, line: ConfigurationLine = line, number: int = number) -> str | None:
                 here = t.configuration_book.get(number)
                 for group in line.groups:
                     t.configuration_book.add_to_group(group, [number])
@@ -211,7 +212,7 @@ class Surroundings:
         counts["experiments"] += 1
 
     def _settled_state(self, record: ExperimentRecord) -> ExperimentState:
-        """The state of an experiment: an incomplete one counts as cancelled, so that nothing is queued for it."""
+        """Nothing of an experiment that is not whole must be queued again here."""
         whole = record.complete and self._contents.runs_of_experiment.get(record.name, 0) >= record.runs
         return record.state if whole else ExperimentState.CANCELLED
 
@@ -222,7 +223,7 @@ class Surroundings:
             taken = self._store.read(lambda t: t.experiments.find(name))  # noqa: B023
             if taken is None and (stamp is None or stamp.uid == record.uid):
                 return name
-        raise Conflict(f"no free name is left for experiment {record.name}")
+        raise Conflict(f"there is no name left for experiment {record.name}")
 
     def _cells(self) -> None:
         ids = {record.name: record.id for record in self._store.read(lambda t: t.experiments.all())}
@@ -241,8 +242,8 @@ class Surroundings:
             self._store.write(work)
 
 
-def _definitions(line: lines.ConfigurationLine, aliases: dict[tuple[str, str], Any]) -> list[Parameter]:
-    """The definitions of the parameters; general names are those of this installation, if defined here."""
+def _definitions(line: ConfigurationLine, aliases: dict[tuple[str, str], Any]) -> list[Parameter]:
+    """How the parameters were defined; the general name of one that is defined here is the one it has here."""
     algorithm = line.configuration.algorithm
     return [replace(entry, general=aliases.get((algorithm, entry.key), entry.general)) for entry in line.definitions]
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.parameters import Value
 from slamhive.domain.variant import Variant
 from slamhive.services.configurations.words import check_label, check_note
 from slamhive.store import ConfigurationRecord
@@ -16,9 +18,9 @@ class Changes:
 
     algorithm: str | None = None
     dataset: str | None = None
-    parameters: Mapping[str, object] | None = None
+    parameters: Mapping[str, Value] | None = None
     variant: Variant | None = None
-    playback_mode: str | None = None
+    playback_mode: PlaybackMode | None = None
     playback_rate: float | None = None
 
 

@@ -11,10 +11,10 @@ from slamhive.clock import utc_now
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.parameters import check_stored, find_parameter
+from slamhive.domain.parameters import Value, check_stored, find_parameter
 from slamhive.errors import NotFound, unknown
+from slamhive.schema.submission import Submission
 from slamhive.services.configurations.changes import NO_LABEL, Changes, Label, Stored
-from slamhive.services.configurations.submission import Submission
 from slamhive.services.configurations.words import check_label
 from slamhive.services.datasets import Catalogue, Variants, check_writable
 from slamhive.settings import Settings
@@ -132,11 +132,11 @@ class Configurations:
         record, changes = self.get(configuration_id), changes or Changes()
         stored = record.configuration
         algorithm = self._catalogue.algorithm(changes.algorithm or stored.algorithm)
-        own: dict[str, object] = {}
+        own: dict[str, Value] = {}
         for name, value in (changes.parameters or {}).items():
             parameter = find_parameter(algorithm.parameters, name)
             own[name if parameter is None else parameter.key] = value
-        settings: dict[str, object] = {}
+        settings: dict[str, Value] = {}
         notes: list[str] = []
         for key, value in stored.parameters.items():
             definition = record.parameters.get(key)
@@ -151,7 +151,7 @@ class Configurations:
             algorithm=algorithm.name,
             dataset=changes.dataset or stored.dataset,
             parameters={**settings, **own},
-            playback_mode=changes.playback_mode or stored.playback.mode.value,
+            playback_mode=changes.playback_mode or stored.playback.mode,
             playback_rate=stored.playback.rate if changes.playback_rate is None else changes.playback_rate,
             variant=stored.variant if changes.variant is None else changes.variant,
         )
@@ -211,7 +211,7 @@ class Configurations:
             content.algorithm,
             content.dataset,
             content.parameters,
-            playback_mode=content.playback.mode.value,
+            playback_mode=content.playback.mode,
             playback_rate=content.playback.rate,
             variant=content.variant,
         )

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from typing import Any
 
-from slamhive.domain.variant import variant_to_json
 from slamhive.errors import InvalidInput
-from slamhive.services.json_values import plain, timestamp
+from slamhive.schema import catalogue as schema
 from slamhive.store import ConfigurationRecord, ParameterCondition
 
 LONGEST_NAME = 64
@@ -52,29 +50,13 @@ def parse_conditions(texts: Iterable[str]) -> tuple[ParameterCondition, ...]:
     return tuple(found)
 
 
-def configuration_to_json(record: ConfigurationRecord) -> dict[str, Any]:
-    """A configuration with its name, note and groups. ``parameters``: {key: value, type, unit, general name}."""
+def configuration_document(record: ConfigurationRecord) -> schema.Configuration:
+    """A configuration as JSON shows it: its content, the definitions of its parameters, and what users say about it."""
     content = record.configuration
-    return {
-        "id": record.id,
-        "name": record.name,
-        "note": record.note,
-        "groups": list(record.groups),
-        "algorithm": content.algorithm,
-        "dataset": content.dataset,
-        "parameters": {
-            key: {
-                "value": plain(value),
-                "type": record.parameters[key].type,
-                "unit": record.parameters[key].unit,
-                "general": record.parameters[key].general,
-            }
-            for key, value in content.parameters.items()
-        },
-        "variant": variant_to_json(content.variant),
-        "playback": {"mode": content.playback.mode.value, "rate": content.playback.rate},
-        "content_hash": content.content_hash,
-        "created_at": timestamp(record.created_at),
-        "runs": record.runs,
-        "experiments": list(record.experiments),
+    parameters = {
+        key: schema.ParameterValue.of(record.parameters[key], value=value) for key, value in content.parameters.items()
     }
+    said = {
+        name: getattr(record, name) for name in ("id", "name", "note", "groups", "created_at", "runs", "experiments")
+    }
+    return schema.Configuration.of(content, parameters=parameters, **said)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from slamhive.services.datasets.as_json import algorithm_to_json, dataset_to_json
-from slamhive.services.datasets.catalogue import Catalogue, check_writable
+from slamhive.services.datasets.catalogue import Catalogue, check_writable, dataset_document
 from slamhive.services.datasets.external import algorithm_here_or_elsewhere, choose_algorithm, imported_algorithms
 from slamhive.services.datasets.variants import IDENTITY, UsedVariant, Variants, variant_key
 
@@ -13,10 +12,9 @@ __all__ = [
     "UsedVariant",
     "Variants",
     "algorithm_here_or_elsewhere",
-    "algorithm_to_json",
     "check_writable",
     "choose_algorithm",
-    "dataset_to_json",
+    "dataset_document",
     "imported_algorithms",
     "variant_key",
 ]

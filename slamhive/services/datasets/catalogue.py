@@ -16,6 +16,7 @@ from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.names import check_name
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable, unknown
+from slamhive.schema import catalogue as schema
 from slamhive.settings import Mode, Settings
 
 Loaded = TypeVar("Loaded")
@@ -199,3 +200,10 @@ def _check_package(path: Path, algorithms: tuple[Algorithm, ...], others: list[A
                 f"{path}: package {taken[algorithm.name]} has an algorithm {algorithm.name!r} already",
                 "give the mode another name",
             )
+
+
+def dataset_document(dataset: Dataset) -> schema.Dataset:
+    """A dataset as JSON shows it, and whether the file of its ground truth exists."""
+    truth, path = dataset.groundtruth, dataset.groundtruth_path
+    shown = None if truth is None else schema.GroundTruth.of(truth, exists=path is not None and path.is_file())
+    return schema.Dataset.of(dataset, groundtruth=shown)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from slamhive.services.experiments.as_json import cell_to_json, grid_to_json, preview_to_json, status_to_json
 from slamhive.services.experiments.context import ExperimentContext, Progress
 from slamhive.services.experiments.folder import RECORD, SOURCE, ExperimentFolder, ExperimentStamp
 from slamhive.services.experiments.reporting import NO_FIGURES, csv_text, failures_text, varying
@@ -48,12 +47,8 @@ __all__ = [
     "Restored",
     "Spread",
     "Standing",
-    "cell_to_json",
     "csv_text",
     "failure_words",
     "failures_text",
-    "grid_to_json",
-    "preview_to_json",
-    "status_to_json",
     "varying",
 ]

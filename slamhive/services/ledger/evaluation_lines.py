@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from datetime import datetime
 
 from slamhive.domain.protocol import Protocol, protocol_from_content
-from slamhive.errors import InvalidInput
 from slamhive.evaluation.job import Artefacts
 from slamhive.services.ledger.book import Line
 from slamhive.services.ledger.lines import NOT_A_LINE, moment
@@ -80,7 +79,7 @@ def read_evaluations(lines: Iterable[Line]) -> LedgerEvaluations:
     for line in lines:
         try:
             _read(line, found)
-        except (InvalidInput, *NOT_A_LINE) as error:
+        except NOT_A_LINE as error:
             logger.warning("a malformed line of an evaluation is skipped: %r", error)
     return found
 

@@ -1,4 +1,4 @@
-"""Write the ledger: changes are appended right after their transaction is committed."""
+"""Keeping the ledger: what a transaction has stored is written down right after it was committed."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Ledger:
     """The ledger of one installation.
 
     Args:
-        settings: The folder of the ledger.
-        store: The database.
+        settings: Where it lies.
+        store: What it tells of.
     """
 
     def __init__(self, settings: Settings, store: Store) -> None:
@@ -41,19 +41,21 @@ class Ledger:
         self._experiments: dict[int, str] = {}
 
     def note(self, changes: Changes) -> None:
-        """Append committed changes. If that fails, they are stored all the same, and :meth:`check` adds them later."""
+        """Write down what was stored. It is stored whether or not this succeeds: :meth:`check` makes up for it."""
         try:
             if changes.uncertain:
                 self.check()
             else:
                 self._note(changes)
-        except SlamHiveError as error:
-            logger.warning("%s; the ledger will be completed when a worker starts", error)
         except NOT_A_LINE:
-            logger.exception("%s has a malformed line, so it cannot be completed", self.files.folder)
+            logger.exception(
+                "%s holds a line that is none of ours and keeps it from being completed", self.files.folder
+            )
+        except SlamHiveError as error:
+            logger.warning("%s; the ledger is completed when a worker starts", error)
 
     def check(self) -> None:
-        """Append missing lines: a kill or a full disk may have prevented them after a transaction."""
+        """Write what is missing: a kill or a full disk may have come between a transaction and its lines."""
         files, missing = self.files, self._missing
         for book, lines in (
             (files.configurations, missing.configurations()),
@@ -66,7 +68,7 @@ class Ledger:
         self._replace(files.searches, search_lines)
 
     def knows_more(self) -> bool:
-        """Whether the database is empty but the ledger is not: the database was lost."""
+        """Whether the ledger tells of something while the database holds nothing: it was lost."""
         if not self._store.read(lambda t: t.ledger.empty()):
             return False
         return bool(live_configurations(self.files.configurations)) or any(self.files.searches.read())
@@ -82,7 +84,7 @@ class Ledger:
         self.files.evaluations.append(self._evaluations(changes))
 
     def _replace(self, book: Book, wanted: Callable[[Store], Iterator[Line]]) -> None:
-        """Replace a small file by the current content of the database."""
+        """Make a small book what the database says."""
         if list(book.read()) != list(wanted(self._store)):
             with book.replaced() as lines:
                 lines.extend(wanted(self._store))
@@ -105,7 +107,7 @@ class Ledger:
                 yield {"experiment": self._uid(experiment), "size": sizes[self._uid(experiment)]}
 
     def _runs(self, changes: Changes) -> Iterator[Line]:
-        # Imported runs are never queued, and their folders follow at once.
+        # Runs that were made elsewhere never wait: their folders follow at once.
         rows = [row for row in changes.runs if row.content.executor != IMPORTED]
         named = {row.content.experiment_id for row in rows} - {None}
         yield from run_lines(rows, {number: self._uid(number) for number in named if number is not None})

@@ -12,16 +12,18 @@ from typing import Any
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.parameters import Parameter, ParameterType
 from slamhive.domain.protocol import protocol_from_content
-from slamhive.domain.stop_when import stop_when_from_json, stop_when_to_json
-from slamhive.domain.variant import variant_to_json
+from slamhive.domain.variant import Variant
+from slamhive.errors import InvalidInput
+from slamhive.schema.model import dump
+from slamhive.schema.record import ConfigurationContent
+from slamhive.schema.submission import StopWhen
 from slamhive.services.ledger.book import Book, Line
-from slamhive.services.runs import configuration_from_record
 from slamhive.store.changes import NewRow
 from slamhive.store.configuration_records import ConfigurationRecord
 from slamhive.store.experiment_records import NewCell, NewConfiguration
 from slamhive.store.records import RunRequest
 
-NOT_A_LINE = (KeyError, TypeError, ValueError, AttributeError, IndexError)
+NOT_A_LINE = (InvalidInput, KeyError, TypeError, ValueError, AttributeError, IndexError)
 """What reading a line raises that is none of ours."""
 
 
@@ -73,7 +75,7 @@ def _configuration_line(
                 entry.parameters,  # JSON has tuples as lists, as it should
                 entry.playback.mode.value,
                 entry.playback.rate,
-                variant_to_json(entry.variant),
+                dump(Variant, entry.variant),
             ]
             for number, entry in configurations
         ),
@@ -90,7 +92,7 @@ def configurations_of(line: Line) -> Iterator[LedgerConfiguration]:
             "playback": {"mode": mode, "rate": rate},
             "variant": variant,
         }
-        configuration = configuration_from_record({"request": request})
+        configuration = ConfigurationContent.read(request).configuration
         definitions = tuple(
             Parameter(str(key), ParameterType(kind), configuration.parameters[key], "", str(unit), general=general)
             for key, (kind, unit, general) in line["parameters"].items()
@@ -132,7 +134,7 @@ def run_lines(rows: Sequence[NewRow[RunRequest]], experiments: Mapping[int, str]
                 **{name: getattr(first, name) for name in _SHARED if name != "experiment_id"},
                 "experiment": None if first.experiment_id is None else experiments[first.experiment_id],
                 "protocol": None if first.protocol is None else first.protocol.content,
-                "stop_when": stop_when_to_json(first.stop_when),
+                "stop_when": first.stop_when.content,
             },
             "runs": ([row.id, *_own(row.content)] for row in part),
         }
@@ -157,7 +159,7 @@ def runs_of(line: Line) -> Iterator[LedgerRun]:
                 **asked,
                 **dict(zip(_OWN, own, strict=True)),
                 "protocol": None if protocol is None else protocol_from_content(protocol),
-                "stop_when": stop_when_from_json(asked["stop_when"]),
+                "stop_when": StopWhen.of(asked["stop_when"]),
             }
         )
         yield LedgerRun(int(number), request, experiment, moment(line["at"]))

@@ -1,4 +1,4 @@
-"""Find what is in the database but not in the ledger. Lines are never removed: the ledger may be newer."""
+"""What the ledger lacks of what the database has. Lines are added, never taken away: the database may be the older."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _AT_ONCE = 500
 
 
 class Missing:
-    """The missing lines of each file.
+    """The lines that each book lacks.
 
     Args:
-        settings: The run folders.
+        settings: Where run folders lie.
         store: The database.
-        files: The files of the ledger.
+        files: The books.
     """
 
     def __init__(self, settings: Settings, store: Store, files: LedgerFiles) -> None:
@@ -42,7 +42,7 @@ class Missing:
         self._files = files
 
     def configurations(self) -> Iterator[Line]:
-        """Configurations and their labels."""
+        """Configurations, and what users say about them."""
         told: set[int] = set()
         said: dict[int, Line] = {}
         for line in self._files.configurations.read():
@@ -55,7 +55,7 @@ class Missing:
         stored, described = self._store.read(lambda t: (t.ledger.configurations(), t.ledger.described()))
         if told - stored:
             logger.warning(
-                "%s has %d configurations that are missing from the database: slamhive reindex restores them",
+                "%s tells of %d configurations that the database does not know: slamhive reindex restores them",
                 self._files.configurations.path,
                 len(told - stored),
             )
@@ -66,7 +66,7 @@ class Missing:
                 yield line
 
     def cells(self) -> Iterator[Line]:
-        """Cells of experiments, and their number."""
+        """Cells of experiments, and how many there are."""
         told: dict[str, set[int]] = defaultdict(set)
         sizes: dict[str, Line] = {}
         for line in self._files.cells.read():
@@ -81,7 +81,7 @@ class Missing:
                 yield {"experiment": record.uid, "size": counted[record.uid]}
 
     def runs(self) -> Iterator[Line]:
-        """Queued runs, runs cancelled before they had a folder, and active runs to be cancelled."""
+        """Runs that wait, those that were cancelled before they had a folder, and active ones that are to end."""
         told: dict[RunState, set[int]] = {RunState.QUEUED: set(), RunState.CANCELLED: set()}
         asked: set[int] = set()
         for line in self._files.runs.read():
@@ -103,7 +103,7 @@ class Missing:
             yield {"asked_to_end": new}
 
     def evaluations(self) -> Iterator[Line]:
-        """Queued and ended evaluations."""
+        """Evaluations that wait, and those that have ended."""
         told = read_evaluations(self._files.evaluations.read())
         ended, waiting = self._store.read(lambda t: t.ledger.evaluation_counts())
         known = {key for entries in told.ended.values() for key in entries}
@@ -149,7 +149,7 @@ class Missing:
             after = found[-1][0]
 
     def _untold(self, run_id: int, state: RunState, told: set[int]) -> bool:
-        """Whether neither the ledger nor the run's folder has its ``state``."""
+        """Whether neither the book nor the run's folder tells that it is in ``state``."""
         if run_id in told:
             return False
         folder = RunFolder(self._settings.runs_folder / str(run_id))

@@ -1,4 +1,4 @@
-"""Restore rows from the ledger, with their original numbers. Existing rows do not change."""
+"""Rows out of the ledger, under the numbers that they had. What is here already stays as it is."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ _AT_ONCE = 500
 
 @dataclass
 class _Cancelled:
-    """Runs cancelled in the queue, with time and reason, and active runs to be cancelled."""
+    """Runs that were cancelled while they waited, with when and why; and active ones that are to end."""
 
     waiting: dict[int, tuple[datetime, str]] = field(default_factory=dict)
     active: list[int] = field(default_factory=list)
 
 
 class LedgerRestore:
-    """Restores rows from the ledger; the caller files the folders of experiments and runs in between.
+    """Restores what the ledger tells; the caller files the folders of experiments and runs in between.
 
     Args:
-        store: The database to fill.
-        catalogue: Known algorithms and datasets.
+        store: To be filled.
+        catalogue: The algorithms and datasets that are here.
         files: The ledger.
     """
 
@@ -71,7 +71,7 @@ class LedgerRestore:
     # -- before the folders ----------------------------------------------------------------------------------------
 
     def restore_before_runs(self) -> None:
-        """Restore what runs refer to: algorithms, datasets, configurations."""
+        """What runs refer to: algorithms, datasets, configurations."""
         for line in self._files.catalogue.read():
             self._guarded(self._files.catalogue, lambda: self._restore_catalogue(line))  # noqa: B023
         last = live_configurations(self._files.configurations)
@@ -80,7 +80,7 @@ class LedgerRestore:
             self._restore_configurations(part)
 
     def restore_cells(self) -> None:
-        """Restore the cells of experiments that have a row."""
+        """The cells of experiments whose rows are there."""
         experiments = self._experiments()
         for line in self._files.cells.read():
             experiment = experiments.get(str(line.get("experiment")))
@@ -90,11 +90,11 @@ class LedgerRestore:
     # -- after the folders -----------------------------------------------------------------------------------------
 
     def repeat_later(self, left: Mapping[int, int]) -> None:
-        """Remember repetitions of runs that are not filed yet: {number: number of the original}."""
+        """Remember runs that repeat others which are not filed yet, {number: number of the other}."""
         self._later.update(left)
 
     def restore_after_runs(self) -> int:
-        """Restore runs without a folder, sizes of experiments, labels and searches; returns the number of runs."""
+        """Runs without a folder, sizes of experiments, evaluations, labels and searches; how many runs there were."""
         restored = self._runs()
         self._store.write(lambda t: t.ledger.repeat(self._later))
         self._sizes()
@@ -104,7 +104,7 @@ class LedgerRestore:
         return restored
 
     def restore_evaluations(self) -> None:
-        """Queue the evaluations that had not ended."""
+        """Queue again the evaluations that had not ended."""
 
         def work(t: Transaction) -> None:
             for asked in self.evaluations.open():
@@ -188,7 +188,7 @@ class LedgerRestore:
         self._store.write(lambda t: t.archive.add_cells(experiment, cells))
 
     def _sizes(self) -> None:
-        """Restore the sizes of experiments, so that complete ones need not be expanded again."""
+        """An experiment of which everything is back needs not be looked through again."""
         told = {str(line.get("experiment")): line["size"] for line in self._files.cells.read() if "size" in line}
 
         def work(t: Transaction) -> None:
@@ -203,7 +203,7 @@ class LedgerRestore:
         self._store.write(work)
 
     def _runs(self) -> int:
-        """Restore the runs without a folder."""
+        """The runs that have no folder."""
         cancelled = self._cancelled()
         experiments = self._experiments()
         restored = 0
@@ -285,7 +285,7 @@ class LedgerRestore:
         self._store.write(lambda t: t.archive.saved_search_if_absent(record, at))
 
     def _guarded(self, book: Book, work: Callable[[], Any]) -> None:
-        """Skip a malformed or conflicting line, so that the others are still restored."""
+        """One line that is none of ours, or clashes with what is here, keeps nothing else from being restored."""
         try:
             work()
         except (SlamHiveError, *NOT_A_LINE) as error:
@@ -294,6 +294,6 @@ class LedgerRestore:
 
 
 def _definitions(entry: LedgerConfiguration, aliases: Mapping[tuple[str, str], Any]) -> list[Parameter]:
-    """The definitions of the parameters; general names are those of this installation, if defined here."""
+    """How the parameters were defined; the general name of one that is defined here is the one it has here."""
     algorithm = entry.configuration.algorithm
     return [replace(known, general=aliases.get((algorithm, known.key), known.general)) for known in entry.definitions]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from slamhive.services.runs.as_json import evaluation_to_json, run_to_json
 from slamhive.services.runs.downloads import list_downloads, open_download
 from slamhive.services.runs.filing import (
     FolderRun,
@@ -17,7 +16,6 @@ from slamhive.services.runs.filing import (
 from slamhive.services.runs.progress import RunProgress, untracked_s
 from slamhive.services.runs.record import (
     begin_record,
-    configuration_from_record,
     events_to_json,
     handle_from_json,
     handle_to_json,
@@ -74,10 +72,8 @@ __all__ = [
     "check_disk",
     "check_executor",
     "check_recorded",
-    "configuration_from_record",
     "current_protocol",
     "dataset_of",
-    "evaluation_to_json",
     "events_to_json",
     "file_runs",
     "found_evaluations",
@@ -95,7 +91,6 @@ __all__ = [
     "repeat_if_disturbed",
     "retry_request",
     "run_series",
-    "run_to_json",
     "run_uid",
     "snapshot_from_record",
     "spec_from_json",

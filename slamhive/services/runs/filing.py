@@ -20,9 +20,10 @@ from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.job import RESULT_FILE, Artefacts, EvaluationResult, result_from_json
 from slamhive.input_bounds import MOST_RECORD_BYTES, read_record, read_text
 from slamhive.runs.folder import RunFolder
+from slamhive.schema.record import RunFile
 from slamhive.services.datasets import Catalogue
 from slamhive.services.evaluations import PROTOCOL_FILE
-from slamhive.services.runs.record import check_types, configuration_from_record, snapshot_from_record
+from slamhive.services.runs.record import snapshot_from_record
 from slamhive.store import Transaction
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import EndedEvaluation, FiledRun
@@ -70,8 +71,8 @@ def read_filed(catalogue: Catalogue, record: dict[str, Any], source: str) -> Fil
     """Read a record; raises InvalidInput, naming ``source``, if it is incomplete or malformed."""
     try:
         return _read(catalogue, record)
-    except _NOT_A_RECORD as error:
-        raise InvalidInput(f"{source} is not complete: {error!r}", "restore it, or remove the folder") from None
+    except InvalidInput as error:
+        raise InvalidInput(f"{source} is not complete: {error.message}", "restore it, or remove the folder") from None
 
 
 def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -> dict[int, int]:
@@ -181,23 +182,18 @@ def _ended(protocol: Protocol, result: EvaluationResult, at: datetime) -> EndedE
 
 
 def _read(catalogue: Catalogue, record: dict[str, Any]) -> Filed:
-    configuration = configuration_from_record(record)
-    part, host = record.get("algorithm", {}), record.get("host")
-    check_types(part, dict.fromkeys(("package", "mode", "identity", "package_hash", "version"), str))
-    check_types(host or {}, {"cpu_model": str, "cpu_count": int, "memory_bytes": int, "kernel": str, "os": str})
-    metrics = {str(key): float(value) for key, value in record.get("metrics", {}).items()}
-    if not all(map(math.isfinite, metrics.values())):
-        raise ValueError("a metric is not finite")
+    file = RunFile.read(record)
+    configuration, version = file.request.configuration, file.algorithm
     return Filed(
         configuration=configuration,
         dataset=dataset_of(catalogue, configuration.dataset, record),
-        package=part.get("package", configuration.algorithm),
-        mode=part.get("mode", ""),
-        version=AlgorithmVersion(part["identity"], part["package_hash"], part["version"])
-        if "identity" in part
-        else None,
-        host=None if host is None else Host(**host),
-        metrics=metrics,
+        package=version.package or configuration.algorithm,
+        mode=version.mode,
+        version=None
+        if version.identity is None
+        else AlgorithmVersion(version.identity, version.package_hash or "", version.version or ""),
+        host=None if file.host is None else Host(**dict(file.host)),
+        metrics=file.metrics,
     )
 
 

@@ -16,11 +16,14 @@ from slamhive.errors import SlamHiveError
 from slamhive.files import temporary_folder
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.log_line import read_tail
+from slamhive.schema.run import RunWith
+from slamhive.schema.submission import Submission
 from slamhive.search.binding import Search
-from slamhive.services.configurations import Checked, Configurations, Submission, put_configuration
+from slamhive.services.configurations import Checked, Configurations, put_configuration
 from slamhive.services.datasets import check_writable
 from slamhive.services.evaluations import protocol_for
 from slamhive.services.executors import Executors
+from slamhive.services.runs.documents import run_in_full
 from slamhive.services.runs.progress import RunProgress, run_progress
 from slamhive.services.runs.record import handle_from_json
 from slamhive.services.runs.retrying import check_retriable, retry_request
@@ -111,6 +114,15 @@ class Runs:
         """One run with its metrics; raises NotFound."""
         return self._store.read(lambda t: t.runs.get(run_id, with_metrics=True))
 
+    def in_full(self, run_id: int) -> RunWith:
+        """A run with its moves and evaluations, as JSON shows it; raises NotFound."""
+
+        def work(t: Transaction) -> RunWith:
+            run, evaluations = t.runs.get(run_id, with_metrics=True), t.evaluations.for_run(run_id)
+            return run_in_full(run, self.folder(run_id), evaluations, t.runs.events(run_id))
+
+        return self._store.read(work)
+
     def events(self, run_id: int) -> tuple[RunEvent, ...]:
         """The changes of state of a run, oldest first."""
         return tuple(self._store.read(lambda t: t.runs.events(run_id)))
@@ -176,6 +188,7 @@ def _requests(
             protocol=protocol,
             affinity=affinity,
             stop_when=submission.stop_when,
+            repeat_disturbed=submission.repeat_disturbed,
         )
         for index in range(submission.repeat)
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from datetime import datetime
 
-from slamhive.domain.disturbance import Disturbance, disturbance_to_json
+from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import RunEvent
 from slamhive.errors import SlamHiveError
@@ -74,7 +74,7 @@ class Collecting:
             "exit_code": evidence.exit_code,
             "poses": poses,
             "metrics": metrics,
-            "disturbance": disturbance_to_json(disturbance),
+            "disturbance": disturbance.content,
             "about": read_about(hand.folder),
         }
         now = hand.context.now()

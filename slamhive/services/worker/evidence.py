@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from slamhive.domain.run import FailureReason
-from slamhive.domain.stop_when import StopWhen
 from slamhive.executors.status import Exited, Gone, RunStatus
 from slamhive.runs.early_end import EarlyEnd
 from slamhive.runs.folder import RunFolder
@@ -13,6 +12,7 @@ from slamhive.runs.leftovers import Survey, removed_in_words
 from slamhive.runs.log_line import last_error_line, read_tail
 from slamhive.runs.outcome import Evidence, TrajectoryCheck, inspect_trajectory, is_finished
 from slamhive.runs.untrusted import read_untrusted_json
+from slamhive.schema.submission import StopWhen
 from slamhive.services.runs import untracked_s
 
 MAX_ABOUT_BYTES = 64_000

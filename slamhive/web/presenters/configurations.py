@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.parameters import check_stored
 from slamhive.errors import InvalidInput
-from slamhive.services.configurations import Label, Stored, Submission
+from slamhive.schema.submission import Submission
+from slamhive.services.configurations import Label, Stored
 from slamhive.store import ConfigurationRecord, RunRecord
 from slamhive.web.columns import column
 from slamhive.web.formatting import DASH, Cell, plural, value_text

@@ -7,7 +7,8 @@ from typing import Annotated
 from flask import Blueprint, Response, request, url_for
 from pydantic import BaseModel, ConfigDict, Field
 
-from slamhive.services.experiments import ExperimentSource, cell_to_json, grid_to_json, preview_to_json, status_to_json
+from slamhive.schema import experiment as schema
+from slamhive.services.experiments import ExperimentSource
 from slamhive.sweep.experiment_model import MAX_REPEATS
 from slamhive.web.context import hive
 from slamhive.web.experiment_draft import MOST_TEXT
@@ -47,14 +48,14 @@ class _RepeatsBody(BaseModel):
 @blueprint.get("")
 def experiments() -> Response:
     """All experiments, newest first."""
-    return answer({"experiments": [status_to_json(status) for status in hive().experiments.list()]})
+    return answer({"experiments": [schema.ExperimentStatus.of(status).content for status in hive().experiments.list()]})
 
 
 @blueprint.post("/preview")
 def preview() -> Response:
     """Preview an experiment without saving it."""
     body = read_body(_PreviewBody)
-    return answer(preview_to_json(hive().experiments.preview(ExperimentSource(body.yaml, SOURCE))))
+    return answer(schema.ExperimentPreview.of(hive().experiments.preview(ExperimentSource(body.yaml, SOURCE))).content)
 
 
 @blueprint.post("")
@@ -62,14 +63,14 @@ def start() -> Response:
     """Save the experiment and queue its runs."""
     body = read_body(_SourceBody)
     started = hive().experiments.start(ExperimentSource(body.yaml, SOURCE), body.executor)
-    return answer(status_to_json(started), 201)
+    return answer(schema.ExperimentStatus.of(started).content, 201)
 
 
 @blueprint.get("/<name>")
 def experiment(name: str) -> Response:
     """Progress of one experiment, its file and its axes."""
     services = hive().experiments
-    content = status_to_json(services.status(name))
+    content = schema.ExperimentStatus.of(services.status(name)).content
     content["yaml"] = services.source(name).text
     content["axes"] = {axis: list(values) for axis, values in services.axes(name).items()}
     return answer(content)
@@ -83,7 +84,8 @@ def cells(name: str) -> Response:
     following = None
     if page.next_number is not None:
         following = url_for("api_experiments.cells", name=name, after=page.next_number, limit=query.limit)
-    return answer({"cells": [cell_to_json(cell) for cell in page.cells], "total": page.total, "next": following})
+    cells = [schema.Cell.of(cell).content for cell in page.cells]
+    return answer({"cells": cells, "total": page.total, "next": following})
 
 
 @blueprint.get("/<name>/grid")
@@ -91,7 +93,8 @@ def grid(name: str) -> Response:
     """Progress over the axes ``rows`` and ``columns``."""
     services = hive().experiments
     query = GridQuery.from_args(request.args, {axis: len(found) for axis, found in services.axes(name).items()})
-    return answer({"grid": None if query is None else grid_to_json(services.grid(name, query.rows, query.columns))})
+    grid = None if query is None else schema.Grid.of(services.grid(name, query.rows, query.columns)).content
+    return answer({"grid": grid})
 
 
 @blueprint.post(f"/<name>/{CHANGE}")
@@ -105,11 +108,11 @@ def change(name: str, action: str) -> Response:
         "retry-failed": services.retry_failed,
     }
     changes[action](name)
-    return answer(status_to_json(services.status(name)), 202)
+    return answer(schema.ExperimentStatus.of(services.status(name)).content, 202)
 
 
 @blueprint.post("/<name>/repeats")
 def add_repeats(name: str) -> Response:
     """Add repeats of each configuration and seed."""
     hive().experiments.add_repeats(name, read_body(_RepeatsBody).count)
-    return answer(status_to_json(hive().experiments.status(name)), 201)
+    return answer(schema.ExperimentStatus.of(hive().experiments.status(name)).content, 201)

@@ -10,7 +10,8 @@ from flask import url_for as address
 
 from slamhive.domain.algorithm import Algorithm
 from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.services.configurations import Changes, Label, Stored, Submission
+from slamhive.schema.submission import Submission
+from slamhive.services.configurations import Changes, Label, Stored
 from slamhive.store import ConfigurationRecord
 from slamhive.web.configuration_query import CONFIGURATION_ID, ConfigurationQuery
 from slamhive.web.context import hive
@@ -18,7 +19,7 @@ from slamhive.web.errors import status_of
 from slamhive.web.presenters import configurations as presenter
 from slamhive.web.presenters.catalogue import dataset_choices, step_kinds
 from slamhive.web.request_input import form_text, uploaded_text
-from slamhive.web.run_form import RunForm, form_values, read_form
+from slamhive.web.run_form import CONTENT_OPTIONS, RunForm, form_values, read_form
 
 blueprint = Blueprint("configurations", __name__, url_prefix="/configurations")
 RUNS_SHOWN = 20
@@ -210,6 +211,7 @@ def _form(form: RunForm, record: ConfigurationRecord | None) -> str:
         held_by=None if record is None else presenter.held_by(record),
         algorithms=catalogue.algorithms(),
         choices=dataset_choices(form.algorithm, catalogue.datasets()),
+        content_options=CONTENT_OPTIONS,
         step_kinds=step_kinds(),
         preview=_preview(form),
         groups=hive().configurations.groups(),

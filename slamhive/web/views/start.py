@@ -11,7 +11,7 @@ from slamhive.executors.registry import EXECUTORS
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of
 from slamhive.web.presenters.catalogue import dataset_choices, step_kinds
-from slamhive.web.run_form import RunForm, preview, read_form
+from slamhive.web.run_form import CONTENT_OPTIONS, RUN_OPTIONS, RunForm, preview, read_form
 
 blueprint = Blueprint("start", __name__, url_prefix="/runs/new")
 
@@ -67,7 +67,8 @@ def _page(filled: RunForm) -> str:
         algorithms=catalogue.algorithms(),
         choices=dataset_choices(filled.algorithm, catalogue.datasets()),
         preview=_preview(filled),
-        executors=EXECUTORS.names(),
+        content_options=CONTENT_OPTIONS,
+        options=RUN_OPTIONS,
+        labels={"executor": {name: name for name in EXECUTORS.names()}, "alignment": ALIGNMENT_LABELS},
         step_kinds=step_kinds(),
-        alignments={alignment.value: label for alignment, label in ALIGNMENT_LABELS.items()},
     )

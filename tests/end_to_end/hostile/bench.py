@@ -20,7 +20,7 @@ from pathlib import Path
 
 import psutil
 
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.tree import walk

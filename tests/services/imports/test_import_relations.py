@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from slamhive.cli import main
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import InvalidInput
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.imports.request import ImportRequest
 from tests.services.imports.world import trajectory, write
 

@@ -14,7 +14,7 @@ from slamhive.domain.run import RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import Conflict, InvalidInput
 from slamhive.files import write_aside
-from slamhive.services.configurations.submission import Submission
+from slamhive.schema.submission import Submission
 from slamhive.services.hive import open_hive
 from slamhive.services.imports.exclusive import one_import
 from slamhive.services.imports.request import ImportRequest

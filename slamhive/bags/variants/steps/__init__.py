@@ -31,9 +31,9 @@ from slamhive.bags.variants.steps.shot_noise import ShotNoise
 from slamhive.bags.variants.steps.stamp_jitter import StampJitter
 from slamhive.bags.variants.steps.time_offset import TimeOffset
 from slamhive.bags.variants.steps.voxel import Voxel
-from slamhive.catalogue.validation import first_problem
 from slamhive.errors import InvalidInput
 from slamhive.registry import Registry
+from slamhive.schema.validation import first_problem
 
 STEPS: Registry[type[Step]] = Registry("pre-processing step", "slamhive.variant_steps")
 _SHIPPED: tuple[type[Step], ...] = (

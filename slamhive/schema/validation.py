@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticCustomError
@@ -14,13 +15,14 @@ from slamhive.domain.names import check_name
 from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput, nearest
 
-_UNION_TAGS = {"bool", "int", "float", "str", "list[float]"}
+_UNION_TAGS = {"bool", "int", "float", "str", "list[float]", "tuple[float, ...]"}
 """What pydantic adds to a place to tell which member of a union did not fit."""
 
 PLAIN, SECTION = "<plain>", "<section>"
 """Tags for the members of a union that is told apart by shape; never shown."""
 
 _NOT_SHOWN = {PLAIN, SECTION, "[key]"}
+_UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 _EXPLAINED = "explained"
 
 _SAYINGS = {
@@ -33,15 +35,18 @@ _SAYINGS = {
     "bool_type": "must be true or false",
     "bool_parsing": "must be true or false",
     "list_type": "must be a list",
+    "tuple_type": "must be a list",
     "dict_type": "must be keys with values",
     "model_type": "must be keys with values",
+    "dataclass_type": "must be keys with values",
+    "dataclass_exact_type": "must be keys with values",
     "model_attributes_type": "must be keys with values",
     "finite_number": "must be a finite number",
 }
 _SHOWN = 80
 
 
-def first_problem(error: ValidationError, model: type[BaseModel] | None = None) -> str:
+def first_problem(error: ValidationError, model: type[Any] | None = None) -> str:
     """The first problem as ``place: what is wrong (found value)``, and how many more there are.
 
     A key that is unknown comes first: a misspelt key is also one that is missing.
@@ -58,10 +63,10 @@ def explained(error: InvalidInput) -> PydanticCustomError:
     return PydanticCustomError(_EXPLAINED, "{text}", {"text": str(error)})
 
 
-def first_problem_at(error: ValidationError, model: type[BaseModel] | None = None) -> tuple[tuple[int | str, ...], str]:
+def first_problem_at(error: ValidationError, model: type[Any] | None = None) -> tuple[tuple[int | str, ...], str]:
     """The place of the first problem, and what :func:`first_problem` says of it."""
     problems = error.errors(include_url=False)
-    problems.sort(key=lambda problem: problem["type"] != "extra_forbidden")
+    problems.sort(key=lambda problem: problem["type"] not in _UNKNOWN_KEY)
     first: dict[str, Any] = {**problems[0]}
     places = [_place(problem["loc"]) for problem in problems]
     more = len(set(places)) - 1
@@ -69,13 +74,13 @@ def first_problem_at(error: ValidationError, model: type[BaseModel] | None = Non
     return places[0], _sentence(first, places[0], model) + also
 
 
-def _sentence(first: Mapping[str, Any], path: tuple[int | str, ...], model: type[BaseModel] | None) -> str:
+def _sentence(first: Mapping[str, Any], path: tuple[int | str, ...], model: type[Any] | None) -> str:
     place = ".".join(str(part) for part in path) or "top level"
-    if first["type"] == "missing":
+    if first["type"] in ("missing", "missing_argument"):
         return f"{place} is missing"
     if first["type"] == _EXPLAINED:
         return f"{place}: {first['msg']}"
-    if first["type"] == "extra_forbidden":
+    if first["type"] in _UNKNOWN_KEY:
         known = _known_keys(model, path[:-1])
         hint = f"; {nearest(str(path[-1]), known)}" if known else ""
         return f"unknown key {place!r}{hint}"
@@ -114,17 +119,24 @@ def _saying(problem: Mapping[str, Any]) -> str:
     return _SAYINGS.get(kind) or message.removeprefix("Value error, ").replace("Input should be", "must be")
 
 
-def _known_keys(model: type[BaseModel] | None, path: tuple[int | str, ...]) -> list[str]:
+def _known_keys(model: type[Any] | None, path: tuple[int | str, ...]) -> list[str]:
     """The keys that are allowed at ``path`` below ``model``."""
     annotation: Any = model
     for part in path:
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            field = annotation.model_fields.get(str(part))
-            annotation = None if field is None else _inner(field.annotation)
+        keys = _keys(annotation)
+        if keys is not None:
+            annotation = _inner(keys.get(str(part)))
         else:
-            annotation = _inner(get_args(annotation)[-1]) if get_args(annotation) else None
-    found = isinstance(annotation, type) and issubclass(annotation, BaseModel)
-    return list(annotation.model_fields) if found else []
+            inside = [part for part in get_args(annotation) if part is not Ellipsis]
+            annotation = _inner(inside[-1]) if inside else None
+    return list(_keys(annotation) or ())
+
+
+def _keys(annotation: Any) -> Mapping[str, Any] | None:
+    """The keys of a model or dataclass with their types, None for anything else."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return {name: field.annotation for name, field in annotation.model_fields.items()}
+    return get_type_hints(annotation) if is_dataclass(annotation) else None
 
 
 def _inner(annotation: Any) -> Any:

@@ -4,18 +4,19 @@ import pytest
 
 from slamhive.domain.affinity import run_affinity, same_data
 from slamhive.domain.run import FailureReason
-from slamhive.domain.stop_when import NEVER, StopWhen, parse_stop_when, stop_when_from_json, stop_when_to_json
 from slamhive.domain.variant import VariantStep
 from slamhive.errors import InvalidInput, NotFound
+from slamhive.schema.submission import NEVER, StopWhen, parse_stop_when
 
 
 def test_rules_are_read_as_they_are_typed_and_survive_json():
     rules = parse_stop_when(["lost_tracking_s=2.5", "memory_mb=800"])
     assert rules == StopWhen(lost_tracking_s=2.5, memory_mb=800)
-    assert stop_when_to_json(rules) == {"lost_tracking_s": 2.5, "memory_mb": 800}
-    assert stop_when_from_json(stop_when_to_json(rules)) == rules
-    assert stop_when_to_json(parse_stop_when([])) == {}
-    assert stop_when_from_json(None) == stop_when_from_json({}) == NEVER
+    assert rules.content == {"lost_tracking_s": 2.5, "memory_mb": 800}
+    assert StopWhen.of(rules.content) == rules
+    assert StopWhen.of({**rules.content, "of_a_newer_version": 1}) == rules
+    assert parse_stop_when([]).content == {}
+    assert StopWhen.of(None) == StopWhen.of({}) == NEVER
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,167 @@
+"""The rows of an archive as JSON lines: what the run folders do not say. The ledger uses some of them too."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, AliasChoices, BeforeValidator, Field, FiniteFloat
+from pydantic import StrictBool as Flag
+from pydantic import StrictInt as Whole
+
+from slamhive.domain.configuration import Configuration
+from slamhive.domain.names import check_name
+from slamhive.domain.parameters import Parameter, ParameterType
+from slamhive.schema.fields import described
+from slamhive.schema.model import Document
+from slamhive.schema.record import ConfigurationContent, StatedProtocol
+from slamhive.schema.types import ContentHash, Moment, RowNumber, Uid, Values
+
+
+def _named(kind: str) -> Any:
+    return AfterValidator(lambda name: check_name(kind, name))
+
+
+def _cut(length: int) -> Any:
+    """As much of a text as its column holds."""
+    return AfterValidator(lambda text: text if text is None else text[:length])
+
+
+ExperimentName = Annotated[str, _named("experiment")]
+
+
+class EvaluationLine(Document):
+    """An evaluation that has ended."""
+
+    protocol: StatedProtocol
+    state: str
+    reason: Annotated[str | None, _cut(10_000)]
+    artefacts: str
+    engine: Annotated[str | None, _cut(190)]
+    created_at: Moment
+    started_at: Moment | None
+    ended_at: Moment
+    attempt: RowNumber
+
+
+class RunLine(Document):
+    """A run."""
+
+    id: Annotated[RowNumber, described("Number where it comes from; its folder is runs/ID.")]
+    uid: Uid
+    attempt: RowNumber
+    retry_of: Annotated[Uid | None, described("The uid of the run that it repeats.")]
+    experiment: Annotated[str | None, described("Name of its experiment.")]
+    current_protocol: Annotated[str | None, described("Fingerprint of the protocol whose metrics are shown.")]
+    record: Annotated[dict[str, Any] | None, described("Stands for the run.json of a run without a folder.")]
+    evaluations: tuple[EvaluationLine, ...]
+
+
+def _definitions(raw: Any) -> Any:
+    """``[type, unit, general name]`` by key, from definitions or as read."""
+    return {
+        key: entry if isinstance(entry, list | tuple) else (entry.type, entry.unit, entry.general)
+        for key, entry in raw.items()
+    }
+
+
+class ConfigurationLine(Document):
+    """A configuration with what users say about it."""
+
+    id: Annotated[RowNumber, described("Number where it comes from.")]
+    request: ConfigurationContent = Field(validation_alias=AliasChoices("request", "configuration"))
+    created_at: Moment
+    name: str | None
+    note: str
+    groups: tuple[str, ...]
+    parameters: Annotated[
+        dict[str, tuple[ParameterType, str, str | None]],
+        BeforeValidator(_definitions),
+        described("Type, unit and general name of each parameter."),
+    ]
+
+    @property
+    def configuration(self) -> Configuration:
+        """What exactly is run."""
+        return self.request.configuration
+
+    @property
+    def definitions(self) -> tuple[Parameter, ...]:
+        """How the parameters are defined."""
+        values = self.request.parameters
+        return tuple(
+            Parameter(key, kind, values[key], "", unit, general=general)
+            for key, (kind, unit, general) in self.parameters.items()
+        )
+
+
+class ExperimentLine(Document):
+    """An experiment."""
+
+    uid: Uid
+    name: ExperimentName
+    description: str
+    content_hash: ContentHash
+    source: Annotated[str, described("The experiment file as it was given.")]
+    state: str
+    executor: str
+    priority: Whole
+    repeats: RowNumber
+    cells: RowNumber
+    runs: RowNumber
+    complete: Annotated[Flag, described("All cells and runs are stored.")]
+    created_at: Moment
+
+
+class CellLine(Document):
+    """A cell of an experiment."""
+
+    experiment: ExperimentName
+    number: RowNumber
+    name: Annotated[str, _cut(80)]
+    configuration: Annotated[RowNumber, described("Number of the configuration.")] = Field(
+        validation_alias=AliasChoices("configuration_id", "configuration")
+    )
+    values: Annotated[Values, described("Its value on each axis.")]
+
+
+class DatasetLine(Document):
+    """A dataset that runs are stored for."""
+
+    name: Annotated[str, _named("dataset")]
+    checksum: Annotated[str, _cut(80)]
+    duration_s: Annotated[FiniteFloat, described("Duration of the recording.", unit="s")]
+    title: Annotated[str, _cut(255)]
+    sensors: tuple[dict[str, Any], ...]
+    registered_at: Moment
+
+
+class AlgorithmLine(Document):
+    """An algorithm that runs are stored for."""
+
+    name: Annotated[str, _named("algorithm")]
+    package: str = Field(max_length=64)
+    mode: str = Field(max_length=64)
+
+
+class SearchLine(Document):
+    """A saved search."""
+
+    name: Annotated[str, _named("saved search")]
+    filter: str = Field(validation_alias=AliasChoices("filter_text", "filter"))
+    columns: tuple[str, ...]
+    sort: Annotated[
+        tuple[Annotated[str, _cut(190)], bool],
+        BeforeValidator(lambda raw: raw if isinstance(raw, list | tuple) else (raw.key, raw.descending)),
+        described("Key, and whether the largest value comes first."),
+    ]
+    grouped: Flag
+    created_at: Moment
+
+
+class AnalysisLine(Document):
+    """An analysis as it is stated; results are computed again."""
+
+    token: Uid
+    name: Annotated[str, _cut(200)]
+    created_at: Moment
+    source: Annotated[str, described("The analysis file.")]

@@ -1,0 +1,125 @@
+"""What can run, and on what, as JSON: algorithms, datasets and configurations."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator
+
+from slamhive.domain.configuration import Playback
+from slamhive.domain.parameters import ParameterType, Value
+from slamhive.domain.sensors import SensorKind, SensorSetup
+from slamhive.domain.variant import Variant
+from slamhive.schema.fields import described
+from slamhive.schema.model import Document
+from slamhive.schema.types import Timestamp
+
+
+class Package(Document):
+    """The code that the modes of an algorithm share."""
+
+    name: str
+    title: str
+    version: str
+    upstream: str
+    licence: str
+    citation: str
+    image: Annotated[str, described("The Docker image.")]
+
+
+class Parameter(Document):
+    """One parameter of an algorithm."""
+
+    type: ParameterType
+    default: Value
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    choices: tuple[str, ...]
+    general: Annotated[str | None, described("Its name across algorithms.")]
+    help: str
+
+
+class Algorithm(Document):
+    """An algorithm: a package in one mode."""
+
+    name: str
+    title: str
+    mode: str
+    setup: SensorSetup
+    inputs: Annotated[
+        dict[str, SensorKind],
+        BeforeValidator(lambda raw: raw if isinstance(raw, dict) else {entry.role: entry.kind for entry in raw}),
+        described("The kind of sensor that each role needs."),
+    ]
+    package: Package
+    parameters: Annotated[
+        dict[str, Parameter],
+        BeforeValidator(lambda raw: raw if isinstance(raw, dict) else {entry.key: entry for entry in raw}),
+    ]
+
+
+class Sensor(Document):
+    """One sensor of a dataset."""
+
+    name: str
+    kind: SensorKind
+    topic: str
+    rate_hz: Annotated[float, described("Messages per second.", unit="Hz")]
+    T_body_sensor: Annotated[tuple[float, ...], described("Pose of the sensor in the body frame, row by row.")]
+    calibration: dict[str, Any]
+
+
+class GroundTruth(Document):
+    """The reference trajectory of a dataset."""
+
+    file: str
+    exists: Annotated[bool, described("The file is there.")]
+    gravity_aligned: Annotated[bool, described("The z axis points up.")]
+    positions_only: bool
+
+
+class Dataset(Document):
+    """A dataset. Files are named relative to its folder, whose place is private."""
+
+    name: str
+    title: str
+    description: str
+    licence: str
+    source: str
+    attributes: tuple[str, ...]
+    duration_s: Annotated[float, described("Duration of the recording.", unit="s")]
+    bag: Annotated[
+        str | None, BeforeValidator(lambda name: name or None), described("The recording; null if there is none.")
+    ]
+    checksum: str
+    sensors: tuple[Sensor, ...]
+    groundtruth: GroundTruth | None
+    relations: Annotated[str | None, described("File of relative poses measured by people.")]
+
+
+class ParameterValue(Document):
+    """A value with the definition that it was stored with."""
+
+    value: Value
+    type: str
+    unit: str
+    general: str | None
+
+
+class Configuration(Document):
+    """A configuration with what users say about it."""
+
+    id: int
+    name: str | None
+    note: str
+    groups: tuple[str, ...]
+    algorithm: str
+    dataset: str
+    parameters: dict[str, ParameterValue]
+    variant: Variant
+    playback: Playback
+    content_hash: str
+    created_at: Timestamp
+    runs: Annotated[int, described("How many runs it has.")]
+    experiments: tuple[str, ...]

@@ -1,0 +1,169 @@
+"""An experiment as JSON: what starting it would do, its progress, its cells and its grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import AliasChoices, BeforeValidator, Field
+
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.parameters import Value
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.variant import Variant
+from slamhive.domain.verdict import DEFAULT_RULE, VerdictKind
+from slamhive.schema.fields import described
+from slamhive.schema.model import Document
+from slamhive.schema.types import Timestamp, Values
+
+Counts = Annotated[dict[str, int], described("Runs by state.")]
+Failures = Annotated[dict[str, int], described("Failed runs by reason.")]
+
+
+class PreviewRow(Document):
+    """One of the first cells."""
+
+    cell: int = Field(validation_alias=AliasChoices("number", "cell"))
+    name: str
+    values: Values
+    known: Annotated[bool, described("Its configuration is stored already.")]
+    known_runs: int
+
+
+class VariantNeed(Document):
+    """A variant of a dataset that runs need."""
+
+    dataset: str
+    steps: Variant = Field(validation_alias=AliasChoices("variant", "steps"))
+    key: str
+    needed_bytes: Annotated[int, described("Space it takes at most.", unit="bytes")]
+    make_s: Annotated[float, described("Estimated time to make it.", unit="s")]
+    made: bool
+
+
+class ExperimentPreview(Document):
+    """What starting an experiment would do."""
+
+    name: str
+    description: str
+    combinations: Annotated[int, described("Combinations before conditions.")]
+    cells: Annotated[int, described("Different configurations that meet the conditions.")]
+    merged: Annotated[int, described("Combinations that are identical to another.")]
+    runs: int
+    axes: Annotated[dict[str, int], described("How many values each axis has.")]
+    known_cells: Annotated[int, described("Configurations that are stored already.")]
+    known_runs: int
+    time_s: Annotated[float, described("Estimated time of all runs and variants on this machine.", unit="s")]
+    variant_time_s: Annotated[float, described("The part of it that making variants takes.", unit="s")]
+    measured_runs: Annotated[int, described("Runs whose time is known from earlier ones.")]
+    slots: int
+    variants: tuple[VariantNeed, ...]
+    variant_bytes: Annotated[int, described("Space that missing variants take at most.", unit="bytes")]
+    run_bytes: Annotated[int, described("Estimated space of the run folders.", unit="bytes")]
+    free_bytes: Annotated[int, described("Free space.", unit="bytes")]
+    warnings: tuple[str, ...]
+    refusals: Annotated[tuple[str, ...], described("Why it would be refused.")]
+    repeat_disturbed: int
+    standing: Annotated[str | None, described("State of the experiment if it is stored already.")]
+    rows: Annotated[tuple[PreviewRow, ...], described("The first cells.")]
+
+
+class ExperimentStatus(Document):
+    """The progress of an experiment."""
+
+    name: str
+    description: str
+    state: str = Field(validation_alias=AliasChoices("standing", "state"))
+    executor: str
+    priority: int
+    repeats: int
+    created_at: Timestamp
+    cells: int
+    runs: int
+    missing: Annotated[int, described("Runs that are not stored because the start was interrupted.")]
+    counts: Counts
+    retried: Annotated[int, described("Failed or disturbed runs that another run replaces; not in counts.")]
+    failures: Failures
+    disturbed: Annotated[int, described("Runs that were measured on a disturbed machine.")]
+    failed_if: Annotated[str, described("When a run counts as failed.")] = DEFAULT_RULE.words
+    left_s: Annotated[float | None, described("Estimated time left; null if nothing was measured.", unit="s")]
+
+
+class CellRun(Document):
+    """A run of a cell."""
+
+    id: int
+    seed: int
+    state: RunState
+    reason: FailureReason | None
+    verdict: VerdictKind | None = Field(validation_alias=AliasChoices("judged", "verdict"))
+    retried: bool
+    disturbed: bool
+
+
+class Spread(Document):
+    """Mean and sample standard deviation of ``n`` values."""
+
+    n: int
+    mean: float
+    std: float | None
+    unit: str | None
+
+
+def _spread(key: str, found: Any) -> Any:
+    if isinstance(found, dict):
+        return found
+    return Spread.of(found, unit=CATALOGUE[key].unit if key in CATALOGUE else None)
+
+
+def _with_units(raw: Any) -> Any:
+    return {key: _spread(key, found) for key, found in raw.items()}
+
+
+class CellFigures(Document):
+    """Metrics of the runs of a cell that did not fail, under one protocol."""
+
+    protocol: Annotated[str | None, described("Fingerprint; null where no run was evaluated.")]
+    runs: int
+    disturbed: int
+    metrics: Annotated[dict[str, Spread], BeforeValidator(_with_units)]
+
+
+class Cell(Document):
+    """One configuration of an experiment, with its runs and metrics."""
+
+    cell: int = Field(validation_alias=AliasChoices("number", "cell"))
+    name: str
+    configuration: int = Field(validation_alias=AliasChoices("configuration_id", "configuration"))
+    values: Values
+    counts: Counts
+    failures: Failures
+    runs: tuple[CellRun, ...]
+    figures: Annotated[tuple[CellFigures, ...], described("Metrics, those of each protocol by themselves.")]
+
+
+class GridCell(Document):
+    """The cells that share two values. ``row`` and ``column`` are places in the lists of the grid."""
+
+    row: int
+    column: int
+    cells: int
+    first: Annotated[int, described("Number of the first of them.")]
+    counts: Counts
+    failures: Failures
+
+
+def _placed(raw: Any) -> Any:
+    if not isinstance(raw, Mapping):
+        return raw
+    return [GridCell.of(cell, row=row, column=column) for (row, column), cell in raw.items()]
+
+
+class Grid(Document):
+    """Progress over two axes."""
+
+    row_axis: str
+    column_axis: str
+    rows: tuple[Value | None, ...]
+    columns: tuple[Value | None, ...]
+    cells: Annotated[tuple[GridCell, ...], BeforeValidator(_placed)]

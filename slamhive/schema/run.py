@@ -1,0 +1,130 @@
+"""A run and its evaluations as JSON: what the command line, the web API and exports show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import AliasChoices, Field, ValidatorFunctionWrapHandler, WrapValidator
+from typing_extensions import TypedDict
+
+from slamhive.domain.configuration import Playback
+from slamhive.domain.hint import Hint
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.variant import Variant
+from slamhive.domain.verdict import VerdictKind
+from slamhive.schema.fields import described
+from slamhive.schema.model import Document
+from slamhive.schema.submission import Limits
+from slamhive.schema.types import FoundDisturbance, Moment, Rules, Timestamp, Values
+
+
+class MetricValue(TypedDict):
+    """One metric of a run. A plain dictionary: a run has some seventy of them."""
+
+    value: float
+    unit: Annotated[str | None, described("Unit of the value; null for a metric that is not in the catalogue.")]
+
+
+def _metrics(raw: Any, read: ValidatorFunctionWrapHandler) -> Any:
+    """``{key: value}`` of a record in the order of the catalogue, other keys last; or what JSON holds."""
+    if not raw or any(isinstance(value, Mapping) for value in raw.values()):
+        return read(raw or {})
+    known = {key: {"value": raw[key], "unit": metric.unit} for key, metric in CATALOGUE.items() if key in raw}
+    return known | {key: {"value": value, "unit": None} for key, value in raw.items() if key not in known}
+
+
+Metrics = Annotated[dict[str, MetricValue], WrapValidator(_metrics)]
+
+
+class Verdict(Document):
+    """Whether the run counts as failed, and why."""
+
+    kind: VerdictKind
+    failed: bool
+    words: str
+
+
+class ProtocolName(Document):
+    """The protocol of the metrics that are shown."""
+
+    fingerprint: str
+    label: str
+
+
+class Event(Document):
+    """One move of a run."""
+
+    at: Moment
+    from_state: RunState | None = Field(alias="from")
+    to_state: RunState = Field(alias="to")
+    why: str
+
+
+class ShownEvent(Event):
+    """One move of a run, its time to the millisecond."""
+
+    at: Timestamp
+
+
+class Run(Document):
+    """A run with its metrics. What is not known is null; absent metrics are left out."""
+
+    id: Annotated[int, described("Number in this installation.")]
+    uid: Annotated[str, described("Identifies the run in every installation.")]
+    algorithm: str
+    dataset: str
+    configuration: Annotated[int, described("Number of the configuration.")] = Field(
+        validation_alias=AliasChoices("configuration_id", "configuration")
+    )
+    parameters: Values
+    playback: Playback
+    variant: Annotated[Variant, described("Pre-processing steps of the dataset, in order.")]
+    executor: str
+    seed: int
+    state: RunState
+    reason: Annotated[FailureReason | None, described("Why the run failed.")]
+    detail: str | None
+    created_at: Timestamp
+    started_at: Timestamp | None
+    ended_at: Timestamp | None
+    exit_code: int | None
+    poses: Annotated[int | None, described("Poses of the estimated trajectory.")]
+    limits: Limits
+    retry_of: Annotated[int | None, described("Number of the run that this one repeats.")]
+    experiment: str | None
+    cell: Annotated[int | None, described("Number of the configuration within the experiment.")]
+    held: Annotated[bool, described("Queued, but not to be started: its experiment is paused.")]
+    stop_when: Rules
+    repeat_disturbed: int
+    disturbance: FoundDisturbance | None
+    protocol: ProtocolName | None
+    verdict: Verdict | None
+    metrics: Metrics
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The document as JSON. Metrics are JSON already, and most of it."""
+        return {**self.model_dump(mode="json", by_alias=True, exclude={"metrics"}), "metrics": self.metrics}
+
+
+class RunWith(Run):
+    """A run with its moves and evaluations, the oldest first."""
+
+    evaluations: tuple[Evaluation, ...]
+    events: tuple[ShownEvent, ...]
+
+
+class Evaluation(Document):
+    """One evaluation: under which protocol, how it went, why it failed, and hints at mistakes."""
+
+    id: int
+    run: Annotated[int, described("Number of the run.")] = Field(validation_alias=AliasChoices("run_id", "run"))
+    protocol: ProtocolName
+    state: str
+    reason: str | None
+    hints: tuple[Hint, ...] = ()
+    engine: Annotated[str | None, described("Software that computed the metrics, with its version.")]
+    created_at: Timestamp
+    ended_at: Timestamp | None

@@ -1,0 +1,15 @@
+"""A run as JSON."""
+
+from __future__ import annotations
+
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.schema.model import adapter
+from slamhive.schema.run import Metrics
+
+
+def test_a_metric_that_the_catalogue_does_not_have_is_shown_last_and_without_unit():
+    found = adapter(Metrics).validate_python({"of_a_newer_version": 3.0, "ate.rmse": 0.1})
+    assert [(key, entry["value"], entry["unit"]) for key, entry in found.items()] == [
+        ("ate.rmse", 0.1, CATALOGUE["ate.rmse"].unit),
+        ("of_a_newer_version", 3.0, None),
+    ]

@@ -1,0 +1,137 @@
+"""Every option of a run exists in the command, the web form, JSON and the experiment file, and means the same."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from typing import Any
+
+import click
+
+from slamhive.cli import main
+from slamhive.cli.run_options import submission_values
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.protocol import Alignment
+from slamhive.domain.variant import VariantStep
+from slamhive.schema.model import json_schema, parse
+from slamhive.schema.submission import OPTIONS, StopWhen, Submission
+from slamhive.sweep.experiment_file import experiment_schema
+from slamhive.web.run_form import read_form
+from tests.web.web_world import Web
+
+EXAMPLE = Submission(
+    algorithm="eye-slam-stereo",
+    dataset="room",
+    parameters={"nFeatures": 1234},
+    repeat=2,
+    executor="process",
+    seed=7,
+    playback_mode=PlaybackMode.SEQUENTIAL,
+    playback_rate=2.0,
+    evaluate=False,
+    alignment=Alignment.SIM3,
+    cpu_cores=1.5,
+    memory_mb=512,
+    timeout_s=60.0,
+    priority=3,
+    variant=(VariantStep("resolution", ("camera0", "camera1"), {"scale": 0.5, "interpolation": "area"}),),
+    stop_when=StopWhen(lost_tracking_s=2.5, memory_mb=400, time_s=50.0, failures_of_configuration=3),
+    repeat_disturbed=1,
+)
+"""Every field differs from its default."""
+STEP = "resolution@camera0,camera1 scale=0.5 interpolation=area"
+FORM_NAMES = {"parameters": "parameter.nFeatures", "variant": "steps"}
+EXPERIMENT_KEYS = {
+    "algorithm": "algorithms",
+    "dataset": "datasets",
+    "repeat": "repeats",
+    "seed": "seeds",
+    "playback_mode": "playback.mode",
+    "playback_rate": "playback.rate",
+    "alignment": "evaluate.alignment",
+    "cpu_cores": "limits.cpu_cores",
+    "memory_mb": "limits.memory_mb",
+    "timeout_s": "limits.timeout_s",
+    "variant": "steps",
+}
+"""Where an experiment file has other names: several values, or sections."""
+
+
+def test_the_example_sets_every_option():
+    for field in dataclasses.fields(Submission):
+        assert getattr(EXAMPLE, field.name) not in (field.default, None), field.name
+    assert None not in dataclasses.astuple(EXAMPLE.stop_when)
+
+
+def test_the_command_sets_every_option():
+    command = main.get_command(click.Context(main), "run")
+    assert command is not None
+    arguments = [
+        *("eye-slam-stereo", "room", "--set", "nFeatures=1234", "--repeat", "2", "--executor", "process"),
+        *("--seed", "7", "--playback", "sequential", "--rate", "2", "--no-evaluate", "--align", "sim3"),
+        *("--cpus", "1.5", "--memory", "512", "--timeout", "60", "--priority", "3", "--step", STEP),
+        *("--stop-when", "lost_tracking_s=2.5", "--stop-when", "memory_mb=400", "--stop-when", "time_s=50"),
+        *("--stop-when", "failures_of_configuration=3", "--repeat-disturbed", "1"),
+    ]
+    values = submission_values(command.make_context("run", arguments).params)
+    steps = (VariantStep("resolution", ("camera0", "camera1"), {"scale": "0.5", "interpolation": "area"}),)
+    assert Submission(**values) == dataclasses.replace(EXAMPLE, parameters={"nFeatures": "1234"}, variant=steps)
+
+
+def test_the_web_form_shows_and_sets_every_option(shown: Web):
+    page = shown.client.get("/runs/new?algorithm=eye-slam-stereo&dataset=room").text
+    names = set(re.findall(r' name="([^"]+)"', page))
+    assert {FORM_NAMES.get(name, name) for name in OPTIONS} <= names
+    values = {
+        **{name: str(_value(name)) for name in OPTIONS if name not in FORM_NAMES},
+        "evaluate": "no",
+        "parameter.nFeatures": "1234",
+        "steps": STEP,
+    }
+    read = read_form(shown.hive, values)
+    assert read.errors == {}
+    assert read.submission == dataclasses.replace(EXAMPLE, parameters={**_defaults(shown), "nFeatures": 1234})
+
+
+def test_json_sets_every_option():
+    content = {
+        **{name: _value(name) for name in OPTIONS if "." not in name},
+        "stop_when": EXAMPLE.stop_when.content,
+        "variant": [
+            {
+                "kind": "resolution",
+                "sensors": ["camera0", "camera1"],
+                "options": {"scale": 0.5, "interpolation": "area"},
+            }
+        ],
+    }
+    assert parse(Submission, json.loads(json.dumps(content))) == EXAMPLE
+    assert set(OPTIONS) <= _keys(json.loads(json_schema(Submission)))
+
+
+def test_the_experiment_file_has_every_option():
+    assert {EXPERIMENT_KEYS.get(name, name) for name in OPTIONS} <= _keys(json.loads(experiment_schema()))
+
+
+def _value(name: str) -> Any:
+    value: Any = EXAMPLE
+    for part in name.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def _defaults(shown: Web) -> dict[str, Any]:
+    return {entry.key: entry.default for entry in shown.hive.catalogue.algorithm("eye-slam-stereo").parameters}
+
+
+def _keys(schema: dict[str, Any], part: dict[str, Any] | None = None, prefix: str = "") -> set[str]:
+    """The dotted names of all keys of a JSON Schema."""
+    found: set[str] = set()
+    for name, entry in (schema if part is None else part).get("properties", {}).items():
+        found.add(prefix + name)
+        for choice in (entry, *entry.get("anyOf", ()), *entry.get("oneOf", ())):
+            if "$ref" in choice:
+                nested = schema["$defs"][choice["$ref"].rpartition("/")[2]]
+                found |= _keys(schema, nested, f"{prefix}{name}.")
+    return found
