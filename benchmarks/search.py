@@ -80,11 +80,17 @@ QUERIES: dict[str, tuple[Draw, RunSort]] = {
         ),
         RunSort("rpe.rmse", descending=False),
     ),
+    "verdict": (lambda _: "verdict = good", RunSort("ate.rmse", descending=False)),
+    "verdict, narrow": (
+        lambda c: f"verdict = diverged_far and ate.rmse < {c.uniform(0.05, 0.3):.5f}",
+        RunSort(),
+    ),
     "sorted within": (lambda c: f"ate.rmse > {c.uniform(0.2, 0.4):.5f}", RunSort("ate.rmse", descending=False)),
     "deep page": (lambda _: "", RunSort("cpu.mean")),
     "by configuration": (lambda c: f"ate.rmse < {c.uniform(0.02, 0.3):.5f}", RunSort("configuration")),
+    "by failures": (lambda c: f"ate.rmse < {c.uniform(0.02, 0.3):.5f}", RunSort("failed")),
 }
-GROUPED = frozenset({"by configuration"})
+GROUPED = frozenset({"by configuration", "by failures"})
 DEEP = frozenset({"deep page"})
 
 

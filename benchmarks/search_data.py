@@ -1,7 +1,8 @@
 """Many made-up runs in a store, or in the database of MLflow: the rows that ``search.py`` searches.
 
 Each run has 6 parameters and 40 metric values; 5 repeats share a configuration. One run in ten failed and has only
-measured metrics. The same seed makes the same values.
+measured metrics. The others have a verdict: most are good, one in eight failed by its evaluation. The same seed makes
+the same values.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from sqlalchemy import create_engine
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.verdict import VerdictKind
 from slamhive.store import Store
+from slamhive.store.metrics import VERDICT
 from slamhive.store.models import (
     MEASURED_PROTOCOL_ID,
     Algorithm,
@@ -33,6 +36,7 @@ from slamhive.store.models import (
     Parameter,
     Run,
 )
+from slamhive.store.verdicts import CODES
 
 REPEATS = 5
 METRICS = 40
@@ -42,6 +46,13 @@ DATASETS = tuple(f"MH_{place:02d}" for place in range(1, 6)) + tuple(f"V{place}"
 REASONS = ("timeout", "no_trajectory", "nonzero_exit", "out_of_memory")
 BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
 BATCH = 5_000
+VERDICTS = {
+    VerdictKind.GOOD: 0.875,
+    VerdictKind.TRACKED_TOO_LITTLE: 0.075,
+    VerdictKind.DIVERGED_FAR: 0.03,
+    VerdictKind.DIVERGED_OUTLIER: 0.02,
+}
+"""How often each verdict is found among the runs that were evaluated."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +67,19 @@ class Made:
     def values(self, place: int) -> npt.NDArray[np.float64]:
         """The values of one metric; NaN where the run has none."""
         chance = np.random.default_rng((7, place))
+        if self.keys[place] == VERDICT:
+            codes = [CODES[kind] for kind in VERDICTS]
+            return np.where(self.failed, np.nan, chance.choice(codes, self.runs, p=list(VERDICTS.values())))
         scale = {"tracked_fraction": 1.0, "ram.max": 2e9}.get(self.keys[place], 0.1)
         values = np.minimum(chance.gamma(2.0, scale, self.runs), 1.0 if "fraction" in self.keys[place] else np.inf)
-        if CATALOGUE[self.keys[place]].needs_protocol:
+        if needs_protocol(self.keys[place]):
             values[self.failed] = np.nan
         return values
+
+
+def needs_protocol(key: str) -> bool:
+    """Whether a metric is filed under the protocol of its evaluation."""
+    return key == VERDICT or CATALOGUE[key].needs_protocol
 
 
 def make(runs: int) -> Made:
@@ -70,7 +89,7 @@ def make(runs: int) -> Made:
     measured = [key for key, metric in CATALOGUE.items() if not metric.needs_protocol]
     wanted = [*dict.fromkeys(["ate.rmse", "rpe.rmse", "tracked_fraction", *protocol])]
     front = dict.fromkeys(["cpu.mean", "ram.max", "latency.p95", *measured])
-    keys = (*wanted[: METRICS - 12], *list(front)[:12])
+    keys = (*wanted[: METRICS - 12], *list(front)[:12], VERDICT)
     parameters = 500.0 * chance.integers(1, 20, (-(-runs // REPEATS), len(PARAMETERS))).astype(np.float64)
     return Made(runs, keys, chance.random(runs) < 0.1, parameters)
 
@@ -176,7 +195,7 @@ def _runs(made: Made) -> Iterator[dict[str, Any]]:
 def _figures(made: Made) -> Iterator[dict[str, Any]]:
     """Metric by metric, in the order of the primary key."""
     for place, key in enumerate(made.keys):
-        protocol_id = 2 if CATALOGUE[key].needs_protocol else MEASURED_PROTOCOL_ID
+        protocol_id = 2 if needs_protocol(key) else MEASURED_PROTOCOL_ID
         for run, value in enumerate(made.values(place).tolist(), 1):
             if value == value:  # noqa: PLR0124 - not NaN
                 yield {"metric_id": place + 1, "run_id": run, "protocol_id": protocol_id, "value": value,

@@ -27,7 +27,6 @@ from slamhive.store.records import (
     RunRequest,
     RunSnapshot,
     RunSort,
-    UsageSummary,
 )
 from slamhive.store.store import AbsentStore, Store, open_store
 from slamhive.store.transaction import Transaction
@@ -59,6 +58,5 @@ __all__ = [
     "Store",
     "StoredParameter",
     "Transaction",
-    "UsageSummary",
     "open_store",
 ]

@@ -1,4 +1,4 @@
-"""Analyses: their list, and their own little queue."""
+"""Analyses: their list and their queue."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TABLE = Analysis.__table__
 
 
 class AnalysisRepository(LeaseQueue[str]):
-    """One worker computes an analysis at a time; one that dies leaves it to the next."""
+    """One worker computes an analysis at a time; if it dies, the next one takes over."""
 
     table = _TABLE
     key = "token"
@@ -30,7 +30,7 @@ class AnalysisRepository(LeaseQueue[str]):
     refunds_attempts = True
 
     def put(self, record: AnalysisRecord) -> None:
-        """File an analysis as its folder tells it; the same call again is fine. Whoever computes it has lost it."""
+        """File an analysis as its folder describes it; a worker that computes it loses it. May be repeated."""
         values = {
             "name": record.name,
             "listed": record.listed,
@@ -51,44 +51,44 @@ class AnalysisRepository(LeaseQueue[str]):
         return found[0]
 
     def listed(self, limit: int) -> list[AnalysisRecord]:
-        """The listed ones, newest first."""
+        """The analyses that the list shows, newest first."""
         query = select(_TABLE).where(_TABLE.c.listed == True).order_by(_TABLE.c.id.desc()).limit(limit)  # noqa: E712
         return [_record(row) for row in self._session.execute(query)]
 
     def visitors(self) -> list[AnalysisRecord]:
-        """Those that were made in view-only mode, oldest first."""
+        """The analyses that visitors made in view-only mode, oldest first."""
         return self._records(_TABLE.c.visitor == True)  # noqa: E712
 
     def waiting(self) -> int:
         """How many are not computed yet."""
         open_ones = _TABLE.c.state.in_((AnalysisState.QUEUED, AnalysisState.RUNNING))
-        return int(self._session.execute(select(func.count()).select_from(_TABLE).where(open_ones)).scalar_one())
+        return self._number(select(func.count()).select_from(_TABLE).where(open_ones))
 
     def same(self, content_hash: str) -> list[str]:
-        """The addresses of those that show the same and are done, newest first."""
+        """The addresses of finished analyses with the same content, newest first."""
         query = select(_TABLE.c.token).where(
             _TABLE.c.content_hash == content_hash, _TABLE.c.state == AnalysisState.DONE
         )
-        return list(self._session.execute(query.order_by(_TABLE.c.id.desc())).scalars())
+        return self._column(query.order_by(_TABLE.c.id.desc()))
 
     def list_or_not(self, token: str, *, listed: bool) -> None:
-        """Show it in the list, or only at its address. Raises NotFound."""
+        """Show it in the list, or at its address only. Raises NotFound."""
         self.get(token)
         self._session.execute(update(_TABLE).where(_TABLE.c.token == token).values(listed=listed))
 
     def delete(self, token: str) -> bool:
-        """Forget it; whether it was there. Whoever computes it finds out with the next heartbeat."""
+        """Delete it; whether it existed. A worker that computes it learns of it with its next heartbeat."""
         return changed(self._session, delete(_TABLE).where(_TABLE.c.token == token)) == 1
 
     # -- the queue -------------------------------------------------------------------------------------------------
 
     def claim(self, lease: Lease) -> AnalysisRecord | None:
-        """Take the oldest that waits, or whose worker went silent; None if there is none."""
+        """Take the oldest analysis that waits or whose worker went silent; None if there is none."""
         taken = self._take_oldest(self._waiting(lease.now), lease, 1, state=AnalysisState.RUNNING)
         return self._records(_TABLE.c.token == taken[0])[0] if taken else None
 
     def finish(self, record: AnalysisRecord, owner: str) -> None:
-        """File the end of an analysis that ``owner`` computes; raises LeaseLost if it holds it no more."""
+        """File the end of an analysis that ``owner`` computes; raises LeaseLost if it no longer holds it."""
         if not self._end(record.token, owner, **_ending(record)):
             raise LeaseLost(f"analysis {record.token} was deleted, or taken over by another worker")
 
@@ -97,7 +97,7 @@ class AnalysisRepository(LeaseQueue[str]):
     def fingerprint(self, run_ids: Sequence[int]) -> str:
         """SHA-256 in hex over the states, current protocols and latest evaluations of runs.
 
-        Metrics of a run change with its state and its evaluations alone, so equal fingerprints mean equal metrics.
+        The metrics of a run change only with its state and its evaluations: equal fingerprints mean equal metrics.
         """
         digest = hashlib.sha256()
         runs, evaluations = Run.__table__, Evaluation.__table__
@@ -128,17 +128,4 @@ def _ending(record: AnalysisRecord) -> dict[str, Any]:
 
 
 def _record(row: Row[Any]) -> AnalysisRecord:
-    return AnalysisRecord(
-        token=row.token,
-        name=row.name,
-        state=row.state,
-        listed=row.listed,
-        visitor=row.visitor,
-        created_at=row.created_at,
-        content_hash=row.content_hash,
-        reason=row.reason,
-        size_bytes=row.size_bytes,
-        ended_at=row.ended_at,
-        attempt=row.attempt,
-        lease_owner=row.lease_owner,
-    )
+    return AnalysisRecord(**{name: getattr(row, name) for name in AnalysisRecord.__dataclass_fields__})

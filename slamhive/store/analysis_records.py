@@ -1,4 +1,4 @@
-"""What the store knows of analyses: frozen values, never rows."""
+"""What the store knows about analyses: frozen values, never rows."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ class AnalysisState(StrEnum):
 
     @property
     def ended(self) -> bool:
-        """Nothing more will happen unless it is computed again."""
+        """Whether it stays in this state unless somebody computes it again."""
         return self in (AnalysisState.DONE, AnalysisState.FAILED)
 
 
 @dataclass(frozen=True, slots=True)
 class AnalysisRecord:
-    """A stored analysis. Its folder is the truth, this is its place in lists and in the queue.
+    """A stored analysis. Its folder is the truth; this is its place in lists and in the queue.
 
     ``token`` (32 hex digits) is its permanent address and cannot be guessed. A ``visitor`` made it in view-only mode.
-    ``content_hash`` says what it shows: the text of its file, over these runs with these metrics; None until that is
+    ``content_hash`` identifies what it shows (the text of its file, its runs and their metrics); None until that is
     known. ``reason``: why it failed. ``size_bytes``: the stored report, None while there is none.
     """
 

@@ -1,4 +1,4 @@
-"""What archives need of the database besides what pages need: rows as they are, found and filed in bulk."""
+"""What archives read from the database and write to it, in bulk."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, func, select, update
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, select, update
 
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunEvent, RunState
@@ -31,7 +30,7 @@ from slamhive.store.models import (
 )
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.records import SavedSearchRecord
-from slamhive.store.rows import chunks, get_or_insert
+from slamhive.store.rows import Repository, chunks, get_or_insert
 from slamhive.store.searches import SearchRepository, saved_columns
 
 _RUNS = Run.__table__
@@ -41,25 +40,22 @@ _EVALUATIONS = Evaluation.__table__
 _ENDED = tuple(state for state in RunState if state.ended)
 
 
-class ArchiveRepository:
-    """Rows by the identities that they keep in every installation: uid of a run, name or content of the rest."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
+class ArchiveRepository(Repository):
+    """Rows by the identity that they have in every installation: the uid of a run, the name or content of the rest."""
 
     # -- out -------------------------------------------------------------------------------------------------------
 
     def ended(self) -> list[int]:
-        """All runs that have ended, by number."""
+        """The numbers of all runs that have ended, in order."""
         query = select(_RUNS.c.id).where(_RUNS.c.state.in_(_ENDED)).order_by(_RUNS.c.id)
-        return list(self._session.execute(query).scalars())
+        return self._column(query)
 
     def ended_among(self, run_ids: Sequence[int]) -> list[int]:
-        """Those of these runs that have ended, by number."""
+        """The numbers of those of these runs that have ended, in order."""
         found: list[int] = []
         for part in chunks(sorted(set(run_ids))):
             query = select(_RUNS.c.id).where(_RUNS.c.id.in_(part), _RUNS.c.state.in_(_ENDED))
-            found += self._session.execute(query.order_by(_RUNS.c.id)).scalars()
+            found += self._column(query.order_by(_RUNS.c.id))
         return found
 
     def uids(self, run_ids: Iterable[int]) -> dict[int, str]:
@@ -71,18 +67,16 @@ class ArchiveRepository:
         return found
 
     def configurations_of(self, run_ids: Iterable[int], experiment_ids: Collection[int]) -> list[int]:
-        """The configurations of these runs, and of the cells of these experiments, by number."""
+        """The numbers of the configurations of these runs and of the cells of these experiments, in order."""
         found: set[int] = set()
         for part in chunks(sorted(set(run_ids))):
-            found.update(
-                self._session.execute(select(_RUNS.c.configuration_id).where(_RUNS.c.id.in_(part)).distinct()).scalars()
-            )
+            found.update(self._column(select(_RUNS.c.configuration_id).where(_RUNS.c.id.in_(part)).distinct()))
         cells = select(_CELLS.c.configuration_id).where(_CELLS.c.experiment_id.in_(experiment_ids)).distinct()
-        return sorted(found | set(self._session.execute(cells).scalars()))
+        return sorted(found | set(self._column(cells)))
 
     def all_configurations(self) -> list[int]:
-        """Every configuration, by number."""
-        return list(self._session.execute(select(Configuration.id).order_by(Configuration.id)).scalars())
+        """The numbers of all configurations, in order."""
+        return self._column(select(Configuration.id).order_by(Configuration.id))
 
     def evaluations(self, run_ids: Collection[int]) -> dict[int, list[EndedEvaluation]]:
         """The evaluations of these runs that have ended, oldest first."""
@@ -107,41 +101,29 @@ class ArchiveRepository:
         return found
 
     def saved_searches(self) -> list[tuple[SavedSearchRecord, datetime]]:
-        """All saved searches and when each was saved."""
+        """All saved searches, and when each of them was saved."""
         rows = self._session.execute(select(SavedSearch.name, SavedSearch.created_at))
         from_name = {row.name: row.created_at for row in rows}
         return [(record, from_name[record.name]) for record in SearchRepository(self._session).saved()]
 
     # -- in --------------------------------------------------------------------------------------------------------
 
-    def known(self, uids: Sequence[str]) -> dict[str, int]:
-        """{uid: number} of the runs that are here."""
-        found: dict[str, int] = {}
-        for part in chunks(uids):
-            for row in self._session.execute(select(_RUNS.c.uid, _RUNS.c.id).where(_RUNS.c.uid.in_(part))):
-                found[row.uid] = row.id
-        return found
-
-    def total(self) -> int:
-        """How many runs there are."""
-        return int(self._session.execute(select(func.count()).select_from(_RUNS)).scalar_one())
-
     def taken(self, run_ids: Sequence[int]) -> set[int]:
-        """Those of these numbers that a run has."""
-        return set(self._session.execute(select(_RUNS.c.id).where(_RUNS.c.id.in_(run_ids))).scalars())
+        """Those of these numbers that belong to a run."""
+        return set(self._column(select(_RUNS.c.id).where(_RUNS.c.id.in_(run_ids))))
 
     def dataset_if_absent(self, name: str, values: Mapping[str, Any]) -> int:
-        """The dataset of this name, as it is here if it is, else as ``values`` say."""
+        """The id of the dataset of this name; stored with ``values`` if there is none."""
         return get_or_insert(self._session, Dataset, {"name": name}, values)[0]
 
     def algorithm_if_absent(self, name: str, package: str, mode: str) -> int:
-        """The algorithm of this name, as it is here if it is."""
+        """The id of the algorithm of this name; stored if there is none."""
         return get_or_insert(self._session, Algorithm, {"name": name}, {"package": package, "mode": mode})[0]
 
     def put_configurations(
         self, entries: Sequence[NewConfiguration], created_at: Sequence[datetime]
     ) -> list[tuple[int, bool]]:
-        """The number of each configuration, and whether it is new; a new one has the time it was first created at."""
+        """The number of each configuration, and whether it is new. New ones keep their original time of creation."""
         found = ConfigurationRepository(self._session).get_or_create_many(entries, max(created_at))
         times = {number: at for (number, new), at in zip(found, created_at, strict=True) if new}
         table = Configuration.__table__
@@ -152,15 +134,15 @@ class ArchiveRepository:
         return found
 
     def experiment(self, uid: str) -> str | None:
-        """The name of the experiment with this uid, None if it is not here."""
+        """The name of the experiment with this uid; None if there is none."""
         return self._session.execute(select(Experiment.name).where(Experiment.uid == uid)).scalar_one_or_none()
 
     def put_experiment(self, uid: str, name: str, values: Mapping[str, Any]) -> int:
-        """The row of the experiment with this uid, made if there is none; a free ``name`` is chosen by the caller."""
+        """The id of the experiment with this uid, stored if there is none; the caller chooses a free ``name``."""
         return get_or_insert(self._session, Experiment, {"uid": uid}, {"name": name, **values})[0]
 
     def add_cells(self, experiment_id: int, cells: Sequence[NewCell]) -> None:
-        """Store those of the cells that are not here."""
+        """Store the cells that are not stored yet."""
         if cells:
             wanted = [cell.number for cell in cells]
             numbers = _CELLS.c.number.between(min(wanted), max(wanted))
@@ -175,4 +157,4 @@ class ArchiveRepository:
         changes_of(self._session).searches = True
 
     def _numbers(self, column: ColumnElement[int], *conditions: ColumnElement[bool]) -> set[int]:
-        return set(self._session.execute(select(column).where(*conditions)).scalars())
+        return set(self._column(select(column).where(*conditions)))

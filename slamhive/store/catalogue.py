@@ -7,7 +7,6 @@ from datetime import datetime
 from typing import Any
 
 from sqlalchemy import Row, select, update
-from sqlalchemy.orm import Session
 
 from slamhive.domain import protocol as domain
 from slamhive.domain.algorithm import Algorithm as AlgorithmDefinition
@@ -18,14 +17,11 @@ from slamhive.store.models import Algorithm, AlgorithmVersion, Dataset, Host, Pr
 from slamhive.store.records import AlgorithmRecord, DatasetRecord
 from slamhive.store.records import AlgorithmVersion as VersionRecord
 from slamhive.store.records import Host as HostRecord
-from slamhive.store.rows import cut, get_or_insert
+from slamhive.store.rows import Repository, cut, get_or_insert
 
 
-class CatalogueRepository:
-    """Get or create, and keep up to date, what the catalogue folders say."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
+class CatalogueRepository(Repository):
+    """Gets or creates rows, and keeps them equal to the catalogue folders."""
 
     def put_algorithm(self, algorithm: AlgorithmDefinition) -> int:
         """The id of ``algorithm``, stored if it is new."""
@@ -51,9 +47,9 @@ class CatalogueRepository:
         return version_id
 
     def put_dataset(self, dataset: DatasetDefinition, now: datetime, *, gone: bool = False) -> int:
-        """The id of ``dataset``; a dataset that was made again under its name replaces what was known of it.
+        """The id of ``dataset``. A dataset that was made again under its name replaces what the row says.
 
-        ``gone``: its folder is gone, so what is known of it stays.
+        ``gone``: its folder is gone, so the row stays as it is.
         """
         values = {
             "checksum": dataset.checksum,
@@ -82,7 +78,7 @@ class CatalogueRepository:
         return get_or_insert(self._session, Protocol, {"fingerprint": protocol.fingerprint}, values)[0]
 
     def algorithms(self) -> list[AlgorithmRecord]:
-        """All algorithms that anything was stored for, by name."""
+        """All algorithms that the database knows, by name."""
         rows = self._session.execute(select(Algorithm.__table__).order_by(Algorithm.name))
         return [AlgorithmRecord(row.id, row.name, row.package, row.mode) for row in rows]
 
@@ -94,7 +90,7 @@ class CatalogueRepository:
         return known[name]
 
     def datasets(self) -> list[DatasetRecord]:
-        """All datasets that anything was stored for, by name."""
+        """All datasets that the database knows, by name."""
         return [_dataset(row) for row in self._session.execute(select(Dataset.__table__).order_by(Dataset.name))]
 
     def dataset(self, name: str) -> DatasetRecord:
@@ -106,13 +102,5 @@ class CatalogueRepository:
 
 
 def _dataset(row: Row[Any]) -> DatasetRecord:
-    return DatasetRecord(
-        id=row.id,
-        name=row.name,
-        checksum=row.checksum,
-        duration_s=row.duration_s,
-        folder=row.folder,
-        title=row.title,
-        sensors=tuple(row.sensors),
-        registered_at=row.registered_at,
-    )
+    values = {name: getattr(row, name) for name in DatasetRecord.__dataclass_fields__}
+    return DatasetRecord(**{**values, "sensors": tuple(row.sensors)})

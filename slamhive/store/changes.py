@@ -1,7 +1,6 @@
-"""What a transaction has stored that no folder tells. Whoever keeps the folders learns of it after the commit.
+"""Notes on what a transaction has stored that no run folder holds. The ledger receives them after the commit.
 
-Repositories note what they do; :meth:`slamhive.store.store.Store.write` hands the notes on, so that no use case can
-forget to.
+Repositories take the notes and :meth:`slamhive.store.store.Store.write` hands them on, so no use case can forget to.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ CHANGES_KEY = "slamhive.changes"
 
 @dataclass(frozen=True, slots=True)
 class NewRow(Generic[T]):
-    """A row that was added: its number, what it was made of, and when."""
+    """A new row: its number, its content, and when it was added."""
 
     id: int
     content: T
@@ -46,10 +45,10 @@ class AskedEvaluations:
 class Changes:
     """Notes of one transaction.
 
-    ``described``: configurations whose name, note or groups have changed. ``cancelled``: runs that were cancelled while
-    they waited, with when and why; ``asked_to_end``: active ones that are to end. ``cells``: by the number of their
-    experiment; ``experiments``: those of which cells and runs were counted again. ``evaluated``: evaluations that have
-    ended. ``uncertain``: the transaction was tried more than once, an earlier attempt may have stored more.
+    ``described``: configurations whose name, note or groups have changed. ``cancelled``: queued runs that were
+    cancelled, with when and why. ``asked_to_end``: active runs that a user cancelled. ``cells``: by the number of their
+    experiment. ``experiments``: those whose fields changed. ``evaluated``: evaluations that have ended. ``uncertain``:
+    the transaction was tried more than once, so an earlier attempt may have stored more.
     """
 
     configurations: list[NewRow[NewConfiguration]] = field(default_factory=list)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from sqlalchemy import delete, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
-from sqlalchemy.orm import Session
 
 from slamhive.errors import Conflict, NotFound
 from slamhive.store.changes import changes_of
@@ -14,17 +13,14 @@ from slamhive.store.configuration_listing import configuration_records, list_con
 from slamhive.store.configuration_models import ConfigurationGroup, ConfigurationLabel
 from slamhive.store.configuration_records import ConfigurationFilter, ConfigurationPage, ConfigurationRecord
 from slamhive.store.models import Configuration, ConfigurationValue, Run, VariantOption
-from slamhive.store.rows import changed
+from slamhive.store.rows import Repository, changed
 
 _LABELS = ConfigurationLabel.__table__
 _GROUPS = ConfigurationGroup.__table__
 
 
-class ConfigurationBook:
+class ConfigurationBook(Repository):
     """Names are unique among configurations; a configuration may be in several groups."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
 
     def page(self, wanted: ConfigurationFilter, after: str | None, limit: int) -> ConfigurationPage:
         """One page, newest first; see :func:`list_configurations`."""
@@ -44,7 +40,7 @@ class ConfigurationBook:
     def latest_runs(self, configuration_id: int, limit: int) -> list[int]:
         """The numbers of its newest runs, newest first."""
         query = select(Run.__table__.c.id).where(Run.__table__.c.configuration_id == configuration_id)
-        return list(self._session.execute(query.order_by(Run.__table__.c.id.desc()).limit(limit)).scalars())
+        return self._column(query.order_by(Run.__table__.c.id.desc()).limit(limit))
 
     def named(self, name: str) -> int | None:
         """The number of the configuration called ``name``."""
@@ -80,14 +76,14 @@ class ConfigurationBook:
             raise _name_taken(name, None) from None
 
     def add_to_group(self, group: str, configuration_ids: Sequence[int]) -> None:
-        """Put configurations into a group; those in it stay. Raises NotFound."""
+        """Put configurations into a group, which keeps those that it has. Raises NotFound."""
         for configuration_id in dict.fromkeys(configuration_ids):
             if group not in self.get(configuration_id).groups:
                 self._session.execute(insert(_GROUPS).values(name=group, configuration_id=configuration_id))
         changes_of(self._session).described.update(configuration_ids)
 
     def remove_from_group(self, group: str, configuration_ids: Sequence[int]) -> None:
-        """Take configurations out of a group; the group is gone with its last. Raises NotFound for one not in it."""
+        """Take configurations out of a group; an empty group disappears. Raises NotFound for one that is not in it."""
         for configuration_id in dict.fromkeys(configuration_ids):
             place = (_GROUPS.c.name == group, _GROUPS.c.configuration_id == configuration_id)
             if not changed(self._session, delete(_GROUPS).where(*place)):
@@ -103,7 +99,8 @@ class ConfigurationBook:
         """Remove a configuration that nothing depends on; raises NotFound, or Conflict naming what does."""
         record = self.get(configuration_id)
         if record.experiments:
-            raise Conflict(f"{record.label} is part of experiment {record.experiments[0]}", "it stays as long as that")
+            owner = record.experiments[0]
+            raise Conflict(f"{record.label} is part of experiment {owner}", "it stays as long as the experiment does")
         if record.runs:
             raise _has_runs(record.label, f"{record.runs} run{'s' if record.runs > 1 else ''}")
         for table in (_LABELS, _GROUPS, ConfigurationValue.__table__, VariantOption.__table__):
@@ -117,7 +114,8 @@ class ConfigurationBook:
 
 
 def _has_runs(label: str, runs: str) -> Conflict:
-    return Conflict(f"{label} has {runs}", "what runs tell of must stay; take it out of its groups, or rename it")
+    remedy = "a configuration with runs must stay; take it out of its groups, or rename it"
+    return Conflict(f"{label} has {runs}", remedy)
 
 
 def _name_taken(name: str | None, owner: int | None) -> Conflict:

@@ -1,4 +1,4 @@
-"""Lists of configurations: filters, pages by key, and the records that come out."""
+"""Lists of configurations: filters, pages and records."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def list_configurations(
 ) -> ConfigurationPage:
     """One page of the configurations that match ``wanted``, newest first.
 
-    Raises InvalidInput for a page size or key that is none of ours, NotFound for a parameter that no configuration has.
+    Raises InvalidInput for a wrong page size or key, NotFound for a parameter that no configuration has.
     """
     if not 1 <= limit <= LARGEST_PAGE:
         raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
@@ -63,7 +63,7 @@ def list_configurations(
 
 
 def configuration_records(session: Session, ids: Sequence[int]) -> tuple[ConfigurationRecord, ...]:
-    """The configurations with these ids, in this order; those that are not there are left out."""
+    """The configurations with these ids, in this order; unknown ids are left out."""
     found: dict[int, ConfigurationRecord] = {}
     for part in chunks(ids):
         found.update({record.id: record for record in _records(session, part)})

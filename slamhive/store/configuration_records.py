@@ -13,8 +13,8 @@ from slamhive.domain.parameters import Value
 class StoredParameter:
     """How a parameter was defined when the configuration was stored; the definition may have been edited since.
 
-    ``general`` is the name shared across algorithms as the newest definition has it: it is how a value is found, and
-    no part of what the value means.
+    ``general`` is the name shared across algorithms, from the newest definition. It finds a value and is no part of its
+    meaning.
     """
 
     type: str
@@ -24,9 +24,9 @@ class StoredParameter:
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationRecord:
-    """A configuration with what users say about it, and what depends on it.
+    """A configuration, what users say about it, and what depends on it.
 
-    ``parameters``: {key: definition}. ``runs`` counts its runs, ``experiments`` names those that hold it.
+    ``parameters``: {key: definition}. ``runs`` counts its runs, ``experiments`` names the experiments that contain it.
     """
 
     id: int
@@ -68,7 +68,7 @@ class ParameterCondition:
 class ConfigurationFilter:
     """Which configurations to list; an empty tuple, an empty text or None does not restrict.
 
-    ``text`` is looked for in names and notes, in small and capital letters alike. ``used``: with or without runs.
+    ``text`` is searched in names and notes, whatever the case. ``used``: with or without runs.
     """
 
     algorithms: tuple[str, ...] = ()
@@ -81,7 +81,7 @@ class ConfigurationFilter:
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationPage:
-    """One page, newest first. ``total`` counts all that match; ``next_key`` leads on, None at the end."""
+    """One page, newest first. ``total`` counts all matches; ``next_key`` asks for the next page; None at the end."""
 
     records: tuple[ConfigurationRecord, ...]
     total: int

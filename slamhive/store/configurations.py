@@ -8,7 +8,6 @@ from typing import Any
 
 from sqlalchemy import insert, select, update
 from sqlalchemy.exc import IntegrityError
-from sqlalchemy.orm import Session
 
 from slamhive.domain import configuration as domain
 from slamhive.domain.parameters import Parameter as Definition
@@ -26,19 +25,16 @@ from slamhive.store.models import (
     Parameter,
     VariantOption,
 )
-from slamhive.store.rows import chunks, get_or_insert
+from slamhive.store.rows import Repository, chunks, get_or_insert
 from slamhive.store.variant_options import option_rows
 
 ROWS_OF_A_STATEMENT = 100
-"""Few enough for PyMySQL to send as one INSERT, which happens whole or not at all if another transaction inserts the
-same. SQLite has one writer at a time."""
+"""PyMySQL sends so few rows as one INSERT, which succeeds or fails as a whole if another transaction inserts the same.
+SQLite has one writer at a time."""
 
 
-class ConfigurationRepository:
+class ConfigurationRepository(Repository):
     """Typed parameter values in, the same values and types out."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
 
     def get_or_create(
         self,
@@ -61,7 +57,7 @@ class ConfigurationRepository:
         return self.get_or_create_many([entry], now)[0]
 
     def get_or_create_many(self, entries: Sequence[NewConfiguration], now: datetime) -> list[tuple[int, bool]]:
-        """The same for some hundreds at a time, in a few statements; in the order of ``entries``."""
+        """The same for some hundreds of configurations in a few statements, in the order of ``entries``."""
         known = self._ids_by_hash([entry.content_hash for entry in entries])
         missing = {entry.content_hash: entry for entry in entries if entry.content_hash not in known}
         ours: set[str] = set()
@@ -131,7 +127,7 @@ class ConfigurationRepository:
         return found
 
     def _insert(self, missing: Mapping[str, NewConfiguration], now: datetime) -> set[str]:
-        """Insert the rows of ``missing``; the hashes of those that no other transaction has inserted meanwhile."""
+        """Insert the rows of ``missing``; the hashes of those that no other transaction inserted first."""
         inserted: set[str] = set()
         for part in chunks(list(missing), ROWS_OF_A_STATEMENT):
             rows = [{**_row(missing[content_hash]), "created_at": now} for content_hash in part]
@@ -147,7 +143,7 @@ class ConfigurationRepository:
         return inserted
 
     def _insert_values(self, entries: Mapping[int, NewConfiguration]) -> None:
-        """The parameters, and the options of the variants, of configurations that are new, by id."""
+        """Insert the parameters and variant options of new configurations, by id."""
         ids: dict[tuple[object, ...], dict[str, int]] = {}
         meanings = _Meanings()
         rows: list[dict[str, Any]] = []
@@ -200,7 +196,7 @@ class ConfigurationRepository:
 
 
 class _Meanings:
-    """What tells definitions apart: type and unit say what a value means. Told once for each list of definitions."""
+    """What distinguishes lists of definitions: the type and unit of each. Computed once for each list."""
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[object, ...]] = {}
@@ -233,7 +229,7 @@ def _description(definition: Definition | None, value: Value) -> tuple[str, str,
 
 
 def _columns(value: Value) -> dict[str, Any]:
-    """The exact value as JSON, which keeps 1, 1.0, true and "1" apart; numbers and text also where searches look."""
+    """The exact value as JSON, which distinguishes 1, 1.0, true and "1"; and as number or text for searches."""
     number: float | None = None
     text: str | None = None
     if isinstance(value, str):

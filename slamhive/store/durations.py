@@ -8,7 +8,6 @@ from datetime import datetime, timedelta
 from statistics import median
 
 from sqlalchemy import ColumnElement, Integer, and_, cast, func, select
-from sqlalchemy.orm import Session
 
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import RunState
@@ -25,7 +24,7 @@ from slamhive.store.models import (
     RunEvent,
 )
 from slamhive.store.records import EvaluationState
-from slamhive.store.rows import chunks
+from slamhive.store.rows import Repository, chunks
 
 DURATION = "duration"
 _PAIRING = (Algorithm.name, Dataset.name, Configuration.playback_mode, Configuration.playback_rate)
@@ -53,11 +52,8 @@ class ActiveRun:
     claimed_at: datetime
 
 
-class DurationRepository:
+class DurationRepository(Repository):
     """How long runs and evaluations took, in s."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
 
     def of_configurations(self, content_hashes: Sequence[str]) -> dict[str, KnownConfiguration]:
         """What is known of those configurations that are stored, by content hash."""

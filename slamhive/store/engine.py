@@ -15,7 +15,7 @@ CONNECT_TIMEOUT_S = 5
 SOCKET_TIMEOUT_S = 60
 LOCK_WAIT_S = 5
 SQLITE_CACHE_KIB = 16_384
-"""Of each connection: enough for the upper pages of the indexes that a search over 100,000 runs goes through."""
+"""For each connection: it holds the upper pages of the indexes that a search over 100,000 runs reads."""
 _WRITES = "slamhive_writes"
 """Execution option of connections that are going to write."""
 
@@ -107,9 +107,9 @@ def _sqlite(url: URL) -> Engine:
 
 
 def _configure_sqlite(connection: Any, _record: Any) -> None:
-    """Readers beside a writer (WAL), foreign keys, and commits that survive a power cut (synchronous FULL).
+    """Let readers work beside a writer (WAL), check foreign keys, and let commits survive a power cut (FULL).
 
-    A run commits a dozen times in minutes, so the fsync of each costs nothing that a user could notice.
+    A run commits a dozen times in minutes, so nobody notices the fsync of each commit.
     """
     connection.isolation_level = None
     cache = f"cache_size=-{SQLITE_CACHE_KIB}"
@@ -118,6 +118,6 @@ def _configure_sqlite(connection: Any, _record: Any) -> None:
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    """A writer takes the lock at once: upgrading a read transaction later fails as soon as two try."""
+    """A writer takes the lock at once: two read transactions that both became writers later would fail."""
     writes = connection.get_execution_options().get(_WRITES, False)
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

@@ -1,4 +1,4 @@
-"""Evaluations: a little queue of their own. Whatever becomes of one, its run and the others stay as they are."""
+"""Evaluations and their queue. However an evaluation ends, its run and other evaluations do not change."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _OPEN = (EvaluationState.QUEUED, EvaluationState.RUNNING)
 
 
 class EvaluationRepository(LeaseQueue[int]):
-    """History is kept: evaluating again adds a row. At most one of a run and protocol waits or works at a time."""
+    """Evaluating again adds a row. For each run and protocol, at most one evaluation waits or works at a time."""
 
     table = _TABLE
     queued = EvaluationState.QUEUED
@@ -38,7 +38,7 @@ class EvaluationRepository(LeaseQueue[int]):
     def queue(
         self, run_ids: Iterable[int], protocol: domain.Protocol, now: datetime, artefacts: Artefacts = Artefacts.FILES
     ) -> list[int]:
-        """Queue an evaluation for each run; their ids in order. One that waits or works already is not doubled.
+        """Queue an evaluation for each run, unless one waits or works already; their ids, in the order of the runs.
 
         Raises NotFound for an unknown run and Conflict for one that did not succeed.
         """
@@ -79,11 +79,10 @@ class EvaluationRepository(LeaseQueue[int]):
         return self._records(_TABLE.c.id.in_(taken))
 
     def finish(self, evaluation_id: int, owner: str, result: EvaluationResult, now: datetime) -> bool:
-        """File what came out; success stores the metrics. The run and its repeats are judged again.
+        """File the result; a success stores the metrics. The run and its repeats get new verdicts.
 
-        Returns whether the protocol has become the run's current one: that of its first success, until another is
-        chosen with :meth:`use`. The same call again is fine. Raises LeaseLost if another worker holds the evaluation
-        by now.
+        Returns whether the protocol has become the run's current one: that of its first success, until :meth:`use`
+        chooses another. May be repeated. Raises LeaseLost if another worker holds the evaluation now.
         """
         row = self._session.execute(select(_TABLE).where(_TABLE.c.id == evaluation_id)).one_or_none()
         if row is None:
@@ -98,7 +97,7 @@ class EvaluationRepository(LeaseQueue[int]):
         return became_current
 
     def use(self, run_ids: Iterable[int], fingerprint: str) -> None:
-        """Make a protocol the current one of these runs: the one whose metrics lists, searches and pages show.
+        """Make a protocol the current one of these runs: lists, searches and pages show its metrics.
 
         Raises NotFound for an unknown protocol or run, Conflict for a run without metrics under it.
         """
@@ -114,7 +113,7 @@ class EvaluationRepository(LeaseQueue[int]):
                 _TABLE.c.protocol_id == protocol_id,
                 _TABLE.c.state == EvaluationState.SUCCEEDED,
             )
-            found = set(self._session.execute(done).scalars())
+            found = set(self._column(done))
             lacking = next((run_id for run_id in part if run_id not in found), None)
             if lacking is not None:
                 raise Conflict(f"run {lacking} has no metrics under protocol {fingerprint}", "evaluate it first")
@@ -123,7 +122,7 @@ class EvaluationRepository(LeaseQueue[int]):
             MetricRepository(self._session).follow_protocols(part)
 
     def protocols(self) -> list[tuple[domain.Protocol, int]]:
-        """The protocols that runs have metrics under, and of how many runs; the most used first."""
+        """The protocols with metrics, and how many runs each has; the most used first."""
         count = func.count(_TABLE.c.run_id.distinct())
         query = (
             select(Protocol.definition, count)
@@ -136,13 +135,13 @@ class EvaluationRepository(LeaseQueue[int]):
         return [(domain.protocol_from_content(definition), runs) for definition, runs in rows]
 
     def unevaluated_run_ids(self) -> list[int]:
-        """Succeeded runs without a successful, waiting or working evaluation, oldest first."""
+        """Runs that succeeded and have no successful, queued or running evaluation; oldest first."""
         settled = exists().where(_TABLE.c.run_id == Run.id, _TABLE.c.state.in_((*_OPEN, EvaluationState.SUCCEEDED)))
         query = select(Run.id).where(Run.state == RunState.SUCCEEDED, ~settled).order_by(Run.id)
-        return list(self._session.execute(query).scalars())
+        return self._column(query)
 
     def open(self) -> list[EvaluationRecord]:
-        """All that wait or are worked on, oldest first."""
+        """All evaluations that are queued or running, oldest first."""
         return self._records(_TABLE.c.open == 1)
 
     def still_open(self, evaluation_ids: Iterable[int]) -> set[int]:
@@ -150,22 +149,22 @@ class EvaluationRepository(LeaseQueue[int]):
         found: set[int] = set()
         for part in chunks(list(evaluation_ids)):
             query = select(_TABLE.c.id).where(_TABLE.c.id.in_(part), _TABLE.c.open == 1)
-            found.update(self._session.execute(query).scalars())
+            found.update(self._column(query))
         return found
 
     def unsettled_among(self, run_ids: Iterable[int]) -> list[int]:
-        """Those of these runs that have no successful evaluation, in their order."""
+        """Those of these runs that have no successful evaluation, in the given order."""
         wanted = list(run_ids)
         settled: set[int] = set()
         for part in chunks(wanted):
             query = select(_TABLE.c.run_id).where(
                 _TABLE.c.run_id.in_(part), _TABLE.c.state == EvaluationState.SUCCEEDED
             )
-            settled.update(self._session.execute(query).scalars())
+            settled.update(self._column(query))
         return [run_id for run_id in wanted if run_id not in settled]
 
     def counts_by_state(self) -> dict[EvaluationState, int]:
-        """How many evaluations are in each state; every state is there."""
+        """How many evaluations are in each state, 0 included."""
         states = self._session.execute(select(_TABLE.c.state, func.count()).group_by(_TABLE.c.state)).all()
         found = {row[0]: row[1] for row in states}
         return {state: found.get(state, 0) for state in EvaluationState}
@@ -219,20 +218,8 @@ def _query() -> Select[Any]:
 
 
 def _record(row: Row[Any]) -> EvaluationRecord:
-    return EvaluationRecord(
-        id=row.id,
-        run_id=row.run_id,
-        protocol=domain.protocol_from_content(row.definition),
-        state=row.state,
-        reason=row.reason,
-        artefacts=row.artefacts,
-        engine=row.engine,
-        created_at=row.created_at,
-        started_at=row.started_at,
-        ended_at=row.ended_at,
-        attempt=row.attempt,
-        lease_owner=row.lease_owner,
-    )
+    values = {name: getattr(row, name) for name in EvaluationRecord.__dataclass_fields__ if name != "protocol"}
+    return EvaluationRecord(protocol=domain.protocol_from_content(row.definition), **values)
 
 
 def _ending(result: EvaluationResult, now: datetime) -> dict[str, Any]:

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from sqlalchemy import ColumnElement, and_, func, or_, select
-from sqlalchemy.orm import Session
 
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import VerdictKind
 from slamhive.store.experiment_records import StateCount
 from slamhive.store.metrics import VERDICT, MetricRepository
 from slamhive.store.models import Metric, MetricValue, Run
+from slamhive.store.rows import Repository
 from slamhive.store.verdicts import CODES, kind_of
 
 _RUNS = Run.__table__
@@ -22,14 +22,11 @@ REPLACEABLE = (RunState.FAILED, RunState.CANCELLED)
 DISTURBED = and_(_RUNS.c.state == RunState.SUCCEEDED, func.coalesce(_RUNS.c.disturbed_by, "") > "")
 
 _Key = tuple[int, RunState, FailureReason | None, VerdictKind | None]
-"""An experiment or a cell of one, and what its runs have in common."""
+"""Experiment or cell, and what its runs have in common."""
 
 
-class ExperimentCounts:
-    """Counts through indexes alone, but for the few runs that failed by their verdict or were tried again."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
+class ExperimentCounts(Repository):
+    """Counts from indexes alone, except for the few runs that a verdict failed or that were tried again."""
 
     def by_experiment(self, experiment_id: int | None = None) -> dict[int, list[StateCount]]:
         """By experiment: of one, or of all."""
@@ -50,7 +47,7 @@ class ExperimentCounts:
         return {number: count - repeated[number] for number, count in found.items()}
 
     def _parted(self, place: ColumnElement[int], experiment_id: int | None) -> dict[int, list[StateCount]]:
-        """The counts at each place, those of retried runs apart."""
+        """The counts of each place, with retried runs counted separately."""
         retried = self._all_retried(experiment_id)
         kinds = self._kinds([row.id for row in retried if row.state is RunState.SUCCEEDED])
         again: Counter[_Key] = Counter(
@@ -64,7 +61,7 @@ class ExperimentCounts:
         return found
 
     def _counts(self, place: ColumnElement[int], experiment_id: int | None) -> Counter[_Key]:
-        """Evaluated runs are good but for those whose verdict, of which there are few, says otherwise."""
+        """Evaluated runs count as good, except for the few whose verdict says otherwise."""
         evaluated = _RUNS.c.current_protocol_id.is_not(None)
         keys = (place, _RUNS.c.state, _RUNS.c.reason, evaluated)
         counts: Counter[_Key] = Counter()
@@ -96,7 +93,7 @@ class ExperimentCounts:
         return {run_id: kind_of(values.get(VERDICT)) for run_id, values in found.items()}
 
     def _all_retried(self, experiment_id: int | None) -> Sequence[Any]:
-        """The runs that another has taken the place of, looked up from the few retries: not asked of each run."""
+        """The runs that another run has replaced, found through the few retries."""
         later = _RUNS.alias("later")
         columns = (_RUNS.c[name] for name in ("id", "experiment_id", "cell", "state", "reason", "disturbed_by"))
         query = (

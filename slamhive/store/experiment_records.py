@@ -1,4 +1,4 @@
-"""What the store knows of experiments: frozen values, never rows."""
+"""What the store knows about experiments: frozen values, never rows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slamhive.domain.verdict import VerdictKind
 
 
 class ExperimentState(StrEnum):
-    """What was last wanted of an experiment. That it has finished is seen from its runs."""
+    """What the user last wanted. Whether it has finished follows from its runs."""
 
     ACTIVE = "active"
     PAUSED = "paused"
@@ -23,10 +23,10 @@ class ExperimentState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ExperimentRecord:
-    """An experiment. ``source`` is the file as it was given, ``content_hash`` says what it states.
+    """An experiment. ``source`` is the file as the user gave it, ``content_hash`` identifies its content.
 
-    ``uid`` (32 hex digits) makes the uids of its runs. ``repeats`` holds for each seed and may have grown since.
-    ``cells`` and ``runs`` (without retries) are bounds from above until it is ``complete``, that is, all are stored.
+    The uids of its runs follow from ``uid`` (32 hex digits). ``repeats`` is for each seed and may have grown since.
+    ``cells`` and ``runs`` (without retries) are upper bounds until all are stored, that is, until it is ``complete``.
     """
 
     id: int
@@ -67,7 +67,7 @@ class CellRecord:
 
 @dataclass(frozen=True, slots=True)
 class CellRun:
-    """A run of a cell, as tables of cells need it. ``retried``: a later run took its place, that of ``retry_of``.
+    """A run of a cell, for tables of cells. ``retried``: a later run replaced it; ``retry_of``: the one it replaced.
 
     ``disturbed``: it was measured on a disturbed machine; None if that is not known. ``judged``: the stored verdict,
     None if nobody has evaluated it.
@@ -88,7 +88,7 @@ class CellRun:
 
 @dataclass(frozen=True, slots=True)
 class StateCount:
-    """How many runs are in a state for a reason; ``retried`` ones, whose place another run took, apart.
+    """How many runs are in a state for a reason; ``retried`` runs, which another run replaced, count separately.
 
     ``judged``: their stored verdict, None where nobody has evaluated them.
     """
@@ -102,7 +102,7 @@ class StateCount:
 
 @dataclass(frozen=True, slots=True)
 class NewConfiguration:
-    """A configuration to file under rows that exist; ``content_hash`` is that of ``configuration``.
+    """A configuration to store; its algorithm and dataset are stored already.
 
     ``definitions``: the algorithm's parameters; a key without one is filed under its value's own type.
     """
@@ -116,7 +116,7 @@ class NewConfiguration:
 
 @dataclass(frozen=True, slots=True)
 class KnownConfiguration:
-    """How often a stored configuration was asked for, and how long its runs took on average, None if none is known."""
+    """How many runs a stored configuration has, and their mean duration; None if no duration is known."""
 
     runs: int
     measured_runs: int

@@ -1,4 +1,4 @@
-"""Experiments: stored with their cells, counted by state, put on hold and cancelled as a whole."""
+"""Experiments: stored with their cells, paused and cancelled as a whole."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from datetime import datetime
 from typing import Any
 
 from sqlalchemy import ColumnElement, and_, func, insert, or_, select, update
-from sqlalchemy.orm import Session
 
 from slamhive.domain.run import RunState
 from slamhive.errors import unknown
@@ -22,7 +21,7 @@ from slamhive.store.experiment_records import (
 from slamhive.store.metrics import VERDICT, MetricRepository
 from slamhive.store.models import Configuration, Evaluation, Experiment, ExperimentCell, Protocol, Run
 from slamhive.store.models import RunEvent as EventRow
-from slamhive.store.rows import chunks, get_or_insert
+from slamhive.store.rows import Repository, chunks, get_or_insert
 from slamhive.store.verdicts import kind_of
 
 _EXPERIMENTS = Experiment.__table__
@@ -32,14 +31,11 @@ _ENDED = tuple(state for state in RunState if state.ended)
 _RECORD = tuple(ExperimentRecord.__dataclass_fields__)
 
 
-class ExperimentRepository:
+class ExperimentRepository(Repository):
     """An experiment is one row; its cells and runs refer to it."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
-
     def get_or_create(self, uid: str, name: str, **values: Any) -> ExperimentRecord:
-        """The experiment called ``name``, stored with ``uid`` and ``values`` (its other fields) if there is none."""
+        """The experiment called ``name``; stored with ``uid`` and ``values`` (its other fields) if there is none."""
         get_or_insert(self._session, Experiment, {"name": name}, {"uid": uid, **values})
         return self.get(name)
 
@@ -52,12 +48,12 @@ class ExperimentRepository:
         """The experiment called ``name``; raises NotFound."""
         found = self.find(name)
         if found is None:
-            names = list(self._session.execute(select(_EXPERIMENTS.c.name)).scalars())
+            names = self._column(select(_EXPERIMENTS.c.name))
             raise unknown("experiment", name, names, "slamhive experiment list shows all")
         return found
 
     def locked(self, name: str) -> ExperimentRecord:
-        """The same, and nobody else changes its row before this transaction has ended."""
+        """The same, with its row locked until this transaction ends."""
         self._session.execute(select(_EXPERIMENTS.c.id).where(_EXPERIMENTS.c.name == name).with_for_update())
         return self.get(name)
 
@@ -111,7 +107,7 @@ class ExperimentRepository:
         ]
 
     def cell_runs(self, experiment_id: int, first: int, last: int, metrics: Sequence[str]) -> list[CellRun]:
-        """The runs of the cells from ``first`` to ``last``, by cell and id, with these metrics of each."""
+        """The runs of the cells from ``first`` to ``last``, by cell and id, each with these metrics."""
         query = (
             select(
                 *(_RUNS.c[name] for name in ("id", "cell", "seed", "state", "reason", "retry_of", "disturbed_by")),
@@ -136,60 +132,52 @@ class ExperimentRepository:
         ]
 
     def to_repeat(self, experiment_id: int) -> list[int]:
-        """Ids of the disturbed runs that may be repeated, those that have been included."""
+        """Ids of the disturbed runs that may be repeated, including those that were."""
         query = select(_RUNS.c.id).where(
             _RUNS.c.experiment_id == experiment_id, _RUNS.c.disturbed_by > "", _RUNS.c.repeat_disturbed > 0
         )
-        return list(self._session.execute(query.order_by(_RUNS.c.id)).scalars())
+        return self._column(query.order_by(_RUNS.c.id))
 
     # -- its runs as a whole ---------------------------------------------------------------------------------------
 
     def run_ids(self, experiment_id: int) -> list[int]:
-        """The ids of all its runs, retries too, in order."""
-        return list(
-            self._session.execute(
-                select(_RUNS.c.id).where(_RUNS.c.experiment_id == experiment_id).order_by(_RUNS.c.id)
-            ).scalars()
-        )
+        """The ids of all its runs, retries included, in order."""
+        return self._column(select(_RUNS.c.id).where(_RUNS.c.experiment_id == experiment_id).order_by(_RUNS.c.id))
 
     def strangers(self, experiment_id: int) -> int:
-        """How many runs have another configuration than their cell."""
+        """How many of its runs have a configuration other than that of their cell."""
         same_place = and_(_CELLS.c.experiment_id == _RUNS.c.experiment_id, _CELLS.c.number == _RUNS.c.cell)
         query = (
             select(func.count())
             .select_from(_RUNS.join(_CELLS, same_place))
             .where(_RUNS.c.experiment_id == experiment_id, _RUNS.c.configuration_id != _CELLS.c.configuration_id)
         )
-        return int(self._session.execute(query).scalar_one())
+        return self._number(query)
 
     def unfinished(self, experiment_id: int) -> list[int]:
-        """The ids of its runs that have not ended, or that have an evaluation that has not, in order."""
+        """The ids of its runs that have not ended, or whose evaluation has not; in order."""
         mine = _RUNS.c.experiment_id == experiment_id
         open_evaluations = select(Evaluation.run_id).where(Evaluation.open.is_not(None))
         to_evaluate = and_(_RUNS.c.state == RunState.SUCCEEDED, _RUNS.c.id.in_(open_evaluations))
         query = select(_RUNS.c.id).where(mine, or_(_RUNS.c.state.not_in(_ENDED), to_evaluate)).order_by(_RUNS.c.id)
-        return list(self._session.execute(query).scalars())
+        return self._column(query)
 
     def hold(self, experiment_id: int, *, held: bool) -> None:
-        """Put what has not ended on hold, or let it go on; a run that a worker has goes on, unless it gives it back."""
+        """Hold back the runs that have not ended, or release them. A run that a worker holds goes on."""
         unfinished = [_RUNS.c.experiment_id == experiment_id, _RUNS.c.state.not_in(_ENDED)]
         self._session.execute(update(_RUNS).where(*unfinished).values(held=held))
 
     def cancel(self, experiment_id: int, now: datetime, why: str) -> tuple[int, int]:
         """Cancel all queued runs and ask the workers of active ones to end; how many of each."""
         mine = _RUNS.c.experiment_id == experiment_id
-        queued = list(
-            self._session.execute(
-                select(_RUNS.c.id).where(mine, _RUNS.c.state == RunState.QUEUED).with_for_update()
-            ).scalars()
-        )
+        queued = self._column(select(_RUNS.c.id).where(mine, _RUNS.c.state == RunState.QUEUED).with_for_update())
         for part in chunks(queued):
             values = {"state": RunState.CANCELLED, "ended_at": now, "held": False}
             self._session.execute(update(_RUNS).where(_RUNS.c.id.in_(part)).values(values))
             event = {"at": now, "from_state": RunState.QUEUED, "to_state": RunState.CANCELLED, "why": why}
             self._session.execute(insert(EventRow.__table__), [{"run_id": run_id, **event} for run_id in part])
         active = [mine, _RUNS.c.state.not_in((*_ENDED, RunState.QUEUED, RunState.CANCELLING))]
-        asked = list(self._session.execute(select(_RUNS.c.id).where(*active).with_for_update()).scalars())
+        asked = self._column(select(_RUNS.c.id).where(*active).with_for_update())
         for part in chunks(asked):
             self._session.execute(update(_RUNS).where(_RUNS.c.id.in_(part)).values(cancel_requested=True, held=False))
         changes = changes_of(self._session)
@@ -198,16 +186,16 @@ class ExperimentRepository:
         return len(queued), len(asked)
 
     def failed(self, experiment_id: int) -> list[int]:
-        """Ids of the failed runs that no other run has taken the place of."""
+        """Ids of the failed runs that no other run has replaced."""
         query = select(_RUNS.c.id).where(
             _RUNS.c.experiment_id == experiment_id,
             _RUNS.c.state == RunState.FAILED,
             ~self._retried(experiment_id),
         )
-        return list(self._session.execute(query.order_by(_RUNS.c.id)).scalars())
+        return self._column(query.order_by(_RUNS.c.id))
 
     def _retried(self, experiment_id: int) -> ColumnElement[bool]:
-        """Whether another run of the experiment has taken the place of a run."""
+        """Whether another run of the experiment has replaced a run."""
         later = _RUNS.alias("later")
         mine = select(later.c.retry_of).where(later.c.retry_of.is_not(None), later.c.experiment_id == experiment_id)
         going_on = mine.where(later.c.state != RunState.CANCELLED)

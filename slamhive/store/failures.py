@@ -1,4 +1,4 @@
-"""What went wrong with the database: worth another try, or one line for the user."""
+"""Errors of the database: whether another attempt may help, and one line for the user."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.store.engine import database_label, sqlite_file
 
 FULL_DISK_BYTES = 1_000_000
-"""With less free space than this, trouble with reading and writing SQLite's files is the disk's: they grow in pages."""
+"""With less free space than this, a failed access to an SQLite file means a full disk: files grow in pages."""
 
 _SQLITE_TRANSIENT = {
     sqlite3.SQLITE_BUSY,
@@ -28,17 +28,17 @@ _SQLITE_FINAL: dict[int, tuple[str, str]] = {
     sqlite3.SQLITE_NOTADB: ("is not an SQLite database", "check DATABASE_URL"),
 }
 _MYSQL_TRANSIENT = {
-    1040,  # too many connections
-    1053,  # the server is shutting down
-    1205,  # lock wait timeout
-    1213,  # deadlock, the other transaction won
-    1927,  # connection was killed
-    2002,  # cannot connect (socket)
-    2003,  # cannot connect (TCP)
-    2006,  # server has gone away
-    2013,  # connection lost during a query
-    2014,  # commands out of sync after an interrupted query
-    4031,  # disconnected for inactivity
+    1040: "too many connections",
+    1053: "the server is shutting down",
+    1205: "lock wait timeout",
+    1213: "deadlock, the other transaction won",
+    1927: "connection was killed",
+    2002: "cannot connect (socket)",
+    2003: "cannot connect (TCP)",
+    2006: "server has gone away",
+    2013: "connection lost during a query",
+    2014: "commands out of sync after an interrupted query",
+    4031: "disconnected for inactivity",
 }
 _MYSQL_FINAL: dict[int, tuple[type[SlamHiveError], str, str]] = {
     1021: (Unavailable, "cannot grow, the server's disk is full", "free space; nothing that was stored is lost"),
@@ -63,14 +63,14 @@ def error_code(error: DBAPIError) -> int | None:
 
 
 def is_transient(engine: Engine, error: DBAPIError) -> bool:
-    """Whether the same transaction can succeed a moment later: a lock, a deadlock, a server that is away."""
+    """Whether the same transaction may succeed a moment later: a lock, a deadlock, a server that is away."""
     if isinstance(error.orig, sqlite3.Error):
         return error_code(error) in _SQLITE_TRANSIENT and not _is_full_disk(engine, error)
     return isinstance(error, InterfaceError) or error.connection_invalidated or error_code(error) in _MYSQL_TRANSIENT
 
 
 def explained(engine: Engine, error: DBAPIError) -> SlamHiveError | None:
-    """The line for the user if the trouble is one that users can have; None for a bug."""
+    """The line for the user if the error is one that a user can cause; None for a bug."""
     label = database_label(engine)
     code = error_code(error)
     if isinstance(error.orig, sqlite3.Error) and _is_full_disk(engine, error):
@@ -98,7 +98,7 @@ def _is_full_disk(engine: Engine, error: DBAPIError) -> bool:
 
 
 def gave_up(engine: Engine, error: DBAPIError, waited_s: float) -> Unavailable:
-    """The line for a database that stayed locked or away for as long as was waited."""
+    """The line for a database that stayed locked or away during the whole wait."""
     sqlite = isinstance(error.orig, sqlite3.Error)
     remedy = (
         "see which other program holds the file open, and whether its disk is there"

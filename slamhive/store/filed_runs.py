@@ -1,4 +1,4 @@
-"""Rows of runs made what their folders say: many runs in a few statements. Reindexing and archives share this."""
+"""Files runs as their folders describe them, many runs in a few statements; for reindexing and archives."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from itertools import groupby
 from typing import Any
 
 from sqlalchemy import bindparam, delete, insert, select, update
-from sqlalchemy.orm import Session
 
 from slamhive.domain import protocol as domain
 from slamhive.errors import Conflict
@@ -21,7 +20,7 @@ from slamhive.store.metrics import MetricRepository
 from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, MetricValue, Run
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.records import EvaluationState, RunSnapshot
-from slamhive.store.rows import cut
+from slamhive.store.rows import Repository, cut
 from slamhive.store.runs import event_row, snapshot_row
 from slamhive.store.verdicts import VerdictRepository
 
@@ -52,7 +51,7 @@ AS_FILED = tuple(name for name in EndedEvaluation.__dataclass_fields__ if name !
 
 @dataclass(frozen=True, slots=True)
 class FiledRun:
-    """A run with all that is filed of it.
+    """A run with everything that is filed of it.
 
     ``measured``: {metric key: value}. ``evaluations``: oldest first. ``figures``: {fingerprint of one of their
     protocols: {metric key: value}}. ``current``: the protocol whose metrics are shown, None to leave that as it is.
@@ -65,16 +64,14 @@ class FiledRun:
     current: str | None = None
 
 
-class FiledRunRepository:
-    """Files runs that are known completely. Rows that exist are made equal, missing ones are added."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
+class FiledRunRepository(Repository):
+    """Files runs that are known completely: it updates rows that exist and adds those that do not."""
 
     def file(self, runs: Sequence[FiledRun]) -> dict[int, int]:
-        """File some hundreds of runs at most, whose metrics are finite.
+        """File at most some hundreds of runs; their metrics must be finite.
 
-        Returns those that repeat a run which is not here, {number: number of that run}: they repeat none, as filed.
+        Returns {number: number of the original} of the runs that repeat a run that is not stored. They are filed as if
+        they repeated none.
         Raises Conflict, having written nothing, if a number or uid belongs to another run.
         """
         here = self._rows_here([run.snapshot for run in runs])
@@ -86,13 +83,13 @@ class FiledRunRepository:
         self._add_evaluations(runs, here, numbers)
         self._put_figures(runs, here, numbers)
         VerdictRepository(self._session).renew(run.snapshot.id for run in runs)
-        # What was added under these numbers is no run of the queue.
+        # The ledger keeps queued runs; these have folders.
         changes, filed = changes_of(self._session), {run.snapshot.id for run in runs}
         changes.runs = [row for row in changes.runs if row.id not in filed]
         return left
 
     def _rows_here(self, snapshots: Sequence[RunSnapshot]) -> set[int]:
-        """The numbers of the runs that have a row."""
+        """The numbers of those of these runs that have a row."""
         uids = {snapshot.id: snapshot.request.uid for snapshot in snapshots}
         same = _RUNS.c.id.in_(uids) | _RUNS.c.uid.in_(uids.values())
         found = {row.uid: row.id for row in self._session.execute(select(_RUNS.c.uid, _RUNS.c.id).where(same))}
@@ -125,12 +122,12 @@ class FiledRunRepository:
         return left
 
     def _repeating_others(self, runs: Sequence[FiledRun]) -> dict[int, int]:
-        """{number: number of the run that it repeats} where that is neither here nor filed before it."""
+        """{number: number of the original} where the original is neither stored nor filed before its repeat."""
         repeats = {run.snapshot.id: run.snapshot.request.retry_of for run in runs}
         wanted = {original for original in repeats.values() if original is not None}
         if not wanted:
             return {}
-        here = set(self._session.execute(select(_RUNS.c.id).where(_RUNS.c.id.in_(wanted))).scalars())
+        here = set(self._column(select(_RUNS.c.id).where(_RUNS.c.id.in_(wanted))))
         return {
             number: original
             for number, original in repeats.items()
@@ -145,7 +142,7 @@ class FiledRunRepository:
             self._session.execute(insert(_EVENTS), rows)
 
     def _add_evaluations(self, runs: Sequence[FiledRun], here: Collection[int], protocols: Mapping[str, int]) -> None:
-        """Those that have not been filed yet: one of a run, protocol and end is enough."""
+        """Add the evaluations that are not stored yet: one for each run, protocol and state."""
         columns = (_EVALUATIONS.c.run_id, _EVALUATIONS.c.protocol_id, _EVALUATIONS.c.state)
         query = select(*columns).where(_EVALUATIONS.c.run_id.in_(here))
         there = {tuple(row) for row in self._session.execute(query)} if here else set()
@@ -185,11 +182,11 @@ class FiledRunRepository:
         MetricRepository(self._session).follow_protocols(filled)
 
     def _with_figures(self, run_ids: Collection[int]) -> set[int]:
-        """Those of these runs that have any."""
+        """Those of these runs that have metrics."""
         if not run_ids:
             return set()
         query = select(_FIGURES.c.run_id).where(_FIGURES.c.run_id.in_(run_ids)).distinct()
-        return set(self._session.execute(query).scalars())
+        return set(self._column(query))
 
 
 def _figure_rows(run: FiledRun, metrics: Mapping[str, int], protocols: Mapping[str, int]) -> Iterator[dict[str, Any]]:

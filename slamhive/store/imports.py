@@ -1,4 +1,4 @@
-"""Imported runs: looked up by what they estimate, and filed as ended."""
+"""Imported runs: looked up by their uid, and filed as ended."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from sqlalchemy import bindparam, or_, select, update
-from sqlalchemy.orm import Session
 
 from slamhive.domain.external import IMPORTED
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import RunState
 from slamhive.store.models import Run, RunEvent
 from slamhive.store.records import RunRequest
-from slamhive.store.rows import chunks
+from slamhive.store.rows import Repository, chunks
 from slamhive.store.runs import RunRepository
 
 _RUNS = Run.__table__
@@ -26,7 +25,7 @@ _CHUNK = 100
 class ImportedRun:
     """A run to file: ``uid`` identifies trial and trajectory, ``why`` says where it comes from.
 
-    ``protocol``: what it is evaluated under, None for what its sensors deserve.
+    ``protocol``: what it is evaluated under, None for the protocol chosen from its sensors.
     """
 
     uid: str
@@ -37,11 +36,8 @@ class ImportedRun:
     protocol: Protocol | None = None
 
 
-class ImportRepository:
-    """Imported runs have ended when they are filed: no worker ever sees them."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
+class ImportRepository(Repository):
+    """Imported runs have ended when they are filed; no worker ever takes them."""
 
     def known(self, beginnings: Collection[str]) -> dict[str, int]:
         """{uid: id} of the imported runs whose uid begins with one of ``beginnings`` (hex digits)."""
@@ -55,7 +51,7 @@ class ImportRepository:
         return found
 
     def add(self, runs: Sequence[ImportedRun], now: datetime) -> list[int]:
-        """File runs as succeeded; their ids in order. One whose ``uid`` is there already is not filed again."""
+        """File runs as succeeded; their ids in order. A run whose ``uid`` is stored already is not filed again."""
         requests = [
             RunRequest(
                 uid=run.uid,

@@ -14,9 +14,8 @@ from enum import StrEnum
 from typing import Any, ClassVar, Generic, TypeVar
 
 from sqlalchemy import ColumnElement, Table, or_, select, update
-from sqlalchemy.orm import Session
 
-from slamhive.store.rows import changed
+from slamhive.store.rows import Repository, changed
 
 K = TypeVar("K", int, str)
 
@@ -53,7 +52,7 @@ class Lease:
         return {"lease_owner": self.owner, "lease_expires_at": self.now + timedelta(seconds=self.lasts_s)}
 
 
-class LeaseQueue(Generic[K]):
+class LeaseQueue(Repository, Generic[K]):
     """The queue of one table. A subclass names the table and chooses which row comes next.
 
     Attributes:
@@ -72,14 +71,11 @@ class LeaseQueue(Generic[K]):
     released: ClassVar[StrEnum | None] = None
     refunds_attempts: ClassVar[bool] = False
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
-
     def heartbeat(self, keys: Iterable[K], lease: Lease) -> set[K]:
         """Extend the leases; the rows that the owner still holds. It must let go of all others at once."""
         held = self._held(lease.owner, list(keys))
         self._session.execute(update(self.table).where(held).values(lease.columns))
-        return set(self._session.execute(select(self.table.c[self.key]).where(held)).scalars())
+        return set(self._column(select(self.table.c[self.key]).where(held)))
 
     def release(self, keys: Iterable[K], owner: str) -> None:
         """Give rows back, so that the next worker need not wait for the lease to expire."""

@@ -1,4 +1,4 @@
-"""What the ledger asks the database for, and puts back: rows as they are, with the numbers that they had."""
+"""What the ledger reads from the database and restores: rows with their numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from datetime import datetime
 from typing import Any
 
 from sqlalchemy import func, insert, select, union, update
-from sqlalchemy.orm import Session
 
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunState
@@ -31,7 +30,7 @@ from slamhive.store.models import (
 )
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.records import EvaluationState, RunRequest
-from slamhive.store.rows import chunks
+from slamhive.store.rows import Repository, chunks
 from slamhive.store.runs import RunRepository
 
 _RUNS = Run.__table__
@@ -46,16 +45,13 @@ WAITING = (RunState.QUEUED, RunState.CANCELLED)
 """States in which a run may have no folder."""
 
 
-class LedgerRepository:
-    """Reads and restores what no folder but the ledger tells."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
+class LedgerRepository(Repository):
+    """Reads and restores what only the ledger holds."""
 
     # -- out -------------------------------------------------------------------------------------------------------
 
     def empty(self) -> bool:
-        """Whether nothing is stored that a user has asked for."""
+        """Whether no configuration, experiment or saved search is stored."""
         tables = (Configuration, Experiment, SavedSearch)
         return not any(self._session.execute(select(table.id).limit(1)).first() for table in tables)
 
@@ -64,7 +60,7 @@ class LedgerRepository:
         return {row.id: row.uid for row in self._session.execute(select(Experiment.id, Experiment.uid))}
 
     def sizes(self) -> dict[str, dict[str, Any]]:
-        """Counted cells and runs of each experiment, by its uid."""
+        """The counts of cells and runs of each experiment, by its uid."""
         columns = (Experiment.uid, Experiment.cells, Experiment.runs, Experiment.complete)
         return {
             row.uid: {"cells": row.cells, "runs": row.runs, "complete": row.complete}
@@ -78,7 +74,7 @@ class LedgerRepository:
 
     def configurations(self) -> set[int]:
         """The numbers of all configurations."""
-        return set(self._session.execute(select(_CONFIGURATIONS.c.id)).scalars())
+        return set(self._column(select(_CONFIGURATIONS.c.id)))
 
     def described(self) -> list[int]:
         """The numbers of the configurations that have a name, a note or a group."""
@@ -92,17 +88,17 @@ class LedgerRepository:
         return {row.id: row.state for row in self._session.execute(query)}
 
     def asked_to_end(self) -> list[int]:
-        """Active runs that somebody has cancelled."""
+        """Active runs that a user has cancelled."""
         query = select(_RUNS.c.id).where(_RUNS.c.state.in_(_ACTIVE), _RUNS.c.cancel_requested)
-        return list(self._session.execute(query.order_by(_RUNS.c.id)).scalars())
+        return self._column(query.order_by(_RUNS.c.id))
 
     def requests(self, run_ids: Sequence[int]) -> list[NewRow[RunRequest]]:
-        """What was asked for with these runs."""
+        """The requests of these runs."""
         query = select(_RUNS).where(_RUNS.c.id.in_(run_ids)).order_by(_RUNS.c.id)
         return [NewRow(row.id, _request(row), row.created_at) for row in self._session.execute(query)]
 
     def cancellations(self, run_ids: Collection[int]) -> dict[int, tuple[datetime, str]]:
-        """When and why those of these runs were cancelled that were."""
+        """{number: when and why} of those of these runs that were cancelled."""
         query = select(_EVENTS).where(_EVENTS.c.run_id.in_(run_ids), _EVENTS.c.to_state == RunState.CANCELLED)
         return {row.run_id: (row.at, row.why) for row in self._session.execute(query)}
 
@@ -115,7 +111,7 @@ class LedgerRepository:
     def ended(
         self, evaluation_ids: Collection[int] | None = None, after: int = 0
     ) -> list[tuple[int, int, EndedEvaluation]]:
-        """Number, run and content of these evaluations, or of the next thousand after ``after``, that have ended."""
+        """Number, run and content of these ended evaluations, or of the next thousand after ``after``."""
         query = (
             select(_EVALUATIONS, Protocol.definition)
             .join(Protocol, Protocol.id == _EVALUATIONS.c.protocol_id)
@@ -131,7 +127,7 @@ class LedgerRepository:
         return found
 
     def open(self) -> list[AskedEvaluations]:
-        """Evaluations that have not ended, those together that were asked for together."""
+        """Evaluations that have not ended, grouped as they were requested."""
         query = (
             select(_EVALUATIONS, Protocol.definition)
             .join(Protocol, Protocol.id == _EVALUATIONS.c.protocol_id)
@@ -164,10 +160,8 @@ class LedgerRepository:
     def restore_configurations(
         self, entries: Mapping[int, NewConfiguration], created_at: Mapping[int, datetime]
     ) -> dict[int, int]:
-        """Configurations under the numbers that they had; {that number: number here}."""
-        taken = set(
-            self._session.execute(select(_CONFIGURATIONS.c.id).where(_CONFIGURATIONS.c.id.in_(entries))).scalars()
-        )
+        """Store configurations under their numbers where these are free; {old number: number here}."""
+        taken = set(self._column(select(_CONFIGURATIONS.c.id).where(_CONFIGURATIONS.c.id.in_(entries))))
         repository = ConfigurationRepository(self._session)
         free = {number: entry for number, entry in entries.items() if number not in taken}
         found = repository.restore(free, created_at)
@@ -176,35 +170,35 @@ class LedgerRepository:
         return {**found, **{number: other for number, (other, _) in zip(rest, others, strict=True)}}
 
     def unknown(self, run_ids: Sequence[int], uids: Sequence[str]) -> set[int]:
-        """Those of some hundreds of numbers that no run has, nor the uid that comes with it."""
+        """Those of some hundreds of numbers that are free and whose uid is not stored either."""
         query = select(_RUNS.c.id, _RUNS.c.uid).where(_RUNS.c.id.in_(run_ids) | _RUNS.c.uid.in_(uids))
         rows = self._session.execute(query).all()
         numbers, known = {row.id for row in rows}, {row.uid for row in rows}
         return {number for number, uid in zip(run_ids, uids, strict=True) if number not in numbers and uid not in known}
 
     def repeat(self, originals: Mapping[int, int]) -> None:
-        """Note which run each of these repeats, where that is here."""
+        """Note which run each of these repeats, if that run is stored."""
         for part in chunks(sorted(originals)):
             wanted = {originals[run_id] for run_id in part}
-            here = set(self._session.execute(select(_RUNS.c.id).where(_RUNS.c.id.in_(wanted))).scalars())
+            here = set(self._column(select(_RUNS.c.id).where(_RUNS.c.id.in_(wanted))))
             for run_id in part:
                 if originals[run_id] in here:
                     self._session.execute(update(_RUNS).where(_RUNS.c.id == run_id).values(retry_of=originals[run_id]))
 
     def cancel_if_queued(self, run_id: int, at: datetime, why: str) -> None:
-        """Cancel a run that waits although it was cancelled."""
+        """Cancel a run if it is still queued."""
         state = self._session.execute(select(_RUNS.c.state).where(_RUNS.c.id == run_id)).scalar_one()
         if state is RunState.QUEUED:
             RunRepository(self._session).move(run_id, RunState.CANCELLED, why=why, now=at)
 
     def ask_to_end(self, run_ids: Sequence[int]) -> None:
-        """Have the workers of those of these runs end them that are active."""
+        """Ask the workers of those of these runs that are active to end them."""
         for part in chunks(run_ids):
             active = [_RUNS.c.id.in_(part), _RUNS.c.state.in_(_ACTIVE)]
             self._session.execute(update(_RUNS).where(*active).values(cancel_requested=True))
 
     def queue_evaluations(self, asked: AskedEvaluations, protocol_id: int) -> int:
-        """Queue those of succeeded runs that do not wait yet; how many."""
+        """Queue the evaluations of runs that succeeded, unless they are queued already; how many."""
         runs: list[int] = []
         for part in chunks(asked.run_ids):
             waits = select(_EVALUATIONS.c.run_id).where(
@@ -213,7 +207,7 @@ class LedgerRepository:
             query = select(_RUNS.c.id).where(
                 _RUNS.c.id.in_(part), _RUNS.c.state == RunState.SUCCEEDED, _RUNS.c.id.not_in(waits)
             )
-            runs += self._session.execute(query.order_by(_RUNS.c.id)).scalars()
+            runs += self._column(query.order_by(_RUNS.c.id))
         values = {
             "protocol_id": protocol_id,
             "open": 1,

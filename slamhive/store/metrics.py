@@ -1,4 +1,4 @@
-"""Metrics of runs, each filed under the protocol it was taken with."""
+"""Metrics of runs, each filed under the protocol that computed it."""
 
 from __future__ import annotations
 
@@ -6,35 +6,30 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from sqlalchemy import case, delete, func, insert, select, update
-from sqlalchemy.orm import Session
 
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, Metric, MetricValue, Protocol, Run
-from slamhive.store.records import UsageSummary
-from slamhive.store.rows import chunks, get_or_insert
+from slamhive.store.rows import Repository, chunks, get_or_insert
 
 VERDICT = "verdict"
-"""Verdicts are filed among the metrics, see :mod:`slamhive.store.verdicts`, under a key that the catalogue lacks."""
+"""The key under which :mod:`slamhive.store.verdicts` files verdicts among the metrics; it is not in the catalogue."""
 
 
-class MetricRepository:
+class MetricRepository(Repository):
     """A new metric needs no migration: its key gets a row of its own when it is first stored."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
 
     def put(self, run_id: int, fingerprint: str | None, values: Mapping[str, float]) -> None:
         """Store metrics of a run, replacing those of the same keys.
 
         Args:
             run_id: The run.
-            fingerprint: Of the protocol the metrics were taken with; None for measured ones (CPU, memory, poses).
-            values: {metric key: value}; a metric that is missing is left out, NaN and infinity raise InvalidInput.
+            fingerprint: Of the protocol that computed them; None for measured metrics (CPU, memory, poses).
+            values: {metric key: value}, without those that are missing; NaN and infinity raise InvalidInput.
         """
         self._write(run_id, self._protocol_id(fingerprint), values, replace_all=False)
 
     def replace(self, run_id: int, fingerprint: str | None, values: Mapping[str, float]) -> None:
-        """The same, and metrics of this run and protocol that ``values`` does not name are removed."""
+        """The same, and remove the metrics of this run and protocol that ``values`` does not name."""
         self._write(run_id, self._protocol_id(fingerprint), values, replace_all=True)
 
     def for_runs(
@@ -47,8 +42,8 @@ class MetricRepository:
     ) -> dict[int, dict[str, float]]:
         """{run: {metric key: value}}: measured metrics, and those of each run's current protocol.
 
-        ``keys`` restricts them to these metrics; ``protocol_id`` takes the metrics of this protocol instead;
-        ``verdicts`` adds the stored verdicts, by :data:`VERDICT`. One query for each few hundred runs.
+        ``keys`` restricts them to these metrics. ``protocol_id`` takes the metrics of this protocol instead.
+        ``verdicts`` adds the stored verdicts under :data:`VERDICT`. One query serves a few hundred runs.
         """
         known = {row.id: row.key for row in self._session.execute(select(Metric.id, Metric.key))}
         if not verdicts:
@@ -70,9 +65,9 @@ class MetricRepository:
         return found
 
     def follow_protocols(self, run_ids: Iterable[int]) -> None:
-        """Mark the metrics that count now; to be called whenever a run's current protocol has changed.
+        """Mark the metrics of the current protocols. Call it whenever the current protocol of a run has changed.
 
-        A run that could never be evaluated has no current protocol: the verdict of its last evaluation counts.
+        A run that no evaluation could evaluate has no current protocol: the verdict of its last evaluation counts.
         """
         runs, figures, ended = Run.__table__, MetricValue.__table__, Evaluation.__table__
         current = select(runs.c.current_protocol_id).where(runs.c.id == figures.c.run_id).scalar_subquery()
@@ -102,20 +97,8 @@ class MetricRepository:
             found.setdefault(None if protocol_id == MEASURED_PROTOCOL_ID else fingerprint, {})[key] = value
         return found
 
-    def usage_summary(self, run_id: int) -> UsageSummary:
-        """CPU and memory of one run."""
-        measured = self.by_protocol(run_id).get(None, {})
-        return UsageSummary(
-            cpu_mean_cores=measured.get("cpu.mean"),
-            cpu_p95_cores=measured.get("cpu.p95"),
-            cpu_max_cores=measured.get("cpu.max"),
-            cpu_player_mean_cores=measured.get("cpu.player_mean"),
-            ram_mean_bytes=measured.get("ram.mean"),
-            ram_max_bytes=measured.get("ram.max"),
-        )
-
     def ids(self, keys: Iterable[str]) -> dict[str, int]:
-        """{key: number} of metrics; one that was never stored before gets its number."""
+        """{key: id} of metrics; a new key is stored."""
         wanted = list(keys)
         rows = self._session.execute(select(Metric.key, Metric.id).where(Metric.key.in_(wanted)))
         known = {row.key: row.id for row in rows}
@@ -136,7 +119,7 @@ class MetricRepository:
     def _write(self, run_id: int, protocol_id: int, values: Mapping[str, float], *, replace_all: bool) -> None:
         for key, value in values.items():
             if not math.isfinite(value):
-                raise InvalidInput(f"metric {key} of run {run_id} is {value}", "leave out a figure that is missing")
+                raise InvalidInput(f"metric {key} of run {run_id} is {value}", "leave out a metric that is missing")
         metric_ids = self.ids(values)
         outdated = delete(MetricValue.__table__).where(
             MetricValue.run_id == run_id, MetricValue.protocol_id == protocol_id

@@ -1,4 +1,4 @@
-"""Bringing the tables to the version of this software, and back."""
+"""Upgrades and downgrades the tables."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LOCK_WAIT_S = 30
 
 
 def upgrade(engine: Engine, revision: str = "head") -> None:
-    """Create the tables, or bring older ones up to ``revision``. Two processes at once are safe.
+    """Create the tables, or upgrade older ones to ``revision``. Two processes may try at once.
 
     Raises Unavailable if the tables were made by a newer version of the software.
     """
@@ -33,10 +33,10 @@ def upgrade(engine: Engine, revision: str = "head") -> None:
 
 
 def downgrade(engine: Engine, revision: str = "base") -> None:
-    """Take the tables back to ``revision``; ``base`` removes them and all that they hold.
+    """Downgrade the tables to ``revision``; ``base`` removes them and their content.
 
-    A version that refuses stops it. SQLite is then as before; MySQL, where changing a table ends the transaction, has
-    gone back to the version that refused.
+    A version that refuses stops the downgrade. SQLite is then unchanged. MySQL, where changing a table ends the
+    transaction, is at the version that refused.
     """
     steps = [revision] if engine.dialect.name == "sqlite" else _downwards(current(engine), revision)
     for step in steps:
@@ -45,13 +45,13 @@ def downgrade(engine: Engine, revision: str = "base") -> None:
 
 
 def current(engine: Engine) -> str | None:
-    """The revision that the tables are at, None if there are none."""
+    """The revision of the tables; None if there are none."""
     with engine.connect() as connection:
         return MigrationContext.configure(connection).get_current_revision()
 
 
 def has_tables(engine: Engine) -> bool:
-    """Whether there are tables of ours, of whatever version; asking makes no file."""
+    """Whether our tables exist, in any version. Asking makes no file."""
     if engine.dialect.name == "sqlite" and not sqlite_file(engine.url).is_file():
         return False
     return current(engine) is not None
@@ -63,7 +63,7 @@ def head() -> str:
 
 
 def check_current(engine: Engine) -> None:
-    """Raise Unavailable unless the tables are exactly of this software's version."""
+    """Raise Unavailable unless the tables are those of this software."""
     found = current(engine)
     _check_not_newer(engine, found)
     if found != head():
@@ -104,13 +104,13 @@ def _config(connection: Connection | None) -> Config:
 
 @contextmanager
 def _locked(engine: Engine) -> Iterator[Connection]:
-    """A connection in a transaction that no other migration shares the database with."""
+    """A connection in a transaction during which nobody else migrates the database."""
     if engine.dialect.name == "sqlite":
         with _locked_sqlite(engine) as connection:
             yield connection
         return
     name = f"slamhive-migrate-{engine.url.database}"[:64]
-    with engine.connect() as connection:
+    with writing(engine).connect() as connection:
         taken = connection.execute(text("SELECT GET_LOCK(:name, :wait)"), {"name": name, "wait": LOCK_WAIT_S}).scalar()
         if taken != 1:
             raise Unavailable(
@@ -128,7 +128,7 @@ def _locked(engine: Engine) -> Iterator[Connection]:
 
 @contextmanager
 def _locked_sqlite(engine: Engine) -> Iterator[Connection]:
-    """SQLite migrates all or nothing: its DDL is transactional. Tables are rebuilt with foreign keys off."""
+    """SQLite's DDL is transactional, so a migration fails as a whole. Rebuilding tables needs foreign keys off."""
     with writing(engine).connect() as connection:
         driver = connection.connection.driver_connection
         if driver is None:

@@ -17,10 +17,10 @@ from slamhive.store.records import EvaluationState
 from slamhive.store.types import JsonText, LongText, Number, UtcDateTime, enum_column
 
 MEASURED_PROTOCOL_ID = 1
-"""The row of ``protocols`` that metrics without a protocol (CPU, memory, poses) are filed under."""
+"""The row of ``protocols`` for metrics that need no protocol (CPU, memory, poses)."""
 
 TABLE_OPTIONS = {"mysql_engine": "InnoDB", "mysql_charset": "utf8mb4", "mysql_collate": "utf8mb4_bin"}
-"""Binary collation: ``nFeatures`` and ``nfeatures`` are two names on SQLite, so they are on MySQL."""
+"""Binary collation: MySQL must distinguish ``nFeatures`` and ``nfeatures``, as SQLite does."""
 
 NAME_LENGTH = 64
 TEXT_VALUE_LENGTH = 190
@@ -28,7 +28,7 @@ WHY_LENGTH = 500
 
 
 class Base(DeclarativeBase):
-    """Common naming rules: every constraint has a name, so that a migration can drop it."""
+    """Every constraint has a name, so that a migration can drop it."""
 
     metadata = MetaData(
         naming_convention={
@@ -98,7 +98,7 @@ class Dataset(Base):
 class Parameter(Base):
     """A parameter of a package (``scope``), under its own key and the name shared across packages (``general``).
 
-    Type and unit say what the stored values mean: one whose definition was edited in them is a row of its own.
+    Type and unit say what the stored values mean. If they are edited, the parameter gets another row.
     """
 
     __tablename__ = "parameters"
@@ -112,7 +112,7 @@ class Parameter(Base):
 
 
 class Configuration(Base):
-    """What is run; equal content is one row. ``variant`` is NULL where the dataset is used as it is."""
+    """What a run runs; equal content is one row. ``variant`` is NULL where the dataset is used unchanged."""
 
     __tablename__ = "configurations"
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -126,7 +126,7 @@ class Configuration(Base):
 
 
 class ConfigurationValue(Base):
-    """One parameter's value: exactly (``value``), and in the two columns that searches go through."""
+    """The value of one parameter: exactly (``value``), and in the two columns that searches read."""
 
     __tablename__ = "configuration_values"
     __table_args__ = (
@@ -142,7 +142,7 @@ class ConfigurationValue(Base):
 
 
 class Host(Base):
-    """A machine that runs were measured on."""
+    """A machine that measured runs."""
 
     __tablename__ = "hosts"
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -155,7 +155,7 @@ class Host(Base):
 
 
 class Protocol(Base):
-    """An evaluation protocol, and the one row that measured metrics are filed under."""
+    """An evaluation protocol, and one row for measured metrics."""
 
     __tablename__ = "protocols"
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -165,9 +165,9 @@ class Protocol(Base):
 
 
 class Experiment(Base):
-    """An experiment as its file states it. While ``complete`` is false its cells and runs are still being stored.
+    """An experiment as its file describes it. Until it is ``complete``, its cells and runs are still being stored.
 
-    ``repeats`` may have grown since; ``cells`` and ``runs`` say how many there are (at most, while incomplete).
+    ``repeats`` may have grown since. ``cells`` and ``runs`` are counts, or upper bounds until it is complete.
     """
 
     __tablename__ = "experiments"
@@ -200,7 +200,7 @@ class ExperimentCell(Base):
 
 
 class Run(Base):
-    """A run: request, place in the queue, and outcome. Ids are never used twice, folders are named after them."""
+    """A run: request, place in the queue, and outcome. Folders are named after ids, so no id is used twice."""
 
     __tablename__ = "runs"
     __table_args__ = (
@@ -263,7 +263,7 @@ class RunEvent(Base):
 
 
 class Evaluation(Base):
-    """One evaluation of one run. ``open`` is 1 while it waits or works and NULL after: at most one is open."""
+    """One evaluation of one run. ``open`` is 1 until it ends, then NULL: at most one is open."""
 
     __tablename__ = "evaluations"
     __table_args__ = (
@@ -296,7 +296,7 @@ class Metric(Base):
 
 
 class MetricValue(Base):
-    """One metric of one run under one protocol, filed metric by metric: searches look through few metrics of many runs.
+    """One metric of one run under one protocol, ordered by metric: searches read few metrics of many runs.
 
     ``is_current`` is 1 for measured metrics and for those of the run's current protocol, else 0; the second key serves
     "runs with metric between a and b". There is no reference to the protocol: it would cost an index of its own, and

@@ -1,4 +1,4 @@
-"""Where a page of a list ends, as a key in an address, and the rows behind it."""
+"""Keys in addresses that say where a page of a list ended, and the rows after it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def encode(values: Sequence[Any]) -> str:
 
 
 def decode(key: str, kinds: Sequence[type]) -> list[Any]:
-    """The values again; the first may be None. Raises InvalidInput for a key that is not of this kind of list."""
+    """The values of a key; the first may be None. Raises InvalidInput for a key of another kind of list."""
     try:
         values = parse_json(base64.urlsafe_b64decode(key + "=" * (-len(key) % 4)), "the page key")
     except (ValueError, InvalidInput):

@@ -62,7 +62,7 @@ class RunQueue(LeaseQueue[int]):
         """Take over an active run whose worker gave it back or went silent, in the state it is in."""
         # One state at a time: asked for five at once, SQLite may read the whole table once it has statistics.
         each = [select(_RUNS.c.id).where(_RUNS.c.state == state) for state in ACTIVE]
-        active = list(self._session.execute(union_all(*each)).scalars())
+        active = self._column(union_all(*each))
         orphaned = and_(_RUNS.c.id.in_(active), self._orphaned(lease.now), *_among(only))
         first = select(_RUNS.c.id).where(orphaned).order_by(_RUNS.c.priority.desc(), _RUNS.c.id).limit(1)
         while (run_id := self._session.execute(first).scalar_one_or_none()) is not None:
@@ -78,17 +78,17 @@ class RunQueue(LeaseQueue[int]):
         return self._session.execute(queued.limit(1)).scalar_one_or_none() is not None
 
     def lately(self, limit: int) -> list[int]:
-        """Runs that somebody works on, or worked on until lately: so many each that ended or were evaluated last."""
+        """Active runs, and up to ``limit`` each of those that ended or were evaluated last."""
         each = [select(_RUNS.c.id).where(_RUNS.c.state == state) for state in ACTIVE]
         ended = select(_RUNS.c.id).where(_RUNS.c.ended_at.is_not(None)).order_by(_RUNS.c.ended_at.desc()).limit(limit)
         evaluated = select(Evaluation.run_id).order_by(Evaluation.id.desc()).limit(limit)
         found: set[int] = set()
         for query in (*each, ended, evaluated):
-            found.update(self._session.execute(query).scalars())
+            found.update(self._column(query))
         return sorted(found)
 
     def failures_since_asked(self, run: RunRecord) -> int:
-        """How often the configuration of ``run`` has failed, on its own account, since ``run`` was asked for.
+        """How often the configuration of ``run`` has failed by its own fault since ``run`` was submitted.
 
         Runs of other experiments do not count: they may have had other limits.
         """
@@ -100,7 +100,7 @@ class RunQueue(LeaseQueue[int]):
             _RUNS.c.ended_at >= run.created_at,
             _RUNS.c.experiment_id.is_not_distinct_from(run.experiment_id),
         )
-        return int(self._session.execute(failed).scalar_one())
+        return self._number(failed)
 
     def _first(self, queued: ColumnElement[bool], near: str) -> int | None:
         """The run to take next. Each question is one step through an index: the queue may hold 100,000 runs."""
@@ -123,9 +123,9 @@ class RunQueue(LeaseQueue[int]):
         return None if oldest is None else int(oldest)
 
     def cancel_requested(self, run_ids: Iterable[int]) -> set[int]:
-        """Which of these runs somebody wants to end."""
+        """Those of these runs that a user has cancelled."""
         wanted = select(_RUNS.c.id).where(_RUNS.c.id.in_(list(run_ids)), _RUNS.c.cancel_requested)
-        return set(self._session.execute(wanted).scalars())
+        return set(self._column(wanted))
 
 
 def _not_on(away: Collection[str]) -> list[ColumnElement[bool]]:

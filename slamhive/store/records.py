@@ -1,4 +1,4 @@
-"""What goes into the store and what comes out: frozen values, never rows."""
+"""What goes into the store and comes out of it: frozen values, never rows."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from slamhive.schema.submission import NEVER, Limits, StopWhen
 
 
 class LeaseLost(Conflict):
-    """Another worker holds what this one thought it held; let go of it and carry on with the next."""
+    """Another worker holds the run now; this one must let go of it."""
 
 
 class EvaluationState(StrEnum):
-    """Where an evaluation is in its life. It never changes the state of its run."""
+    """The state of an evaluation. It never changes the state of its run."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -36,7 +36,7 @@ class EvaluationState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """The machine a run was measured on; ``fingerprint`` distinguishes machines."""
+    """The machine that measured a run, identified by its ``fingerprint``."""
 
     cpu_model: str
     cpu_count: int
@@ -61,7 +61,7 @@ class AlgorithmVersion:
 
 @dataclass(frozen=True, slots=True)
 class AlgorithmRecord:
-    """An algorithm that runs are stored for; it may have left the ``algorithms/`` folder since."""
+    """An algorithm with stored runs; its folder may be gone."""
 
     id: int
     name: str
@@ -71,7 +71,7 @@ class AlgorithmRecord:
 
 @dataclass(frozen=True, slots=True)
 class DatasetRecord:
-    """A dataset that runs are stored for."""
+    """A dataset with stored runs."""
 
     id: int
     name: str
@@ -88,10 +88,10 @@ class RunRequest:
     """A run to queue. ``uid`` (32 hex digits, made by the caller) identifies it across installations.
 
     ``cpu_cores``, ``memory_mb``, ``timeout_s``: limits asked for, None for the installation's. ``priority``: higher
-    goes first. ``evaluate``: evaluate as soon as it has succeeded, under ``protocol`` or the sensor's default.
+    goes first. ``evaluate``: evaluate it when it has succeeded, under ``protocol`` or the default of its sensors.
     ``cell``: number of the configuration in the experiment ``experiment_id``, the same for its repeats and retries.
-    ``held``: queued, but not to be claimed. ``affinity``: see :mod:`slamhive.domain.affinity`.
-    ``repeat_disturbed``: how often the run is repeated at most if it was measured on a disturbed machine.
+    ``held``: queued, but no worker may claim it. ``affinity``: see :mod:`slamhive.domain.affinity`.
+    ``repeat_disturbed``: how often it is repeated at most if the machine was disturbed.
     """
 
     uid: str
@@ -114,7 +114,7 @@ class RunRequest:
 
 
 class RunFields(TypedDict, total=False):
-    """What may be written together with a move, or by ``update``. A name left out is left as it is."""
+    """What a move or ``update`` may write. A field that is left out does not change."""
 
     reason: FailureReason | None
     detail: str | None
@@ -134,7 +134,7 @@ class RunFields(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True)
 class ProtocolLabel:
-    """Which protocol a run's current metrics were taken under."""
+    """The protocol of the metrics that a run shows."""
 
     fingerprint: str
     label: str
@@ -142,7 +142,7 @@ class ProtocolLabel:
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
-    """A run with everything that lists and pages show of it.
+    """A run with everything that lists and pages show.
 
     ``attempt`` counts the times a worker took the run. ``protocol_override`` is what the user asked for,
     ``protocol`` what the latest successful evaluation used. ``metrics`` holds the measured metrics and those of
@@ -215,7 +215,7 @@ class RunRecord:
 
 @dataclass(frozen=True, slots=True)
 class RunSnapshot:
-    """A run as its sealed folder tells it, to rebuild the row under the same ``id``."""
+    """A run as its sealed folder describes it, to rebuild the row under the same ``id``."""
 
     id: int
     request: RunRequest
@@ -238,7 +238,7 @@ class RunSort:
 
 
 class Count(NamedTuple):
-    """How many there are; not ``exact``: more than ``number``."""
+    """A number of rows; if it is not ``exact``, there are more than ``number``."""
 
     number: int
     exact: bool = True
@@ -246,7 +246,7 @@ class Count(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """One page of a list. ``count`` is of all that match; ``next_key`` asks for the page after, None at the end."""
+    """One page of a list. ``count``: all runs that match. ``next_key``: asks for the next page; None at the end."""
 
     records: tuple[RunRecord, ...]
     count: Count
@@ -254,7 +254,7 @@ class Page:
 
     @property
     def total(self) -> int:
-        """How many match, or the number that more match than were counted."""
+        """How many runs match, or the number at which counting stopped."""
         return self.count.number
 
 
@@ -272,9 +272,9 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class GroupRecord:
-    """A configuration, and those of its runs that a search found: how many, how many failed, and their metrics.
+    """A configuration and its runs that a search found: how many, how many failed, and their metrics.
 
-    ``disturbed``: how many were measured on a disturbed machine. ``figures``: {protocol, None for measured metrics:
+    ``disturbed``: how many ran on a disturbed machine. ``figures``: {protocol, None for measured metrics:
     {metric: spread}}.
     """
 
@@ -290,7 +290,7 @@ class GroupRecord:
 
 @dataclass(frozen=True, slots=True)
 class GroupPage:
-    """One page of groups. ``runs`` counts the runs that match, in all groups."""
+    """One page of groups. ``runs`` counts the matching runs of all groups."""
 
     records: tuple[GroupRecord, ...]
     runs: Count
@@ -299,7 +299,7 @@ class GroupPage:
 
 @dataclass(frozen=True, slots=True)
 class SavedSearchRecord:
-    """A search with a name: the filter as text, and how its page looks."""
+    """A search with a name: its filter, columns and order."""
 
     name: str
     filter_text: str
@@ -310,7 +310,7 @@ class SavedSearchRecord:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationRecord:
-    """One evaluation of one run. ``engine`` names what computed the metrics; ``reason`` is why it failed."""
+    """One evaluation of one run. ``engine`` computed the metrics; ``reason`` is why it failed."""
 
     id: int
     run_id: int
@@ -324,15 +324,3 @@ class EvaluationRecord:
     ended_at: datetime | None
     attempt: int
     lease_owner: str | None
-
-
-@dataclass(frozen=True, slots=True)
-class UsageSummary:
-    """CPU (cores) and memory (bytes) of a run; None where it was not measured."""
-
-    cpu_mean_cores: float | None
-    cpu_p95_cores: float | None
-    cpu_max_cores: float | None
-    cpu_player_mean_cores: float | None
-    ram_mean_bytes: float | None
-    ram_max_bytes: float | None

@@ -1,4 +1,4 @@
-"""Small helpers that all repositories share."""
+"""What all repositories share."""
 
 from __future__ import annotations
 
@@ -15,8 +15,23 @@ T = TypeVar("T")
 CHUNK = 500
 
 
+class Repository:
+    """Reads and writes through the session of one transaction."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def _column(self, query: Any) -> list[Any]:
+        """The first column of every row."""
+        return list(self._session.execute(query).scalars())
+
+    def _number(self, query: Any) -> int:
+        """The number that the query yields, such as a count."""
+        return int(self._session.execute(query).scalar_one())
+
+
 def chunks(values: Sequence[T], size: int = CHUNK) -> Iterator[Sequence[T]]:
-    """``values`` in pieces that a statement can name one by one."""
+    """``values`` in pieces that are short enough for one statement."""
     for start in range(0, len(values), size):
         yield values[start : start + size]
 
@@ -31,9 +46,9 @@ def get_or_insert(
 ) -> tuple[int, bool]:
     """The id of the row with ``keys``, inserted with ``values`` if there is none; and whether it was inserted.
 
-    Safe against another transaction that inserts the same at the same time: the unique key decides, the loser of
-    the race reads what the winner wrote. No savepoint is needed, a violated key undoes the statement only; and one
-    would hide a full disk or a deadlock, after which the databases have undone the transaction with its savepoints.
+    Another transaction may insert the same row at the same time: the unique key decides, and the loser reads what the
+    winner wrote. A violated key undoes only its statement, so no savepoint is needed. A savepoint would also hide a
+    full disk or a deadlock, which undo the whole transaction.
     """
     columns = table.__table__.columns
     lookup = select(columns["id"]).where(*(columns[key] == value for key, value in keys.items()))
@@ -48,7 +63,7 @@ def get_or_insert(
 
 
 def cut(text: str | None, length: int) -> str | None:
-    """``text``, shortened to ``length`` characters if it is longer, with a mark that says so."""
+    """``text``, shortened to ``length`` characters if it is longer; an ellipsis marks the cut."""
     if text is None or len(text) <= length:
         return text
     return text[: length - 1] + "…"

@@ -1,6 +1,6 @@
-"""Runs grouped by configuration: how many, how many failed, and each metric's mean, median and spread over the others.
+"""Runs grouped by configuration: how many, how many failed, and the spread of each metric over the others.
 
-Metrics of different protocols are never put together: a configuration that was evaluated under two has two of each.
+Metrics of different protocols are never combined: a configuration that was evaluated under two has two of each.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class _Groups:
         return self._aggregated(query, runs, key, limit)
 
     def _aggregated(self, query: Select[Any], runs: FromClause, key: list[Any] | None, limit: int) -> Select[Any]:
-        """The configurations of the runs of ``query`` with what they are sorted by."""
+        """The configurations of the runs of ``query``, sorted."""
         configuration = runs.c.configuration_id
         if self.sort.key == "configuration":
             return self._cut(query.distinct(), [configuration], key, limit)
@@ -109,7 +109,7 @@ class _Groups:
     def _mean(self, query: Select[Any], runs: FromClause) -> Select[Any]:
         """The mean of a metric over the runs that did not fail.
 
-        None where its metrics stem from several protocols, which have no common mean.
+        None if several protocols computed it: their metrics have no common mean.
         """
         figures, joined = self._figures(runs, [self.sort.key])
         one = func.min(figures.c.protocol_id) == func.max(figures.c.protocol_id)
@@ -122,7 +122,7 @@ class _Groups:
         )
 
     def _figures(self, runs: FromClause, metrics: Sequence[str]) -> tuple[FromClause, ColumnElement[bool]]:
-        """The metrics that count, of some metrics, beside the rows of ``runs``."""
+        """The values of some metrics for the rows of ``runs``, and how to join them."""
         figures = FIGURES.alias()
         ids = [self.names.metrics[key] for key in metrics if key in self.names.metrics]
         counts = figures.c.is_current + 0 == 1
@@ -176,7 +176,7 @@ class _Groups:
     ) -> dict[int, dict[ProtocolLabel | None, dict[str, Spread]]]:
         """{configuration: {protocol, None for measured: {metric: spread}}} of runs that did not fail, in two passes.
 
-        The sum of squared differences from the mean, not of squares: bytes squared leave no digits for the spread.
+        It sums squared differences from the mean, not squares: squared bytes leave no digits for the spread.
         """
         figures, joined = self._figures(runs, metrics)
         keys = [runs.c.configuration_id, figures.c.metric_id, figures.c.protocol_id]

@@ -24,11 +24,11 @@ from slamhive.store.search_starts import Start, starts
 
 LARGEST_PAGE = 1000
 COUNTED = 1_000
-"""Matches are counted up to here; an exact number of more takes as long as looking at all of them."""
+"""Matches are counted up to this number; an exact count of more would have to look at all of them."""
 
 _SAMPLE = 300
 _TRIED = 12
-"""Lists to begin with that are tried on the sample, of a filter that joins more comparisons."""
+"""At most so many starts are compared on the sample."""
 
 
 def list_page(
@@ -61,8 +61,8 @@ def list_page(
 class Matches:
     """The runs that a search finds.
 
-    Few matches are collected through the most selective index and sorted; of many, a walk along the order of the list
-    soon finds a page full. Which of the two it is, is counted, not guessed.
+    A few matches are collected through the most selective index and sorted. If there are many, walking along the order
+    of the list soon fills a page. Counting up to :data:`COUNTED` decides which of the two it is.
     """
 
     session: Session
@@ -70,7 +70,7 @@ class Matches:
     sql: Sql
 
     def page(self, order: Order, after: list[Any] | None, limit: int) -> tuple[Count, list[tuple[Any, ...]]]:
-        """How many there are, and up to ``limit`` page keys from ``after`` on."""
+        """How many runs match, and up to ``limit`` page keys after ``after``."""
         total, found = self.survey()
         if found is not None:
             return total, self._sorted(found, order, after, limit)
@@ -81,7 +81,7 @@ class Matches:
         return total, walked
 
     def survey(self) -> tuple[Count, Sequence[int] | None]:
-        """How many there are, exact up to ``COUNTED`` and beyond where one index tells; if they are few, which."""
+        """How many runs match, and their ids if they are few. An index may know the exact number of many."""
         total = self.count_by_index()
         if self.search.tree is None or (total is not None and total.number > COUNTED):
             return total or Count(0), None
@@ -91,12 +91,12 @@ class Matches:
         return Count(len(found)), found
 
     def exact_count(self) -> int:
-        """How many there are, however long it takes."""
+        """How many runs match, however long counting takes."""
         total = self.count_by_index()
         return self._number(self.ids(None).subquery()) if total is None else total.number
 
     def count_by_index(self) -> Count | None:
-        """The exact number where a single index knows it: of all runs, and of those that fit one comparison."""
+        """The exact number if one index knows it: for all runs, and for a single comparison."""
         tree = self.search.tree
         if tree is None:
             return Count(int(self.session.execute(select(func.count()).select_from(RUNS)).scalar_one()))
@@ -104,7 +104,7 @@ class Matches:
         return None if start is None else Count(self._number(start.ids(self.sql).subquery()))
 
     def ids(self, limit: int | None) -> Select[Any]:
-        """The ids of the matches, in no order; ``limit`` of them."""
+        """The ids of up to ``limit`` matches, in any order."""
         start = self._best_start()
         if start is not None:
             return start.matches(self.sql).limit(limit)
@@ -125,7 +125,7 @@ class Matches:
         return [tuple(row) for row in self.session.execute(query)]
 
     def _best_start(self) -> Start | None:
-        """The list to begin with that costs least: how long they are is estimated from a sample of runs."""
+        """The cheapest start. A sample of runs shows how many runs each of them yields."""
         found = list(islice(starts(self.search.tree), _TRIED))
         if len(found) < 2:
             return found[0] if found else None
@@ -141,5 +141,5 @@ class Matches:
 
 
 def among(column: ColumnElement[int], ids: Sequence[int]) -> ColumnElement[bool]:
-    """Whether it is one of ``ids``, which become part of the statement: a driver's parameters are too few and slow."""
+    """Whether it is one of ``ids``. They become part of the statement: drivers limit the number of parameters."""
     return column.in_(bindparam(None, list(ids), expanding=True, literal_execute=True))

@@ -1,4 +1,4 @@
-"""The order of a list of runs: by a column, a metric or a parameter, and how to walk along it."""
+"""The order of a list of runs, by a column, a metric or a parameter; and queries that walk along it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ COLUMNS: dict[str, Column[Any]] = {
     "ended_at": _RUNS.c.ended_at,
 }
 NAMED = ("algorithm", "dataset", "experiment")
-"""Columns that hold a number here and its name elsewhere: sorted by name."""
+"""Columns that hold an id but sort by the name of its row."""
 
 _KINDS: dict[str, type] = {
     **dict.fromkeys(("configuration", "seed", "priority"), int),
@@ -51,11 +51,11 @@ _TABLES: dict[str, Table] = {
     "experiment": Experiment.__table__,
 }
 SORT_KEYS = (*COLUMNS, *NAMED)
-"""What a list can be sorted by, besides every metric of the catalogue and every parameter."""
+"""Sort keys, besides every metric of the catalogue and every parameter."""
 
 
 def names_in_order(session: Session, sort: RunSort) -> tuple[tuple[int, str], ...]:
-    """The algorithms, datasets or experiments that runs are sorted by; none if by something else."""
+    """Id and name of the algorithms, datasets or experiments, in order, if runs are sorted by them."""
     if sort.key not in NAMED:
         return ()
     rows = session.execute(select(_TABLES[sort.key].c.id, _TABLES[sort.key].c.name))
@@ -64,7 +64,7 @@ def names_in_order(session: Session, sort: RunSort) -> tuple[tuple[int, str], ..
 
 
 def sorted_parameter(session: Session, key: str) -> tuple[str, ...]:
-    """The parameter that ``key`` sorts by, empty if it sorts by something else; raises NotFound if by nothing."""
+    """The parameter that ``key`` names; empty for another sort key. Raises NotFound for an unknown key."""
     if key in SORT_KEYS or key in CATALOGUE:
         return ()
     name = key.removeprefix(PARAMETER_PREFIX)
@@ -78,8 +78,8 @@ def sorted_parameter(session: Session, key: str) -> tuple[str, ...]:
 class Order:
     """One order. Runs without a value come last in both directions; ties are ordered by id.
 
-    Repeats of a configuration have its parameters: there the ties are ordered by configuration first, as the index is.
-    ``names``: number and name of what the runs are sorted by, in order, if they are sorted by a name.
+    Repeats share the parameters of their configuration, so these ties are ordered by configuration first, as the index
+    is. ``names``: see :func:`names_in_order`.
     """
 
     sort: RunSort
@@ -138,7 +138,7 @@ class Order:
         return self.sort.key.removeprefix(PARAMETER_PREFIX)
 
     def _own(self, tree: Bound | None) -> list[Condition]:
-        """The comparisons, joined by ``and``, of the very values the list is sorted by: all who fit them have one."""
+        """The comparisons, joined by ``and``, of the value that sorts the list. Every run that matches has a value."""
         parts = tree.parts if isinstance(tree, Junction) and tree.word == "and" else (tree,)
         parameter = self._parameter
         name = self.sort.key if parameter is None else parameter
@@ -162,7 +162,7 @@ class Order:
         return runs.c[self._column]
 
     def _from(self, columns: Sequence[ColumnElement[Any]], after: list[Any] | None) -> list[ColumnElement[bool]]:
-        """The rows behind ``after``; the first condition alone is enough to find the place in an index."""
+        """The rows after ``after``. The first condition alone lets the database find the place in an index."""
         if after is None:
             return []
         if len(columns) == 1:
@@ -183,7 +183,7 @@ class Order:
     def _of_one_name(
         self, tree: Bound | None, number: int, name: str, after: list[Any] | None, limit: int
     ) -> Select[Any] | None:
-        """The runs of one algorithm, dataset or experiment, by id; None if the page before has shown them all."""
+        """The runs of one algorithm, dataset or experiment, by id; None if an earlier page has shown them all."""
         runs = RUNS.alias()
         conditions = [_is_named(self.sort.key, number, runs), self.sql.test(tree, runs)]
         if after is not None:
@@ -207,7 +207,7 @@ class Order:
         return pairs.order_by(*ordered(columns, descending=self.sort.descending)).limit(limit)
 
     def _by_parameter(self, name: str, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
-        """First the configurations, in order, that have a matching run; then their runs."""
+        """First the configurations with a matching run, in order; then their runs."""
         values, among = self.sql.parameter_rows(name)
         inner, runs = RUNS.alias(), RUNS.alias()
         descending = self.sort.descending
@@ -227,7 +227,7 @@ class Order:
                 behind([*columns], [*after[:2]], descending=descending)
                 | and_(values.c.number_value == after[0], values.c.configuration_id == after[1]),
             )
-        # One more than asked for: nothing may be left of the configuration that the page before ended in.
+        # One more than ``limit``: the configuration that ended the last page may have no runs left.
         first = chosen.order_by(*ordered(columns, descending=descending)).limit(limit + 1).subquery()
         shown = [first.c.number_value, first.c.configuration_id, runs.c.id]
         query = select(*_labelled(shown)).select_from(first, runs)
@@ -237,7 +237,7 @@ class Order:
 
 
 def _labelled(columns: Sequence[ColumnElement[Any]]) -> list[ColumnElement[Any]]:
-    """The columns of a page key, under names that outer queries use."""
+    """The columns of a page key, named for outer queries."""
     return [column.label(f"key_{place}") for place, column in enumerate(columns)]
 
 

@@ -1,4 +1,4 @@
-"""From rows to :class:`RunRecord`: one joined query for the runs, one for parameters, one for metrics."""
+"""Makes :class:`RunRecord` from rows: one query for the runs, one for parameters, one for metrics."""
 
 from __future__ import annotations
 
@@ -23,42 +23,13 @@ from slamhive.store.records import Host as HostRecord
 from slamhive.store.records import ProtocolLabel, RunRecord
 from slamhive.store.verdicts import kind_of
 
-_PLAIN_COLUMNS = (
-    "id",
-    "uid",
-    "configuration_id",
-    "executor",
-    "state",
-    "reason",
-    "detail",
-    "seed",
-    "priority",
-    "evaluate",
-    "created_at",
-    "started_at",
-    "ended_at",
-    "exit_code",
-    "poses",
-    "cpu_cores",
-    "memory_mb",
-    "timeout_s",
-    "attempt",
-    "lease_owner",
-    "lease_expires_at",
-    "handle",
-    "cancel_requested",
-    "retry_of",
-    "dataset_checksum",
-    "experiment_id",
-    "cell",
-    "held",
-    "affinity",
-    "repeat_disturbed",
-)
+_CONVERTED = {"protocol_override", "stop_when", "disturbance"}
+_AS_STORED = sorted(set(RunRecord.__dataclass_fields__) & set(Run.__table__.c.keys()) - _CONVERTED)
+"""The fields of a record that are columns of ``runs`` as they are."""
 
 
 def run_query(protocol_id: int | None = None) -> Select[Any]:
-    """All columns that a record needs, joined; conditions and order are added by the caller.
+    """All columns that a record needs; the caller adds conditions and order.
 
     ``protocol_id``: the protocol whose metrics are shown, None for each run's current one.
     """
@@ -97,7 +68,7 @@ def run_query(protocol_id: int | None = None) -> Select[Any]:
 def to_records(
     session: Session, rows: Sequence[Row[Any]], *, with_metrics: bool = False, protocol_id: int | None = None
 ) -> tuple[RunRecord, ...]:
-    """The rows of :func:`run_query` as records, in the same order; metrics are those of ``protocol_id``, as there."""
+    """The rows of :func:`run_query` as records, in the same order, with metrics of the same protocol."""
     parameters = ConfigurationRepository(session).parameters_of_all(row.configuration_id for row in rows)
     run_ids = [row.id for row in rows]
     if not with_metrics:
@@ -112,7 +83,7 @@ def _record(
 ) -> RunRecord:
     override, fingerprint = row.protocol_override, row.protocol_fingerprint
     return RunRecord(
-        **{name: getattr(row, name) for name in _PLAIN_COLUMNS},
+        **{name: getattr(row, name) for name in _AS_STORED},
         algorithm=row.algorithm,
         package=row.package,
         dataset=row.dataset,

@@ -1,4 +1,4 @@
-"""Runs column by column, for analyses: whole columns in few statements, no object for each run."""
+"""Runs column by column, for analyses: few statements, and no object for each run."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import ColumnElement, Select, and_, or_, select
-from sqlalchemy.orm import Session
 
 from slamhive.errors import unknown
 from slamhive.store.configuration_models import ConfigurationGroup
-from slamhive.store.metrics import VERDICT
 from slamhive.store.models import (
     MEASURED_PROTOCOL_ID,
     Algorithm,
@@ -29,10 +27,10 @@ from slamhive.store.models import (
     Run,
 )
 from slamhive.store.records import EvaluationState
-from slamhive.store.rows import chunks
+from slamhive.store.rows import Repository, chunks
 
 SCANNED_FROM = 2_000
-"""For more runs a column is read as a whole between the first and the last id, instead of naming each run."""
+"""From so many runs on, a column is read from the first to the last id, without naming each run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +44,11 @@ class ProtocolValue:
     value: float
 
 
-class RunTableRepository:
-    """Columns of runs by run id; a run that has no value is not in the column."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
+class RunTableRepository(Repository):
+    """Columns of runs by run id; a run without a value is not in the column."""
 
     def facts(self, run_ids: Sequence[int]) -> dict[str, list[Any]]:
-        """The columns that every run has, by name, in the order of the ids; runs that do not exist are left out."""
+        """The columns that every run has, by name and in the order of the ids; unknown runs are left out."""
         names = ("run_id", "configuration_id", "algorithm", "dataset", "state", "reason", "seed", "executor")
         more = ("variant", "experiment", "host", "protocol", "protocol_label", "disturbed_by")
         columns: dict[str, list[Any]] = {name: [] for name in (*names, *more)}
@@ -63,7 +58,7 @@ class RunTableRepository:
         return columns
 
     def parameters(self, configuration_ids: Iterable[int]) -> dict[str, dict[int, Any]]:
-        """{key or general name: {configuration: value}}; a general name stands beside the package's own key."""
+        """{key or general name: {configuration: value}}; a parameter with a general name is there twice."""
         query = select(
             ConfigurationValue.configuration_id, Parameter.key, Parameter.general, ConfigurationValue.value
         ).join(Parameter, Parameter.id == ConfigurationValue.parameter_id)
@@ -76,7 +71,7 @@ class RunTableRepository:
         return found
 
     def units(self) -> dict[str, str]:
-        """{key or general name of a parameter: unit}, of those whose definitions agree on one."""
+        """{key or general name: unit} of the parameters whose definitions agree on a unit."""
         query = select(Parameter.key, Parameter.general, Parameter.unit).distinct()
         found: dict[str, set[str]] = {}
         for key, general, unit in self._session.execute(query):
@@ -103,9 +98,9 @@ class RunTableRepository:
         return {run_id: value for run_id, value in self._rows(query, MetricValue.run_id, run_ids)}  # noqa: C416
 
     def evaluated(self, run_ids: Sequence[int], fingerprint: str | None = None) -> dict[int, EvaluationState]:
-        """How the evaluations of runs ended, under any protocol or that of ``fingerprint``; a success counts most.
+        """How the evaluations of runs ended, under any protocol or that of ``fingerprint``; a success comes first.
 
-        Runs none of whose evaluations has ended are not in it.
+        Runs without an ended evaluation are left out.
         """
         query = select(Evaluation.run_id, Evaluation.state).where(Evaluation.open.is_(None))
         if fingerprint is not None:
@@ -126,12 +121,8 @@ class RunTableRepository:
         )
         return [ProtocolValue(*row) for row in self._rows(query, MetricValue.run_id, run_ids)]
 
-    def stored_metrics(self) -> list[str]:
-        """The keys of the metrics that any run has a value of."""
-        return sorted(self._session.execute(select(Metric.key).where(Metric.key != VERDICT)).scalars())
-
     def axes(self, run_ids: Sequence[int]) -> dict[str, dict[int, Any]]:
-        """{axis of an experiment: {run: its value}}: also where a value means the recording as it is."""
+        """{axis of an experiment: {run: its value}}, also for values that leave the recording unchanged."""
         joined = and_(ExperimentCell.experiment_id == Run.experiment_id, ExperimentCell.number == Run.cell)
         query = select(Run.id, ExperimentCell.axis_values).join(ExperimentCell, joined)
         found: dict[str, dict[int, Any]] = {}
@@ -150,7 +141,7 @@ class RunTableRepository:
         return known[fingerprint]
 
     def protocol_label(self, fingerprint: str) -> str:
-        """A protocol in words; raises NotFound."""
+        """The label of a protocol; raises NotFound."""
         lookup = select(Protocol.label).where(Protocol.id == self.protocol_id(fingerprint))
         return str(self._session.execute(lookup).scalar_one())
 
@@ -163,8 +154,8 @@ class RunTableRepository:
         table = Experiment.__table__
         found = self._session.execute(select(table.c.id).where(table.c.name == name)).scalar_one_or_none()
         if found is None:
-            raise unknown("experiment", name, list(self._session.execute(select(table.c.name)).scalars()))
-        return list(self._session.execute(select(Run.id).where(Run.experiment_id == found)).scalars())
+            raise unknown("experiment", name, self._column(select(table.c.name)))
+        return self._column(select(Run.id).where(Run.experiment_id == found))
 
     def experiment_names(self) -> dict[int, str]:
         """All experiments: {id: name}."""
@@ -174,7 +165,7 @@ class RunTableRepository:
     def runs_of_group(self, name: str) -> list[int]:
         """The runs of the configurations of a group; raises NotFound."""
         table = ConfigurationGroup.__table__
-        members = list(self._session.execute(select(table.c.configuration_id).where(table.c.name == name)).scalars())
+        members = self._column(select(table.c.configuration_id).where(table.c.name == name))
         if not members:
             known = self._session.execute(select(table.c.name).distinct()).scalars()
             raise unknown("group", name, list(known))

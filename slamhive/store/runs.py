@@ -1,4 +1,4 @@
-"""Runs: added, looked at, listed, moved from state to state, cancelled."""
+"""Runs: add, read, list, move from state to state, cancel."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from datetime import datetime
 from typing import Any, Unpack
 
 from sqlalchemy import func, insert, select, update
-from sqlalchemy.orm import Session
 
 from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.run import RunEvent, RunState, check_move
@@ -27,7 +26,7 @@ from slamhive.store.records import (
     RunSnapshot,
     RunSort,
 )
-from slamhive.store.rows import changed, chunks, cut
+from slamhive.store.rows import Repository, changed, chunks, cut
 from slamhive.store.run_listing import list_page
 from slamhive.store.run_rows import run_query, to_records
 
@@ -38,19 +37,16 @@ _AS_ASKED = tuple(entry.name for entry in fields(RunRequest) if entry.name not i
 """The fields of a request that are columns as they are."""
 
 
-class RunRepository:
-    """Every move is checked against the table of legal moves, and written with its event in one transaction."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
+class RunRepository(Repository):
+    """Checks every move against the table of legal moves, and writes it together with its event."""
 
     def add_runs(self, requests: Sequence[RunRequest], now: datetime) -> list[int]:
-        """Queue runs; their ids, in the order of ``requests``. A ``uid`` that is stored already is not added again."""
-        known = self._ids_by_uid([request.uid for request in requests])
+        """Queue runs; their ids, in the order of ``requests``. A run whose ``uid`` is stored is not added again."""
+        known = self.ids_by_uid([request.uid for request in requests])
         new = [request for request in requests if request.uid not in known]
         if new:
             self._session.execute(insert(_RUNS), [_new_row(request, now) for request in new])
-            known.update(self._ids_by_uid([request.uid for request in new]))
+            known.update(self.ids_by_uid([request.uid for request in new]))
             events = [event_row(known[request.uid], queued_event(request, now)) for request in new]
             self._session.execute(insert(_EVENTS), events)
             changes_of(self._session).runs += [NewRow(known[request.uid], request, now) for request in new]
@@ -61,7 +57,7 @@ class RunRepository:
         return self.get_many([run_id], with_metrics=with_metrics)[0]
 
     def get_many(self, run_ids: Iterable[int], *, with_metrics: bool = False) -> tuple[RunRecord, ...]:
-        """The runs with these ids, in this order; raises NotFound naming the first that is not there."""
+        """The runs with these ids, in this order; raises NotFound for the first that does not exist."""
         wanted = list(run_ids)
         found: dict[int, RunRecord] = {}
         for part in chunks(sorted(set(wanted))):
@@ -81,12 +77,12 @@ class RunRepository:
         *,
         with_metrics: bool = False,
     ) -> Page:
-        """One page of runs, with parameters and, if asked for, metrics: as many queries for a long page as for a short.
+        """One page of runs with their parameters. The number of queries does not depend on the length of the page.
 
         Args:
-            wanted: Which runs, and under which protocol their metrics are taken.
-            sort: Order; None is the newest first.
-            after: ``next_key`` of the page before; None is the first page. Raises InvalidInput if it is not one.
+            wanted: Which runs, and the protocol of their metrics.
+            sort: The order; None is newest first.
+            after: ``next_key`` of the previous page; None is the first page. Raises InvalidInput for another text.
             limit: Most runs of the page, 1 to 1000.
             with_metrics: Fill ``RunRecord.metrics``.
         """
@@ -94,7 +90,7 @@ class RunRepository:
         return list_page(self._session, search, sort or RunSort(), after, limit, with_metrics=with_metrics)
 
     def counts_by_state(self) -> dict[RunState, int]:
-        """How many runs are in each state; every state is there."""
+        """How many runs are in each state, 0 included."""
         rows = self._session.execute(select(_RUNS.c.state, func.count()).group_by(_RUNS.c.state))
         found = {row[0]: row[1] for row in rows}
         return {state: found.get(state, 0) for state in RunState}
@@ -114,18 +110,18 @@ class RunRepository:
         owner: str | None = None,
         **fields: Unpack[RunFields],
     ) -> RunState:
-        """Move a run, write ``fields`` and the event with it; the state it came from.
+        """Move a run, and write ``fields`` and the event; returns the state before the move.
 
-        A move to ``running`` sets ``started_at`` and an end sets ``ended_at`` to ``now`` unless they are given or
-        set; an end, and going back to ``queued``, gives up the lease. The same move with the same ``now`` again is
-        fine and does nothing: the answer to the first may have been lost.
+        A move to ``running`` sets ``started_at`` and an end sets ``ended_at`` to ``now``, unless they have a value. An
+        end, or a move back to ``queued``, gives up the lease. Repeating a move with the same ``now`` does nothing,
+        since the answer to the first may have been lost.
 
         Args:
             run_id: The run.
-            target: Where to; raises Conflict if the table of legal moves does not allow it.
+            target: The new state; raises Conflict if the table of legal moves does not allow it.
             why: For the event, one line.
             now: When.
-            owner: The worker that must hold the lease (raises LeaseLost), None to move it whoever holds it.
+            owner: The worker that must hold the lease, else LeaseLost; None moves the run whoever holds it.
             fields: Columns to write, see :class:`RunFields`. ``failed`` needs a ``reason``.
         """
         row = self._current(run_id)
@@ -148,7 +144,7 @@ class RunRepository:
         return RunState(row.state)
 
     def update(self, run_id: int, owner: str | None = None, **fields: Unpack[RunFields]) -> None:
-        """Write ``fields`` without a move (a handle as soon as it is known); raises LeaseLost as ``move`` does."""
+        """Write ``fields`` without a move; raises LeaseLost as ``move`` does."""
         condition = [_RUNS.c.id == run_id]
         if owner is not None:
             condition.append(_RUNS.c.lease_owner == owner)
@@ -157,7 +153,7 @@ class RunRepository:
             raise LeaseLost(f"run {run_id} is held by {row.lease_owner or 'nobody'}, not by {owner}")
 
     def request_cancel(self, run_id: int, now: datetime, why: str = "cancelled by the user") -> RunState:
-        """Cancel a queued run at once, ask the worker of an active one to; the state the run is in now.
+        """Cancel a queued run at once, or ask the worker of an active one to end it; the state of the run now.
 
         Raises Conflict if the run has ended.
         """
@@ -179,7 +175,8 @@ class RunRepository:
                 continue
             return RunState.CANCELLED
 
-    def _ids_by_uid(self, uids: Sequence[str]) -> dict[str, int]:
+    def ids_by_uid(self, uids: Sequence[str]) -> dict[str, int]:
+        """{uid: number} of those of these runs that are stored."""
         found: dict[str, int] = {}
         for part in chunks(uids):
             for row in self._session.execute(select(_RUNS.c.uid, _RUNS.c.id).where(_RUNS.c.uid.in_(part))):
@@ -214,7 +211,7 @@ def event_row(run_id: int, event: RunEvent) -> dict[str, Any]:
 
 
 def snapshot_row(snapshot: RunSnapshot) -> dict[str, Any]:
-    """The columns of a run that is known completely, but for its number."""
+    """The columns, except the id, of a run that is known completely."""
     return {
         **_new_row(snapshot.request, snapshot.created_at),
         **_checked(snapshot.fields),
@@ -231,7 +228,7 @@ def _new_row(request: RunRequest, now: datetime) -> dict[str, Any]:
 
 
 def _checked(fields: RunFields) -> dict[str, Any]:
-    """The fields as columns; a long detail keeps its beginning, disturbance has a second column for searches."""
+    """The fields as columns. A long detail is cut; disturbance has a second column for searches."""
     values: dict[str, Any] = dict(fields)
     if "detail" in values:
         values["detail"] = cut(values["detail"], DETAIL_LENGTH)
@@ -244,7 +241,7 @@ def _checked(fields: RunFields) -> dict[str, Any]:
 
 
 def _defaults(row: Any, target: RunState, now: datetime) -> dict[str, Any]:
-    """What a move writes of its own accord."""
+    """What a move writes besides its fields."""
     if target is RunState.RUNNING and row.started_at is None:
         return {"started_at": now}
     if target is RunState.QUEUED:

@@ -1,4 +1,4 @@
-"""The names of a search as the rows they stand for: ids of metrics, parameters and protocols, looked up once."""
+"""The ids behind the names of a search: metrics, parameters and protocols."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """What the names of one search, and of the order of its list, stand for.
+    """The ids behind the names of a search and of the order of its list.
 
     ``parameters``: {key or general name: ids}. ``protocol_id``: the chosen protocol, None for each run's current one.
     ``glob``: whether the database has GLOB, else LIKE with a binary collation.
@@ -39,7 +39,7 @@ class Names:
 
 
 def look_up(session: Session, search: Search, parameters: Iterable[str] = ()) -> Names:
-    """The rows behind ``search`` and further ``parameters``; raises NotFound for a protocol that is not there."""
+    """The ids behind ``search`` and further ``parameters``; raises NotFound for an unknown protocol."""
     wanted = set(parameters)
     if search.tree is not None:
         wanted |= {leaf.field.name for leaf in leaves(search.tree) if leaf.field.source is Source.PARAMETER}
@@ -52,9 +52,9 @@ def look_up(session: Session, search: Search, parameters: Iterable[str] = ()) ->
 
 
 def stored_parameters(session: Session) -> list[ParameterKind]:
-    """Every parameter that any configuration has a value of, under its key and its general name; options of variants.
+    """Every parameter of any configuration, by key and by general name, and every option of variants.
 
-    Matrices can only be asked for (``has``): they are text that nothing equals.
+    For matrices only ``has`` is useful: they are text that nothing equals.
     """
     found = []
     for key, general, kind, unit in session.execute(
@@ -70,7 +70,7 @@ def stored_parameters(session: Session) -> list[ParameterKind]:
 
 
 def stored_protocols(session: Session) -> dict[str, str]:
-    """{fingerprint: label} of every protocol that an evaluation used."""
+    """{fingerprint: label} of all protocols."""
     query = select(Protocol.fingerprint, Protocol.label).where(Protocol.id != MEASURED_PROTOCOL_ID)
     return {row.fingerprint: row.label for row in session.execute(query)}
 

@@ -1,7 +1,7 @@
 """Conditions of a search as SQL: a test of one run, and the rows behind one comparison.
 
-Both databases are led, not left to guess: which index a condition is read through follows from how it is written.
-``column + 0`` says "do not look this up by index here"; so a query keeps its plan whether statistics are fresh or not.
+The way a condition is written decides which index both databases use: ``column + 0`` forbids an index. A query thus
+keeps its plan even if the statistics of the tables are old.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from sqlalchemy import (
     Select,
     TableClause,
     and_,
-    case,
     column,
     false,
     func,
@@ -61,7 +60,7 @@ SEARCHED = (
 
 
 def _plain(model: type[Base], *names: str) -> TableClause:
-    """What searches need of a table: an alias of the whole model costs more than many a query."""
+    """The columns that searches need: an alias of the whole model takes longer to make than many queries take."""
     return table(model.__tablename__, *(column(name, model.__table__.c[name].type) for name in names))
 
 
@@ -69,13 +68,10 @@ RUNS = _plain(Run, *SEARCHED)
 FIGURES = _plain(MetricValue, "metric_id", "run_id", "protocol_id", "value", "is_current")
 NULLABLE = frozenset(name for name in SEARCHED if Run.__table__.c[name].nullable)
 _GUARDED = NULLABLE | {"state"}
-"""An index on the state would tempt databases away from the order of a list, to sort all that match."""
+"""With an index on the state, databases would sort all matches instead of walking along the order of a list."""
 
 NEVER = literal(0) == 1
-"""Unlike ``false()`` it is not folded, which would take the condition that joins two tables with it."""
-
-_SEEN_APART = 12
-"""So many parts of an ``and`` may choose an index for themselves."""
+"""``false()`` would be folded, together with the condition that joins two tables."""
 
 COMPLEMENTS = frozenset({Sign.NOT_EQUAL, Sign.NOT_IN, Sign.UNLIKE, Sign.MISSING})
 _COMPARE: dict[Sign, Callable[[Any, Any], ColumnElement[bool]]] = {
@@ -89,7 +85,7 @@ _COMPARE: dict[Sign, Callable[[Any, Any], ColumnElement[bool]]] = {
 
 
 class Sql:
-    """The conditions of one search, over rows whose ids are known."""
+    """The conditions of one search."""
 
     def __init__(self, names: Names) -> None:
         self._names = names
@@ -105,10 +101,7 @@ class Sql:
         parts = [self.test(part, runs) for part in tree.parts]
         if tree.word == "not":
             return not_(parts[0])
-        if tree.word == "or":
-            return or_(*parts)
-        # Each of many parts lets SQLite expect fewer runs, until it reads all of them rather than walk along an order.
-        return and_(*parts) if len(parts) <= _SEEN_APART else case((and_(*parts), 1), else_=0) == 1
+        return or_(*parts) if tree.word == "or" else and_(*parts)
 
     def _test_one(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
         if leaf.sign is Sign.MISSING:
@@ -128,7 +121,7 @@ class Sql:
         return _any(query.where(rows.c.id == runs.c.configuration_id))
 
     def on_run(self, leaf: Condition, runs: FromClause, *, guarded: bool = True) -> ColumnElement[bool]:
-        """A condition on a column; never NULL if ``guarded``, which keeps an index on it from being used."""
+        """A condition on a column. If ``guarded`` it is never NULL and uses no index."""
         name = _RUN_COLUMNS.get(leaf.field.name, leaf.field.name)
         value = runs.c[name]
         if leaf.field.name == "disturbed_by":
@@ -150,7 +143,7 @@ class Sql:
         return func.coalesce(found, false()) if guarded and name in _GUARDED else found
 
     def failed(self, runs: FromClause) -> ColumnElement[bool]:
-        """Whether a row of ``runs`` counts as failed. The runs that failed by their evaluation are collected once."""
+        """Whether a row of ``runs`` counts as failed, by its end or by its verdict."""
         ended_badly: ColumnElement[bool] = runs.c.state == RunState.FAILED
         found = self.figures_where(STORED_FAILURE, by_value=True)
         if found is None:
@@ -160,9 +153,9 @@ class Sql:
     # -- where values are ------------------------------------------------------------------------------------------
 
     def figures(self, key: str, *, by_value: bool) -> tuple[FromClause, Select[Any]] | None:
-        """The rows of one metric under the protocol that counts, at most one a run; None if nobody has any.
+        """The rows of one metric under the chosen protocol, at most one for each run; None if no run has the metric.
 
-        ``by_value`` reads them through the index that is sorted by value, otherwise run by run.
+        ``by_value`` reads them through the index that is sorted by value; otherwise they are read run by run.
         """
         if key not in self._names.metrics:
             return None
@@ -176,7 +169,7 @@ class Sql:
         return rows, query.where(rows.c.protocol_id == chosen)
 
     def figure_of(self, key: str, runs: FromClause) -> ColumnElement[Any]:
-        """The value of a metric for a row of ``runs``, NULL where it has none."""
+        """The value of a metric for a row of ``runs``; NULL if it has none."""
         found = self.figures(key, by_value=False)
         if found is None:
             return literal(None)
@@ -184,13 +177,13 @@ class Sql:
         return query.with_only_columns(rows.c.value).where(rows.c.run_id == runs.c.id).limit(1).scalar_subquery()
 
     def parameter_of(self, name: str, runs: FromClause) -> ColumnElement[Any]:
-        """A parameter's number, NULL where the configuration has none."""
+        """The number of a parameter; NULL if the configuration has none."""
         rows, among = self.parameter_rows(name)
         query = select(func.min(rows.c.number_value)).where(rows.c.configuration_id == runs.c.configuration_id, among)
         return query.scalar_subquery()
 
     def parameter_rows(self, name: str) -> tuple[FromClause, ColumnElement[bool]]:
-        """The table with the values of a parameter, or of an option of variants, and which of its rows they are."""
+        """The table with the values of a parameter or variant option, and the condition for its rows."""
         if name.startswith(VARIANT_PREFIX):
             options = VariantOption.__table__.alias()
             return options, options.c.name == name.removeprefix(VARIANT_PREFIX)
@@ -198,7 +191,7 @@ class Sql:
         return rows, rows.c.parameter_id.in_(self._names.parameters[name])
 
     def figures_where(self, leaf: Condition, *, by_value: bool) -> tuple[FromClause, Select[Any]] | None:
-        """The same of one comparison: the rows that fit it."""
+        """The rows of one metric that fulfil a comparison; see :meth:`figures`."""
         found = self.figures(leaf.field.name, by_value=by_value)
         if found is None or leaf.sign in PRESENCE:
             return found
@@ -207,13 +200,13 @@ class Sql:
         return rows, query.where(self.compare(value, leaf))
 
     def configurations_where(self, leaf: Condition) -> Select[Any]:
-        """The ``configuration_id`` of those that fit a comparison of theirs, each once, through an index."""
+        """The ``configuration_id`` of the configurations that fulfil a comparison, each once, through an index."""
         if leaf.field.source is not Source.PARAMETER:
             rows, query = self._configurations(leaf)
             return query.with_only_columns(rows.c.id.label("configuration_id"))
         values, query = self._parameter_values(leaf, by_value=True)
         chosen = query.with_only_columns(values.c.configuration_id)
-        several = len(self._names.parameters[leaf.field.name]) > 1  # an own key and another's general name may meet
+        several = len(self._names.parameters[leaf.field.name]) > 1  # one key may be the general name of another
         return chosen.distinct() if several else chosen
 
     def _parameter_values(self, leaf: Condition, *, by_value: bool) -> tuple[FromClause, Select[Any]]:
@@ -249,7 +242,7 @@ class Sql:
         return self.compare(rows.c.playback_mode if name == "playback" else rows.c.playback_rate, leaf)
 
     def _of_setup(self, leaf: Condition, algorithms: FromClause) -> ColumnElement[bool]:
-        """Algorithms whose set-up is known, and one of those asked for (or none of them)."""
+        """Algorithms whose set-up is known and is one of the wanted ones (or none of them)."""
         groups = leaf.field.groups
         known = {name for members in groups.values() for name in members}
         values = [str(value) for value in leaf.values]
@@ -261,7 +254,7 @@ class Sql:
         return algorithms.c.name.in_(sorted(wanted))
 
     def compare(self, column: Any, leaf: Condition) -> ColumnElement[bool]:
-        """A comparison of a column that holds the values of its field."""
+        """A comparison of a column that holds the values of the field."""
         values: Sequence[Value] = leaf.values
         if leaf.field.source is Source.PARAMETER and values and isinstance(values[0], bool):
             values = [1.0 if value else 0.0 for value in values]
@@ -288,7 +281,7 @@ class Sql:
 
 
 def _disturbed_by(column: ColumnElement[Any], leaf: Condition) -> ColumnElement[bool]:
-    """A comparison of the kinds that a run was disturbed by, of which there may be several; others have no value."""
+    """A comparison of the kinds of disturbance of a run. There may be several; an undisturbed run has no value."""
     if leaf.sign is Sign.HAS:
         return column > ""
     found = or_(false(), *(column.contains(str(kind), autoescape=True) for kind in leaf.values))
@@ -296,5 +289,5 @@ def _disturbed_by(column: ColumnElement[Any], leaf: Condition) -> ColumnElement[
 
 
 def _any(query: Select[Any]) -> ColumnElement[bool]:
-    """Whether ``query`` has a row, asked for one run after the other (EXISTS may be turned into a join over all)."""
+    """Whether ``query`` has a row, tested run by run. A database may turn EXISTS into a join over all runs."""
     return func.coalesce(query.limit(1).scalar_subquery(), 0) == 1

@@ -1,4 +1,4 @@
-"""Lists of runs to begin a search with: each is read through an index and holds every run that matches."""
+"""Where a search can start: lists of runs that an index yields and that contain every match."""
 
 from __future__ import annotations
 
@@ -20,24 +20,26 @@ _INDEXED = frozenset(
 )
 _OF_CONFIGURATIONS = frozenset({Source.CONFIGURATION, Source.SETUP, Source.PARAMETER})
 _LOOK_UP = 3
-"""Reading a run's own row costs about so many times what testing a metric does."""
+"""Reading the row of a run costs about this many times what testing a metric does."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """A list to begin with, each run once.
+    """A list to start with, each run once.
 
-    ``part`` is what its runs fit: a comparison, or an ``or`` of what can be started with. ``more`` is tested of the
-    configurations before their runs are read, ``rest`` of the runs; None: nothing.
+    Attributes:
+        part: What its runs fulfil: a comparison, or an ``or`` of comparisons that an index serves.
+        rest: What is still to be tested of its runs; None is nothing.
+        also: What its configurations fulfil besides ``part``, tested before their runs are read; None is nothing.
     """
 
     part: Bound
     rest: Bound | None = None
-    more: Bound | None = None
+    also: Bound | None = None
 
     @property
     def cost(self) -> int:
-        """What testing a run costs, beside others."""
+        """What it costs to test one run, compared with other starts."""
         return _LOOK_UP if self._needs_run else 1
 
     def ids(self, sql: Sql) -> Select[Any]:
@@ -46,7 +48,7 @@ class Start:
         return rows.with_only_columns(rows.selected_columns.id)
 
     def matches(self, sql: Sql) -> Select[Any]:
-        """The ids of the runs that match. Metrics are tested before a run's own row is looked up, if it has to be."""
+        """The ids of the runs that match. The row of a run is only looked up if a test needs it."""
         rows = self._rows(sql)
         runs = rows.subquery()
         if self._needs_run and len(rows.selected_columns) == 1:
@@ -57,10 +59,10 @@ class Start:
 
     @property
     def _needs_run(self) -> bool:
-        return self.rest is not None and not _among(self.rest, {Source.METRIC})
+        return self.rest is not None and any(leaf.field.source is not Source.METRIC for leaf in leaves(self.rest))
 
     def _rows(self, sql: Sql) -> Select[Any]:
-        """The list with all columns of ``RUNS`` where they come with it, otherwise with ``id`` alone."""
+        """The list: with all columns of ``RUNS`` where they come for free, otherwise with ``id`` alone."""
         leaf, runs = self.part, RUNS.alias()
         if isinstance(leaf, Junction):
             return select(union(*(next(starts(part)).ids(sql) for part in leaf.parts)).subquery())
@@ -73,22 +75,20 @@ class Start:
         if leaf.field.source is Source.RUN:
             return query.where(sql.on_run(leaf, runs, guarded=False))
         fitting = sql.configurations_where(leaf).subquery()
-        chosen = select(fitting.c.configuration_id).where(sql.test(self.more, fitting)).subquery()
+        chosen = select(fitting.c.configuration_id).where(sql.test(self.also, fitting)).subquery()
         return query.where(runs.c.configuration_id == chosen.c.configuration_id + 0)
 
 
 def starts(tree: Bound | None) -> Iterator[Start]:
-    """The lists that there are; none if there is no way.
-
-    One part of an ``and`` is enough; an ``or`` needs all its parts together.
-    """
+    """The lists that a search can start with. One part of an ``and`` is enough; an ``or`` needs all its parts."""
     if isinstance(tree, Condition):
         if tree.field.source is Source.VERDICT and tree.sign is not Sign.MISSING:
             yield from starts(verdict_tree(tree))
-        elif _has_list(tree):
+        elif _has_index(tree):
             yield Start(tree)
     elif tree is not None and tree.word == "and":
-        yield from _starts_of_and(tree.parts)
+        for place, part in enumerate(tree.parts):
+            yield from _starts_of_part(part, [*tree.parts[:place], *tree.parts[place + 1 :]])
     elif tree is not None and tree.word == "or":
         firsts = [next(starts(part), None) for part in tree.parts]
         if None not in firsts:
@@ -96,22 +96,19 @@ def starts(tree: Bound | None) -> Iterator[Start]:
             yield Start(tree, rest=None if exact else tree)
 
 
-def _starts_of_and(parts: Sequence[Bound]) -> Iterator[Start]:
-    """Apply conditions on configurations before their runs are read, if the search starts with one of them."""
-    shared = [_among(part, _OF_CONFIGURATIONS) for part in parts]
-    of_runs = _all([part for part, is_shared in zip(parts, shared, strict=True) if not is_shared])
-    for place, part in enumerate(parts):
-        others = [*parts[:place], *parts[place + 1 :]]
-        if isinstance(part, Condition) and shared[place]:
-            if _has_list(part):
-                of_configurations = [other for at, other in enumerate(parts) if shared[at] and at != place]
-                yield Start(part, rest=of_runs, more=_all(of_configurations))
-        else:
-            for start in starts(part):
-                yield Start(start.part, rest=_all([start.rest, *others]), more=start.more)
+def _starts_of_part(part: Bound, others: Sequence[Bound]) -> Iterator[Start]:
+    """The lists that one part of an ``and`` yields, with what the ``others`` leave to be tested."""
+    shared = [other for other in others if _of_configuration(other)] if _of_configuration(part) else []
+    rest = [other for other in others if other not in shared]
+    for start in starts(part):
+        yield Start(start.part, _all_of(rest if start.rest is None else [start.rest, *rest]), _all_of(shared))
 
 
-def _has_list(leaf: Condition) -> bool:
+def _of_configuration(part: Bound) -> bool:
+    return isinstance(part, Condition) and part.field.source in _OF_CONFIGURATIONS
+
+
+def _has_index(leaf: Condition) -> bool:
     if leaf.field.source is Source.METRIC:
         return leaf.sign is not Sign.MISSING
     if leaf.sign in COMPLEMENTS:
@@ -119,10 +116,5 @@ def _has_list(leaf: Condition) -> bool:
     return leaf.field.source is not Source.RUN or (leaf.field.name in _INDEXED and leaf.sign is not Sign.HAS)
 
 
-def _among(tree: Bound, sources: Collection[Source]) -> bool:
-    return all(leaf.field.source in sources for leaf in leaves(tree))
-
-
-def _all(parts: Sequence[Bound | None]) -> Bound | None:
-    there = [part for part in parts if part is not None]
-    return join("and", there) if there else None
+def _all_of(parts: Collection[Bound]) -> Bound | None:
+    return join("and", list(parts)) if parts else None

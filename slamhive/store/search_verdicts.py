@@ -1,4 +1,4 @@
-"""Comparisons of the verdict as comparisons of what tells it: the state of a run, and the stored verdict."""
+"""Comparisons of the verdict as comparisons of the state of a run and of the stored verdict."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from slamhive.store.verdicts import CODES
 
 _STORED = Field(VERDICT, "stored verdict", Kind.NUMBER, Source.METRIC)
 STORED_FAILURE = Condition(_STORED, Sign.MORE, (CODES[VerdictKind.GOOD],))
-"""Runs that failed although they ended well."""
+"""Runs that succeeded and failed by their verdict."""
 
 
 def verdict_tree(leaf: Condition) -> Bound:
-    """The condition that ``leaf``, which names kinds of verdicts, stands for."""
+    """The condition behind ``leaf``, which names kinds of verdicts."""
     kinds = list(VerdictKind) if leaf.sign is Sign.HAS else [VerdictKind(str(value)) for value in leaf.values]
     codes = tuple(CODES[kind] for kind in kinds if kind in CODES)
     parts: list[Bound] = [Condition(_STORED, Sign.IN, codes)] if codes else []

@@ -1,4 +1,4 @@
-"""What searches need besides lists: names that exist, numbers of what is left out, groups, and saved searches."""
+"""What searches need besides lists of runs: names, counts, groups and saved searches."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from datetime import datetime
 from typing import Any
 
 from sqlalchemy import Row, delete, func, insert, literal, select, update
-from sqlalchemy.orm import Session
 
 from slamhive.domain.run import RunState
 from slamhive.errors import unknown
@@ -17,7 +16,7 @@ from slamhive.store.changes import changes_of
 from slamhive.store.metrics import VERDICT
 from slamhive.store.models import Algorithm, Dataset, Evaluation, Metric, Run, SavedSearch
 from slamhive.store.records import Count, GroupPage, RunSort, SavedSearchRecord
-from slamhive.store.rows import changed
+from slamhive.store.rows import Repository, changed
 from slamhive.store.run_groups import group_page
 from slamhive.store.run_listing import Matches
 from slamhive.store.search_names import look_up, stored_parameters, stored_protocols
@@ -26,55 +25,52 @@ from slamhive.store.search_sql import Sql
 _SAVED = SavedSearch.__table__
 
 
-class SearchRepository:
-    """Reads through indexes only; what a search costs does not grow with the runs that it leaves out."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
+class SearchRepository(Repository):
+    """Reads through indexes only: the runs that a search leaves out cost nothing."""
 
     def parameters(self) -> list[ParameterKind]:
-        """Every parameter and option of variants that configurations have."""
+        """Every parameter and variant option of any configuration."""
         return stored_parameters(self._session)
 
     def protocols(self) -> dict[str, str]:
-        """{fingerprint: label} of the protocols that metrics are filed under."""
+        """{fingerprint: label} of all protocols."""
         return stored_protocols(self._session)
 
     def unevaluated(self) -> int:
-        """How many runs succeeded, have no metrics under any protocol, and no evaluation that waits or works."""
+        """How many runs succeeded and have neither metrics of a protocol nor a queued or running evaluation."""
         runs, evaluations = Run.__table__, Evaluation.__table__
         waiting = select(literal(1)).where(evaluations.c.run_id == runs.c.id, evaluations.c.open == 1)
         query = select(func.count()).where(
             runs.c.current_protocol_id.is_(None), runs.c.state == RunState.SUCCEEDED, ~waiting.exists()
         )
-        return int(self._session.execute(query).scalar_one())
+        return self._number(query)
 
     def names(self) -> tuple[list[str], list[str]]:
-        """The algorithms and the datasets that anything was stored for."""
+        """The names of the stored algorithms and datasets."""
         found = [select(table.__table__.c.name).order_by(table.__table__.c.name) for table in (Algorithm, Dataset)]
-        algorithms, datasets = (list(self._session.execute(query).scalars()) for query in found)
+        algorithms, datasets = (self._column(query) for query in found)
         return algorithms, datasets
 
     def metrics(self) -> list[str]:
-        """The metrics that any run has a value of."""
+        """The keys of the metrics that any run has."""
         query = select(Metric.key).where(Metric.key != VERDICT).order_by(Metric.id)
-        return list(self._session.execute(query).scalars())
+        return self._column(query)
 
     def exact_count(self, search: Search) -> int:
         """How many runs match, however long counting takes."""
         return self._matches(search).exact_count()
 
     def count(self, search: Search) -> Count:
-        """How many runs match; exact up to :data:`slamhive.store.run_listing.COUNTED`, and beyond where cheap."""
+        """How many runs match; exact up to :data:`slamhive.store.run_listing.COUNTED`, and beyond if that is cheap."""
         return self._matches(search).survey()[0]
 
     def run_ids(self, search: Search) -> list[int]:
-        """The ids of all runs that match, in order."""
+        """The ids of all matching runs, in order."""
         return sorted(self._session.execute(self._matches(search).ids(None)).scalars())
 
     def total(self) -> int:
         """How many runs there are."""
-        return int(self._session.execute(select(func.count()).select_from(Run.__table__)).scalar_one())
+        return self._number(select(func.count()).select_from(Run.__table__))
 
     def with_metrics(self, search: Search) -> dict[str, int]:
         """{metric: number of runs that have it} for the metrics that ``search`` compares."""
@@ -85,7 +81,7 @@ class SearchRepository:
             counted = 0
             if figures is not None:
                 query = figures[1].with_only_columns(func.count())
-                counted = int(self._session.execute(query).scalar_one())
+                counted = self._number(query)
             found[field.name] = counted
         return found
 
@@ -96,7 +92,7 @@ class SearchRepository:
     # -- saved searches --------------------------------------------------------------------------------------------
 
     def save(self, record: SavedSearchRecord, now: datetime) -> bool:
-        """Save under its name, over what has it; whether it is new."""
+        """Save under its name, replacing a search of that name; whether it is new."""
         values = saved_columns(record)
         changes_of(self._session).searches = True
         if changed(self._session, update(_SAVED).where(_SAVED.c.name == record.name).values(values)):
@@ -136,7 +132,7 @@ def _saved(row: Row[Any]) -> SavedSearchRecord:
 
 
 def saved_columns(record: SavedSearchRecord) -> dict[str, Any]:
-    """What is stored of a saved search besides its name and the time."""
+    """The columns of a saved search, except name and time."""
     return {
         "filter_text": record.filter_text,
         "shown_columns": list(record.columns),

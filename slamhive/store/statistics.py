@@ -1,7 +1,7 @@
-"""The numbers that a database plans its queries by, kept fresh by whoever writes.
+"""Keeps the statistics up to date that a database plans its queries with.
 
-SQLite only looks at its tables when asked, so a file that has grown is planned for as if it were small. MySQL
-and MariaDB look by themselves once a tenth of a table has changed; after a bulk load they are asked not to wait.
+SQLite renews them on request only, so it would plan for a small file after the file has grown. MySQL and MariaDB renew
+them when a tenth of a table has changed; after a bulk load we do not wait for that.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from sqlalchemy import Connection, Engine, text
 from slamhive.store.engine import writing
 
 GROWTH = 1.25
-"""Tables are looked at again when there are this many times the runs of the last time."""
+"""Statistics are renewed when there are this many times the runs of the last time."""
 
 _SAMPLED_ROWS = 1_000
 _TABLES = ("runs", "configurations", "configuration_values", "metric_values")
 
 
 def refresh_if_grown(engine: Engine) -> bool:
-    """Look at the tables again if they have grown since; whether they had. Cheap if they had not."""
+    """Renew the statistics if the tables have grown; whether they had. Cheap if they had not."""
     if engine.dialect.name != "sqlite":
         return False
     with engine.connect() as connection:
@@ -29,7 +29,7 @@ def refresh_if_grown(engine: Engine) -> bool:
 
 
 def refresh(engine: Engine) -> None:
-    """Look at the tables now; some milliseconds, however large they are."""
+    """Renew the statistics now; this takes milliseconds, however large the tables are."""
     with writing(engine).begin() as connection:
         if engine.dialect.name == "sqlite":
             connection.execute(text(f"PRAGMA analysis_limit={_SAMPLED_ROWS}"))
@@ -43,7 +43,7 @@ def _newest(connection: Connection) -> int:
 
 
 def _known(connection: Connection) -> int:
-    """How many runs there were when SQLite looked last; 0: it never did."""
+    """How many runs the statistics of SQLite count; 0 if there are none."""
     exists = text("SELECT count(*) FROM sqlite_master WHERE name = 'sqlite_stat1'")
     if not connection.execute(exists).scalar_one():
         return 0

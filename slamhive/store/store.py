@@ -1,4 +1,4 @@
-"""The door to the database: every access is a function run inside one transaction."""
+"""The way into the database: every access is a function that runs inside one transaction."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ logger = logging.getLogger(__name__)
 FIRST_PAUSE_S = 0.05
 LONGEST_PAUSE_S = 2.0
 WRITES_BETWEEN_LOOKS = 500
-"""After so many transactions a writer asks whether the tables have grown; see :mod:`slamhive.store.statistics`."""
+"""A writer checks after so many transactions whether the tables have grown, see :mod:`slamhive.store.statistics`."""
 
 
 class Store:
     """Runs functions in transactions, and again while the database is locked or away.
 
-    A function may therefore be called more than once: it must do nothing but database work, and take identifiers
-    and times from outside. The repositories are made so that a repetition after a lost answer does no harm.
+    A function may therefore be called more than once. It must do nothing but database work, and take identifiers and
+    times from outside. Repeating an operation of a repository after a lost answer does no harm.
 
     Args:
         engine: From :func:`slamhive.store.engine.make_engine`.
@@ -49,7 +49,7 @@ class Store:
         self._written = 0
         self._of_thread = threading.local()
         self.listener: Listener | None = None
-        """Called after each transaction that stored what no folder tells, with what that was."""
+        """Called after each transaction that stored what no run folder holds."""
 
     @property
     def label(self) -> str:
@@ -57,7 +57,7 @@ class Store:
         return database_label(self.engine)
 
     def read(self, work: Callable[[Transaction], T]) -> T:
-        """What ``work`` returns, from one consistent view of the database. Waits for no writer on SQLite."""
+        """What ``work`` returns, from one consistent view of the database. On SQLite it never waits for a writer."""
         snapshot = self._snapshot
         if snapshot is not None:
             return self.retried(lambda: snapshot.read(work))
@@ -85,7 +85,7 @@ class Store:
         return getattr(self._of_thread, "snapshot", None)
 
     def write(self, work: Callable[[Transaction], T]) -> T:
-        """What ``work`` returns, once all it wrote is on disk; nothing of it is if it raises."""
+        """What ``work`` returns, once everything it wrote is on disk. If it raises, nothing is."""
         attempts: list[Changes] = []
         if self._snapshot is not None:
             self._snapshot.end()
@@ -104,7 +104,7 @@ class Store:
 
     @contextmanager
     def unheard(self) -> Iterator[None]:
-        """The listener receives nothing during the block: what is stored comes from where it would write."""
+        """Do not call the listener during the block: what is stored comes from where it would write."""
         listener, self.listener = self.listener, None
         try:
             yield
@@ -112,23 +112,23 @@ class Store:
             self.listener = listener
 
     def recheck(self) -> None:
-        """Tell the listener that more may have been stored than it was notified of, after a bulk of rows was filed."""
+        """Tell the listener to compare, after many rows were filed without notes."""
         if self.listener is not None:
             self.listener(Changes(uncertain=True))
 
     def refresh_statistics(self) -> None:
-        """Let the database look at its tables, after a bulk of rows was written."""
+        """Renew the statistics of the tables after many rows were written."""
         self.retried(lambda: statistics.refresh(self.engine))
 
     def close(self) -> None:
-        """Close all connections; the store can be used again after (a child process starts with this)."""
+        """Close all connections. The store opens new ones if it is used again; a child process begins with this."""
         if self._written:
             self._refresh_if_grown()
             self._written = 0
         self.engine.dispose()
 
     def _refresh_if_grown(self) -> None:
-        """What was written is on disk: that the tables could not be looked at now is no failure of it."""
+        """A failure here is no failure of what was written, which is on disk."""
         try:
             statistics.refresh_if_grown(self.engine)
         except DBAPIError as error:
@@ -147,7 +147,7 @@ class Store:
             return work(Transaction(session, self._clock))
 
     def retried(self, attempt: Callable[[], T]) -> T:
-        """What ``attempt`` returns; it is called again while the database is locked or away."""
+        """What ``attempt`` returns. It is called again while the database is locked or away."""
         began = self._clock.monotonic_s()
         pause_s = FIRST_PAUSE_S
         while True:
@@ -170,10 +170,10 @@ class Store:
 
 
 class AbsentStore(Store):
-    """Stands for a database that is not there: whoever wants something of it gets the reason.
+    """Stands for a database that does not exist: every access raises the reason.
 
     Args:
-        reason: What every access raises.
+        reason: Why there is none.
     """
 
     def __init__(self, reason: SlamHiveError) -> None:
@@ -186,18 +186,18 @@ class AbsentStore(Store):
 
 
 def open_store(database_url: str, retry_s: float = 60.0, *, upgrade: bool = True, create: bool = True) -> Store:
-    """A store on ``database_url`` whose tables are of this software's version.
+    """A store on ``database_url``, with the tables of this software.
 
     Args:
         database_url: ``sqlite:///file`` or ``mysql+pymysql://user:password@host/database``.
         retry_s: How long a locked or absent database is tried again (``DATABASE_RETRY_S``).
         upgrade: Create or upgrade the tables; otherwise raise Unavailable if that is needed.
-        create: Where there are no tables at all, make them; otherwise raise NotFound, with nothing made.
+        create: If there are no tables at all, make them; otherwise raise NotFound and make nothing.
     """
     store = Store(make_engine(database_url), retry_s)
     if not create and not store.retried(lambda: migrate.has_tables(store.engine)):
         store.close()
-        remedy = "slamhive reindex makes one out of the run folders, slamhive serve or worker an empty one"
+        remedy = "slamhive reindex makes one from the run folders, slamhive serve or worker an empty one"
         raise NotFound(f"there is no database {store.label} yet", remedy)
     if upgrade:
         store.retried(lambda: migrate.upgrade(store.engine))

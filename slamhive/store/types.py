@@ -14,7 +14,7 @@ from sqlalchemy.types import Double, TypeDecorator, TypeEngine
 E = TypeVar("E", bound=StrEnum)
 
 _as_json = json.JSONEncoder(allow_nan=False, separators=(",", ":")).encode
-"""Made once: an experiment stores a million values."""
+"""One encoder for all values: an experiment stores a million."""
 
 LongText = Text().with_variant(MEDIUMTEXT(), "mysql")
 """Text of up to 16 MB."""
@@ -30,7 +30,7 @@ class UtcDateTime(TypeDecorator[datetime]):
     cache_ok = True
 
     def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
-        """To naive UTC, the form both databases keep."""
+        """To naive UTC, which both databases store."""
         if value is None:
             return None
         if value.tzinfo is None:
@@ -45,14 +45,14 @@ class UtcDateTime(TypeDecorator[datetime]):
 class JsonText(TypeDecorator[Any]):
     """A JSON value kept as text.
 
-    The native type is not used: MySQL's re-orders keys and MariaDB has none, and nothing searches inside these.
+    We avoid the native type: MySQL's reorders keys, MariaDB has none, and nothing searches inside these values.
     """
 
     impl = LongText
     cache_ok = True
 
     def process_bind_param(self, value: Any, dialect: Dialect) -> str | None:  # noqa: ARG002
-        """To text; None stays NULL, NaN is refused."""
+        """To text; None becomes NULL, NaN is refused."""
         return None if value is None else _as_json(value)
 
     def process_result_value(self, value: str | None, dialect: Dialect) -> Any:  # noqa: ARG002

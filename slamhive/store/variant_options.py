@@ -1,4 +1,4 @@
-"""Options of pre-processing steps under names that searches use."""
+"""Options of pre-processing steps, under the names that searches use."""
 
 from __future__ import annotations
 

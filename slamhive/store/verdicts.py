@@ -1,8 +1,7 @@
-"""Verdicts on evaluated runs, stored beside the metrics that they follow from.
+"""Verdicts on evaluated runs, stored among the metrics that they follow from.
 
-A verdict belongs to a run and a protocol, as metrics do, and is filed as they are: so whatever finds a metric (lists,
-filters, groups) finds the verdict as fast, under the protocol that counts. It is derived: reindexing, imports and the
-migration derive it again.
+A verdict belongs to a run and a protocol, as a metric does. Lists, filters and groups therefore find it as fast as they
+find a metric. Verdicts are derived: reindexing, imports and the migration derive them again.
 """
 
 from __future__ import annotations
@@ -13,13 +12,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sqlalchemy import bindparam, delete, insert, select
-from sqlalchemy.orm import Session
 
 from slamhive.domain.verdict import ERROR, EVIDENCE, FROM_REPEATS, VerdictKind, compare_repeats, judge, tracked_enough
 from slamhive.store.metrics import VERDICT, MetricRepository
 from slamhive.store.models import Configuration, Evaluation, Metric, MetricValue, Run
 from slamhive.store.records import EvaluationState
-from slamhive.store.rows import chunks
+from slamhive.store.rows import Repository, chunks
 
 CODES = {
     VerdictKind.GOOD: 0,
@@ -28,7 +26,7 @@ CODES = {
     VerdictKind.DIVERGED_FAR: 3,
     VerdictKind.DIVERGED_OUTLIER: 4,
 }
-"""How the kinds are stored. A run that ended badly has no evaluation: its state tells."""
+"""How the kinds are stored. ``ENDED_BADLY`` is missing: it follows from the state of a run."""
 
 _KINDS = {code: kind for kind, code in CODES.items()}
 _DERIVED = (VERDICT, *FROM_REPEATS)
@@ -40,7 +38,7 @@ _FIGURES = MetricValue.__table__
 
 @dataclass
 class _Judged:
-    """A run under one protocol, while it is judged."""
+    """A run under one protocol, and what its verdict depends on."""
 
     is_current: bool
     succeeded: bool
@@ -48,26 +46,23 @@ class _Judged:
 
     @property
     def metrics(self) -> dict[str, float]:
-        """What its evaluation found."""
+        """The metrics of its evaluation."""
         return {key: value for key, value in self.stored.items() if key not in _DERIVED}
 
 
 def kind_of(code: float | None) -> VerdictKind | None:
-    """The kind that is stored as ``code``; None where no verdict is stored."""
+    """The kind behind ``code``; None if no verdict is stored."""
     return None if code is None else _KINDS[int(code)]
 
 
-class VerdictRepository:
+class VerdictRepository(Repository):
     """Derives verdicts from what is stored and stores them."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
-
     def renew(self, run_ids: Iterable[int], protocol_id: int | None = None) -> None:
-        """Judge these runs and all their repeats again, under each protocol that they were evaluated under.
+        """Renew the verdicts of these runs and of all their repeats, under each protocol of their evaluations.
 
-        ``protocol_id``: only under this one. Another process may evaluate a repeat at the same time: the rows of their
-        configurations are locked, so the later one sees both.
+        ``protocol_id``: only under this one. Another process may evaluate a repeat at the same time. The rows of the
+        configurations are locked, so the later process sees both.
         """
         places: dict[int, set[int]] = defaultdict(set)
         for part in chunks(sorted(set(run_ids))):
@@ -86,7 +81,7 @@ class VerdictRepository:
                 self._renew(protocol, chosen)
 
     def renew_all(self) -> None:
-        """Judge every run that was evaluated."""
+        """Renew the verdicts of all evaluated runs."""
         evaluated = select(_EVALUATIONS.c.run_id).where(_EVALUATIONS.c.open.is_(None)).distinct()
         self.renew(self._session.execute(evaluated).scalars().all())
 
@@ -126,7 +121,7 @@ class VerdictRepository:
             self._session.execute(insert(_FIGURES), rows)
 
     def _read(self, protocol_id: int, configurations: Collection[int]) -> dict[int, dict[int, _Judged]]:
-        """{configuration: {run: what is known of it}} of the runs whose evaluation under the protocol has ended."""
+        """{configuration: {run: what its verdict depends on}} of runs with an ended evaluation under the protocol."""
         groups: dict[int, dict[int, _Judged]] = defaultdict(dict)
         query = (
             select(_RUNS.c.configuration_id, _RUNS.c.id, _RUNS.c.current_protocol_id, _EVALUATIONS.c.state)
@@ -146,7 +141,7 @@ class VerdictRepository:
         return groups
 
     def _stored(self, protocol_id: int, configurations: Collection[int]) -> Iterator[tuple[int, int, str, float]]:
-        """Configuration, run, key and value of the metrics that verdicts depend on or consist of."""
+        """Configuration, run, key and value of the metrics behind verdicts, and of the verdicts."""
         wanted = select(Metric.id, Metric.key).where(Metric.key.in_((*EVIDENCE, VERDICT)))
         names = {row.id: row.key for row in self._session.execute(wanted)}
         query = (

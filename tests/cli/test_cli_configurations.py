@@ -78,7 +78,7 @@ def test_changing_and_deleting(configuration: Command):
     assert configuration("delete", "3").stdout == "configuration 3 is deleted\n"
     refused = configuration("delete", "mine")
     assert (refused.exit_code, refused.stdout) == (1, "")
-    assert "configuration 2 (mine) has 1 run; what runs tell of must stay" in refused.stderr
+    assert "configuration 2 (mine) has 1 run; a configuration with runs must stay" in refused.stderr
 
 
 def test_yaml_out_and_in(configuration: Command, tmp_path: Path):

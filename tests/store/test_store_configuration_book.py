@@ -168,7 +168,7 @@ def test_what_nothing_depends_on_can_be_deleted(samples: Samples) -> None:
     samples.queued(1, configuration_id=used)
     book(store, lambda b: b.describe(unused, "old", "x"))
     book(store, lambda b: b.add_to_group("g", [unused]))
-    with pytest.raises(Conflict, match=f"configuration {used} has 1 run; what runs tell of must stay"):
+    with pytest.raises(Conflict, match=f"configuration {used} has 1 run; a configuration with runs must stay"):
         book(store, lambda b: b.delete(used))
     book(store, lambda b: b.delete(unused))
     assert ids(store) == [used]

@@ -10,7 +10,7 @@ import pytest
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.evaluation.job import Artefacts
-from slamhive.store import EvaluationState, Lease, LeaseLost, Store, UsageSummary
+from slamhive.store import EvaluationState, Lease, LeaseLost, Store
 from tests.store.store_samples import SE3, SIM3, WORKER, Samples, result
 
 pytestmark = pytest.mark.integration
@@ -173,7 +173,6 @@ def test_figures_are_merged_by_key(store: Store, samples: Samples) -> None:
     assert store.read(lambda tx: tx.metrics.by_protocol(run_id)) == {
         None: {"cpu.mean": 2.0, "ram.max": 5e8, "never.seen.before": -1e-300}
     }
-    assert store.read(lambda tx: tx.metrics.usage_summary(run_id)) == UsageSummary(2.0, None, None, None, None, 5e8)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])

@@ -134,7 +134,6 @@ def test_runs_from_before_there_were_verdicts_are_judged_by_the_migration(store:
 def test_verdicts_are_no_metric_that_lists_offer(store: Store, samples: Samples) -> None:
     evaluated(store, samples, 0.1)
     assert VERDICT not in store.read(lambda tx: tx.searches.metrics())
-    assert VERDICT not in store.read(lambda tx: tx.run_table.stored_metrics())
     assert ERROR_OVER_REPEATS not in store.read(lambda tx: tx.searches.metrics())
     (figures,) = store.read(lambda tx: tx.metrics.by_protocol(1)).values()
     assert VERDICT not in figures

@@ -129,7 +129,7 @@ def test_what_has_runs_cannot_be_deleted(web: Web):
     assert "no: it has 5 runs" in web.client.get("/configurations/1").text
     refused = send(web, "/configurations/1/delete")
     assert refused.status_code == 409
-    assert "what runs tell of must stay" in refused.text.lower()
+    assert "a configuration with runs must stay" in refused.text.lower()
     free = web.hive.configurations.create(Submission("eye-slam-mono", "room")).record.id
     gone = send(web, f"/configurations/{free}/delete")
     assert gone.location == "/configurations"

@@ -120,7 +120,7 @@ def _ended(store: Store, request: ExportRequest, report: ExportReport) -> list[i
     def work(t: Transaction) -> tuple[list[int], int]:
         rows = t.archive
         if request.run_ids is None:
-            return rows.ended(), rows.total()
+            return rows.ended(), t.searches.total()
         return rows.ended_among(request.run_ids), len(set(request.run_ids))
 
     ended, asked = store.read(work)

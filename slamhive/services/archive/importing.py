@@ -138,7 +138,7 @@ class ArchiveImport:
             for line in (lines.read_line(RunLine, content) for content in archive.lines(layout.RUNS))
             if line.record is None
         }
-        known = self._store.read(lambda t: t.archive.known(list(with_folder)))
+        known = self._store.read(lambda t: t.runs.ids_by_uid(list(with_folder)))
         return {number for uid, number in with_folder.items() if uid not in known or self._lacks_folder(known[uid])}
 
     @contextmanager
@@ -153,9 +153,9 @@ class ArchiveImport:
     def _runs(
         self, archive: ArchiveReader, contents: Contents, ready: _Ready, report: ArchiveReport, progress: Progress
     ) -> None:
-        known = self._store.read(lambda t: t.archive.known(list(contents.runs)))
+        known = self._store.read(lambda t: t.runs.ids_by_uid(list(contents.runs)))
         numbers = dict(known)
-        others = self._store.read(lambda t: t.archive.total()) > len(known)
+        others = self._store.read(lambda t: t.searches.total()) > len(known)
         report.kept_numbers = not others and all(contents.runs[uid] == number for uid, number in known.items())
         stream = iter(archive.lines(layout.RUNS))
         done = 0

@@ -1,4 +1,4 @@
-"""Configurations say what the dataset goes through beforehand."""
+"""Store the variant of a configuration: the pre-processing of its dataset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Experiments: what was asked for, its cells, and which runs belong to them; runs that wait on hold.
+"""Experiments, their cells and runs; runs that are held back.
 
 A migration stands still while the models move on, so it names its own column types and imports none of theirs.
 """

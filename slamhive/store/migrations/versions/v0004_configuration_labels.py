@@ -1,4 +1,4 @@
-"""Names, notes and groups of configurations; a parameter whose type or unit was edited is a parameter of its own."""
+"""Names, notes and groups of configurations; editing the type or unit of a parameter makes another one."""
 
 from __future__ import annotations
 

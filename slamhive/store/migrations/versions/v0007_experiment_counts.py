@@ -1,4 +1,4 @@
-"""An index that counts the runs of an experiment by state and reason without a look at its cells."""
+"""An index that counts the runs of an experiment by state and reason without reading its cells."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a run was measured on a disturbed machine, and how often it may be repeated because of that."""
+"""Whether the machine of a run was disturbed, and how often the run may be repeated for that."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Verdicts on runs that were evaluated before there were any. They are derived, and derived again by reindexing."""
+"""Derive verdicts on runs that were evaluated before verdicts existed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Indexes that count the runs of an experiment by state and reason, and tell which of them were evaluated."""
+"""Indexes that count the runs of an experiment by state, reason and whether they were evaluated."""
 
 from __future__ import annotations
 
