@@ -32,7 +32,7 @@ CURRENT = "fk_runs_current_protocol_id"
 
 
 def upgrade() -> None:
-    """Rebuild the table of figures, add two tables and indexes; options of the variants there are filed."""
+    """Rebuild the table of metrics, add two tables and indexes; options of the variants there are filed."""
     counts = "v.protocol_id = 1 OR v.protocol_id = r.current_protocol_id"
     read = f"v.metric_id, v.run_id, v.protocol_id, v.value, CASE WHEN {counts} THEN 1 ELSE 0 END"
     copied = f"SELECT {read} FROM {FIGURES} v JOIN runs r ON r.id = v.run_id"  # noqa: S608 - our own names
@@ -97,7 +97,7 @@ def downgrade() -> None:
 
 
 def _rebuild_figures(key: tuple[str, ...], references: tuple[str, ...], copied: str, *more: sa.Column[Any]) -> None:
-    """The table anew with ``key`` as its primary key, filled by the query ``copied``.
+    """The table again with ``key`` as its primary key, filled by the query ``copied``.
 
     MySQL knows the name of a reference once in a database, so the old table gives up its own first.
     """
