@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from slamhive.domain.run import RunState
-from slamhive.services.exports.cells import safe_cell
+from slamhive.services.exports import safe_cell
 from slamhive.web.columns import all_columns
 from tests.web import web_world as world
 from tests.web.web_world import Web

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from slamhive.services.exports.cells import safe_cell
 from slamhive.services.exports.groups import GroupExport, by_protocol
 from slamhive.services.exports.runs import RunExport, disturbed_text
-from slamhive.services.exports.table import Format, Page, Record, TableExport
+from slamhive.services.exports.table import Format, Page, Record, TableExport, safe_cell
 
 __all__ = [
     "Format",

@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from slamhive.errors import Unavailable
-from slamhive.services.exports.cells import safe_cell
 
 Record = TypeVar("Record")
+Cell = TypeVar("Cell")
 Value = int | float | str | bool | None
 Page: TypeAlias = Callable[[str | None], tuple[Sequence[Record], str | None]]
 """Returns the records of the page after a key (None for the first page) and the key of the next page."""
+_FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 class Format(StrEnum):
@@ -123,3 +124,8 @@ def _typed(column: Sequence[Value], *, number: bool) -> list[Any]:
     if number:
         return [None if value is None or isinstance(value, str) else float(value) for value in column]
     return [None if value is None else str(value) for value in column]
+
+
+def safe_cell(value: Cell) -> Cell | str:
+    """Put an apostrophe before text that a spreadsheet would run as a formula."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA_STARTS) else value

@@ -24,7 +24,7 @@ from slamhive.services.runs.record import (
     spec_to_json,
 )
 from slamhive.services.runs.record_keeper import RecordKeeper
-from slamhive.services.runs.retrying import repeat_if_disturbed, retry_request
+from slamhive.services.runs.retrying import repeat_if_disturbed, retry_request, run_uid
 from slamhive.services.runs.series import (
     LIMIT_BYTES,
     Array,
@@ -50,7 +50,6 @@ from slamhive.services.runs.specification import (
     recorded_topics,
     write_config,
 )
-from slamhive.services.runs.uid import run_uid
 
 __all__ = [
     "LIMIT_BYTES",

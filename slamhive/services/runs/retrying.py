@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from datetime import datetime
 
 from slamhive.domain.external import IMPORTED
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict
-from slamhive.services.runs.uid import run_uid
 from slamhive.store import Transaction
 from slamhive.store.experiment_records import ExperimentState
 from slamhive.store.records import RunRecord, RunRequest
@@ -59,3 +59,9 @@ def repeat_if_disturbed(t: Transaction, run: RunRecord, now: datetime) -> None:
         return
     request = retry_request(t, run, run_uid(run.uid, "undisturbed"))
     t.runs.add_runs([replace(request, repeat_disturbed=run.repeat_disturbed - 1)], now)
+
+
+def run_uid(origin: str, *parts: object) -> str:
+    """The uid of a run, from its place in an experiment or the run that it repeats: no run is stored twice."""
+    text = "/".join(map(str, (origin, *parts)))
+    return hashlib.sha256(text.encode()).hexdigest()[:32]

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
+from dataclasses import fields
 from datetime import datetime
 
-from slamhive.domain.disturbance import Disturbance
+from slamhive.domain.disturbance import Disturbance, DisturbanceLimits, judge
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import RunEvent
 from slamhive.errors import SlamHiveError
 from slamhive.executors.status import Exited
+from slamhive.runs.folder import RunFolder
+from slamhive.runs.host_load import read_host_load
 from slamhive.runs.outcome import Evidence, Outcome, decide
 from slamhive.runs.profiling import measure_run, write_plots
 from slamhive.services.json_values import exact
 from slamhive.services.runs import repeat_if_disturbed
 from slamhive.services.worker.disk import remove_scratch, settle_result
-from slamhive.services.worker.disturbance import judge_run
 from slamhive.services.worker.evidence import gather_evidence, read_about
 from slamhive.services.worker.run_in_hand import RunInHand
+from slamhive.settings import Settings
 from slamhive.store import Transaction
 
 logger = logging.getLogger(__name__)
@@ -111,3 +115,12 @@ class Collecting:
         except SlamHiveError as error:
             logger.warning("run %d will not be evaluated: %s", self._hand.run.id, error)
             return None
+
+
+def judge_run(folder: RunFolder, metrics: Mapping[str, float], settings: Settings) -> Disturbance:
+    """Judge the run in ``folder`` by the limits of the installation."""
+    limits = DisturbanceLimits(
+        **{entry.name: getattr(settings, f"disturbed_{entry.name}") for entry in fields(DisturbanceLimits)}
+    )
+    lag_s = metrics.get("playback.lag_max")
+    return judge(read_host_load(folder.host), metrics["duration"], lag_s, limits)
