@@ -68,7 +68,7 @@ def time_command_line(pairs: list[tuple[Path, Path]]) -> float:
 def main() -> int:
     """Measure and print; exit code 1 if the metrics take longer than the bound."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--json", action="store_true", help="print the results as JSON")
     parser.add_argument("--runs", type=int, default=122, help="how many runs to evaluate (default 122)")
     parser.add_argument("--cli-runs", type=int, default=3, help="how many of them by the command line (default 3)")
     options = parser.parse_args()

@@ -1,14 +1,14 @@
 """How fast variants of a dataset are made, against copying the file and against a plain loop over its messages.
 
-Every comparison is made in pairs within one run, in alternating order, on a bag generated for it; what is printed are
-medians of the pairs' ratios, because the machine is shared and absolute times wander. The plain loop is what one would
-write with rosbags: read, decode, resize, encode, write, in one thread.
+Every comparison runs in pairs, in alternating order, on a bag generated for it. It prints medians of the ratios of the
+pairs, because the machine is shared and absolute times vary. The plain loop is what one would write with rosbags: read,
+decode, resize, encode, write, in one thread.
 
     python benchmarks/variants.py [--megabytes 867] [--pairs 5] [--seconds 60] [--realtime] [--json]
 
-Beside the ratio of wall times stands that of CPU times (user + system of this process), and how many cores others used
-meanwhile: what gains by a second core cannot be seen while others have it. ``--realtime`` (root) takes the cores for
-the few seconds of each measurement. A comparison ends after ``--seconds`` if it has three pairs by then.
+It prints the ratios of wall times and of CPU times (user + system of this process), and how many cores others used. The
+gain of a second core is invisible while others use it. ``--realtime`` (root) reserves the cores for the few seconds of
+each measurement. A comparison ends after ``--seconds`` if it has three pairs by then.
 
 Bags lie in a temporary folder and are removed; three times the size given must be free there.
 """

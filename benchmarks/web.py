@@ -2,10 +2,10 @@
 
     python benchmarks/web.py [--runs 100000] [--seconds 20] [--clients 8]
 
-Fills a store (see ``search_data.py``), computes an analysis of all its runs, serves it in view-only mode in a process
-of its own, and asks as many clients as browsers would: lists, sorted and filtered lists, the pages of runs, the page
-and the plots of the analysis, help. A browser that has a page asks with its ETag, so both columns are real: without,
-and with. Prints requests a second and the times of each address. Asked: 200 a second on 2 cores.
+Fills a store (see ``search_data.py``), computes an analysis of all its runs, and serves it in view-only mode in a
+separate process. As many clients as browsers request lists, sorted and filtered lists, pages of runs, the page and
+the plots of the analysis, and help. A browser that has a page sends its ETag, so both columns are real: without, and
+with. Prints requests per second and the times of each address. Target: 200 per second on 2 cores.
 
 The last column is the CPU time of a page of a workstation, which keeps none: that of one thread, so it hardly depends
 on what else the machine does. Asked: 150 ms.
@@ -183,8 +183,8 @@ def main() -> None:
             server.terminate()
             server.wait()
         print(f"\nrequests a second: {plain:.0f} without ETags, {kept:.0f} with")
-        print(f"if every page were made anew: {len(paths) / sum(anew[path] for path in paths):.0f} on one core\n")
-        print(f"{'address':60} {'median':>9} {'with ETag':>10} {'CPU anew':>10}")
+        print(f"if every page were made again: {len(paths) / sum(anew[path] for path in paths):.0f} on one core\n")
+        print(f"{'address':60} {'median':>9} {'with ETag':>10} {'CPU cold':>10}")
         for path in dict.fromkeys(paths):
             figures = (1e3 * took[path] for took in (times, kept_times, anew))
             print(f"{path.replace(token, 'TOKEN'):60} " + " ".join(f"{figure:7.1f} ms" for figure in figures))

@@ -1,7 +1,7 @@
 """Writing a file so that nobody ever sees a part of it, and telling whether files changed.
 
-What is being written has a name of its own and is locked by its writer. The kernel lets go of the lock when its process
-dies, however it dies, so that whoever sweeps can tell what a killed process has left from what is still being written.
+A file that is being written has its own name, and its writer holds a lock. The kernel releases the lock when the
+process dies. So a cleanup can distinguish what a killed process left from what is still being written.
 """
 
 from __future__ import annotations

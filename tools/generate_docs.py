@@ -102,7 +102,7 @@ def steps_page() -> str:
 
 
 def forms_page() -> str:
-    """``docs/analysis-forms.md``: every form of analysis with its options."""
+    """``docs/analysis-forms.md``: every plot type with its options."""
     sections = []
     for key, form in FORMS:
         own = {name: entry for name, entry in form.options.model_fields.items() if name not in FormOptions.model_fields}

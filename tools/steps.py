@@ -22,7 +22,7 @@ def say(label: str, outcome: str) -> None:
 
 
 def run_step(label: str, command: Sequence[str | Path], environment: dict[str, str] | None = None) -> None:
-    """Run ``command`` quietly; on a terminal the elapsed seconds tick.
+    """Run ``command`` quietly; on a terminal, show the elapsed seconds.
 
     Raises StepFailed with the command and the end of its output if it fails.
     """

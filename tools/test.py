@@ -58,9 +58,9 @@ class Outcome:
 class Tier:
     """One tier: what must be there first, the commands, or the pytest marks that select its tests.
 
-    ``limit_s`` is how long it may take where each of its workers has a core: it fails if it uses more CPU time
-    than that, and warns if it only takes longer. Tests of a tier without ``engine`` see no Docker engine, so that they
-    meet the same on every machine.
+    ``limit_s`` is the time it may take if each of its workers has a core. It fails if it uses more CPU time than that,
+    and warns if it only takes longer. Tests of a tier without ``engine`` see no Docker engine, so that they behave the
+    same on every machine.
     """
 
     name: str
@@ -145,9 +145,9 @@ def check_time(tier: Tier, outcome: Outcome, limit_s: float) -> None:
     cpu_limit_s = limit_s * max(1, tier.workers)
     if outcome.cpu_s > cpu_limit_s:
         outcome.state = "failed"
-        outcome.note = f"used {outcome.cpu_s:.1f} s of processor time, must stay under {cpu_limit_s:g} s"
+        outcome.note = f"used {outcome.cpu_s:.1f} s of CPU time, must stay under {cpu_limit_s:g} s"
     elif outcome.seconds > limit_s:
-        outcome.note = f"WARNING: took longer than {limit_s:g} s with {outcome.cpu_s:.1f} s of processor time"
+        outcome.note = f"WARNING: took longer than {limit_s:g} s with {outcome.cpu_s:.1f} s of CPU time"
 
 
 def run_commands(tier: Tier) -> Outcome:

@@ -101,7 +101,7 @@ class AnalysisModel(_Model):
     model_config = ConfigDict(title="SLAM Hive analysis")
     format: Literal[1] = 1
     name: str = Field(min_length=1, max_length=200, description="What the analysis is called.")
-    text: str = Field(default="", max_length=100_000, description="Markdown above the figures.")
+    text: str = Field(default="", max_length=100_000, description="Markdown above the plots.")
     select: dict[Annotated[str, AfterValidator(_set_name)], SetModel] = Field(
         min_length=1, max_length=MAX_SETS, description="Sets of runs, each under a name of yours."
     )

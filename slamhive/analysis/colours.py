@@ -23,8 +23,8 @@ MARKERS_IN_SPACE = 8
 def algorithm_colours(names: Iterable[str], known: Iterable[str] = ()) -> dict[str, str]:
     """A colour for each algorithm.
 
-    Those that are ``known`` (installed) keep the colour of their place in the alphabet in every plot, unless another
-    of ``names`` has it; the others take the first that is free. Beyond the length of the palette colours come again.
+    Installed names (``known``) get the colour of their place in the alphabet in every plot, unless another of
+    ``names`` has it. Others take the first free colour. Beyond the length of the palette, colours repeat.
     """
     wanted = set(names)
     installed = sorted(set(known))

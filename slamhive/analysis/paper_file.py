@@ -18,7 +18,7 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput, unknown
 
 MARK = "evaluation_form"
-"""The key that tells a file of the published system from ours."""
+"""The key that identifies a file of the published system."""
 
 _SETS = ("configurations", "combinations", "rules")
 _SIGNS = {"U": "|", "I": "&"}

@@ -44,7 +44,7 @@ def colour_of_mark(colour: str) -> str:
 
 
 def meta_of(colour: str) -> Json:
-    """What tells the page to colour a mark for light or dark."""
+    """The mark that makes the page colour it for light or dark."""
     return {"meta": THEMED} if colour == REFERENCE else {}
 
 

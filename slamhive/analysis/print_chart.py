@@ -65,7 +65,7 @@ def print_chart(chart: Chart, file_format: str) -> bytes:
 def _settle_layout(figure: Figure) -> None:
     """Place everything, to digits that are the same each time: the solver of the layout leaves the last to chance."""
     engine = figure.get_layout_engine()
-    assert engine is not None, "figures here have one"
+    assert engine is not None, "plots here have one"
     engine.execute(figure)
     figure.set_layout_engine("none")
     for part in figure.subfigs:  # legends and titles are placed in these

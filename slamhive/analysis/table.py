@@ -97,8 +97,8 @@ class RunTable:
         markers: The marker of each dataset.
         told: Parameters that say what others say already, by key.
         installed: The sensor set-up of each installed algorithm, with runs or without.
-        unevaluated: How many runs are left out because nobody has evaluated them under the protocol in question, or
-            because they were cancelled or have not ended: they are neither good nor failed.
+        unevaluated: How many runs are left out because they are not evaluated under the protocol, cancelled or
+            unfinished. They are neither good nor failed.
         without_disturbed: How many runs are left out because they were measured on a disturbed machine; None if such
             runs are kept.
     """

@@ -133,7 +133,7 @@ class _Design:
 
 
 def _share(design: _Design, term: Term, noise: float | None) -> float | None:
-    """Omega squared of ``term``; None if the other terms explain all that it could, or if chance cannot be told."""
+    """Omega squared of ``term``; None if the other terms explain everything, or if the noise is unknown."""
     if design.total == 0:
         return 0.0
     explained, freedom = _own(design, term)

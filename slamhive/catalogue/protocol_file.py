@@ -30,24 +30,24 @@ def _number(name: str, unit: str, description: str) -> Any:
 
 
 class ProtocolModel(BaseModel):
-    """An evaluation protocol. What is left out is as the run's sensors deserve, or the default."""
+    """An evaluation protocol. Missing keys follow from the sensors of the run, or have their default."""
 
     model_config = ConfigDict(extra="forbid", strict=True, title="SLAM Hive evaluation protocol")
 
     alignment: Annotated[Alignment, Field(strict=False)] | None = Field(
-        None, description="How the estimate is moved onto the ground truth; left out: as the sensors deserve."
+        None, description="How the estimate is aligned with the ground truth; default: from the sensors."
     )
     align_poses: Annotated[int, _number("align_poses", "1", "Align over this many first matched poses")] | None = None
     association: Annotated[Association, Field(strict=False)] | None = Field(
         None, description="Which pose of the ground truth answers to which of the estimate; default nearest."
     )
     association_tolerance_s: (
-        Annotated[float, _number("association_tolerance_s", "s", "Largest gap between matched stamps")] | None
+        Annotated[float, _number("association_tolerance_s", "s", "Largest gap between matched timestamps")] | None
     ) = None
     interpolation_interval_s: (
         Annotated[float, _number("interpolation_interval_s", "s", "Longest ground-truth interval interpolated")] | None
     ) = None
-    time_offset_s: Annotated[float, _number("time_offset_s", "s", "Added to the estimate's stamps")] | None = None
+    time_offset_s: Annotated[float, _number("time_offset_s", "s", "Added to the estimate's timestamps")] | None = None
     offset_search_s: (
         Annotated[
             float, _number("offset_search_s", "s", "Search the offset within this of time_offset_s; 0: no search")
@@ -67,8 +67,7 @@ class ProtocolModel(BaseModel):
         description="File in the dataset's folder to compare with, instead of its ground truth.",
     )
     gap_threshold_s: (
-        Annotated[float, _number("gap_threshold_s", "s", "A longer pause of the estimate counts as tracking lost")]
-        | None
+        Annotated[float, _number("gap_threshold_s", "s", "A longer time without poses counts as lost tracking")] | None
     ) = None
     rpe_pairs: Annotated[RpePairs, Field(strict=False)] | None = Field(
         None, description="Over which pairs the relative errors are taken; default all."

@@ -32,9 +32,9 @@ def build_run_config(
         seed: Its seed.
         source: The dataset that ``dataset`` was made of, None if it is no variant.
 
-    Sensors are known to the algorithm by role. What the dataset knows of the sensor in role ``left`` is found under
-    ``left_<calibration key>``, ``left_rate_hz`` and ``left_T_body_sensor`` (16 floats, row-major); the algorithm
-    listens to ``/left``, which ``dataset-remap`` maps to the recorded topic.
+    The algorithm knows sensors by role. The properties of the sensor in role ``left`` are ``left_<calibration key>``,
+    ``left_rate_hz`` and ``left_T_body_sensor`` (16 floats, row-major). The algorithm listens to ``/left``, which
+    ``dataset-remap`` maps to the recorded topic.
 
     Raises InvalidInput if the dataset lacks a sensor that the algorithm needs.
     """

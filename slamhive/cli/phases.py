@@ -28,8 +28,8 @@ class Phase:
 class Phases:
     """Shows each phase as "step 2 of 6", with the time left of all.
 
-    What phases took is set against what was expected, and corrects the expectation of those of the same kind: the speed
-    of a network or of a disk shows after the first download or build.
+    The measured time of a phase corrects the estimate of phases of the same kind: the speed of a network or disk shows
+    after the first download or build.
 
     Args:
         phases: In their order.

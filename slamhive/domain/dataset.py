@@ -28,10 +28,9 @@ class GroundTruth:
 class Dataset:
     """A recording as ``dataset.yaml`` describes it. ``folder`` holds the bag, the ground truth and the YAML.
 
-    ``bag`` is empty for a dataset that is a ground truth alone, or relations alone, for trajectories that were made
-    elsewhere; ``checksum`` is then that of these files.
-    ``reference_map`` is a PCD file of the place in the world of the ground truth, ``relations`` a file of relative
-    poses of the body frame measured by people: ``timestamp1 timestamp2 x y z roll pitch yaw`` a line.
+    ``bag`` is empty for a dataset with only ground truth or relations, for imported runs; ``checksum`` is then that of
+    these files. ``reference_map`` is a PCD file in the world of the ground truth. ``relations`` is a file of measured
+    relative poses of the body frame: ``timestamp1 timestamp2 x y z roll pitch yaw`` per line.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """Whether a run was measured on a disturbed machine: one rule, from what was measured beside the run to reasons.
 
-Disturbance is not failure. A disturbed run keeps its outcome and its metrics; they are marked, because CPU time,
-latency, and in real time dropped frames and errors too, depend on what else the machine did.
+Disturbance is not failure. A disturbed run keeps its outcome and its metrics, with a mark. Its CPU time and latency
+depend on other load, and in real time dropped frames and errors do too.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ _NAME = re.compile(NAME_PATTERN)
 def check_name(kind: str, name: str) -> str:
     """Return ``name`` if it is safe as a folder, image tag part and URL segment; raise InvalidInput otherwise.
 
-    Letters, digits, ``_``, ``.`` and ``-``, at most 64, the first a letter or digit, no ``..``: path separators,
-    quotes, newlines and markup are therefore impossible in every place a name ends up.
+    At most 64 letters, digits, ``_``, ``.`` and ``-``, the first a letter or digit, no ``..``. Path separators, quotes,
+    newlines and markup are therefore impossible wherever the name is used.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name) or ".." in name:
         raise InvalidInput(

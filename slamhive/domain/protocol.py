@@ -104,9 +104,8 @@ DUPLICATES_LABELS = {
 class Protocol:
     """Association, time offset, alignment, reference and deltas.
 
-    Metrics of different fingerprints are never averaged or ranked together. A field's default is part of every
-    fingerprint that was ever taken, so no default may change, and a new field's default has to mean what was done
-    before there was the field.
+    Metrics of different fingerprints are never averaged or ranked together. A field's default is part of existing
+    fingerprints, so no default may change, and the default of a new field must keep the old behaviour.
 
     Attributes:
         alignment: How the estimate is moved onto the ground truth.
@@ -338,8 +337,9 @@ def _association_words(protocol: Protocol) -> str:
         return f"ground truth interpolated over up to {protocol.interpolation_interval_s:g} s"
     if protocol.association is Association.HOLD:
         if protocol.hold_interval_s is not None:
-            return f"estimate held at the ground truth's stamps with a next one within {protocol.hold_interval_s:g} s"
-        return "estimate held at every stamp of the ground truth"
+            limit_s = protocol.hold_interval_s
+            return f"estimate held at the ground truth's timestamps with a next one within {limit_s:g} s"
+        return "estimate held at every timestamp of the ground truth"
     if protocol.association is Association.INDEX:
         return "poses by index"
     how = {Association.ONE_TO_ONE: " one to one", Association.SWEEP: " in one sweep"}.get(protocol.association, "")

@@ -15,9 +15,9 @@ from slamhive.errors import InvalidInput
 class VariantStep:
     """One pre-processing step on some sensors of a dataset.
 
-    ``kind`` is the name the step is registered under (``rate``, ``resolution``, ``noise_gaussian`` ...), ``sensors``
-    are names of the dataset's sensors (a set: kept sorted), ``options`` the step's settings with the types that the
-    step gives them. Equal steps have equal content, and are hashable.
+    ``kind`` is the registered name of the step (``rate``, ``resolution``, ``noise_gaussian`` ...). ``sensors`` are
+    names of the dataset's sensors (a sorted set), ``options`` the settings with the types of the step. Equal steps have
+    equal content, and are hashable.
     """
 
     kind: str

@@ -12,7 +12,7 @@ IMAGE = "slam-hive-evaluation:evo"
 """The evaluation image; its entry script is started with the job file as its only argument."""
 
 PARENT_VARIABLE = "SLAMHIVE_EVALUATION_PARENT"
-"""Tells a batch in a process of its own the pid of the process without which it shall not go on."""
+"""Passes the pid of the parent to a batch process; the batch ends when the parent does."""
 
 LineCallback = Callable[[str], None]
 

@@ -1,4 +1,4 @@
-"""Common mistakes behind a large error: each is tried out, and told only where undoing it makes the error collapse.
+"""Common mistakes behind a large error: each is tested, and reported only if reversing it makes the error collapse.
 
 Little is tried on a pair that looks right, so that this costs a few per cent of an evaluation.
 """
@@ -97,7 +97,7 @@ LEAST_OFFSET_S = 0.01
 OFFSET_COLLAPSE, LARGE_OFFSET_COLLAPSE = 0.4, 0.8
 """An offset is reported where without it so much of the position error is left at most, and a large one so much."""
 LARGE_OFFSET_S = 0.1
-"""More than a frame is delayed by: clocks differ. Told by turning alone: drift moves the place where positions fit."""
+"""A larger delay means that clocks differ. Found from the angular rate: drift shifts where positions fit."""
 ALONG_MOTION = 0.5
 """An offset moves poses along their path, the faster the further: the share of the squared error that does so."""
 

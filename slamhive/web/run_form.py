@@ -94,7 +94,7 @@ def read_steps(text: str) -> Variant:
 
 
 def form_values(submission: Submission) -> dict[str, str]:
-    """The fields of the form that hold the content of ``submission``."""
+    """The fields of the web form for the content of ``submission``."""
     parameters = {PARAMETER_PREFIX + key: value_text(value) for key, value in submission.parameters.items()}
     return {
         "algorithm": submission.algorithm,

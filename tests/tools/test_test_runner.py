@@ -63,8 +63,8 @@ def test_ci_allows_only_absent_recordings_to_be_skipped(runner, reason, code):
     ("seconds", "cpu_s", "state", "note"),
     [
         (9.0, 17.0, "passed", ""),
-        (40.0, 17.0, "passed", "WARNING: took longer than 10 s with 17.0 s of processor time"),
-        (12.0, 21.0, "failed", "used 21.0 s of processor time, must stay under 20 s"),
+        (40.0, 17.0, "passed", "WARNING: took longer than 10 s with 17.0 s of CPU time"),
+        (12.0, 21.0, "failed", "used 21.0 s of CPU time, must stay under 20 s"),
     ],
 )
 def test_a_busy_machine_fails_no_tier_but_slow_tests_do(runner, monkeypatch, seconds, cpu_s, state, note):

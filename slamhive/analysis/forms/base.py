@@ -23,8 +23,8 @@ class FormOptions(BaseModel):
     """What every plot type understands; a plot type adds its own options."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-    title: str | None = Field(default=None, max_length=200, description="Instead of the form's own title.")
-    text: str = Field(default="", max_length=20_000, description="Markdown above the figure.")
+    title: str | None = Field(default=None, max_length=200, description="Replaces the default title.")
+    text: str = Field(default="", max_length=20_000, description="Markdown above the plot.")
 
 
 OptionsT = TypeVar("OptionsT", bound=FormOptions)
@@ -108,7 +108,7 @@ class Form(ABC, Generic[OptionsT]):
         """Plots and tables. Raises InvalidInput or NotFound if the data or the options do not fit the plot type."""
 
 
-FORMS: Registry[Form[Any]] = Registry("analysis form", "slamhive.analysis_forms")
+FORMS: Registry[Form[Any]] = Registry("plot type", "slamhive.analysis_forms")
 """Every plot type by its key; installed packages add theirs through the entry-point group."""
 
 
@@ -164,7 +164,7 @@ def caption(table: RunTable, shown: int, protocol: str | None, *more: str) -> st
     failed = int(table.frame[FAILED].notna().sum())
     total = len(table.frame)
     parts = [f"n = {shown} of {total} runs, {failed} failed.", table.rule_words, table.disturbance_words]
-    parts.append(f"Protocol: {protocol}." if protocol else "No figure here depends on an evaluation protocol.")
+    parts.append(f"Protocol: {protocol}." if protocol else "These plots do not depend on an evaluation protocol.")
     return " ".join(filter(None, [*parts, *more]))
 
 
@@ -199,7 +199,7 @@ def result_of(
 
 
 def excluded_without(rows: pd.DataFrame, keys: Sequence[str], columns: Mapping[str, Column]) -> tuple[Exclusion, ...]:
-    """The good runs that lack one of these values, told by which."""
+    """The good runs that lack one of these values, with the value they lack."""
     exclusions = []
     for key in keys:
         lacking = rows[rows[key].isna()]

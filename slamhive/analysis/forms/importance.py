@@ -90,7 +90,7 @@ def default_parameters(table: RunTable) -> list[str]:
 
 _METHOD = (
     "Shares of variance by one analysis of variance with all parameters and pairs (omega squared, type II sums of "
-    "squares): each share is what a parameter explains beyond all others, less what it would explain by chance."
+    "squares). Each share is what a parameter explains beyond all others, less what it would explain by chance."
 )
 
 

@@ -84,7 +84,7 @@ def legend(table: RunTable, *, markers: bool = True) -> Iterator[Points]:
 
 
 def settings_words(table: RunTable) -> pd.Series:
-    """For each run what tells its configuration apart besides algorithm and dataset: the parameters that vary."""
+    """For each run, the parameters that vary: they distinguish its configuration besides algorithm and dataset."""
     varied = [column.key for column in table.varied()]
 
     def words(row: pd.Series) -> str:

@@ -71,7 +71,7 @@ class Protocols(Form[ProtocolsOptions]):
             caption=(
                 f"n = {len(complete)} runs that were evaluated under all {wide.shape[1]} protocols, of "
                 f"{len(table.frame)} selected, {len(table.failed())} of which failed. {table.rule_words} "
-                "Figures of different protocols stand side by side here and are not averaged."
+                "Metrics of different protocols are shown side by side and not averaged."
             ),
         )
         tables = (_summary(complete, algorithms, labels, column.unit), _raw(wide, algorithms, labels, column.unit))

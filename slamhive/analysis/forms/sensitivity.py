@@ -118,7 +118,7 @@ def breaking_points(table: RunTable, options: SensitivityOptions) -> Iterator[Br
             baseline = mean if baseline is None else baseline
             why = _failing(group, options.failure_rate)
             if not why and (mean is None or baseline is None):
-                why = "no figures"
+                why = "no values"
             elif not why and _much_worse(mean, baseline, options.factor, higher_is_better=higher_is_better):
                 why = f"mean {mean:.3g} against {baseline:.3g}"
             if why:

@@ -63,8 +63,8 @@ def _relations() -> list[Metric]:
             "Relations matched",
             "",
             Direction.HIGHER,
-            "Share of the relations at both of whose times the estimate has a pose, or poses on both sides that are no "
-            "further apart than the gap threshold, between which it is interpolated.",
+            "Share of the relations for which the estimate has a pose at both times. A pose may be interpolated "
+            "between poses no further apart than the gap threshold.",
             True,
             Group.RELATIONS,
             "SLAM Hive",

@@ -80,7 +80,7 @@ def _kitti() -> list[Metric]:
     family = _Family("kitti", "KITTI", "segments", _KITTI)
     metrics = family.whole(
         f"segments of {KITTI_LENGTHS_M[0]} to {KITTI_LENGTHS_M[-1]} m of ground-truth path from every {KITTI_STEP}th "
-        "frame, pooled, path lengths in single precision as in the devkit; a frame without a pose rejects the run"
+        "frame, pooled. Path lengths are in single precision as in the devkit; a frame without a pose rejects the run"
     )
     for length_m in KITTI_LENGTHS_M:
         metrics += family.one_length(f"{length_m}m", f"{length_m} m", f"of {length_m} m")
@@ -90,8 +90,8 @@ def _kitti() -> list[Metric]:
 def _segments() -> list[Metric]:
     family = _Family("segment", "Segment", "count", _ZHANG)
     metrics = family.whole(
-        "segments from every matched pose, as long as 10, 20, 30, 40 and 50 % of the ground truth's path, each ending "
-        "at the pose nearest to its length and within 20 % of it (or as the protocol says), all pooled"
+        "segments from every matched pose, as long as 10, 20, 30, 40 and 50 % of the ground truth's path, all pooled. "
+        "Each ends at the pose nearest to its length and within 20 % of it, unless the protocol says otherwise"
     )
     for percent in SEGMENT_PERCENTS:
         metrics += family.one_length(f"{percent}pct", f"{percent} %", f"as long as {percent} % of the path")

@@ -74,8 +74,8 @@ def _relative_size() -> list[Metric]:
                 "",
                 Group.ABSOLUTE,
                 "ATE over repeats above which the run has diverged: exp(3 sigma) of the logarithms of the errors of "
-                f"{repeats}; sigma is 1.4826 times the median deviation of those below the median. At least 4, at most "
-                "6, and 0.1 m above the median.",
+                f"{repeats}. Sigma is 1.4826 times the median deviation of those below the median. The limit is at "
+                "least 4, at most 6, and at least 0.1 m above the median.",
             )
         ),
     ]
@@ -88,8 +88,8 @@ def _relative() -> list[Metric]:
         "seconds": f"pairs {pairs} in seconds (1 s); all pairs: each pose with the nearest, within a tenth of it",
         "degrees": (
             f"pairs {pairs} in degrees (10) of rotation summed along the estimate; all pairs: each pose with the "
-            "nearest, within a tenth of it (evo takes any two poses whose orientations differ by that, however far "
-            "apart in time, which measures drift)"
+            "nearest, within a tenth of it. evo takes any two poses whose orientations differ by that, however far "
+            "apart in time, which measures drift"
         ),
     }
     metres = f"pairs {pairs} in metres (1 m) of estimated path; all pairs: within a tenth of it"
@@ -116,8 +116,8 @@ def _both_parts(suffix: str, label: str, pairs: str, names: tuple[tuple[str, ...
 def _drift_and_scale() -> list[Metric]:
     group = Group.DRIFT
     ends = (
-        "where ground truth exists at start and end only (a pause of it longer than the gap threshold): T_A aligns the "
-        "estimate with the part before the longest pause, T_E with the part behind, both as the protocol aligns"
+        "where ground truth exists only at start and end, with a gap longer than the gap threshold. T_A aligns the "
+        "estimate with the part before the longest gap, T_E with the part after it, both as the protocol aligns"
     )
     return [
         _one(
@@ -161,10 +161,10 @@ def _drift_and_scale() -> list[Metric]:
             "%",
             group,
             "Mean |r / r0 - 1| over all pairs of a matched pose and the first one at least the RPE delta (1 m) of "
-            "ground-truth path further on, r being the distance between the two estimated positions over that of the "
-            "true ones and r0 the same for the sums of all pairs, so that a constant scale error is no drift; pairs "
-            "that end near their start (under half of the delta) are left out. rpg_trajectory_evaluation intends this "
-            "but takes distances from the origin.",
+            "ground-truth path further on. r is the distance of the estimated positions over that of the true ones. r0 "
+            "is the same for the sums of all pairs, so a constant scale error is not drift. Pairs that end near their "
+            "start (under half of the delta) are left out. rpg_trajectory_evaluation intends this but takes distances "
+            "from the origin.",
             f"{_ZHANG} (intent)",
         ),
         neutral(
@@ -173,8 +173,8 @@ def _drift_and_scale() -> list[Metric]:
                 "Time offset",
                 "s",
                 group,
-                "What was added to the estimate's stamps to bring them to the ground truth's clock: as the protocol "
-                "gives it, or found where the aligned error is least.",
+                "Added to the estimate's timestamps to match the ground truth's clock: given by the protocol, or "
+                "found by its search.",
             )
         ),
         neutral(
@@ -229,8 +229,9 @@ def _completeness() -> list[Metric]:
                 "Own gap threshold",
                 "s",
                 group,
-                "What counts as a gap by the estimate's own spacing: ten times its median interval, at most a tenth of "
-                "the ground truth's time span and at least the protocol's gap threshold. Keyframes lie far apart.",
+                "What counts as a gap by the estimate's own spacing: ten times its median interval. It is at most a "
+                "tenth of the ground truth's time span and at least the protocol's gap threshold, since keyframes are "
+                "far apart.",
             )
         ),
         _one("gap.max", "Longest gap", "s", group, "Longest time without a pose inside the ground truth's span."),
@@ -247,15 +248,15 @@ def _completeness() -> list[Metric]:
             "Time to first pose",
             "s",
             group,
-            "From the ground truth's first stamp to the estimate's; 0 if the estimate begins before.",
+            "From the ground truth's first timestamp to the estimate's; 0 if the estimate starts before.",
         ),
         _one(
             "tracking.losses",
             "Tracking losses",
             "",
             group,
-            "How many times the estimate, once begun, pauses for longer than the gap threshold or ends that much "
-            "before the ground truth.",
+            "How often the estimate has a gap longer than the gap threshold after its start, or ends that much before "
+            "the ground truth.",
         ),
         higher(
             _one(
@@ -264,8 +265,8 @@ def _completeness() -> list[Metric]:
                 "",
                 group,
                 f"Area under the curve 'share of the ground truth's time within x m', x from 0 to {SCORE_LIMIT_M:g} m, "
-                "over that maximum: 1 is always tracked without error; time without a pose counts as not within. "
-                "Pauses of the ground truth itself, longer than the gap threshold, are no part of its time.",
+                "over its maximum. 1 means always tracked without error. Time without a pose counts as not within. "
+                "Gaps of the ground truth longer than the gap threshold do not count.",
                 "After the ranking of ETH3D (Schops et al., BAD SLAM, CVPR 2019), over time instead of sequences",
             )
         ),

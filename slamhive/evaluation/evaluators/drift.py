@@ -1,8 +1,8 @@
 """Start-end drift where there is ground truth at both ends only, and errors of scale.
 
-Engel, Usenko, Cremers, "A Photometrically Calibrated Benchmark For Monocular Visual Odometry", arXiv 1607.02555: the
-estimate is aligned once with the ground truth at its start and once with that at its end; the two would be equal if it
-had not drifted. Schubert et al., "The TUM VI Benchmark", IROS 2018, has ground truth of the same kind.
+Engel, Usenko, Cremers, "A Photometrically Calibrated Benchmark For Monocular Visual Odometry", arXiv 1607.02555. The
+estimate is aligned with the ground truth once at its start and once at its end; without drift, both would be equal.
+Schubert et al., "The TUM VI Benchmark", IROS 2018, has ground truth of the same kind.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from slamhive.trajectory.model import FloatArray, Poses
 from slamhive.trajectory.transforms import quats_from_rotations, rotation_angles_rad
 
 _SHORTEST = 0.5
-"""A pair whose ends are nearer than this share of its path tells little of the scale."""
+"""A pair whose ends are closer than this share of its path says little about the scale."""
 
 
 class StartEndDrift:

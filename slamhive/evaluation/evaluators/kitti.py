@@ -1,8 +1,8 @@
 """The KITTI odometry protocol: mean error over segments of 100 to 800 m.
 
 Geiger, Lenz, Urtasun, "Are we ready for Autonomous Driving? The KITTI Vision Benchmark Suite", CVPR 2012, and the
-odometry devkit (``evaluate_odometry.cpp``). Its single precision is kept: that of path lengths decides where a segment
-ends, that of the arc cosine and of the sums over all segments shows in the sixth digit.
+odometry devkit (``evaluate_odometry.cpp``). Its single precision is kept. For path lengths it decides where a segment
+ends; for the arc cosine and the sums over all segments it shows in the sixth digit.
 """
 
 from __future__ import annotations

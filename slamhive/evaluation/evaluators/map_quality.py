@@ -1,8 +1,8 @@
 """Map quality: ``Map.pcd`` against the dataset's reference cloud, and its crispness without one.
 
-Accuracy, completeness and F-score as precision, recall and F-score of Knapitsch et al., "Tanks and Temples", ACM
-Transactions on Graphics 36, 2017, but without a registration of the clouds of their own: the map moves by the alignment
-of the trajectory, so that a map is not better than the poses it was built from. Mean map entropy: Droeschel and Behnke,
+Accuracy, completeness and F-score are precision, recall and F-score of Knapitsch et al., "Tanks and Temples", ACM
+Transactions on Graphics 36, 2017. The clouds are not registered: the map moves by the alignment of the trajectory, so a
+map is not better than its poses. Mean map entropy: Droeschel and Behnke,
 "Efficient Continuous-time SLAM for 3D Lidar-based Online Mapping", ICRA 2018.
 """
 

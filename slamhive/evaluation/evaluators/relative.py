@@ -1,10 +1,9 @@
 """Relative pose errors by frames, seconds and degrees, and the rotation part of that by metres.
 
 The definition is Sturm et al.'s, "A Benchmark for the Evaluation of RGB-D SLAM Systems", IROS 2012, equations (1) to
-(3). Pairs are those of evo, which picks them on the estimate; by seconds, which evo lacks, and all pairs by degrees,
-where evo compares every pose with every other, they are those of the TUM RGB-D benchmark's script: the pose nearest to
-the delta along the trajectory. A protocol of TUM's pairs follows that script (``evaluate_rpe.py --fixed_delta``)
-throughout.
+(3). Pairs are those of evo, which picks them on the estimate. Pairs by seconds, which evo lacks, and all pairs by
+degrees follow the script of the TUM RGB-D benchmark: the pose nearest to the delta along the trajectory. A protocol
+with TUM's pairs follows that script (``evaluate_rpe.py --fixed_delta``) throughout.
 """
 
 from __future__ import annotations

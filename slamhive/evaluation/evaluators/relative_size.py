@@ -1,4 +1,4 @@
-"""How large the absolute error is beside what was travelled: what tells drift from divergence."""
+"""The absolute error relative to the travelled path, which separates drift from divergence."""
 
 from __future__ import annotations
 

@@ -145,9 +145,9 @@ def _segments(paired: Paired, length_m: float) -> Segments:
 def _pairs_as_eth3d(path: FloatArray, length_m: float, tolerance_m: float) -> Pairs:
     """Segments as ETH3D's program finds their ends.
 
-    From the end of the last segment it goes on as long as a pose is nearer to the length than that end is. So it
-    overshoots, at first by as much as the length; it never leaves a pose that the ground truth does not move from, to
-    the last digit; and it stops when it has come to the last pose.
+    From the end of the last segment it continues while a pose is nearer to the length than that end. So it overshoots,
+    at first by as much as the length. It never leaves a pose where the ground truth does not move. It stops at the last
+    pose.
     """
     listed: list[float] = path.tolist()
     ends: list[int] = []

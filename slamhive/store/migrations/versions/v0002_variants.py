@@ -22,7 +22,7 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Remove the column; raises Conflict where runs would be told wrongly without it."""
+    """Remove the column; raises Conflict if that would falsify runs."""
     configurations = sa.table("configurations", sa.column("variant"))
     count = sa.select(sa.func.count()).select_from(configurations).where(configurations.c.variant.is_not(None))
     found = op.get_bind().execute(count).scalar_one()
