@@ -337,9 +337,8 @@ def _association_words(protocol: Protocol) -> str:
         return f"ground truth interpolated over up to {protocol.interpolation_interval_s:g} s"
     if protocol.association is Association.HOLD:
         if protocol.hold_interval_s is not None:
-            limit_s = protocol.hold_interval_s
-            return f"estimate held at the ground truth's timestamps with a next one within {limit_s:g} s"
-        return "estimate held at every timestamp of the ground truth"
+            return f"estimate held at the ground truth's stamps with a next one within {protocol.hold_interval_s:g} s"
+        return "estimate held at every stamp of the ground truth"
     if protocol.association is Association.INDEX:
         return "poses by index"
     how = {Association.ONE_TO_ONE: " one to one", Association.SWEEP: " in one sweep"}.get(protocol.association, "")
