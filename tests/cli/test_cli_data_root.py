@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import click
 import pytest
 from click.testing import CliRunner, Result
+from sqlalchemy import event
 
-from slamhive.cli.data_root import EXPECTED
+from slamhive.cli.data_root import EXPECTED, LISTS
 from slamhive.cli.main import main
 from slamhive.errors import NotFound, SlamHiveError
 from slamhive.services.data_root import DataRoot
 from slamhive.services.hive import open_hive
-from slamhive.store import AbsentStore
+from slamhive.store import AbsentStore, Store
 from tests.services.tiny_project import environment, make_dataset, make_project
 
 pytestmark = pytest.mark.integration
@@ -170,3 +172,25 @@ def test_a_server_that_only_shows_makes_nothing(project: Path, monkeypatch: pyte
     assert result.exit_code == 1
     assert "does not exist" in result.stderr
     assert not (project / "wrong").exists()
+
+
+def test_commands_that_list_are_commands() -> None:
+    assert set(COMMANDS) >= LISTS
+
+
+@pytest.mark.parametrize("name", ["runs", "configuration list", "experiment list"])
+def test_a_command_that_lists_reads_in_one_transaction(
+    project: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    open_hive().close()
+    begun: list[object] = []
+    begin_snapshot = Store.snapshot
+
+    def counted(store: Store) -> AbstractContextManager[None]:
+        event.listen(store.engine, "begin", begun.append)
+        return begin_snapshot(store)
+
+    monkeypatch.setattr(Store, "snapshot", counted)
+    result = call(*name.split())
+    assert result.exit_code == 0, result.output
+    assert len(begun) == 1
