@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from slamhive.domain.run import RunEvent
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.run import Evaluation, RunWith, ShownEvent
-from slamhive.services.evaluations.notes import evaluation_notes
+from slamhive.services.evaluations import evaluation_notes
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 
 
