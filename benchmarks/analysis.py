@@ -28,7 +28,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.search_data import fill, make
-from slamhive.analysis.forms import FORMS
+from slamhive.analysis.plot_types import PLOT_TYPES
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.result_json import from_json
 from slamhive.project import project_root
@@ -154,7 +154,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=100_000)
     parser.add_argument("--browser", default="chromium")
     chosen = parser.parse_args()
-    forms = {key: OPTIONS.get(key, "") for key in FORMS.names() if key not in NEED_FILES}
+    forms = {key: OPTIONS.get(key, "") for key in PLOT_TYPES.names() if key not in NEED_FILES}
     print(f"{chosen.runs} runs, {len(forms)} forms")
     wall, used, *_ = measure(chosen.runs, forms)
     print(f"  all forms: {wall:.1f} s ({used:.1f} s of CPU), asked {LIMIT_S:g} s: ratio {wall / LIMIT_S:.2f}")

@@ -14,7 +14,7 @@ import click
 
 from slamhive import cli
 from slamhive.analysis.analysis_file import analysis_schema
-from slamhive.analysis.forms import FORMS, FormOptions
+from slamhive.analysis.plot_types import PLOT_TYPES, PlotOptions
 from slamhive.bags.variants.rules import RegisteredSteps, describe_options, explain_step
 from slamhive.catalogue.protocol_file import protocol_schema
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
@@ -55,12 +55,12 @@ What each step does, on which data, with which options. [Variants](variants.md) 
 """
 OPTIONS_HEAD = "| option | type | allowed | unit | default | meaning |\n|---|---|---|---|---|---|\n"
 
-FORMS_HEAD = """# Forms of analysis
+PLOT_TYPES_HEAD = """# Plot types of analyses
 
-What each form shows, and its options beside `form`, `title` (instead of its own) and `text` (Markdown above it).
-[Analysis](analysis.md) says how they are used.
+What each plot type shows, and its options. All plot types also have `form` (the key of the plot type), `title`
+(replaces the default title) and `text` (Markdown above the plot). [Analysis](analysis.md) says how to use them.
 """
-FORMS_TABLE = "| option | default | meaning |\n|---|---|---|\n"
+PLOT_TYPES_TABLE = "| option | default | meaning |\n|---|---|---|\n"
 
 METRICS_HEAD = """# Metrics
 
@@ -101,19 +101,23 @@ def steps_page() -> str:
     return NOTE + STEPS_HEAD + "".join(sections)
 
 
-def forms_page() -> str:
+def plot_types_page() -> str:
     """``docs/analysis-forms.md``: every plot type with its options."""
     sections = []
-    for key, form in FORMS:
-        own = {name: entry for name, entry in form.options.model_fields.items() if name not in FormOptions.model_fields}
+    for key, plot_type in PLOT_TYPES:
+        own = {
+            name: entry
+            for name, entry in plot_type.options.model_fields.items()
+            if name not in PlotOptions.model_fields
+        }
         rows = []
         for name, entry in own.items():
             default = "required" if entry.is_required() else f"`{entry.get_default(call_default_factory=True)}`"
             rows.append(f"| `{name}` | {default} | {_cell(entry.description or '')} |\n")
         table = "".join(rows)
-        options = f"\n{FORMS_TABLE}{table}" if table else ""
-        sections.append(f"\n## {key}\n\n{form.title}. {form.description}\n{options}")
-    return NOTE + FORMS_HEAD + "".join(sections)
+        options = f"\n{PLOT_TYPES_TABLE}{table}" if table else ""
+        sections.append(f"\n## {key}\n\n{plot_type.title}. {plot_type.description}\n{options}")
+    return NOTE + PLOT_TYPES_HEAD + "".join(sections)
 
 
 def metrics_page() -> str:
@@ -151,7 +155,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "cli.md": cli_page,
     "variant-steps.md": steps_page,
     "metrics.md": metrics_page,
-    "analysis-forms.md": forms_page,
+    "analysis-forms.md": plot_types_page,
     "schemas/analysis.schema.json": analysis_schema,
     "schemas/experiment.schema.json": experiment_schema,
     "schemas/protocol.schema.json": protocol_schema,

@@ -1,1 +1,1 @@
-"""From runs to conclusions: analysis files, the table of runs, forms, plots and tables. Pure: no store, no web."""
+"""Analyses: their files, the table of runs, plot types, plots and tables. Pure: no store, no web."""

@@ -1,4 +1,4 @@
-"""An analysis file to :class:`Analysis`; every mistake is reported with file and line."""
+"""Reads analysis files; messages about mistakes name file and line."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pydantic import BaseModel, ValidationError
 
 from slamhive import strict_yaml
 from slamhive.analysis.analysis_model import AnalysisModel, SetModel
-from slamhive.analysis.forms import FORMS, Form, FormOptions
 from slamhive.analysis.paper_file import PaperNames, convert, is_paper_file
+from slamhive.analysis.plot_types import PLOT_TYPES, PlotOptions, PlotType
 from slamhive.analysis.selection import Expression, check_names, in_words, parse_expression, union_of
 from slamhive.domain.verdict import FailureRule
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
@@ -24,17 +24,17 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 @dataclass(frozen=True, slots=True)
-class FormRequest:
-    """One plot type with its options; ``place`` is where it stands, for messages."""
+class PlotRequest:
+    """One plot of an analysis; messages name its ``place`` in the file."""
 
-    form: Form[Any]
-    options: FormOptions
+    plot_type: PlotType[Any]
+    options: PlotOptions
     place: str
 
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """A checked analysis. Sets and names are looked up by who runs it, not here."""
+    """A checked analysis. The caller looks up its sets and names."""
 
     name: str
     text: str
@@ -43,14 +43,14 @@ class Analysis:
     protocol: str | None
     one: tuple[str, ...]
     rule: FailureRule
-    forms: tuple[FormRequest, ...]
+    plots: tuple[PlotRequest, ...]
     source: str
     exclude_disturbed: bool = False
     places: Mapping[str, str] = field(default_factory=dict)
-    """Where each set, by its name, and the protocol, under ``protocol:``, stand, for messages."""
+    """Places for messages: of each set by its name, and of the protocol under ``protocol:``."""
 
     def placed(self, part: str, error: SlamHiveError) -> SlamHiveError:
-        """The error with the place of a part of :attr:`places` before it."""
+        """The error, prefixed by the place of a part of :attr:`places`."""
         if part not in self.places:
             return error
         kind = NotFound if isinstance(error, NotFound) else InvalidInput
@@ -63,7 +63,7 @@ class Analysis:
 
 
 def set_words(chosen: SetModel) -> str:
-    """What a set is, in words."""
+    """A set in words."""
     if chosen.where is not None:
         return f"runs where {chosen.where}"
     if chosen.experiment is not None:
@@ -79,12 +79,12 @@ def set_words(chosen: SetModel) -> str:
 
 
 def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames | None = None) -> Analysis:
-    """The analysis that ``text`` states, ours or one of the published system.
+    """Read an analysis file of SLAM Hive or of the published system.
 
     Args:
         text: The YAML.
-        source: What messages call it.
-        names: What the numbers in a file of the published system stand for here.
+        source: Name of the file for messages.
+        names: The meaning of numbers in a file of the published system.
 
     Raises:
         InvalidInput: with the line.
@@ -94,7 +94,7 @@ def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames |
     if is_paper_file(content):
         content = convert(content, places, names or PaperNames())
     model = _validated(AnalysisModel, content, (), places)
-    forms = tuple(_form(raw, index, places) for index, raw in enumerate(model.forms))
+    plots = tuple(_plot(raw, index, places) for index, raw in enumerate(model.forms))
     use = union_of(list(model.select)) if model.use is None else parse_expression(model.use)
     try:
         check_names(use, list(model.select))
@@ -108,7 +108,7 @@ def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames |
         protocol=model.protocol,
         one=tuple(model.one),
         rule=model.failed_when.rule,
-        forms=forms,
+        plots=plots,
         source=text,
         exclude_disturbed=model.exclude_disturbed,
         places={name: str(places.of("select", name)) for name in model.select} | {PROTOCOL: str(places.of("protocol"))},
@@ -119,27 +119,27 @@ def analysis_schema() -> str:
     """The JSON Schema of an analysis file, with the options of every plot type."""
     schema: dict[str, Any] = AnalysisModel.model_json_schema()
     choices = []
-    for key, form in FORMS:
-        options = form.options.model_json_schema()
+    for key, plot_type in PLOT_TYPES:
+        options = plot_type.options.model_json_schema()
         schema.setdefault("$defs", {}).update(options.pop("$defs", {}))
         options["properties"] = {"form": {"const": key}, **options.get("properties", {})}
         options["required"] = ["form", *options.get("required", [])]
-        choices.append(options | {"title": form.title, "description": form.description})
+        choices.append(options | {"title": plot_type.title, "description": plot_type.description})
     schema["properties"]["forms"]["items"] = {"anyOf": choices}
     return json.dumps({"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}, indent=2) + "\n"
 
 
-def _form(raw: dict[str, Any], index: int, places: strict_yaml.Places) -> FormRequest:
+def _plot(raw: dict[str, Any], index: int, places: strict_yaml.Places) -> PlotRequest:
     place = places.of("forms", index)
     key = raw.get("form")
     if not isinstance(key, str):
-        raise InvalidInput(f"{place}: 'form' is missing, name one of {', '.join(FORMS.names())}")
+        raise InvalidInput(f"{place}: 'form' is missing, name one of {', '.join(PLOT_TYPES.names())}")
     try:
-        form = FORMS.get(key)
+        plot_type = PLOT_TYPES.get(key)
     except SlamHiveError as error:
         raise InvalidInput(f"{places.of('forms', index, 'form')}: {error.message}") from None
     options = {name: value for name, value in raw.items() if name != "form"}
-    return FormRequest(form, _validated(form.options, options, ("forms", index), places), str(place))
+    return PlotRequest(plot_type, _validated(plot_type.options, options, ("forms", index), places), str(place))
 
 
 def _validated(

@@ -1,7 +1,7 @@
-"""What a plot shows, apart from how it is drawn: the screen and the printed page draw the same plot.
+"""The content of a plot, independent of how it is drawn: marks and axes.
 
-A plot type states marks and axes; :mod:`slamhive.analysis.plotly_chart` makes the interactive plot of them and
-:mod:`slamhive.analysis.print_chart` the printable one. Arrays have one entry for each point, in the axes' units.
+:mod:`slamhive.analysis.plotly_chart` draws it for the screen, :mod:`slamhive.analysis.print_chart` for paper. Arrays
+have one entry for each point, in the units of the axes.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ REFERENCE = "reference"
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One axis: what it shows, in which unit; ``categories`` makes it one of names, in their order.
+    """One axis. ``categories`` makes it an axis of names, in that order.
 
-    ``numbered``: places between the categories mean something, their positions are 0, 1, 2 ...
+    ``numbered``: the categories have the positions 0, 1, 2 ..., and marks may lie between them.
     """
 
     label: str
@@ -43,9 +43,9 @@ class Axis:
 class Points:
     """Points, one for each run or summary. ``z`` is for plots in three dimensions.
 
-    ``low`` and ``high`` are ends of an interval of y. ``runs`` holds run ids (0 where there is none): a click opens
-    the run. ``texts`` is shown on hover. ``shades`` colours each point by a value, named by ``shade_label``. Marks of
-    one ``group`` are hidden and shown together by its entry in the legend; a mark without points is only that entry.
+    ``low`` and ``high`` are the ends of an interval of y. ``runs`` contains run ids (0 for none); a click opens the
+    run. Hovering shows ``texts``. ``shades`` colours each point by a value, labelled ``shade_label``. A legend entry
+    hides and shows all marks of its ``group``; a mark without points is only a legend entry.
     """
 
     name: str
@@ -63,17 +63,17 @@ class Points:
     in_legend: bool = True
     group: str = ""
     emphasis: bool = False
-    """Larger and outlined, as the points of a front."""
+    """Larger and outlined, for points of a front."""
     ring: bool = False
-    """Open rings around points that other marks draw; not counted as points."""
+    """Open rings around points of other marks; they do not count as points."""
 
 
 @dataclass(frozen=True, slots=True)
 class FailedRuns:
-    """Runs that have no value: drawn above the plot in a band of their own, at their place on the x axis.
+    """Runs without a value of y: drawn in a band above the plot, at their value on the x axis.
 
-    ``x`` is their value on the x axis (NaN where they have none either), ``runs`` their ids. ``count`` is how many
-    they stand for if some would be drawn over others and are left out.
+    ``x`` is NaN for runs without a value on the x axis. ``count`` is the number of failed runs, if marks that would
+    cover each other are left out.
     """
 
     x: Array
@@ -85,13 +85,13 @@ class FailedRuns:
 
     @property
     def total(self) -> int:
-        """How many failed."""
+        """Number of failed runs."""
         return len(self.x) if self.count is None else self.count
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line, with a band between ``low`` and ``high`` if they are given; ``group`` as for :class:`Points`."""
+    """A line, with a band between ``low`` and ``high`` if given; ``group`` as in :class:`Points`."""
 
     name: str
     x: Array
@@ -111,8 +111,8 @@ class Line:
 class Bars:
     """One bar for each category of the x axis (NaN: no bar). ``striped`` is for failures.
 
-    ``medians`` are lines across the bars. ``texts`` stand above bars without interval, and are shown on hover.
-    ``colours`` are those of single bars.
+    ``medians`` are lines across the bars. ``texts`` appear above bars without an interval, and when hovering.
+    ``colours`` apply to single bars.
     """
 
     name: str
@@ -128,7 +128,7 @@ class Bars:
 
 @dataclass(frozen=True, slots=True)
 class Boxes:
-    """A box with its points for each value of ``categories``: quartiles, whiskers to 1.5 times their distance."""
+    """A box with points for each of ``categories``: quartiles, whiskers up to 1.5 times the interquartile range."""
 
     name: str
     categories: tuple[str, ...]
@@ -141,8 +141,8 @@ class Boxes:
 class Cells:
     """A heat map over the categories of both axes: ``values`` and ``texts`` by row (y), then column (x); NaN is empty.
 
-    ``log`` spreads the colours over decades; ``lower_is_better`` decides which end is the dark one. ``span`` is what
-    the colours reach over, for maps that are to be compared; None for the span of these values.
+    ``log`` makes the colour scale logarithmic; ``lower_is_better`` selects the dark end. ``span`` is the range of the
+    colour scale, to compare several maps; None for the range of these values.
     """
 
     values: Array
@@ -156,10 +156,10 @@ class Cells:
 
 @dataclass(frozen=True, slots=True)
 class Density:
-    """How many points of one colour the cells of a grid hold, drawn from pale to full over decades.
+    """The number of points of one colour in the cells of a grid, drawn from pale to full over decades.
 
-    ``counts`` by row (y), then column (x); ``most`` is what the full colour stands for. Edges are in the units of the
-    axes, in decades where those are logarithmic.
+    ``counts`` by row (y), then column (x); the full colour means ``most`` points. Edges are in the units of the axes,
+    or their logarithms for logarithmic axes.
     """
 
     name: str
@@ -173,7 +173,7 @@ class Density:
 
 @dataclass(frozen=True, slots=True)
 class Segments:
-    """Straight strokes from (x0, y0) to (x1, y1): brackets of a critical-difference diagram, limits."""
+    """Lines from (x0, y0) to (x1, y1), such as the bars of a critical-difference diagram."""
 
     x0: Array
     y0: Array
@@ -187,7 +187,7 @@ class Segments:
 
 @dataclass(frozen=True, slots=True)
 class Labels:
-    """Words at places; ``anchor`` is the side of the words that lies at the place."""
+    """Text at positions; ``anchor`` is the side of the text that is at the position."""
 
     x: Array
     y: Array
@@ -197,7 +197,7 @@ class Labels:
 
 @dataclass(frozen=True, slots=True)
 class Dimension:
-    """One axis of parallel coordinates; categories are given by their positions in ``axis.categories``."""
+    """One axis of parallel coordinates; values of categories are positions in ``axis.categories``."""
 
     axis: Axis
     values: Array
@@ -205,7 +205,7 @@ class Dimension:
 
 @dataclass(frozen=True, slots=True)
 class Parallel:
-    """Parallel coordinates: one line for each run through all dimensions, coloured by ``shades``."""
+    """Parallel coordinates: one line per run through all dimensions, coloured by ``shades``."""
 
     dimensions: tuple[Dimension, ...]
     shades: Array
@@ -214,18 +214,17 @@ class Parallel:
 
 
 MOST_THICK = 12
-"""More lines than these are drawn thin."""
+"""A plot with more lines draws them thin."""
 
 Mark = Points | FailedRuns | Line | Bars | Boxes | Cells | Density | Segments | Labels | Parallel
 
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """One plot. ``caption`` states n, failures and protocol in words.
+    """One plot. ``caption`` states the number of runs, failures and protocol.
 
-    ``key`` names its files: only letters, digits, ``_``, ``.`` and ``-`` are kept of it.
-
-    ``equal_aspect`` gives both (all three) axes one scale, as trajectories need. ``bare`` leaves the axes out.
+    ``key`` names its files, reduced to letters, digits, ``_``, ``.`` and ``-``. ``equal_aspect`` gives all axes one
+    scale, for trajectories. ``bare`` omits the axes.
     """
 
     key: str
@@ -238,9 +237,9 @@ class Chart:
     equal_aspect: bool = False
     bare: bool = False
     height: float = 1.0
-    """Relative to the usual height."""
+    """Relative to the default height."""
     least_width_px: int = 0
-    """Narrower its words would overlap; a small screen scrolls it."""
+    """Text would overlap in a narrower plot; a small screen scrolls it."""
 
     def __post_init__(self) -> None:
         if self.marks:
@@ -249,9 +248,9 @@ class Chart:
 
     @property
     def bare_margin(self) -> float:
-        """Room left and right of a plot without axes for the words there, as a share of the width of the rest.
+        """Margin for the labels left and right of a plot without axes, as a share of the inner width.
 
-        A letter takes about 1/140 of the whole width, on screen and paper.
+        A letter takes about 1/140 of the whole width, on screen and on paper.
         """
         letters = max((len(t) for m in self.marks if isinstance(m, Labels) for t in m.texts), default=0)
         share = min(0.42, (letters + 2) / 140)
@@ -259,13 +258,13 @@ class Chart:
 
     @property
     def legend_entries(self) -> int:
-        """How many marks have a line in the legend."""
+        """Number of marks in the legend."""
         named = (mark for mark in self.marks if isinstance(mark, Points | Line | Bars | Boxes))
         return sum(getattr(mark, "in_legend", True) for mark in named)
 
 
 def crowded(chart: Chart) -> bool:
-    """Whether points lie around a density: then they are drawn small."""
+    """Whether the plot has a density, so that single points are small."""
     return any(isinstance(mark, Density) for mark in chart.marks)
 
 
@@ -285,6 +284,6 @@ def _least_width_px(mark: Mark, chart: Chart) -> int:
 
 
 def line_width(line: Line, chart: Chart) -> float:
-    """How thick a line of a plot is, in points of a screen; references are seen over many others."""
+    """Width of a line in pixels; references stay visible among many lines."""
     few = sum(isinstance(mark, Line) for mark in chart.marks) <= MOST_THICK
     return 2.0 if few or line.colour == REFERENCE else 1.0

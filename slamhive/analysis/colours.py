@@ -8,23 +8,23 @@ OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "
 """M. Okabe and K. Ito, Color Universal Design (2008); the yellow is darkened to be seen on white, black is left out."""
 
 PALETTE = (*OKABE_ITO, "#4A3B8F", "#7A2E00", "#00553E", "#8C3F6B", "#8A8F98", "#2B6E8F", "#6B6100")
-"""What algorithms get: the well separated colours first, then darker ones."""
+"""Colours of algorithms: the well separated ones first, then darker ones."""
 
 MARKERS = (
     "circle", "square", "triangle-up", "diamond", "cross", "star", "triangle-down", "pentagon",
     "triangle-left", "triangle-right", "hexagon", "diamond-tall",
 )  # fmt: skip
-"""The shapes that distinguish datasets."""
+"""The markers of datasets."""
 
 MARKERS_IN_SPACE = 8
-"""So many of them, the first ones, can be drawn in three dimensions."""
+"""The first ones can be drawn in three dimensions."""
 
 
 def algorithm_colours(names: Iterable[str], known: Iterable[str] = ()) -> dict[str, str]:
     """A colour for each algorithm.
 
-    Installed names (``known``) get the colour of their place in the alphabet in every plot, unless another of
-    ``names`` has it. Others take the first free colour. Beyond the length of the palette, colours repeat.
+    A ``known`` (installed) algorithm has the same colour in every plot, by its place in the alphabet, unless another
+    of ``names`` has that colour. Others take the first free colour. Colours repeat if there are too many algorithms.
     """
     wanted = set(names)
     installed = sorted(set(known))
@@ -39,13 +39,13 @@ def algorithm_colours(names: Iterable[str], known: Iterable[str] = ()) -> dict[s
 
 
 def colour_of(name: str, known: Iterable[str]) -> str:
-    """The colour of one algorithm among those installed; one that has left the installation gets the first."""
+    """The colour of one algorithm; an algorithm that is not installed gets the first colour."""
     installed = set(known)
     return algorithm_colours([name] if name in installed else [], installed).get(name, PALETTE[0])
 
 
 def dataset_markers(names: Iterable[str]) -> dict[str, str]:
-    """A marker for each dataset by its place in the alphabet; all are circles if there are more than shapes."""
+    """A marker for each dataset by its place in the alphabet; circles for all if there are too many datasets."""
     ordered = sorted(set(names))
     shapes = MARKERS if len(ordered) <= len(MARKERS) else MARKERS[:1] * len(ordered)
     return dict(zip(ordered, shapes, strict=False))

@@ -1,4 +1,4 @@
-"""Where many points go: the density of more than can be drawn one by one, and the rows of failed runs."""
+"""Plots of many points: a density in place of points, and the rows of failed runs."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ import numpy as np
 from slamhive.analysis.chart import Array, Axis, Chart, Density, FailedRuns, Mark, Points
 
 DENSITY_FROM = 10_000
-"""Beyond so many points of a plot the density is drawn: a screen could not tell them apart, nor paint them fast."""
+"""A plot with more points shows their density: single points would overlap and draw slowly."""
 
 SINGLE_MOST = 1_500
-"""So many of them, where they lie apart, are points of their own all the same."""
+"""Points in sparse regions that stay single points beside a density."""
 
 SPACE_MOST = 20_000
-"""In three dimensions, where there is no density to see through, so many are drawn."""
+"""Most points in three dimensions, where a density would hide what is behind it."""
 
 COLUMNS, ROWS = 180, 110
 SHARES_OF_A_CATEGORY = 5
 NEIGHBOURS = 4
-"""Cells on each side of one that count as its surroundings."""
+"""Number of cells on each side of a cell in its neighbourhood."""
 
 FAILED_ROWS = 5
 FAILED_COLUMNS = 300
 
 
 def rule_words(count: int, *, space: bool = False) -> str:
-    """What a caption says where not each of ``count`` points is drawn; empty if each is."""
+    """A sentence for the caption if a plot does not draw each of ``count`` points; else empty."""
     if space:
         every = -(-count // SPACE_MOST)
-        return f"Every {every}. of the points is drawn." if every > 1 else ""
+        return f"The plot shows one of {every} points." if every > 1 else ""
     if count <= DENSITY_FROM:
         return ""
     return (
-        f"More than {DENSITY_FROM:,} points: where they lie close, shades tell how many runs a cell of the grid holds; "
-        "single points lie apart. On the page all are points where one zooms in."
+        f"More than {DENSITY_FROM:,} points: shades show the number of runs in each cell of a grid, single points "
+        "lie in sparse regions. Zoom in on the page to see all points."
     )
 
 
 def thinned(chart: Chart) -> Chart:
-    """The plot with no more marks than can be told apart; itself if it holds few points."""
+    """The plot with as many marks as a reader can distinguish; unchanged if it has few points."""
     clouds = [mark for mark in chart.marks if isinstance(mark, Points) and not mark.ring]
     count = sum(len(mark.x) for mark in clouds)
     marks = tuple(_told_apart(mark, chart) if isinstance(mark, FailedRuns) else mark for mark in chart.marks)
@@ -60,14 +60,14 @@ def _numbered(axis: Axis) -> Axis:
 
 
 class Grid(NamedTuple):
-    """Edges of cells, in the units of the axes (of their logarithms where those are logarithmic)."""
+    """Edges of cells, in the units of the axes, or their logarithms for logarithmic axes."""
 
     x_edges: Array
     y_edges: Array
 
 
 def grid_of(clouds: list[Points], chart: Chart) -> Grid:
-    """A grid that spans all the points."""
+    """A grid over all points."""
     x = np.concatenate([on_page(mark.x, chart.x) for mark in clouds])
     y = np.concatenate([on_page(mark.y, chart.y) for mark in clouds])
     known = np.isfinite(x) & np.isfinite(y)
@@ -75,13 +75,13 @@ def grid_of(clouds: list[Points], chart: Chart) -> Grid:
 
 
 def on_page(values: Array, axis: Axis) -> Array:
-    """Values as they are spread over the page: logarithms of a logarithmic axis, NaN where there is no place."""
+    """Positions on a linear scale: logarithms for a logarithmic axis, NaN for values that it cannot show."""
     places: Array = np.asarray(values, dtype=float)
     return np.log10(np.where(places > 0, places, np.nan)) if axis.log else places
 
 
 def failed_rows(mark: FailedRuns, chart: Chart) -> Array:
-    """Heights from 0 to 1 in the band of failures: spread out, so that runs at one place can be told apart."""
+    """Heights from 0 to 1 in the band of failures, spread so that runs with equal x do not overlap."""
     marks = [other for other in chart.marks if isinstance(other, FailedRuns)]
     place = next(place for place, other in enumerate(marks) if other is mark)
     rows = FAILED_ROWS * len(marks)
@@ -92,7 +92,7 @@ def failed_rows(mark: FailedRuns, chart: Chart) -> Array:
 class _Binned:
     mark: Points
     cells: Array
-    """The cell of each point, -1 for those without a place."""
+    """The cell of each point, -1 for points outside."""
 
 
 def _dense(clouds: list[Points], chart: Chart) -> Iterator[Mark]:
@@ -128,7 +128,7 @@ def _cells(mark: Points, chart: Chart, grid: Grid) -> Array:
 
 
 def _apart(counts: Array) -> Array:
-    """The cells with the emptiest surroundings, as many as hold :data:`SINGLE_MOST` points together."""
+    """The cells with the sparsest neighbourhoods, which contain at most :data:`SINGLE_MOST` points together."""
     sums = np.pad(counts, NEIGHBOURS).cumsum(axis=0).cumsum(axis=1)
     sums = np.pad(sums, ((1, 0), (1, 0)))
     wide = 2 * NEIGHBOURS + 1
@@ -150,7 +150,7 @@ def _edges(values: Array, axis: Axis, count: int) -> Array:
 
 
 def _told_apart(mark: FailedRuns, chart: Chart) -> FailedRuns:
-    """One of the failed runs that would be drawn over each other."""
+    """The failed runs without those that would cover each other."""
     places = on_page(mark.x, chart.x)
     known = np.isfinite(places)
     if known.sum() <= SINGLE_MOST:

@@ -1,8 +1,8 @@
 """Analysis files of the published SLAM Hive (``group_name``, ``evaluation_form``, ``configuration_choose``).
 
-They become the same :class:`~slamhive.analysis.analysis_file.Analysis` as ours, and mean what the paper says. Where the
-published code does otherwise (first repeat only, failed runs drawn at invented values, ``best`` without effect), the
-paper holds; ``docs/analysis.md`` lists the differences.
+They are converted to analysis files of SLAM Hive, and mean what the paper says. Where the published code differs from
+the paper (first repeat only, failed runs at invented values, ``best`` without effect), the paper decides;
+``docs/analysis.md`` lists the differences.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
 
 @dataclass(frozen=True, slots=True)
 class PaperNames:
-    """The names behind the numbers in such a file, by id of this installation's database."""
+    """The names behind the numbers in such a file, by their ids in the database of this installation."""
 
     algorithms: Mapping[int, str] = field(default_factory=dict)
     datasets: Mapping[int, str] = field(default_factory=dict)
@@ -55,16 +55,16 @@ def is_paper_file(content: object) -> bool:
 
 
 def convert(content: Mapping[str, Any], places: strict_yaml.Places, names: PaperNames) -> dict[str, Any]:
-    """The content of our own analysis file that means the same.
+    """Convert the file to the content of an analysis file with the same meaning.
 
     Args:
         content: The parsed file.
-        places: Where its parts stand, for messages.
-        names: What its numbers stand for here.
+        places: The lines of its parts, for messages.
+        names: The meaning of its numbers.
 
     Raises:
-        InvalidInput: naming the place of what cannot be understood.
-        NotFound: for a number that stands for nothing here.
+        InvalidInput: with the place of the mistake.
+        NotFound: for an unknown number.
     """
     paper = _Paper(content, places, names)
     sets = dict(paper.sets())
@@ -83,9 +83,9 @@ def convert(content: Mapping[str, Any], places: strict_yaml.Places, names: Paper
 
 
 def our_key(name: str) -> str:
-    """A metric or parameter template of the published system as we call it.
+    """The key of a metric or parameter of the published system.
 
-    ``ate_rmse`` is ``ate.rmse``; of ``general+image_width`` the part after the plus is the parameter's name.
+    ``ate_rmse`` is ``ate.rmse``; in ``general+image_width``, the name of the parameter follows the plus sign.
     """
     kind, _, statistic = name.partition("_")
     if (kind in {"ate", "rpe"} and statistic in _STATISTICS) or name in {"cpu_mean", "cpu_max", "ram_max"}:
@@ -105,7 +105,7 @@ class _Paper:
         if value is None and optional:
             return ""
         if not isinstance(value, str | int | float) or not str(value).strip():
-            raise InvalidInput(f"{self._places.of(key)}: {key} is missing or no text, found {value!r}")
+            raise InvalidInput(f"{self._places.of(key)}: {key} must be text, found {value!r}")
         return str(value)
 
     def chosen(self, *path: str) -> Mapping[str, Any]:
@@ -120,26 +120,26 @@ class _Paper:
         return dict(value)
 
     def one_of(self) -> list[str]:
-        """What ``algorithm_dataset_type`` says there must be one of."""
+        """The meaning of ``algorithm_dataset_type``: what the selection must have only one of."""
         kind = self.chosen(MARK).get("algorithm_dataset_type")
         if kind not in _ONE_OF_TYPE or isinstance(kind, bool):
             raise self._error((MARK, "algorithm_dataset_type"), "must be 0, 1, 2 or 3", kind)
         return _ONE_OF_TYPE[kind]
 
     def forms(self) -> Iterator[dict[str, Any]]:
-        """The chosen forms with our options."""
+        """The chosen plots with their options."""
         section = self.chosen(MARK)
         for key in section:
             if key not in _FORMS and key not in _IGNORED_FORMS and not key.startswith("9_"):
                 raise InvalidInput(f"{self._places.of(MARK, key)}: {unknown('form', key, list(_FORMS)).message}")
         wanted = [key for key in _FORMS if self._is_chosen(self.chosen(MARK, key), key)]
         if not wanted:
-            raise InvalidInput(f"{self._places.of(MARK)}: no form has choose: 1", "choose one at least")
+            raise InvalidInput(f"{self._places.of(MARK)}: nothing has choose: 1", "set it for at least one entry")
         for key in wanted:
             yield {"form": _FORMS[key], **self._options(key, self.chosen(MARK, key))}
 
     def sets(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Those of the three sets that are not empty."""
+        """The sets that are not empty, of three."""
         section = self.chosen("configuration_choose")
         configurations = self._numbers(section, "configuration_id")
         if configurations:
@@ -155,7 +155,7 @@ class _Paper:
             yield _SETS[2], {"where": where}
 
     def expression(self, sets: Mapping[str, Any]) -> Expression:
-        """(first) minus (second), as ``combination_rule`` says; sets that are empty take no part."""
+        """(first) minus (second) by ``combination_rule``; empty sets are ignored."""
         rule = self.chosen("configuration_choose", "combination_rule")
         if not rule and sets:
             return union_of(sorted(sets))
@@ -163,7 +163,7 @@ class _Paper:
         second = self._side(rule, "second", sets)
         if first is None:
             place = self._places.of("configuration_choose", "combination_rule")
-            raise InvalidInput(f"{place}: its first part holds no set with a member", "name 0, 1 or 2 in first_one")
+            raise InvalidInput(f"{place}: its first part has no set with a member", "use 0, 1 or 2 in first_one")
         return first if second is None else Combined("-", first, second)
 
     def _side(self, rule: Mapping[str, Any], side: str, sets: Mapping[str, Any]) -> Expression | None:
@@ -284,7 +284,7 @@ class _Paper:
 
 
 def _joined(sign: str, left: Expression | None, right: Expression | None) -> Expression | None:
-    """Union and intersection where a side may be the empty set."""
+    """Union or intersection; None is the empty set."""
     if left is None or right is None:
         return None if sign == "&" else left or right
     return Combined(sign, left, right)
@@ -301,7 +301,7 @@ def _any_of(key: str, names: Sequence[str]) -> str:
 
 
 def _quoted(value: str) -> str:
-    """A value as the filter language takes it: numbers and plain words as they are, everything else in quotes."""
+    """A value in the filter language: numbers and plain words as they are, all others in quotes."""
     try:
         float(value)
     except ValueError:

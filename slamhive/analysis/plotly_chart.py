@@ -1,7 +1,7 @@
-"""A plot for the screen: plain Plotly JSON, made without the plotly package (whose import takes a second).
+"""A plot as interactive Plotly JSON, made without the plotly package, whose import takes a second.
 
-Colours that depend on light or dark are left to the page: marks of :data:`~slamhive.analysis.chart.REFERENCE` carry
-``meta: theme:groundtruth``. Numbers travel as typed arrays in base64, which is smaller and faster than text.
+The page sets colours that depend on light or dark mode: marks of :data:`~slamhive.analysis.chart.REFERENCE` carry
+``meta: theme:groundtruth``. Numbers are typed arrays in base64, which are smaller and faster than text.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from slamhive.analysis.plotly_marks import MOST_LEVEL_DIMENSIONS, traces_of
 from slamhive.analysis.plotly_values import Json, drawable, escaped, numbers
 
 LEGEND_MOST = 40
-"""A longer legend would hide the plot; hovering says what a mark is."""
+"""A longer legend would hide the plot; hovering shows the name of a mark."""
 
 _FAILED_BAND = (0.9, 1.0)
 _CAMERA = {"eye": {"x": 1.6, "y": -1.7, "z": 1.0}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}}
 
 
 def plotly_figure(chart: Chart) -> Json:
-    """``{"data": [...], "layout": {...}}``; words from outside are escaped, Plotly reads some of HTML in them."""
+    """``{"data": [...], "layout": {...}}``, with escaped text."""
     drawn = thinned(chart)
     data = [trace for mark in drawn.marks for trace in traces_of(mark, drawn)]
     figure = {"data": data, "layout": _layout(drawn)}
@@ -29,9 +29,9 @@ def plotly_figure(chart: Chart) -> Json:
 
 
 def _zoom(chart: Chart, drawn: Chart) -> Json:
-    """Every point, for the page to draw those of a part of the axes that holds few: one trace for each mark.
+    """All points: the page draws them where a visitor has zoomed into a part with few points. One trace per mark.
 
-    ``first`` is the place of the first of these traces in the data, behind as many densities.
+    ``first`` is the index of the first of these traces in the data, after the same number of densities.
     """
     clouds = [mark for mark in chart.marks if isinstance(mark, Points) and len(mark.x)]
     return {
@@ -95,7 +95,7 @@ def _layout(chart: Chart) -> Json:
 
 
 def _parallel_margin(mark: Parallel) -> Json:
-    """Room for the names of the first axis on its left, and for the slanted titles above."""
+    """Space for the categories of the first axis on its left, and for slanted titles above."""
     first = mark.dimensions[0].axis.categories or ()
     slanted = len(mark.dimensions) > MOST_LEVEL_DIMENSIONS
     longest = max(len(dimension.axis.title) for dimension in mark.dimensions)

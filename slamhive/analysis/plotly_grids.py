@@ -1,4 +1,4 @@
-"""The marks of a plot that are grids, as Plotly traces: heat maps and the densities of many points."""
+"""Heat maps and densities of points as Plotly traces."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _STOPS = 9
 
 
 def density(mark: Density, chart: Chart) -> list[Json]:
-    """One colour from pale to full over decades, nothing where there is no point."""
+    """One colour from pale to full over decades; empty cells are transparent."""
     edges = [10**e if axis.log else e for e, axis in ((mark.x_edges, chart.x), (mark.y_edges, chart.y))]
     return [
         {
@@ -36,7 +36,7 @@ def density(mark: Density, chart: Chart) -> list[Json]:
 
 
 def _over_decades(mark: Density) -> list[list[Any]]:
-    """A scale of colours that is even in the logarithm of the counts, from 1 to the most."""
+    """A colour scale that is linear in the logarithm of the counts, from 1 to the maximum."""
     shares = np.linspace(0, 1, _STOPS)
     stops = [[float(mark.most**share / mark.most), translucent(mark.colour, 0.3 + 0.7 * share)] for share in shares]
     stops[-1][0] = 1.0
@@ -44,7 +44,7 @@ def _over_decades(mark: Density) -> list[list[Any]]:
 
 
 def cells(mark: Cells, chart: Chart) -> list[Json]:
-    """A heat map with its words."""
+    """A heat map with text in its cells."""
     values = np.log10(mark.values) if mark.log else mark.values
     low, high = mark.span or (float(np.nanmin(mark.values, initial=np.inf)), float(np.nanmax(mark.values, initial=0.0)))
     ends = (math.log10(low), math.log10(high)) if mark.log else (low, high)
@@ -73,12 +73,12 @@ def cells(mark: Cells, chart: Chart) -> list[Json]:
             "xgap": 1,
             "ygap": 1,
         },
-        *_words_of_empty_cells(mark, chart),
+        *_text_of_empty_cells(mark, chart),
     ]
 
 
-def _words_of_empty_cells(mark: Cells, chart: Chart) -> list[Json]:
-    """Words in cells are made to be seen on the cell's colour; where there is none they are on the page's."""
+def _text_of_empty_cells(mark: Cells, chart: Chart) -> list[Json]:
+    """The text of empty cells; Plotly would colour it for the background of a filled cell."""
     rows, columns = np.nonzero(~np.isfinite(mark.values))
     places = [(int(r), int(c)) for r, c in zip(rows, columns, strict=True) if mark.texts[r][c]]
     if not places:

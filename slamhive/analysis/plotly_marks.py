@@ -9,6 +9,7 @@ import numpy as np
 
 from slamhive.analysis.chart import (
     REFERENCE,
+    Array,
     Bars,
     Boxes,
     Cells,
@@ -38,20 +39,20 @@ from slamhive.analysis.plotly_values import (
 )
 
 WEBGL_FROM = 2_000
-"""Scatters of more points are painted by the graphics card."""
+"""Scatter plots with more points use WebGL."""
 
 MOST_LEVEL_LABELS = 20
-"""Labels of more bars than these would overlap, they stand upright."""
+"""Labels of more bars would overlap, so they are vertical."""
 
 MOST_LEVEL_DIMENSIONS = 6
 
 _OUTLINE = "#8a8f98"
 _MEDIAN_SHARE = 0.008
-"""Thickness of a median's line over the height of the plot."""
+"""Thickness of the line of a median, as a share of the height of the plot."""
 
 
 def traces_of(mark: Mark, chart: Chart) -> list[Json]:
-    """What Plotly draws for one mark; nothing for failed runs that have no place on the x axis."""
+    """The Plotly traces of one mark; none for failed runs without a value on the x axis."""
     return _DRAWN_BY[type(mark)](mark, chart)
 
 
@@ -87,15 +88,14 @@ def _points(mark: Points, chart: Chart) -> list[Json]:
         marker |= {"size": 8 if mark.ring else 4, "symbol": symbol}
     if not len(mark.x):
         return [trace | {axis: [None] for axis in ("x", "y") + (("z",) if chart.z is not None else ())}]
-    if mark.low is not None and mark.high is not None:
-        trace["error_y"] = {
-            "type": "data",
-            "symmetric": False,
-            "array": numbers(mark.high - mark.y),
-            "arrayminus": numbers(mark.y - mark.low),
-            "thickness": 1.2,
-        }
-    return [trace | _hover(mark, chart)]
+    return [trace | _error_bars(mark.y, mark.low, mark.high) | _hover(mark, chart)]
+
+
+def _error_bars(middle: Array, low: Array | None, high: Array | None) -> Json:
+    if low is None or high is None:
+        return {}
+    bars = {"type": "data", "symmetric": False, "array": numbers(high - middle), "arrayminus": numbers(middle - low)}
+    return {"error_y": bars | {"thickness": 1.2}}
 
 
 def _in_legend(mark: Points | Line) -> Json:
@@ -118,7 +118,7 @@ def _hover(mark: Points, chart: Chart) -> Json:
 
 
 def _failed(mark: FailedRuns, chart: Chart) -> list[Json]:
-    """Crosses in the band above the plot, spread over rows so that they can be told apart."""
+    """Crosses in the band above the plot, spread over rows so that they do not overlap."""
     known = drawable(mark.x, chart.x)
     x, runs = mark.x[known], mark.runs[known]
     if not len(x) or chart.z is not None:
@@ -193,18 +193,12 @@ def _bars(mark: Bars, chart: Chart) -> list[Json]:
         many = sum(isinstance(other, Bars) for other in chart.marks) * len(mark.texts) > MOST_LEVEL_LABELS
         turned = {"textangle": -90} if many else {}
         trace |= {"text": trace["hovertext"], "textposition": "outside", "cliponaxis": False, **turned}
-    if mark.low is not None and mark.high is not None:
-        trace["error_y"] = {
-            "type": "data",
-            "symmetric": False,
-            "array": numbers(mark.high - mark.heights),
-            "arrayminus": numbers(mark.heights - mark.low),
-        }
+    trace |= _error_bars(mark.heights, mark.low, mark.high)
     return [trace] if mark.medians is None else [trace | {"offsetgroup": trace["name"]}, _medians(mark, trace)]
 
 
 def _medians(mark: Bars, bars: Json) -> Json:
-    """Thin bars over the others, which move and vanish with them."""
+    """Thin bars at the medians, in the same legend group as the bars."""
     medians = np.zeros(0) if mark.medians is None else mark.medians
     tops = mark.heights if mark.high is None else mark.high
     thick = _MEDIAN_SHARE * float(np.nanmax(tops, initial=0.0, where=np.isfinite(tops)))
@@ -252,11 +246,7 @@ def _segments(mark: Segments, _chart: Chart) -> list[Json]:
         "name": escaped(mark.name),
         "x": numbers(np.stack([mark.x0, mark.x1, gap], axis=1).ravel()),
         "y": numbers(np.stack([mark.y0, mark.y1, gap], axis=1).ravel()),
-        "line": {
-            "color": colour_of_mark(mark.colour),
-            "width": mark.width,
-            **dash,
-        },
+        "line": {"color": colour_of_mark(mark.colour), "width": mark.width, **dash},
         "hoverinfo": "skip",
         "showlegend": bool(mark.name),
         **meta_of(mark.colour),

@@ -1,4 +1,4 @@
-"""Numbers, words and colours as Plotly's JSON has them."""
+"""Numbers, text and colours in the JSON of Plotly."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Json = dict[str, Any]
 
 
 def numbers(values: Array) -> Json:
-    """A typed array as Plotly reads it: whole numbers as int32, others in single precision, which a screen shows."""
+    """A typed array for Plotly: integers as int32, other numbers in single precision, enough for a screen."""
     whole = np.issubdtype(values.dtype, np.integer)
     wanted = np.ascontiguousarray(values, dtype="<i4" if whole else "<f4")
     content: Json = {"dtype": "i4" if whole else "f4", "bdata": base64.b64encode(wanted.tobytes()).decode()}
@@ -26,7 +26,7 @@ def numbers(values: Array) -> Json:
 
 
 def escaped(text: str) -> str:
-    """Words for Plotly, which takes some HTML and ``%{...}`` for its own."""
+    """Text for Plotly, which interprets some HTML and ``%{...}``."""
     return html.escape(text, quote=False).replace("%{", "%\u200b{").replace("\n", "<br>")
 
 
@@ -39,22 +39,22 @@ def translucent(colour: str, opacity: float) -> str:
 
 
 def colour_of_mark(colour: str) -> str:
-    """The colour to draw with; the page replaces that of references."""
+    """The colour to draw with; the page replaces the colour of references."""
     return "#555555" if colour == REFERENCE else colour
 
 
 def meta_of(colour: str) -> Json:
-    """The mark that makes the page colour it for light or dark."""
+    """Marks a reference, so that the page adapts its colour to light or dark mode."""
     return {"meta": THEMED} if colour == REFERENCE else {}
 
 
 def drawable(x: Array, axis: Axis) -> Array:
-    """Which places exist on an axis: numbers, positive ones if it is logarithmic."""
+    """Which values an axis can show: numbers, and only positive ones if it is logarithmic."""
     return np.isfinite(x) & (x > 0) if axis.log else np.isfinite(x)
 
 
 def positions(values: Array, axis: Axis) -> Any:
-    """Categories are given by their positions; Plotly wants their names."""
+    """Values for Plotly, which expects the names of categories instead of their positions."""
     if axis.categories is None or axis.numbered:
         return numbers(values)
     return [None if not np.isfinite(place) else escaped(axis.categories[int(place)]) for place in values]

@@ -1,4 +1,4 @@
-"""A plot for print, drawn by matplotlib: PDF, SVG and PNG of one look."""
+"""A plot drawn by matplotlib for print: PDF, SVG and PNG with the same look."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DOTS_PER_INCH = 200
 _LEGEND_MOST = 24
 _LEGEND_LETTERS = 100
 _CAPTION_POINTS, _CAPTION_LETTERS, _CAPTION_LINE_INCHES = 6.5, 132, 0.125
-"""What every plot says of itself stands below it: number of runs, failures by which rule, protocol."""
+"""The caption is part of the file, below the plot."""
 
 _LOOK: Any = {
     "font.size": 9,
@@ -37,7 +37,7 @@ _LOOK: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "slamhive",
 }
-"""Words stay words in PDF and SVG, so that they can be searched and changed."""
+"""PDF and SVG keep text as text, so that it can be searched and edited."""
 
 _CLIP_NAME = re.compile(rb'(?<=[#"])p[0-9a-f]{10}(?=[)"])')
 
@@ -45,8 +45,8 @@ _lock = threading.Lock()
 
 
 def print_chart(chart: Chart, file_format: str) -> bytes:
-    """The plot as the bytes of a PDF, SVG or PNG file; the same plot gives the same bytes."""
-    with _lock, mpl.rc_context(_LOOK):  # matplotlib's settings are global
+    """Draw the plot as a PDF, SVG or PNG file; equal plots give equal bytes."""
+    with _lock, mpl.rc_context(_LOOK):  # the settings of matplotlib are global
         lines = textwrap.wrap(plain(chart.caption), _CAPTION_LETTERS)
         heights = HEIGHT_INCHES * chart.height, _CAPTION_LINE_INCHES * (len(lines) + 1)
         figure = Figure(figsize=(WIDTH_INCHES, sum(heights)), layout="constrained")
@@ -63,12 +63,12 @@ def print_chart(chart: Chart, file_format: str) -> bytes:
 
 
 def _settle_layout(figure: Figure) -> None:
-    """Place everything, to digits that are the same each time: the solver of the layout leaves the last to chance."""
+    """Compute the layout, and round it: the last digits of the layout solver are random."""
     engine = figure.get_layout_engine()
-    assert engine is not None, "plots here have one"
+    assert engine is not None, "set by the caller"
     engine.execute(figure)
     figure.set_layout_engine("none")
-    for part in figure.subfigs:  # legends and titles are placed in these
+    for part in figure.subfigs:  # they contain legends and titles
         part.bbox_relative.set_points(np.round(part.bbox_relative.get_points(), 9))
     for axes in figure.axes:
         left, bottom, width, height = (round(value, 9) for value in axes.get_position(original=True).bounds)
@@ -76,7 +76,7 @@ def _settle_layout(figure: Figure) -> None:
 
 
 def _numbered_clips(svg: bytes) -> bytes:
-    """The file with its clipping areas numbered: matplotlib names them by a hash of all digits of their coordinates."""
+    """Number the clipping areas: matplotlib names them by a hash of all digits of their coordinates."""
     names: dict[bytes, bytes] = {}
     return _CLIP_NAME.sub(lambda found: names.setdefault(found[0], b"clip%d" % len(names)), svg)
 
@@ -105,7 +105,7 @@ def _draw(figure: SubFigure, chart: Chart) -> None:
 def _dress(axes: Any, chart: Chart) -> None:
     if chart.bare:
         axes.set_axis_off()
-        axes.margins(x=chart.bare_margin, y=0.12)  # the words beside the strokes
+        axes.margins(x=chart.bare_margin, y=0.12)  # labels beside the lines
         return
     _dress_axis(axes, "x", chart.x)
     _dress_axis(axes, "y", chart.y)

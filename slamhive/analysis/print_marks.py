@@ -59,7 +59,7 @@ def draw_failed(axes: Any, chart: Chart) -> None:
 
 
 def plain(text: str) -> str:
-    """Words for titles and labels: no line breaks or control characters, and no formulas by accident."""
+    """Text for titles and labels: without line breaks, control characters, and accidental formulas."""
     return "".join(letter if letter.isprintable() else " " for letter in text).replace("$", r"\$")
 
 
@@ -125,7 +125,7 @@ def _bars(axes: Any, mark: Bars, chart: Chart) -> None:
     if mark.medians is not None:
         axes.hlines(mark.medians, x - 0.4 * width, x + 0.4 * width, colors=_REFERENCE_COLOUR, linewidth=1.2)
     if mark.low is not None:
-        return  # words would lie over the whiskers
+        return  # text would cover the whiskers
     axes.margins(y=0.15)
     turned = {"rotation": 90} if len(mark.heights) / width > MOST_LEVEL_LABELS else {}
     for place, height, text in zip(x, mark.heights, mark.texts or (), strict=False):
@@ -153,7 +153,7 @@ def _boxes(axes: Any, mark: Boxes, chart: Chart) -> None:
 
 
 def _share(chart: Chart, mark: Mark) -> tuple[float, float]:
-    """Width and offset of one of several groups of bars or boxes that share a category."""
+    """Width and offset of one group of bars or boxes within a category."""
     groups = [other for other in chart.marks if isinstance(other, type(mark))]
     place = next(place for place, other in enumerate(groups) if other is mark)
     width = 0.8 / len(groups)

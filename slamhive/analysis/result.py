@@ -1,4 +1,4 @@
-"""What a plot type gives: plots, tables with the raw data among them, and what was counted and left out."""
+"""The result of a plot type: plots, tables, and the runs that it counts and leaves out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Cell = str | int | float | None
 
 @dataclass(frozen=True, slots=True)
 class TableColumn:
-    """One column of a table. ``unit`` stands in its heading; ``links_run`` marks run ids, which pages link."""
+    """One column of a table. Pages link the runs of a column with ``links_run``."""
 
     key: str
     label: str
@@ -26,7 +26,7 @@ class TableColumn:
 
 @dataclass(frozen=True, slots=True)
 class ResultTable:
-    """Rows of values; None where there is none. ``raw`` tables are for download, the others are shown."""
+    """Rows of values, None where a value is missing. Pages show a table unless it is ``raw``, for download only."""
 
     key: str
     title: str
@@ -43,24 +43,23 @@ class ResultTable:
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """Runs that a plot type could not show, and why."""
+    """Runs that a plot leaves out, and why."""
 
     reason: str
     runs: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class FormResult:
-    """Everything that one plot type of an analysis came to.
+class PlotResult:
+    """Plots and tables of one plot type.
 
     Attributes:
-        charts: In the order of the page.
-        tables: Shown ones and raw data.
-        runs: How many runs it is about, failed ones included.
-        failed: How many of them count as failed.
-        excluded: Runs that are left out for another reason than failing.
-        protocol: The evaluation protocol of its plots in words; None if none of them has one.
-        notes: What a reader should know, one sentence each.
+        tables: Tables to show, and raw data.
+        runs: Number of runs, including failed ones.
+        failed: Number of failed runs.
+        excluded: Runs left out for other reasons than failing.
+        protocol: The evaluation protocol of its metrics in words; None if no metric depends on one.
+        notes: Remarks for the reader, one sentence each.
     """
 
     charts: tuple[Chart, ...]
@@ -70,3 +69,7 @@ class FormResult:
     excluded: tuple[Exclusion, ...] = ()
     protocol: str | None = None
     notes: tuple[str, ...] = ()
+
+
+FormResult = PlotResult
+"""The name of version 0.1, for plug-ins."""

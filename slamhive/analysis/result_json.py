@@ -1,4 +1,4 @@
-"""Results as JSON and back, so that a plot can be drawn again, on screen or paper, long after it was computed."""
+"""Results as JSON and back, so that a plot can be drawn again long after it was computed."""
 
 from __future__ import annotations
 
@@ -14,28 +14,31 @@ from slamhive.errors import InvalidInput
 
 _KIND = "is"
 _ARRAY = "array"
-_TYPES: dict[str, type[Any]] = {
-    kind.__name__: kind
-    for kind in (
-        chart_types.Axis,
-        chart_types.Points,
-        chart_types.FailedRuns,
-        chart_types.Line,
-        chart_types.Bars,
-        chart_types.Boxes,
-        chart_types.Cells,
-        chart_types.Density,
-        chart_types.Segments,
-        chart_types.Labels,
-        chart_types.Dimension,
-        chart_types.Parallel,
-        chart_types.Chart,
-        result_types.TableColumn,
-        result_types.ResultTable,
-        result_types.Exclusion,
-        result_types.FormResult,
-    )
+_NAMES: dict[type[Any], str] = {
+    **{
+        kind: kind.__name__
+        for kind in (
+            chart_types.Axis,
+            chart_types.Points,
+            chart_types.FailedRuns,
+            chart_types.Line,
+            chart_types.Bars,
+            chart_types.Boxes,
+            chart_types.Cells,
+            chart_types.Density,
+            chart_types.Segments,
+            chart_types.Labels,
+            chart_types.Dimension,
+            chart_types.Parallel,
+            chart_types.Chart,
+            result_types.TableColumn,
+            result_types.ResultTable,
+            result_types.Exclusion,
+        )
+    },
+    result_types.PlotResult: "FormResult",  # as stored by version 0.1
 }
+_TYPES = {name: kind for kind, name in _NAMES.items()}
 
 
 def to_json(value: Any) -> Any:
@@ -46,7 +49,7 @@ def to_json(value: Any) -> Any:
         return {_KIND: _ARRAY, "dtype": wanted.dtype.str, "shape": value.shape, "data": _text(wanted.tobytes())}
     if is_dataclass(value) and not isinstance(value, type):
         content = {field.name: to_json(getattr(value, field.name)) for field in fields(value)}
-        return {_KIND: type(value).__name__, **content}
+        return {_KIND: _NAMES[type(value)], **content}
     if isinstance(value, tuple | list):
         return [to_json(entry) for entry in value]
     return value

@@ -1,4 +1,4 @@
-"""Which runs an analysis is about: named sets, and an expression over them (union, intersection, difference)."""
+"""The runs of an analysis: an expression over named sets (union, intersection, difference)."""
 
 from __future__ import annotations
 
@@ -40,12 +40,13 @@ Expression = SetName | Combined
 
 
 def parse_expression(text: str) -> Expression:
-    """``(a | b) - c``; operators are taken from left to right, with no precedence: parentheses say what is meant.
+    """Parse an expression such as ``(a | b) - c``.
 
-    ``union``, ``intersection`` and ``minus`` (or the signs of mathematics) may be written instead.
+    Operators have equal precedence and apply from left to right. Words (``union``, ``intersection``, ``minus``) and
+    mathematical signs are allowed too.
 
     Raises:
-        InvalidInput: pointing at the place.
+        InvalidInput: with the position of the mistake.
     """
     parser = _Parser(text)
     expression = parser.expression(0)
@@ -54,14 +55,14 @@ def parse_expression(text: str) -> Expression:
 
 
 def names_in(expression: Expression) -> set[str]:
-    """The sets that an expression names."""
+    """The names of the sets in an expression."""
     if isinstance(expression, SetName):
         return {expression.name}
     return names_in(expression.left) | names_in(expression.right)
 
 
 def union_of(names: Collection[str]) -> Expression:
-    """Everything that is in any of the sets."""
+    """The union of all sets."""
     first, *others = [SetName(name) for name in names]
     expression: Expression = first
     for other in others:
@@ -70,11 +71,11 @@ def union_of(names: Collection[str]) -> Expression:
 
 
 def evaluate(expression: Expression, members: Callable[[str], frozenset[int]]) -> frozenset[int]:
-    """The run ids that ``expression`` means.
+    """The run ids in the set that ``expression`` describes.
 
     Args:
         expression: Over names of sets.
-        members: The run ids of the set of a name; raises NotFound for one that does not exist.
+        members: Gives the run ids of a set by its name; raises NotFound for an unknown name.
     """
     if isinstance(expression, SetName):
         return members(expression.name)
@@ -82,7 +83,7 @@ def evaluate(expression: Expression, members: Callable[[str], frozenset[int]]) -
 
 
 def in_words(expression: Expression, words: Callable[[str], str]) -> str:
-    """The expression as a sentence; ``words`` says what the set of a name is."""
+    """The expression in words; ``words`` describes a set by its name."""
     if isinstance(expression, SetName):
         return words(expression.name)
     left, right = in_words(expression.left, words), in_words(expression.right, words)
@@ -90,7 +91,7 @@ def in_words(expression: Expression, words: Callable[[str], str]) -> str:
 
 
 def check_names(expression: Expression, known: Collection[str]) -> None:
-    """Raise NotFound for a name that is no set."""
+    """Raise NotFound for a name without a set."""
     for name in sorted(names_in(expression)):
         if name not in known:
             raise unknown("set", name, list(known))
@@ -130,13 +131,13 @@ class _Parser:
     def _operand(self, depth: int) -> Expression:
         token = self._peek()
         if token is None:
-            raise self._error(len(self._text), "a set's name is missing")
+            raise self._error(len(self._text), "the name of a set is missing")
         kind, value, at = token
         self._next += 1
         if kind == "name":
             return SetName(value)
         if value != "(":
-            raise self._error(at, f"expected a set's name, found {value!r}")
+            raise self._error(at, f"expected the name of a set, found {value!r}")
         inner = self.expression(depth + 1)
         closing = self._peek()
         if closing is None or closing[1] != ")":
@@ -149,4 +150,4 @@ class _Parser:
 
     def _error(self, at: int, what: str) -> InvalidInput:
         shown = self._text if len(self._text) <= 80 else f"{self._text[:77]}..."
-        return InvalidInput(f"'use' at character {at + 1}: {what} in {shown!r}", "write for example (a | b) - c")
+        return InvalidInput(f"'use' at character {at + 1}: {what} in {shown!r}", "an example: (a | b) - c")

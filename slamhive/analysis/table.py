@@ -1,7 +1,7 @@
-"""The table that analyses work on: one row for each run, failed ones included, one column for each fact and metric.
+"""The table of runs: one row for each run, including failed ones, one column for each fact, parameter and metric.
 
-Columns are named as filters name them: ``ate.rmse`` (a metric), ``nFeatures`` (a parameter by its own key or general
-name), ``algorithm``. What a run does not have is NaN (numbers) or None (words), never 0.
+Columns have the names that filters use: ``ate.rmse`` (a metric), ``nFeatures`` (a parameter by its key or general
+name), ``algorithm``. A missing value is NaN (numbers) or None (text), never 0.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from slamhive.errors import InvalidInput, unknown
 
 
 class ColumnKind(StrEnum):
-    """Where a column's values come from."""
+    """The source of a column."""
 
     FACT = "fact"
     PARAMETER = "parameter"
@@ -39,7 +39,7 @@ class ColumnKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """What a column means. ``needs_protocol``: its values belong to an evaluation protocol."""
+    """One column. ``needs_protocol``: its values depend on an evaluation protocol."""
 
     key: str
     label: str
@@ -68,17 +68,17 @@ FACTS = (
     Column("evaluation", "Evaluation", ColumnKind.FACT, numeric=False),
     Column("disturbed", "Disturbed by", ColumnKind.FACT, numeric=False),
 )
-"""The columns that every table has, in this order."""
+"""The columns of every table, in this order."""
 
 UNDISTURBED = "nothing"
-"""What the column ``disturbed`` says of a run on a quiet machine; None where that is not known."""
+"""The value of the column ``disturbed`` for a run on a quiet machine; None if unknown."""
 
 FAILED = "failed"
-"""The column, added by :func:`mark_failures`, that says why a run counts as failed; None if it counts as good."""
+"""The column with the reason why a run counts as failed, None for good runs; :func:`mark_failures` adds it."""
 
 
 def metric_column(key: str) -> Column:
-    """The column of one metric of the catalogue."""
+    """The column of a metric of the catalogue."""
     metric = CATALOGUE[key]
     return Column(
         key, metric.label, ColumnKind.METRIC, metric.unit, metric.direction, needs_protocol=metric.needs_protocol
@@ -90,17 +90,16 @@ class RunTable:
     """Runs as rows.
 
     Attributes:
-        frame: Columns as :attr:`columns` names them, one row for each run, by run id.
-        columns: What each column means, by key.
+        frame: One row for each run, sorted by run id.
+        columns: The columns by key.
         rule: When a run counts as failed.
         colours: The colour of each algorithm.
         markers: The marker of each dataset.
-        told: Parameters that say what others say already, by key.
-        installed: The sensor set-up of each installed algorithm, with runs or without.
-        unevaluated: How many runs are left out because they are not evaluated under the protocol, cancelled or
-            unfinished. They are neither good nor failed.
-        without_disturbed: How many runs are left out because they were measured on a disturbed machine; None if such
-            runs are kept.
+        repeated: Keys of parameters that repeat other parameters.
+        installed: The sensor set-up of each installed algorithm, including those without runs.
+        not_evaluated: Number of runs left out because they were not evaluated under the protocol, were cancelled, or
+            have not ended: they are neither good nor failed.
+        without_disturbed: Number of runs left out because the machine was disturbed; None if such runs are kept.
     """
 
     frame: pd.DataFrame
@@ -108,13 +107,19 @@ class RunTable:
     rule: FailureRule = field(default_factory=FailureRule)
     colours: Mapping[str, str] = field(default_factory=dict)
     markers: Mapping[str, str] = field(default_factory=dict)
-    told: frozenset[str] = frozenset()
+    repeated: frozenset[str] = frozenset()
     installed: Mapping[str, str] = field(default_factory=dict)
-    unevaluated: int = 0
+    not_evaluated: int = 0
     without_disturbed: int | None = None
 
+    def require_runs(self) -> RunTable:
+        """This table; raises InvalidInput if it is empty."""
+        if self.frame.empty:
+            raise InvalidInput("the selection contains no run", "widen it; the page of runs lists all runs")
+        return self
+
     def column(self, key: str) -> Column:
-        """The column called ``key``; raises NotFound with the nearest name."""
+        """The column ``key``; raises NotFound with the nearest name."""
         try:
             return self.columns[key]
         except KeyError:
@@ -122,29 +127,29 @@ class RunTable:
             raise unknown("metric or parameter", key, known) from None
 
     def numeric(self, key: str, purpose: str) -> Column:
-        """The column called ``key``, which must hold numbers; raises NotFound or InvalidInput."""
+        """The column ``key``, which must be numeric; raises NotFound or InvalidInput."""
         column = self.column(key)
         if not column.numeric:
             others = [other.key for other in self.varied() if other.numeric]
             numbers = [*others[:6], *(name for name in self.columns if name in CATALOGUE)]
-            raise InvalidInput(f"{purpose} needs numbers, {key!r} holds words", f"use for example {', '.join(numbers)}")
+            raise InvalidInput(f"{purpose} needs numbers, {key!r} is text", f"use for example {', '.join(numbers)}")
         return column
 
     def failed(self) -> pd.DataFrame:
-        """The rows that count as failed."""
+        """The failed runs."""
         return self.frame[self.frame[FAILED].notna()]
 
     def good(self) -> pd.DataFrame:
-        """The rows that do not."""
+        """The runs that did not fail."""
         return self.frame[self.frame[FAILED].isna()]
 
     def disturbed(self) -> pd.DataFrame:
-        """The rows of runs that were measured on a disturbed machine."""
+        """The runs that were measured on a disturbed machine."""
         return self.frame[is_disturbed(self.frame)]
 
     @property
     def disturbance_words(self) -> str:
-        """How many runs were measured on a disturbed machine, or are left out because of it; empty if none."""
+        """A sentence on runs that were measured on a disturbed machine; empty if there are none."""
         if self.without_disturbed:
             return f"{plural(self.without_disturbed, 'run')} measured on a disturbed machine left out."
         count, total = len(self.disturbed()), len(self.frame)
@@ -152,7 +157,7 @@ class RunTable:
 
     @property
     def rule_words(self) -> str:
-        """The rule as a sentence, and how many runs cannot be judged by all of it."""
+        """The rule as a sentence, and the number of runs that it cannot judge."""
         frame = self.frame
         if TRACKED_PATH not in frame or TRACKED_FRACTION not in frame or self.rule.tracked_path_below is None:
             return self.rule.words
@@ -160,24 +165,24 @@ class RunTable:
         if not dated:
             return self.rule.words
         return (
-            f"{self.rule.words} {dated} of the runs were evaluated before this rule and are judged by the time that "
-            f"they tracked ({100 * DATED_FRACTION:g} % are needed); evaluate them again to renew that."
+            f"{self.rule.words} {dated} of the runs were evaluated before this rule: they need "
+            f"{100 * DATED_FRACTION:g} % of the time tracked. Evaluate them again to apply the rule."
         )
 
     def with_rows(self, rows: pd.DataFrame) -> RunTable:
-        """The same columns over other rows."""
+        """The table with other rows."""
         return replace(self, frame=rows)
 
-    def described(self, units: Mapping[str, str], told: Collection[str]) -> RunTable:
-        """The same with units of columns by key, and with columns that others ``told`` already."""
+    def described(self, units: Mapping[str, str], repeated: Collection[str]) -> RunTable:
+        """The table with units of columns by key, and with the keys of repeated parameters."""
         named = {key: replace(self.columns[key], unit=unit) for key, unit in units.items()}
-        return replace(self, columns={**self.columns, **named}, told=frozenset(told))
+        return replace(self, columns={**self.columns, **named}, repeated=frozenset(repeated))
 
     def one_protocol(self, keys: Iterable[str]) -> str | None:
-        """The protocol in words if any of ``keys`` belongs to one; None if none does.
+        """The protocol of ``keys`` in words; None if no key depends on one.
 
         Raises:
-            InvalidInput: if the runs' values belong to several: they are never averaged, ranked or drawn together.
+            InvalidInput: if the values belong to several protocols, which are never averaged, ranked or drawn together.
         """
         needing = [key for key in keys if self.column(key).needs_protocol]
         if not needing:
@@ -187,20 +192,20 @@ class RunTable:
         if len(labels) > 1:
             found = "; ".join(f"{row['first']} ({row['size']} runs, {key})" for key, row in labels.iterrows())
             raise InvalidInput(
-                f"{needing[0]} was taken under {len(labels)} protocols, which are never mixed: {found}",
-                "choose one with 'protocol: FINGERPRINT', or evaluate all runs under one first",
+                f"{needing[0]} was evaluated under {len(labels)} protocols, which are never mixed: {found}",
+                "choose one with 'protocol: FINGERPRINT', or evaluate all runs under one protocol first",
             )
         return str(labels["first"].iloc[0]) if len(labels) else None
 
     def varied(self) -> list[Column]:
-        """The parameters that take more than one value in the runs of an algorithm; of equal columns the first.
+        """The parameters that vary within an algorithm; among equal columns, the first.
 
-        What differs between algorithms alone is part of the algorithm.
+        A parameter that varies only between algorithms is part of the algorithm.
         """
         found: dict[tuple[str, ...], Column] = {}
         grouped = self.frame.groupby("algorithm", sort=False)
         for column in self.columns.values():
-            asked = column.kind is ColumnKind.PARAMETER and column.key not in self.told
+            asked = column.kind is ColumnKind.PARAMETER and column.key not in self.repeated
             if asked and (grouped[column.key].nunique(dropna=False) > 1).any():
                 found.setdefault(tuple(map(str, self.frame[column.key])), column)
         return list(found.values())
@@ -213,14 +218,14 @@ def make_table(
     rule: FailureRule | None = None,
     installed: Mapping[str, str] | None = None,
 ) -> RunTable:
-    """A table out of columns, each with one entry for each run.
+    """A table from columns with one entry for each run.
 
     Args:
-        facts: By the keys of :data:`FACTS`; ``run_id``, ``algorithm``, ``dataset`` and ``state`` at least.
-        parameters: By key or general name; None where a run does not have it.
-        metrics: By catalogue key; None where a run does not have it.
+        facts: By the keys of :data:`FACTS`; at least ``run_id``, ``algorithm``, ``dataset`` and ``state``.
+        parameters: By key or general name; None where a run lacks the parameter.
+        metrics: By catalogue key; None where a run lacks the metric.
         rule: When a run counts as failed; the default rule if None.
-        installed: The sensor set-up of each installed algorithm, with runs or without.
+        installed: The sensor set-up of each installed algorithm, including those without runs.
     """
     rows = {key: list(values) for key, values in facts.items()}
     count = len(next(iter(rows.values()), []))
@@ -233,8 +238,8 @@ def make_table(
         shown = [_as_number(entry) if numeric else None if entry is None else str(entry) for entry in entries]
         extra[key] = np.array(shown, dtype=float) if numeric else np.array(shown, dtype=object)
         columns[key] = Column(key, key, ColumnKind.PARAMETER, numeric=numeric)
-    for key, figures in metrics.items():
-        extra[key] = np.array([np.nan if figure is None else figure for figure in figures], dtype=float)
+    for key, entries_of_metric in metrics.items():
+        extra[key] = np.array(list(entries_of_metric), dtype=float)  # None becomes NaN
         columns[key] = metric_column(key)
     if extra:
         frame = pd.concat([frame, pd.DataFrame(extra, index=frame.index)], axis=1)
@@ -251,12 +256,12 @@ def make_table(
 
 
 def is_disturbed(frame: pd.DataFrame) -> pd.Series:
-    """Which rows are of runs that are known to have been disturbed."""
+    """Which runs are known to have been disturbed."""
     return frame["disturbed"].notna() & (frame["disturbed"] != UNDISTURBED)
 
 
 def mark_failures(frame: pd.DataFrame, rule: FailureRule) -> pd.DataFrame:
-    """``frame`` with the column :data:`FAILED`: why each run counts as failed, None for the good ones."""
+    """``frame`` with the column :data:`FAILED`."""
     known = [key for key in EVIDENCE if key in frame]
     values = frame[known].to_numpy(dtype=float)
     there = np.isfinite(values)

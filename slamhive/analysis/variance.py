@@ -1,4 +1,4 @@
-"""How much of a quantity's variance each factor explains: analysis of variance over groups, balanced or not."""
+"""Analysis of variance for balanced and unbalanced designs: the share of the variance that each factor explains."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from scipy import sparse
 Numbers = NDArray[np.float64]
 Codes = NDArray[np.intp]
 Term = tuple[str, ...]
-"""One factor, or two for their interaction."""
+"""One factor, or two factors for their interaction."""
 
 MOST_COLUMNS = 600
-"""Levels in one model, over all its terms. More take seconds for each fit; pairs of weak factors are left out then."""
+"""Levels of all terms in one model. A fit of more takes seconds, so pairs of weak factors are left out then."""
 
 _RELATIVE_ZERO = 1e-10
 
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """Shares of the variance of one quantity, 0 to 1, None where the runs cannot tell.
+    """Shares of the variance of one quantity, 0 to 1; None where the data do not determine a share.
 
     Attributes:
         names: The factors.
         main: Share of each factor, adjusted for all others.
-        pairs: Share of each interaction: what two factors explain together beyond what they explain apart.
-        shared: Share that several factors explain but that belongs to none of them alone; 0 for a balanced design.
-        aliases: Factors that always vary together: each has the share of both.
-        left_out: How many interactions are not in the model, because there are too few runs for them.
-        count: How many values.
+        pairs: Share of each interaction: what two factors explain together beyond their own shares.
+        shared: Share that several factors explain but that cannot be assigned to one; 0 for a balanced design.
+        aliases: Factors that always vary together; each has the share of both.
+        left_out: Number of interactions that are not in the model because there are too few values.
+        count: Number of values.
     """
 
     names: tuple[str, ...]
@@ -45,12 +45,12 @@ class Effects:
 
 
 def explain_variance(codes: Mapping[str, Codes], values: Numbers) -> Effects:
-    """Omega squared of every factor and of every interaction of two.
+    """Omega squared of every factor and of every interaction of two factors.
 
-    One linear model holds all factors and interactions. Each term's sum of squares is what it adds to a model of all
-    terms that do not contain it (type II: F. Yates, 1934; O. Langsrud, Statistics and Computing 13, 2003). For a
-    balanced design these are the classical sums, which add up. Omega squared (W. L. Hays, 1963) takes the part away
-    that as many levels would explain by chance, estimated from the residual of the whole model.
+    One linear model contains all factors and interactions. The sum of squares of a term is what it adds to a model of
+    all terms that do not contain it (type II: F. Yates, 1934; O. Langsrud, Statistics and Computing 13, 2003). For a
+    balanced design these are the classical sums, which add up. Omega squared (W. L. Hays, 1963) subtracts what as many
+    levels would explain by chance, estimated from the residual of the full model.
 
     Args:
         codes: The level of each value for each factor: (n,) integers from 0, without gaps.
@@ -64,7 +64,7 @@ def explain_variance(codes: Mapping[str, Codes], values: Numbers) -> Effects:
     full = design.fit(design.terms)
     noise = _mean_square(full, len(values))
     shares = {term: _share(design, term, noise) for term in design.terms}
-    beyond = 0.0 if full.residual == 0 else None  # where nothing is left, the other interactions explain nothing
+    beyond = 0.0 if full.residual == 0 else None  # without a residual, other interactions explain nothing
     return Effects(
         names=tuple(codes),
         main={name: shares[name,] for name in codes},
@@ -78,14 +78,14 @@ def explain_variance(codes: Mapping[str, Codes], values: Numbers) -> Effects:
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """A least-squares fit: the sum of squares that is left, and how many parameters were told apart."""
+    """A least-squares fit: the residual sum of squares, and the rank of the model."""
 
     residual: float
     rank: int
 
 
 class _Design:
-    """Least-squares fits of one quantity by any of ``terms``, from normal equations that are set up once."""
+    """Least-squares fits of one quantity by any of ``terms``; sets up the normal equations once."""
 
     def __init__(self, codes: Mapping[str, Codes], values: Numbers, terms: Sequence[Term]) -> None:
         self.terms = tuple(terms)
@@ -102,11 +102,11 @@ class _Design:
         self._fits: dict[frozenset[Term], _Fit] = {}
 
     def levels(self, term: Term) -> int:
-        """How many levels a term has."""
+        """Number of levels of a term."""
         return len(self._columns[term])
 
     def others(self, term: Term) -> list[Term]:
-        """The terms that ``term`` is adjusted for: all whose levels do not say those of ``term``."""
+        """The terms that ``term`` is adjusted for: those that do not determine it."""
         inner = self._joint[term]
         return [
             other
@@ -115,7 +115,7 @@ class _Design:
         ]
 
     def fit(self, terms: Sequence[Term]) -> _Fit:
-        """The fit by an intercept and ``terms``, which may be collinear."""
+        """The fit of an intercept and ``terms``, which may be collinear."""
         key = frozenset(terms)
         if key not in self._fits:
             self._fits[key] = self._solve(terms)
@@ -133,7 +133,7 @@ class _Design:
 
 
 def _share(design: _Design, term: Term, noise: float | None) -> float | None:
-    """Omega squared of ``term``; None if the other terms explain everything, or if the noise is unknown."""
+    """Omega squared of ``term``; None if other terms determine it, or without a residual to estimate chance."""
     if design.total == 0:
         return 0.0
     explained, freedom = _own(design, term)
@@ -143,14 +143,14 @@ def _share(design: _Design, term: Term, noise: float | None) -> float | None:
 
 
 def _own(design: _Design, term: Term) -> tuple[float, int]:
-    """The sum of squares that ``term`` adds to the terms it is adjusted for, and its degrees of freedom."""
+    """The sum of squares that ``term`` adds to :meth:`_Design.others`, and its degrees of freedom."""
     others = design.others(term)
     without, along = design.fit(others), design.fit([*others, term])
     return without.residual - along.residual, along.rank - without.rank
 
 
 def _shared(design: _Design, full: _Fit) -> float:
-    """What the whole model explains beyond what its terms explain each for itself; never below 0."""
+    """What the full model explains beyond the sums of its terms; never below 0."""
     if design.total == 0:
         return 0.0
     own = sum(_own(design, term)[0] for term in design.terms)
@@ -159,7 +159,7 @@ def _shared(design: _Design, full: _Fit) -> float:
 
 
 def _mean_square(full: _Fit, count: int) -> float | None:
-    """The variance that the model leaves; None if it has as many parameters as there are values."""
+    """The residual variance; None if the model has as many parameters as there are values."""
     if full.residual == 0:
         return 0.0
     freedom = count - full.rank
@@ -167,7 +167,7 @@ def _mean_square(full: _Fit, count: int) -> float | None:
 
 
 def _affordable(design: _Design, pairs: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """The interactions to model: those of the strongest factors first, while values are left to tell chance by."""
+    """The interactions to model: those of the strongest factors, as long as degrees of freedom remain."""
     left = {term[0]: design.fit([term]).residual for term in design.terms}
     columns = sum(map(design.levels, design.terms))
     rank = design.fit(design.terms).rank
@@ -182,7 +182,7 @@ def _affordable(design: _Design, pairs: Sequence[tuple[str, str]]) -> list[tuple
 
 
 def _joint(codes: Sequence[Codes]) -> Codes:
-    """The levels of several factors together, numbered from 0 without gaps."""
+    """The joint levels of several factors, numbered from 0 without gaps."""
     joint = codes[0]
     for other in codes[1:]:
         joint = np.unique(joint * (int(other.max(initial=0)) + 1) + other, return_inverse=True)[1]
@@ -190,12 +190,12 @@ def _joint(codes: Sequence[Codes]) -> Codes:
 
 
 def _indicators(codes: Codes) -> sparse.csr_array:
-    """One column for each level: 1 where a value has it."""
+    """One column for each level, 1 where a value has that level."""
     return sparse.csr_array((np.ones(len(codes)), (np.arange(len(codes)), codes)))
 
 
 def _nested(first: Codes, second: Codes) -> bool:
-    """Whether one of two factors says the other: then they have no interaction."""
+    """Whether one of two factors determines the other, so that they have no interaction."""
     return _determines(first, second) or _determines(second, first)
 
 
@@ -204,7 +204,7 @@ def _same(first: Codes, second: Codes) -> bool:
 
 
 def _determines(outer: Codes, inner: Codes) -> bool:
-    """Whether each level of ``outer`` goes with one level of ``inner``."""
+    """Whether each level of ``outer`` implies one level of ``inner``."""
     said = np.zeros(int(outer.max(initial=-1)) + 1, dtype=inner.dtype)
     said[outer] = inner
     return bool((said[outer] == inner).all())

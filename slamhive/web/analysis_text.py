@@ -65,9 +65,9 @@ def first_text(where: str) -> str:
 
 def form_helps() -> list[FormHelp]:
     """All plot types with their options, from their models."""
-    from slamhive.analysis.forms import FORMS  # noqa: PLC0415 - pandas and scipy take two seconds to load
+    from slamhive.analysis.plot_types import PLOT_TYPES  # noqa: PLC0415 - pandas and scipy take two seconds to load
 
-    return [_form_help(form) for _, form in FORMS]
+    return [_form_help(form) for _, form in PLOT_TYPES]
 
 
 def _form_help(form: Any) -> FormHelp:

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
-from slamhive.analysis.forms import FormData, RunTrack, RunUsage
+from slamhive.analysis.plot_types import PlotData, RunTrack, RunUsage
 from slamhive.analysis.table import RunTable, make_table
 from slamhive.domain.verdict import FailureRule
 
@@ -63,6 +63,6 @@ def sweep_table(rule: FailureRule | None = None, **changed: list[object]) -> Run
     return make_table(facts, {"image_rate": rate, "scale": scale}, metrics, rule)
 
 
-def data_of(table: RunTable) -> FormData:
+def data_of(table: RunTable) -> PlotData:
     """What a form gets of a table alone."""
-    return FormData(table, pd.DataFrame(columns=["run_id", "protocol", "protocol_label", "metric", "value"]), NoFiles())
+    return PlotData(table, pd.DataFrame(columns=["run_id", "protocol", "protocol_label", "metric", "value"]), NoFiles())

@@ -9,10 +9,10 @@ import pytest
 
 from slamhive.analysis.chart import Chart, Points
 from slamhive.analysis.density import thinned
-from slamhive.analysis.forms import FORMS
+from slamhive.analysis.plot_types import PLOT_TYPES
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import print_chart
-from slamhive.analysis.result import FormResult
+from slamhive.analysis.result import PlotResult
 from slamhive.analysis.table import UNDISTURBED, RunTable
 from tests.analysis.analysis_world import data_of, sweep_table
 
@@ -28,8 +28,8 @@ def some_disturbed(every: int = 10) -> RunTable:
     return sweep_table(disturbed=list(words))
 
 
-def build(table: RunTable, form: str, **options: object) -> FormResult:
-    chosen = FORMS.get(form)
+def build(table: RunTable, form: str, **options: object) -> PlotResult:
+    chosen = PLOT_TYPES.get(form)
     return chosen.build(data_of(table), chosen.options(**options))
 
 

@@ -55,7 +55,7 @@ def test_runs_from_before_the_rule_are_judged_by_what_they_have_and_the_caption_
     found = table({"ate.rmse": [0.1, 0.1], "tracked_fraction": [0.2, 0.9], "tracked.path": [None, None]})
     assert list(found.frame[FAILED]) == ["tracked too little", None]
     assert "2 of the runs were evaluated before this rule" in found.rule_words
-    assert "evaluate them again" in found.rule_words
+    assert "Evaluate them again" in found.rule_words
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def test_few_points_are_all_drawn():
     chart = cloud(DENSITY_FROM)
     assert thinned(chart) == chart
     assert rule_words(DENSITY_FROM) == ""
-    assert "shades tell how many runs" in rule_words(DENSITY_FROM + 1)
+    assert "shades show the number of runs" in rule_words(DENSITY_FROM + 1)
 
 
 def test_the_page_gets_every_point_for_zooming_and_stays_small():
@@ -96,7 +96,7 @@ def test_space_holds_a_share_and_says_which():
     chart = Chart("c", "t", Axis("x"), Axis("y"), (Points("a", *draws),), "", z=Axis("z"))
     (shown,) = (mark for mark in thinned(chart).marks if isinstance(mark, Points))
     assert len(shown.x) == SPACE_MOST
-    assert rule_words(COUNT, space=True) == "Every 5. of the points is drawn."
+    assert rule_words(COUNT, space=True) == "The plot shows one of 5 points."
 
 
 def test_it_prints():

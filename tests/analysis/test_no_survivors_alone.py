@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from slamhive.analysis.chart import Bars, FailedRuns
-from slamhive.analysis.forms import FORMS, FormData
-from slamhive.analysis.forms.by_algorithm import best_configurations
-from slamhive.analysis.forms.critical_difference import _scores
-from slamhive.analysis.forms.pareto import configuration_means, fronts_by_dataset
+from slamhive.analysis.plot_types import PLOT_TYPES, PlotData
+from slamhive.analysis.plot_types.by_algorithm import best_configurations
+from slamhive.analysis.plot_types.critical_difference import _scores
+from slamhive.analysis.plot_types.pareto import configuration_means, fronts_by_dataset
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.table import RunTable, make_table
 from tests.analysis.analysis_world import NoFiles
@@ -46,8 +46,8 @@ def table() -> RunTable:
 
 
 def built(form: str, **options: Any) -> Any:
-    data = FormData(table(), pd.DataFrame(), NoFiles())
-    chosen = FORMS.get(form)
+    data = PlotData(table(), pd.DataFrame(), NoFiles())
+    chosen = PLOT_TYPES.get(form)
     return chosen.build(data, chosen.options(**options))
 
 
@@ -76,7 +76,9 @@ def test_a_front_is_not_made_by_survivors() -> None:
     front = fronts_by_dataset(means, ["cpu.mean", "ate.rmse"], np.ones(2))
     assert set(means[front]["algorithm"]) == {LUCKY, SOLID}
     result = built("pareto", metrics=["cpu.mean", "ate.rmse"])
-    assert "beaten by none of their dataset in CPU mean, ATE RMSE, the share of failed runs" in result.charts[0].caption
+    assert (
+        "no other on the same dataset beats in CPU mean, ATE RMSE, the share of failed runs" in result.charts[0].caption
+    )
 
 
 def test_the_selector_ranks_those_that_fail_less_first() -> None:

@@ -59,8 +59,8 @@ def test_the_paper_s_file_means_what_it_says():
         "and nFeatures < 4000 and mode = fast and ate.rmse <= 0.5"
     )
     assert analysis.rule.tracked_fraction_below == 0.75
-    assert [request.form.key for request in analysis.forms] == ["by_algorithm", "scatter", "scatter_3d"]
-    best, scatter, space = (request.options.model_dump(exclude_defaults=True) for request in analysis.forms)
+    assert [request.plot_type.key for request in analysis.plots] == ["by_algorithm", "scatter", "scatter_3d"]
+    best, scatter, space = (request.options.model_dump(exclude_defaults=True) for request in analysis.plots)
     assert best == {"of": "best"}
     assert scatter["x"] == "image_width"
     assert scatter["coverage_multiples"] == [1, 2, 2.5, 3]
@@ -109,10 +109,10 @@ def test_names(name, ours):
             "there is no algorithm 7 here; known: 1 orb-slam3-stereo",
         ),
         ("ate_rmse_maximum: 0.5", "ate_rmse_maximum: much", "ate_rmse_maximum must be a number, found 'much'"),
-        ("extend_multiple: [1, 2, 2.5, 3]", "extend_multiple: [1]", "one multiple more than thresholds"),
+        ("extend_multiple: [1, 2, 2.5, 3]", "extend_multiple: [1]", "one more multiple than thresholds"),
         ("configuration_id: [3, 4]", "configuration_id: [a]", "configuration_id must be a list of numbers"),
         ("metric: ate_rmse, algorithm_id", "metric: 3, algorithm_id", "metric names a metric or a parameter, found 3"),
-        ("first_one: [0, 1]", "first_one: []", "its first part holds no set"),
+        ("first_one: [0, 1]", "first_one: []", "its first part has no set"),
         ("nFeatures < 4000", "nFeatures", "expected a condition such as"),
     ],
 )

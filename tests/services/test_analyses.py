@@ -133,7 +133,7 @@ def test_a_form_that_does_not_fit_leaves_the_others_alone(world):
 
 def test_too_many_runs_and_too_little_time_are_refused(world):
     analysis = world.analyses.read("name: n\nselect: {a: {where: 'id >= 1'}}\nforms: [{form: by_algorithm}]")
-    with pytest.raises(InvalidInput, match="holds 5 runs, 4 are allowed"):
+    with pytest.raises(InvalidInput, match="has 5 runs, 4 are allowed"):
         world.analyses.compute(analysis, AnalysisLimits(4, 120))
     slow = world.analyses.compute(analysis, AnalysisLimits(5, 0))
     assert "takes longer than 0 s" in slow["forms"][0]["error"]

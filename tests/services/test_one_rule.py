@@ -97,7 +97,7 @@ def test_list_groups_experiment_analysis_and_json_agree(hive: Hive, runs: list[i
 
     table = load_table(hive.store, TableRequest(runs, {"ate.rmse"}, None, DEFAULT_RULE), {})
     assert set(table.failed()["run_id"]) == set(failed)
-    assert (len(table.good()), table.unevaluated) == (4, 1)
+    assert (len(table.good()), table.not_evaluated) == (4, 1)
     assert Counter(table.failed()[FAILED])[OUTLIER.label] == 2
 
 
@@ -119,4 +119,4 @@ def test_cancelled_and_unfinished_runs_are_neither_good_nor_failed_in_an_analysi
     more = [samples.run_in(RunState.CANCELLED), samples.run_in(RunState.RUNNING)]
     table = load_table(hive.store, TableRequest([*runs, *more], {"ate.rmse"}, None, DEFAULT_RULE), {})
     assert not set(table.frame["run_id"]) & set(more)
-    assert table.unevaluated == 3
+    assert table.not_evaluated == 3

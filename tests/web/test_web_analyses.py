@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from flask import Response
 
-from slamhive.analysis.forms import FORMS
+from slamhive.analysis.plot_types import PLOT_TYPES
 from slamhive.errors import Unavailable
 from slamhive.services.analyses import REPORT, AnalysisFolder
 from slamhive.services.analyses.jobs import AnalysisJobs
@@ -226,7 +226,7 @@ def test_runs_lead_to_an_analysis_that_can_be_computed(shown: Web):
     page = shown.client.get("/analyses/new", query_string={"where": 'dataset in (room, "hall") and state = succeeded'})
     text = page.text.partition("<textarea")[2].partition(">")[2].partition("</textarea>")[0]
     assert shown.hive.analyses.read(html.unescape(text)).selection_words.endswith("state = succeeded")
-    for key in FORMS.names():
+    for key in PLOT_TYPES.names():
         assert f"<code>{key}</code>" in page.text
 
 

@@ -1,50 +1,5 @@
-"""The plot types: one module each, behind :data:`FORMS`. Importing this package registers those that ship."""
+"""The names of version 0.1, for plug-ins that import them; new code imports :mod:`slamhive.analysis.plot_types`."""
 
-from slamhive.analysis.forms import (
-    by_algorithm,
-    coverage,
-    critical_difference,
-    distributions,
-    heatmap,
-    importance,
-    line,
-    parallel,
-    pareto,
-    protocols,
-    repeatability,
-    scatter,
-    scatter_3d,
-    selector,
-    sensitivity,
-    trajectories,
-    usage,
-)
 from slamhive.analysis.forms.base import FORMS, Form, FormData, FormOptions, RunFiles, RunTrack, RunUsage, one_value
 
-__all__ = [
-    "FORMS",
-    "Form",
-    "FormData",
-    "FormOptions",
-    "RunFiles",
-    "RunTrack",
-    "RunUsage",
-    "by_algorithm",
-    "coverage",
-    "critical_difference",
-    "distributions",
-    "heatmap",
-    "importance",
-    "line",
-    "one_value",
-    "parallel",
-    "pareto",
-    "protocols",
-    "repeatability",
-    "scatter",
-    "scatter_3d",
-    "selector",
-    "sensitivity",
-    "trajectories",
-    "usage",
-]
+__all__ = ["FORMS", "Form", "FormData", "FormOptions", "RunFiles", "RunTrack", "RunUsage", "one_value"]

@@ -76,20 +76,21 @@ class Format:
         Raises:
             InvalidInput: unless the member is one that an archive of this format has.
         """
+        if name.startswith(self.payload_folder):
+            member = name[len(self.payload_folder) :]
+            if _is_payload(member):
+                return member
         tag = name.removeprefix(self.tags_folder)
         if name.startswith(self.tags_folder) and tag in self.tags:
             return tag
-        member = name.removeprefix(self.payload_folder)
-        if not name.startswith(self.payload_folder) or not _is_payload(member):
-            raise InvalidInput(f"the archive has a member {shown(name)}, which no export writes", "it is not imported")
-        return member
+        raise InvalidInput(f"the archive has a member {shown(name)}, which no export writes", "it is not imported")
 
     def listed_as(self, member: str) -> str:
         """How a member of the payload is named in ``checksums``.
 
         BagIt quotes percent signs and line breaks (RFC 8493, section 2.1.3); no member has a line break.
         """
-        return member if self == FIRST else f"{PAYLOAD}{member.replace('%', '%25')}"
+        return member if self.number == 1 else f"{PAYLOAD}{member.replace('%', '%25')}"
 
     def manifest(self, data: bytes) -> Manifest:
         """Read the content of ``about``; raises InvalidInput unless an export has written it."""
@@ -111,7 +112,7 @@ class Format:
                 without=tuple(map(str, content["without"])),
                 left_out=_numbers(content["left_out"]),
                 files_left_out=_numbers(content.get("files_left_out", {})),
-                checksums=str(content["checksums"]) if self == FIRST else None,
+                checksums=str(content["checksums"]) if self.number == 1 else None,
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InvalidInput(f"{self.about} is incomplete: {error!r}", "export the archive again") from None

@@ -146,7 +146,7 @@ class ArchiveReader:
 
     def _check_tags(self) -> None:
         """Compare all members outside the payload with their checksums."""
-        if self._format == FIRST:
+        if self._format.number == 1:
             expected = {FIRST.checksums: str(self.manifest.checksums)}
         else:
             expected = self._listed(TAG_CHECKSUMS)
@@ -160,9 +160,9 @@ class ArchiveReader:
     def _payload_sums(self) -> dict[str, str]:
         """{member: checksum} in the order of the zip file; every member of the payload has one."""
         listed = self._listed(self._format.checksums)
-        payload = {self._format.listed_as(name): name for name in self._members if name not in self._format.tags}
-        self._check_names(listed, payload, self._format.checksums)
-        return {name: listed[key] for key, name in payload.items()}
+        payload = [name for name in self._members if name not in self._format.tags]
+        self._check_names(listed, map(self._format.listed_as, payload), self._format.checksums)
+        return {name: listed.pop(self._format.listed_as(name)) for name in payload}
 
     def _check_names(self, listed: Iterable[str], present: Iterable[str], source: str) -> None:
         present = set(present)

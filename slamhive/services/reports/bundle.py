@@ -1,4 +1,4 @@
-"""Write a report to a folder or zip file: a self-contained page, plots for print, tables, LaTeX."""
+"""A report as files: a self-contained page, plots for print, tables with all data; in a folder or a zip file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import FORMATS, print_chart
-from slamhive.analysis.result import FormResult, ResultTable
+from slamhive.analysis.result import PlotResult, ResultTable
 from slamhive.analysis.result_json import from_json
 from slamhive.files import write_aside
 from slamhive.services.markdown import markdown_html
@@ -29,44 +29,44 @@ Progress = Callable[[float, str], None]
 
 
 def report_files(
-    report: dict[str, Any], project_root: Path, figures: Collection[str] = FORMATS, progress: Progress | None = None
+    report: dict[str, Any], project_root: Path, formats: Collection[str] = FORMATS, progress: Progress | None = None
 ) -> Iterator[tuple[str, bytes]]:
-    """Yield the files of a report, each with its path.
+    """The files of a report, one at a time, each with its path in the folder.
 
     Args:
         report: From :func:`slamhive.services.reports.report.report_json`.
-        project_root: The folder with ``templates/``.
-        figures: The formats of printed plots, of :data:`slamhive.analysis.print_chart.FORMATS`.
-        progress: Called with the share done and the current file or plot.
+        project_root: The folder that contains the templates.
+        formats: Formats of plots for print, from :data:`slamhive.analysis.print_chart.FORMATS`.
+        progress: Called with the fraction done and the title of the current plot.
     """
     tell = progress or (lambda _share, _what: None)
     yield "analysis.yaml", report["source"].encode()
     tell(0.0, PAGE)
     yield PAGE, report_page(report, project_root).encode()
-    forms = report["forms"]
-    for form in forms:
-        tell(form["place"] / (len(forms) + 1), form["title"])
-        if form["result"] is None:
+    plots = report["forms"]
+    for plot in plots:
+        tell(plot["place"] / (len(plots) + 1), plot["title"])
+        if plot["result"] is None:
             continue
-        result: FormResult = from_json(form["result"])
+        result: PlotResult = from_json(plot["result"])
         for chart in result.charts:
-            for file_format in figures:
-                name = file_name(form["place"], chart.key, file_format)
+            for file_format in formats:
+                name = file_name(plot["place"], chart.key, file_format)
                 yield f"figures/{name}", print_chart(chart, file_format)
         for table in result.tables:
-            yield from _table_files(form["place"], table)
+            yield from _table_files(plot["place"], table)
 
 
 def write_folder(
     report: dict[str, Any],
     project_root: Path,
     folder: Path,
-    figures: Collection[str] = FORMATS,
+    formats: Collection[str] = FORMATS,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Write the report into ``folder``; returns the paths of the files. Raises Unavailable."""
+    """Write the report into ``folder``, each file atomically; returns the paths. Raises Unavailable."""
     written = []
-    for name, content in report_files(report, project_root, figures, progress):
+    for name, content in report_files(report, project_root, formats, progress):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         write_aside(path, content)
@@ -74,17 +74,17 @@ def write_folder(
     return written
 
 
-def zipped(report: dict[str, Any], project_root: Path, figures: Collection[str] = FORMATS) -> bytes:
-    """The report as a zip file, the same bytes for the same report."""
+def zipped(report: dict[str, Any], project_root: Path, formats: Collection[str] = FORMATS) -> bytes:
+    """The report as a zip file; the same report gives the same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in report_files(report, project_root, figures):
+        for name, content in report_files(report, project_root, formats):
             archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
     return buffer.getvalue()
 
 
 def report_page(report: dict[str, Any], project_root: Path) -> str:
-    """One HTML page with styles, plots and the library that draws them: it needs no server and no network."""
+    """One HTML page with styles, plots and the plotting library; it needs no server and no network."""
     template = report_environment(project_root).get_template("analyses/report.html")
     return template.render(
         **report_content(report),
@@ -95,7 +95,7 @@ def report_page(report: dict[str, Any], project_root: Path) -> str:
 
 
 def report_environment(project_root: Path) -> Environment:
-    """The Jinja environment of pages that are files: it escapes text and converts Markdown."""
+    """Templates of pages that are files: they escape text and render Markdown."""
     environment = Environment(
         loader=FileSystemLoader(project_root / "templates"), autoescape=True, undefined=StrictUndefined
     )
@@ -104,20 +104,20 @@ def report_environment(project_root: Path) -> Environment:
 
 
 def report_content(report: dict[str, Any]) -> dict[str, Any]:
-    """The template variables of a report page: ``report``, ``forms``, and ``figures`` for a script element."""
+    """Template variables of every page of a report: ``report``, ``forms``, and ``figures`` for a script element."""
     return {
         "report": report,
-        "forms": [shown_form(form) for form in report["forms"]],
+        "forms": [shown_plot(plot) for plot in report["forms"]],
         "figures": script_json(figures_json(report)),
     }
 
 
-def shown_form(form: dict[str, Any]) -> dict[str, Any]:
-    """One part of a report for its page: plots by key and caption, tables with their first rows."""
-    result: FormResult | None = None if form["result"] is None else from_json(form["result"])
+def shown_plot(plot: dict[str, Any]) -> dict[str, Any]:
+    """The part of a plot that a page shows: its plots, and its tables with their first rows."""
+    result: PlotResult | None = None if plot["result"] is None else from_json(plot["result"])
     tables = [] if result is None else [table for table in result.tables if not table.raw]
     return {
-        **{key: form[key] for key in ("place", "form", "title", "description", "text", "error")},
+        **{key: plot[key] for key in ("place", "form", "title", "description", "text", "error")},
         "charts": [] if result is None else result.charts,
         "tables": [_shown_table(table) for table in tables],
         "raw": [
@@ -125,7 +125,7 @@ def shown_form(form: dict[str, Any]) -> dict[str, Any]:
             for table in (() if result is None else result.tables)
             if table.raw
         ],
-        "notes": [*(() if result is None else result.notes), *excluded_words(form)],
+        "notes": [*(() if result is None else result.notes), *excluded_words(plot)],
         "runs": None if result is None else result.runs,
         "failed": None if result is None else result.failed,
     }
@@ -142,12 +142,12 @@ def _shown_table(table: ResultTable) -> dict[str, Any]:
 
 
 def figures_json(report: dict[str, Any]) -> dict[str, Any]:
-    """{place-key: Plotly JSON} of all plots of a report."""
+    """{place-key: JSON for Plotly} of all plots of a report."""
     figures = {}
-    for form in report["forms"]:
-        if form["result"] is not None:
-            result: FormResult = from_json(form["result"])
-            figures.update({f"{form['place']}-{chart.key}": plotly_figure(chart) for chart in result.charts})
+    for plot in report["forms"]:
+        if plot["result"] is not None:
+            result: PlotResult = from_json(plot["result"])
+            figures.update({f"{plot['place']}-{chart.key}": plotly_figure(chart) for chart in result.charts})
     return figures
 
 

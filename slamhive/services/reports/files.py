@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from slamhive.analysis.forms import RunTrack, RunUsage
+from slamhive.analysis.plot_types import RunTrack, RunUsage
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.untrusted import read_numeric_columns
 from slamhive.services.runs import LIMIT_BYTES, gap_of, read_track
 
 
 class StoredRunFiles:
-    """Reads the folders of runs; see :class:`slamhive.analysis.forms.base.RunFiles`.
+    """Reads the folders of runs; see :class:`slamhive.analysis.plot_types.base.RunFiles`.
 
     Args:
         runs_folder: Where run folders lie.

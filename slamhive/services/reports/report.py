@@ -1,4 +1,4 @@
-"""The report of an analysis as JSON, from which pages and files are made."""
+"""The report of an analysis as plain JSON, from which pages and files are made."""
 
 from __future__ import annotations
 
@@ -11,20 +11,15 @@ from slamhive.analysis.analysis_file import set_words
 from slamhive.analysis.result_json import to_json
 from slamhive.analysis.table import FAILED
 from slamhive.services.json_values import timestamp
-from slamhive.services.reports.run import AnalysisOutcome, FormOutcome
+from slamhive.services.reports.run import AnalysisOutcome, PlotOutcome
 
 FORMAT = 1
 SHOWN_ROWS = 200
-"""A page shows at most this many rows of a table; the CSV file has all of them."""
+"""Rows of a table on a page; the CSV file has all rows."""
 
 
 def report_json(outcome: AnalysisOutcome, now: datetime) -> dict[str, Any]:
-    """The complete report, including plots and raw data.
-
-    Args:
-        outcome: The computed analysis.
-        now: The time of the report.
-    """
+    """The whole report, with plots and raw data, computed at ``now``."""
     analysis, table = outcome.analysis, outcome.table
     reasons = Counter(table.failed()[FAILED])
     protocols = table.frame.dropna(subset=["protocol"]).groupby("protocol", sort=True)["protocol_label"]
@@ -41,7 +36,7 @@ def report_json(outcome: AnalysisOutcome, now: datetime) -> dict[str, Any]:
         "datasets": sorted(table.frame["dataset"].unique()),
         "failed": outcome.failed_runs,
         "failed_because": dict(sorted(reasons.items())),
-        "unevaluated": table.unevaluated,
+        "unevaluated": table.not_evaluated,
         "disturbance": {
             "disturbed": len(table.disturbed()),
             "unknown": int(table.frame["disturbed"].isna().sum()),
@@ -51,29 +46,29 @@ def report_json(outcome: AnalysisOutcome, now: datetime) -> dict[str, Any]:
         "protocols": [
             {"fingerprint": str(name), "label": str(labels.iloc[0]), "runs": len(labels)} for name, labels in protocols
         ],
-        "forms": [_form_json(form, place) for place, form in enumerate(outcome.forms, start=1)],
+        "forms": [_plot_json(plot, place) for place, plot in enumerate(outcome.plots, start=1)],
         "source": analysis.source,
     }
 
 
-def _form_json(form: FormOutcome, place: int) -> dict[str, Any]:
+def _plot_json(plot: PlotOutcome, place: int) -> dict[str, Any]:
     return {
         "place": place,
-        "form": form.request.form.key,
-        "title": form.title,
-        "description": form.request.form.description,
-        "text": form.request.options.text,
-        "error": form.error,
-        "result": None if form.result is None else to_json(form.result),
+        "form": plot.request.plot_type.key,
+        "title": plot.title,
+        "description": plot.request.plot_type.description,
+        "text": plot.request.options.text,
+        "error": plot.error,
+        "result": None if plot.result is None else to_json(plot.result),
     }
 
 
 def file_name(place: int, key: str, ending: str) -> str:
-    """A file name such as ``03_scatter_ate.rmse.pdf``, which sorts files in the order of the plots."""
+    """``03_scatter_ate.rmse.pdf``: files are numbered in the order of the plots."""
     return f"{place:02d}_{key}.{ending}"
 
 
 def excluded_words(content: Mapping[str, Any]) -> list[str]:
-    """One sentence for each kind of data that a plot left out."""
+    """The exclusions of a plot, one sentence each."""
     exclusions = (content["result"] or {}).get("excluded", ())
     return [f"{len(entry['runs'])} runs left out: {entry['reason']}." for entry in exclusions]

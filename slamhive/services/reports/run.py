@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from slamhive.analysis.analysis_file import PROTOCOL, Analysis, FormRequest
-from slamhive.analysis.forms import FormData, one_value
-from slamhive.analysis.result import FormResult
+from slamhive.analysis.analysis_file import PROTOCOL, Analysis, PlotRequest
+from slamhive.analysis.plot_types import PlotData, one_value
+from slamhive.analysis.result import PlotResult
 from slamhive.analysis.table import RunTable
 from slamhive.clock import monotonic_s
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
@@ -38,17 +38,17 @@ class AnalysisSources:
 
 
 @dataclass(frozen=True, slots=True)
-class FormOutcome:
+class PlotOutcome:
     """The result of one plot, or the reason why it could not be made, in one line."""
 
-    request: FormRequest
-    result: FormResult | None
+    request: PlotRequest
+    result: PlotResult | None
     error: str | None
 
     @property
     def title(self) -> str:
         """The title in the file, or the default of the plot type."""
-        return self.request.options.title or self.request.form.title
+        return self.request.options.title or self.request.plot_type.title
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class AnalysisOutcome:
 
     analysis: Analysis
     table: RunTable
-    forms: tuple[FormOutcome, ...]
+    plots: tuple[PlotOutcome, ...]
 
     @property
     def failed_runs(self) -> int:
@@ -67,7 +67,7 @@ class AnalysisOutcome:
     @property
     def complete(self) -> bool:
         """Whether every plot could be made."""
-        return all(form.error is None for form in self.forms)
+        return all(plot.error is None for plot in self.plots)
 
 
 def run_analysis(
@@ -86,7 +86,7 @@ def run_analysis(
     run_ids = select_runs(analysis, sources.store, sources.find, sources.saved_search)
     check_size(run_ids, limits.runs)
     progress(0.05, f"reading {len(run_ids)} runs")
-    keys = {key for request in analysis.forms for key in request.form.needs(request.options)}
+    keys = {key for request in analysis.plots for key in request.plot_type.needs(request.options)}
     asked = TableRequest(run_ids, keys, analysis.protocol, analysis.rule, analysis.exclude_disturbed)
     try:
         table = load_table(sources.store, asked, sources.sensors)
@@ -94,28 +94,28 @@ def run_analysis(
         raise analysis.placed(PROTOCOL, error) from None
     for key in analysis.one:
         one_value(table, key, "the analysis")
-    compared = [request for request in analysis.forms if request.form.all_protocols]
-    compared_keys = {key for request in compared for key in request.form.needs(request.options)}
+    compared = [request for request in analysis.plots if request.plot_type.all_protocols]
+    compared_keys = {key for request in compared for key in request.plot_type.needs(request.options)}
     every = load_every_protocol(sources.store, compared_keys, run_ids)
     protocols = dict(zip(table.frame["run_id"].tolist(), table.frame["protocol"].tolist(), strict=True))
     files = StoredRunFiles(sources.settings.runs_folder, protocols)
     outcomes = []
-    for place, request in enumerate(analysis.forms):
-        share = 0.9 / len(analysis.forms)
+    for place, request in enumerate(analysis.plots):
+        share = 0.9 / len(analysis.plots)
 
-        def tell(fraction: float, place: int = place, request: FormRequest = request, share: float = share) -> None:
+        def tell(fraction: float, place: int = place, request: PlotRequest = request, share: float = share) -> None:
             if monotonic_s() > deadline_s:
                 raise InvalidInput(f"the analysis takes longer than {limits.time_s:g} s", "select fewer runs")
-            progress(0.1 + share * (place + fraction), request.form.title)
+            progress(0.1 + share * (place + fraction), request.plot_type.title)
 
-        outcomes.append(_build(request, FormData(table, every, files, tell)))
+        outcomes.append(_build(request, PlotData(table, every, files, tell)))
     progress(1.0, "done")
     return AnalysisOutcome(analysis, table, tuple(outcomes))
 
 
-def _build(request: FormRequest, data: FormData) -> FormOutcome:
+def _build(request: PlotRequest, data: PlotData) -> PlotOutcome:
     try:
         data.progress(0.0)
-        return FormOutcome(request, request.form.build(data, request.options), None)
+        return PlotOutcome(request, request.plot_type.build(data, request.options), None)
     except SlamHiveError as error:
-        return FormOutcome(request, None, f"{request.place}: {error}")
+        return PlotOutcome(request, None, f"{request.place}: {error}")

@@ -60,7 +60,7 @@ def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) 
         return facts, parameters, source.axes(facts["run_id"]), figures, source.units()
 
     facts, parameters, axes, figures, units = store.read(work)
-    unevaluated = len(set(request.run_ids)) - len(facts["run_id"])
+    not_evaluated = len(set(request.run_ids)) - len(facts["run_id"])
     facts["disturbed"] = [_disturbance_words(kinds) for kinds in facts.pop("disturbed_by")]
     selected = len(facts["run_id"])
     if request.exclude_disturbed:
@@ -74,9 +74,9 @@ def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) 
     known = {name: _unit(name, units) for name in columns if name not in new}
     known |= {name: known.get(_source(columns[name], columns, known), "") for name in new}
     table = make_table(facts, columns, _by_id(figures, facts["run_id"]), request.rule, installed=sensors)
-    told = _told_by_axes(variants, new, facts["run_id"])
+    repeated = _repeated(variants, new, facts["run_id"])
     left_out = selected - len(facts["run_id"]) if request.exclude_disturbed else None
-    return replace(table.described(known, told), unevaluated=unevaluated, without_disturbed=left_out)
+    return replace(table.described(known, repeated), not_evaluated=not_evaluated, without_disturbed=left_out)
 
 
 def _undisturbed(facts: Columns) -> Columns:
@@ -134,10 +134,10 @@ def load_every_protocol(store: Store, keys: Collection[str], run_ids: Sequence[i
 def check_size(run_ids: Sequence[int], limit: int) -> None:
     """Raise InvalidInput if there are more runs than an analysis may have."""
     if len(run_ids) > limit:
-        raise InvalidInput(f"the selection holds {len(run_ids)} runs, {limit} are allowed", "narrow it")
+        raise InvalidInput(f"the selection has {len(run_ids)} runs, {limit} are allowed", "narrow it")
 
 
-def _told_by_axes(variants: Sequence[Any], axes: Mapping[str, Mapping[int, Any]], run_ids: Sequence[int]) -> set[str]:
+def _repeated(variants: Sequence[Any], axes: Mapping[str, Mapping[int, Any]], run_ids: Sequence[int]) -> set[str]:
     """The step options to leave out: if all runs with steps come from experiments, the axes show the same."""
     named = {run_id for values in axes.values() for run_id in values}
     covered = all(run_id in named for run_id, variant in zip(run_ids, variants, strict=True) if variant)

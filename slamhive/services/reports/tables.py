@@ -13,7 +13,7 @@ from slamhive.errors import Unavailable
 from slamhive.services.exports import safe_cell
 
 LATEX_ROWS = 500
-"""A LaTeX table has at most this many rows; the CSV file has all of them."""
+"""Most rows of a printed table; the CSV file has all rows."""
 
 WITHOUT_PARQUET = "Parquet needs pyarrow, which is not installed"
 PARQUET_REMEDY = "pip install slamhive[parquet]"
@@ -26,7 +26,7 @@ _LATEX = {
 
 
 def table_csv(table: ResultTable) -> str:
-    """CSV text with units in the header; no cell runs as a formula in a spreadsheet."""
+    """Comma-separated text with units in the heading; spreadsheets take no cell for a formula."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([safe_cell(column.heading) for column in table.columns])
@@ -36,7 +36,7 @@ def table_csv(table: ResultTable) -> str:
 
 
 def parquet_there() -> bool:
-    """Whether pyarrow is installed, which Parquet files need."""
+    """Whether pyarrow is installed, which writes Parquet files."""
     return find_spec("pyarrow") is not None
 
 
@@ -55,8 +55,10 @@ def table_parquet(table: ResultTable) -> bytes:
 
 
 def table_latex(table: ResultTable) -> str:
-    """A booktabs ``tabular``; text is escaped, numbers have four significant digits."""
-    numeric = [all(isinstance(row[place], int | float | None) for row in table.rows) for place in _places(table)]
+    """A ``tabular`` with booktabs rules, escaped text, and numbers with four significant digits."""
+    numeric = [
+        all(isinstance(row[place], int | float | None) for row in table.rows) for place in range(len(table.columns))
+    ]
     lines = [
         f"% {_comment(table.title)}",
         f"\\begin{{tabular}}{{{''.join('r' if number else 'l' for number in numeric)}}}",
@@ -66,17 +68,13 @@ def table_latex(table: ResultTable) -> str:
     ]
     lines += [" & ".join(_latex_cell(cell) for cell in row) + r" \\" for row in table.rows[:LATEX_ROWS]]
     if len(table.rows) > LATEX_ROWS:
-        lines.append(f"% {len(table.rows) - LATEX_ROWS} more rows stand in the CSV file")
+        lines.append(f"% {len(table.rows) - LATEX_ROWS} more rows are in the CSV file")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
 def latex(text: str) -> str:
-    """Escape text for LaTeX, so that nothing in it is a command."""
+    """Text escaped for LaTeX."""
     return "".join(_LATEX.get(letter, letter) if letter.isprintable() else " " for letter in text)
-
-
-def _places(table: ResultTable) -> range:
-    return range(len(table.columns))
 
 
 def _latex_cell(cell: Cell) -> str:

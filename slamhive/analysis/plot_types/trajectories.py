@@ -11,21 +11,9 @@ from pydantic import Field
 
 from slamhive.analysis.chart import REFERENCE, Array, Axis, Chart, Line, Points
 from slamhive.analysis.colours import PALETTE
-from slamhive.analysis.forms.base import (
-    FORMS,
-    Form,
-    FormData,
-    FormOptions,
-    RunTrack,
-    caption,
-    one_value,
-    raw_table,
-    require_runs,
-    result_of,
-    spans_decades,
-)
-from slamhive.analysis.forms.places import legend
-from slamhive.analysis.result import Exclusion, FormResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.plot_types.places import legend
+from slamhive.analysis.result import Exclusion, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
 
@@ -33,38 +21,33 @@ _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 _AXES = "xyz"
 
 
-class TrajectoriesOptions(FormOptions):
-    """How many runs are drawn at most."""
+class TrajectoriesOptions(base.PlotOptions):
+    """The number of runs to draw."""
 
     most_runs: int = Field(
-        default=40, ge=1, le=200, description="More lines cannot be told apart: the first are drawn."
+        default=40, ge=1, le=200, description="The first runs are drawn; more lines would be unreadable."
     )
 
 
-class Trajectories(Form[TrajectoriesOptions]):
+class Trajectories(base.PlotType[TrajectoriesOptions]):
     """The plot type ``trajectories``."""
 
     key = "trajectories"
     title = "Trajectories"
     description = "The aligned trajectories of many runs on one dataset with the ground truth, and their errors."
     options = TrajectoriesOptions
+    reads = frozenset({"ate.rmse", "tracked_fraction"})
 
-    def needs(self, options: TrajectoriesOptions) -> frozenset[str]:
-        """The error, for the table."""
-        del options
-        return frozenset({"ate.rmse", "tracked_fraction"})
-
-    def build(self, data: FormData, options: TrajectoriesOptions) -> FormResult:
-        """The path in its widest plane, coordinates and errors over time, the table, the poses drawn."""
-        table = data.table
-        require_runs(table)
-        dataset = one_value(table, "dataset", "a comparison of trajectories")
+    def build(self, data: base.PlotData, options: TrajectoriesOptions) -> PlotResult:
+        """The path in its widest plane, coordinates and errors over time, a table of errors, the poses."""
+        table = data.table.require_runs()
+        dataset = base.one_value(table, "dataset", "a comparison of trajectories")
         protocol = table.one_protocol(["ate.rmse"])
         tracks, without = _tracks(data, options.most_runs)
         if not tracks:
-            raise InvalidInput("no selected run has an evaluated trajectory with files", "evaluate again, with files")
+            raise InvalidInput("no selected run has the files of an evaluated trajectory", "evaluate again, with files")
         truths = _ground_truths(tracks, table)
-        text = caption(table, len(tracks), protocol, *_notes(dataset, tracks, truths))
+        text = base.caption(table, len(tracks), protocol, *_notes(dataset, tracks, truths))
         plane = _widest_plane(tracks[0].reference_positions_m)
         start_s = min(float(truth.timestamps_s[0]) for truth in truths)
         looks = _looks(tracks, table)
@@ -75,13 +58,13 @@ class Trajectories(Form[TrajectoriesOptions]):
         evaluated = [track for track in tracks if np.isfinite(track.errors_m).any()]
         errors = [_over_time(track, track.errors_m, looks[track.run_id], start_s) for track in evaluated]
         if errors:
-            spread = spans_decades(np.concatenate([line.y for line in errors]))
+            spread = base.spans_decades(np.concatenate([line.y for line in errors]))
             y = Axis("position error", "m", spread)
             time = Axis("time since the start of the ground truth", "s")
             charts.append(Chart("trajectory_error", "Position error", time, y, tuple(errors), text))
         charts = [replace(chart, marks=(*chart.marks, *key)) for chart in charts]
-        tables = (raw_table("trajectories", table, ["ate.rmse", "tracked_fraction"], "Errors"), _poses(tracks))
-        return result_of(table, protocol, charts, tables, excluded=without)
+        tables = (base.raw_table("trajectories", table, ["ate.rmse", "tracked_fraction"], "Errors"), _poses(tracks))
+        return base.result_of(table, protocol, charts, tables, excluded=without)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,19 +78,19 @@ class _GroundTruth:
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
-    """What the plots share."""
+    """Shared by the plots."""
 
-    tracks: list[RunTrack]
+    tracks: list[base.RunTrack]
     looks: dict[int, dict[str, Any]]
     truths: list[_GroundTruth]
     start_s: float
     text: str
 
 
-def _ground_truths(tracks: list[RunTrack], table: RunTable) -> list[_GroundTruth]:
-    """Each ground truth once. Runs have different ones if their estimates follow different sensors."""
+def _ground_truths(tracks: list[base.RunTrack], table: RunTable) -> list[_GroundTruth]:
+    """The distinct ground truths: runs have different ones if their estimates follow different sensors."""
     algorithms = dict(zip(table.frame["run_id"], table.frame["algorithm"], strict=True))
-    found: list[tuple[RunTrack, set[str]]] = []
+    found: list[tuple[base.RunTrack, set[str]]] = []
     for track in tracks:
         known = next((names for first, names in found if _same_ground_truth(first, track)), None)
         if known is None:
@@ -125,7 +108,7 @@ def _ground_truths(tracks: list[RunTrack], table: RunTable) -> list[_GroundTruth
     ]
 
 
-def _same_ground_truth(first: RunTrack, second: RunTrack) -> bool:
+def _same_ground_truth(first: base.RunTrack, second: base.RunTrack) -> bool:
     """Whether two ground truths are equal to a tenth of a millimetre at every timestamp."""
     one, other = first.reference_positions_m, second.reference_positions_m
     return (
@@ -135,20 +118,20 @@ def _same_ground_truth(first: RunTrack, second: RunTrack) -> bool:
     )
 
 
-def _notes(dataset: str, tracks: list[RunTrack], truths: list[_GroundTruth]) -> Iterator[str]:
+def _notes(dataset: str, tracks: list[base.RunTrack], truths: list[_GroundTruth]) -> Iterator[str]:
     yield f"Ground truth of {dataset} dashed; circles: start."
     if len(truths) > 1:
         yield (
             f"The estimates follow {len(truths)} different sensors, so the ground truth is drawn {len(truths)} times, "
-            "once in the frame of each: compare a run with its own."
+            "once in the frame of each sensor."
         )
     if any(track.pieces[-1] for track in tracks):
-        yield "Lines break where no pose came for longer than the protocol's gap."
+        yield "Lines break where the estimate has a longer gap than the protocol allows."
 
 
-def _tracks(data: FormData, most: int) -> tuple[list[RunTrack], list[Exclusion]]:
+def _tracks(data: base.PlotData, most: int) -> tuple[list[base.RunTrack], list[Exclusion]]:
     runs = [int(run) for run in data.table.good()["run_id"]]
-    tracks: list[RunTrack] = []
+    tracks: list[base.RunTrack] = []
     lacking: list[int] = []
     for place, run in enumerate(runs):
         if len(tracks) == most:
@@ -160,12 +143,12 @@ def _tracks(data: FormData, most: int) -> tuple[list[RunTrack], list[Exclusion]]
     left_over = runs[len(tracks) + len(lacking) :]
     return tracks, [
         Exclusion("no files of an evaluation", tuple(lacking)),
-        Exclusion("beyond the number drawn", tuple(left_over)),
+        Exclusion("more runs than are drawn", tuple(left_over)),
     ]
 
 
-def _looks(tracks: list[RunTrack], table: RunTable) -> dict[int, dict[str, Any]]:
-    """{run: how it is drawn}: coloured by algorithm; by run where there is one algorithm only, and few runs of it."""
+def _looks(tracks: list[base.RunTrack], table: RunTable) -> dict[int, dict[str, Any]]:
+    """{run: look}: coloured by algorithm, or by run if there are only a few runs of one algorithm."""
     algorithms = dict(zip(table.frame["run_id"], table.frame["algorithm"], strict=True))
     single = len(set(algorithms.values())) == 1 and len(tracks) <= len(PALETTE)
     return {
@@ -207,8 +190,8 @@ def _path(drawn: _Drawn, plane: str, title: str) -> Chart:
     )
 
 
-def _apart(track: RunTrack, values: Array) -> Array:
-    """The values of a track with NaN between its pieces, where no line is drawn."""
+def _apart(track: base.RunTrack, values: Array) -> Array:
+    """The values of a track with NaN between its pieces, so that no line joins them."""
     return np.insert(values, np.flatnonzero(np.diff(track.pieces)) + 1, np.nan)
 
 
@@ -231,11 +214,11 @@ def _coordinate(drawn: _Drawn, axis: int) -> Chart:
     )
 
 
-def _over_time(track: RunTrack, values: Array, look: dict[str, Any], start_s: float) -> Line:
+def _over_time(track: base.RunTrack, values: Array, look: dict[str, Any], start_s: float) -> Line:
     return Line(x=_apart(track, track.stamps_s - start_s), y=_apart(track, values), runs=track.run_id, **look)
 
 
-def _poses(tracks: list[RunTrack]) -> ResultTable:
+def _poses(tracks: list[base.RunTrack]) -> ResultTable:
     columns = (
         TableColumn("run_id", "Run", links_run=True),
         TableColumn("timestamp_s", "Timestamp", "s"),
@@ -247,7 +230,4 @@ def _poses(tracks: list[RunTrack]) -> ResultTable:
         for track in tracks
         for at, position, error in zip(track.stamps_s, track.positions_m, track.errors_m, strict=True)
     )
-    return ResultTable("poses", "Poses as drawn", columns, rows, raw=True)
-
-
-FORMS.register(Trajectories.key, Trajectories())
+    return ResultTable("poses", "Poses", columns, rows, raw=True)

@@ -12,11 +12,11 @@ import pytest
 from slamhive.analysis.analysis_file import parse_analysis
 from slamhive.analysis.chart import Bars, Cells, FailedRuns, Line, Points
 from slamhive.analysis.colours import PALETTE, algorithm_colours
-from slamhive.analysis.forms import RunTrack
-from slamhive.analysis.forms.pareto import pareto_front
+from slamhive.analysis.plot_types import RunTrack
+from slamhive.analysis.plot_types.pareto import pareto_front
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import FORMATS, print_chart
-from slamhive.analysis.result import FormResult, ResultTable, TableColumn
+from slamhive.analysis.result import PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED as FAILED_COLUMN
 from slamhive.analysis.table import Column, ColumnKind
 from slamhive.domain.verdict import FailureRule
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.integration
 RUNS = len(ALGORITHMS) * len(DATASETS) * len(RATES) * len(SCALES) * REPEATS
 FAILED = len(DATASETS) * len(SCALES) * REPEATS
 
-FORMS = {
+PLOT_TYPES = {
     "scatter": "x: image_rate, y: ate.rmse",
     "scatter_3d": "x: image_rate, y: scale, z: ate.rmse",
     "distributions": "metrics: [ate.rmse, cpu.mean]",
@@ -46,16 +46,16 @@ FORMS = {
 }
 
 
-def build(options: str, **table) -> FormResult:
+def build(options: str, **table) -> PlotResult:
     """The form that ``form: NAME, ...`` states, over the sweep."""
     analysis = parse_analysis(f"name: t\nselect: {{a: {{runs: [1]}}}}\nforms:\n- {{{options}}}\n")
-    (request,) = analysis.forms
-    return request.form.build(data_of(sweep_table(**table)), request.options)
+    (request,) = analysis.plots
+    return request.plot_type.build(data_of(sweep_table(**table)), request.options)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", PLOT_TYPES)
 def test_every_form_draws_and_counts(form):
-    result = build(f"form: {form}, {FORMS[form]}")
+    result = build(f"form: {form}, {PLOT_TYPES[form]}")
     assert result.charts
     assert result.failed <= FAILED
     for chart in result.charts:
@@ -67,24 +67,26 @@ def test_every_form_draws_and_counts(form):
     assert any(table.raw and len(table.rows) for table in result.tables)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", PLOT_TYPES)
 def test_an_empty_selection_is_told(form):
-    analysis = parse_analysis(f"name: t\nselect: {{a: {{runs: [1]}}}}\nforms:\n- {{form: {form}, {FORMS[form]}}}\n")
-    (request,) = analysis.forms
+    analysis = parse_analysis(
+        f"name: t\nselect: {{a: {{runs: [1]}}}}\nforms:\n- {{form: {form}, {PLOT_TYPES[form]}}}\n"
+    )
+    (request,) = analysis.plots
     table = sweep_table()
     empty = data_of(table.with_rows(table.frame.iloc[:0]))
-    with pytest.raises(InvalidInput, match="holds no run"):
-        request.form.build(empty, request.options)
+    with pytest.raises(InvalidInput, match="contains no run"):
+        request.plot_type.build(empty, request.options)
 
 
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
         ("form: scatter, x: image_rat, y: ate.rmse", NotFound, "did you mean 'image_rate'"),
-        ("form: scatter, x: image_rate, y: algorithm", InvalidInput, "the y axis needs numbers, 'algorithm' holds"),
+        ("form: scatter, x: image_rate, y: algorithm", InvalidInput, "the y axis needs numbers, 'algorithm' is text"),
         ("form: scatter, x: scale, y: scale", InvalidInput, "x and y are both 'scale'"),
         ("form: heatmap, x: run_id, y: scale", InvalidInput, "'run_id' has 360 values"),
-        ("form: pareto, metrics: [ate.rmse, image_rate]", InvalidInput, "'image_rate' has no better end"),
+        ("form: pareto, metrics: [ate.rmse, image_rate]", InvalidInput, "'image_rate' has no better direction"),
         ("form: pareto, metrics: [ate.rmse, ate.rmse]", InvalidInput, "named twice"),
         ("form: line, x: dataset", InvalidInput, "the x axis needs numbers, .*use for example image_rate, scale"),
         ("form: line, x: image_rate, metric: cpu.meen", NotFound, "did you mean 'cpu.mean'"),
@@ -163,13 +165,13 @@ def test_hostile_names_are_escaped():
     assert b"<img" not in print_chart(result.charts[0], "svg")
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", PLOT_TYPES)
 def test_hostile_names_are_words_in_every_form(form):
     """HTML in hovers, legends and axes; formulas and commands in tables."""
     hostile = {name: f"=<img src=x onerror=alert(1)>%{{x}}{name}" for name in (*ALGORITHMS, *DATASETS)}
     plain = sweep_table().frame
     changed = {key: [hostile[name] for name in plain[key]] for key in ("algorithm", "dataset")}
-    result = build(f"form: {form}, {FORMS[form]}", **changed)
+    result = build(f"form: {form}, {PLOT_TYPES[form]}", **changed)
     drawn = json.dumps([plotly_figure(chart) for chart in result.charts])
     assert "<img" not in drawn
     assert not re.search(r"(?<!\\u200b)%\{x\}(kiss|orb|rko|kitti|room|v101)", drawn)
@@ -216,7 +218,7 @@ def test_datasets_that_no_number_of_repeats_decides_are_named():
     same = table.frame["ate.rmse"].mask(table.frame["dataset"] == "room", table.frame["scale"])
     tied = table.with_rows(table.frame.assign(**{"ate.rmse": same, FAILED_COLUMN: None}))
     analysis = parse_analysis("name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: critical_difference}\n")
-    result = analysis.forms[0].form.build(data_of(tied), analysis.forms[0].options)
+    result = analysis.plots[0].plot_type.build(data_of(tied), analysis.plots[0].options)
     (pairs,) = (entry for entry in result.tables if entry.key == "pairs")
     assert {row[8] for row in pairs.rows} == {"room"}
 
@@ -244,13 +246,13 @@ def test_installed_algorithms_without_runs_were_never_tested():
     analysis = parse_analysis(
         "name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: selector, bounds: ['ate.rmse < 1']}\n"
     )
-    result = analysis.forms[0].form.build(data_of(table), analysis.forms[0].options)
+    result = analysis.plots[0].plot_type.build(data_of(table), analysis.plots[0].options)
     (untested,) = (entry for entry in result.tables if entry.key == "untested")
     assert untested.rows == tuple(("new-lidar", dataset) for dataset in DATASETS)
 
 
 def test_repeats_of_one_configuration():
-    with pytest.raises(InvalidInput, match="needs one configuration_id, the selection holds 180"):
+    with pytest.raises(InvalidInput, match="needs one configuration_id, the selection has 180"):
         build("form: repeatability")
     result = build("form: repeatability", configuration_id=[7] * RUNS)
     assert "95 % bootstrap interval" in result.charts[0].caption
@@ -261,7 +263,7 @@ def test_repeats_of_one_configuration():
 )
 def test_no_figure_without_a_point(form):
     with pytest.raises(InvalidInput, match="all 360 runs count as failed; loosen 'failed_when'"):
-        build(f"form: {form}, {FORMS[form]}", rule=FailureRule(ate_rmse_above_m=1e-9))
+        build(f"form: {form}, {PLOT_TYPES[form]}", rule=FailureRule(ate_rmse_above_m=1e-9))
 
 
 def test_parameters_that_only_one_algorithm_has_do_not_vary():
@@ -312,7 +314,7 @@ def test_what_cannot_be_told_is_no_zero():
     analysis = parse_analysis(
         "name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: importance, parameters: [image_rate, scale]}\n"
     )
-    result = analysis.forms[0].form.build(data_of(once), analysis.forms[0].options)
+    result = analysis.plots[0].plot_type.build(data_of(once), analysis.plots[0].options)
     rows = {row[0]: row[1] for row in result.tables[0].rows}
     assert rows["image_rate with scale"] is None
     assert float(rows["image_rate"] or 0) > 90
@@ -333,7 +335,7 @@ def test_a_pair_counts_the_datasets_that_both_were_run_on():
     frame = table.frame
     without = frame[~((frame["algorithm"] == "rko-lio") & (frame["dataset"] == "v101"))]
     analysis = parse_analysis("name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: critical_difference}\n")
-    result = analysis.forms[0].form.build(data_of(table.with_rows(without)), analysis.forms[0].options)
+    result = analysis.plots[0].plot_type.build(data_of(table.with_rows(without)), analysis.plots[0].options)
     (pairs,) = (entry for entry in result.tables if entry.key == "pairs")
     compared = {(row[0], row[1]): sum(int(cell or 0) for cell in row[4:7]) for row in pairs.rows}
     assert compared["kiss-icp", "rko-lio"] == 2
@@ -341,7 +343,7 @@ def test_a_pair_counts_the_datasets_that_both_were_run_on():
 
 
 def test_a_form_that_needs_one_dataset_says_so():
-    with pytest.raises(InvalidInput, match="needs one dataset, the selection holds 3: kitti_06, room, v101"):
+    with pytest.raises(InvalidInput, match="needs one dataset, the selection has 3: kitti_06, room, v101"):
         build("form: trajectories")
     with pytest.raises(InvalidInput, match="no selected run has sampled usage"):
         build("form: usage")
@@ -364,12 +366,12 @@ def test_no_line_is_drawn_over_a_pause():
     one = table.with_rows(table.frame[table.frame["dataset"] == "room"].head(3))
     analysis = parse_analysis("name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: trajectories}\n")
     data = replace(data_of(one), files=TracksWithAPause())
-    result = analysis.forms[0].form.build(data, analysis.forms[0].options)
+    result = analysis.plots[0].plot_type.build(data, analysis.plots[0].options)
     for chart in result.charts:
         estimates = [mark for mark in chart.marks if isinstance(mark, Line) and mark.runs]
         assert len(estimates) == 3
         assert all(np.isnan(mark.x[2]) and np.isnan(mark.y[2]) for mark in estimates)
-        assert "Lines break where no pose came" in chart.caption
+        assert "Lines break where the estimate has a longer gap" in chart.caption
     (poses,) = (entry for entry in result.tables if entry.key == "poses")
     assert len(poses.rows) == 12
 
@@ -396,7 +398,7 @@ def test_every_run_is_drawn_with_the_ground_truth_of_its_own_sensor():
     lidar_runs = set(room[room["algorithm"] == "rko-lio"]["run_id"])
     analysis = parse_analysis("name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: trajectories}\n")
     data = replace(data_of(chosen), files=TracksOfTwoSensors(lidar_runs))
-    result = analysis.forms[0].form.build(data, analysis.forms[0].options)
+    result = analysis.plots[0].plot_type.build(data, analysis.plots[0].options)
     for chart in result.charts[:4]:
         truths = {mark.name: mark for mark in chart.marks if isinstance(mark, Line) and mark.dashed}
         assert set(truths) == {"ground truth for kiss-icp, orb-slam3-stereo", "ground truth for rko-lio"}
@@ -420,8 +422,8 @@ def test_a_parameter_of_one_algorithm_counts_within_it():
     analysis = parse_analysis(
         "name: t\nselect: {a: {runs: [1]}}\nforms:\n- {form: importance, parameters: [algorithm, own]}\n"
     )
-    result = analysis.forms[0].form.build(
-        data_of(replace(table, frame=frame, columns=columns)), analysis.forms[0].options
+    result = analysis.plots[0].plot_type.build(
+        data_of(replace(table, frame=frame, columns=columns)), analysis.plots[0].options
     )
     shares = {row[0]: row[1] for row in result.tables[0].rows}
     assert set(shares) == {"algorithm", "own"}

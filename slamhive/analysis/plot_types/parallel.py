@@ -1,4 +1,4 @@
-"""Parallel coordinates: one line for each run through its parameters and metrics."""
+"""Parallel coordinates: one line per run through its parameters and metrics."""
 
 from __future__ import annotations
 
@@ -6,21 +6,9 @@ import pandas as pd
 from pydantic import Field
 
 from slamhive.analysis.chart import Axis, Chart, Dimension, Parallel
-from slamhive.analysis.forms.base import (
-    FORMS,
-    Form,
-    FormData,
-    FormOptions,
-    caption,
-    number_column,
-    raw_table,
-    require_runs,
-    result_of,
-    spans_decades,
-    with_values,
-)
-from slamhive.analysis.forms.places import places_on, value_words
-from slamhive.analysis.result import FormResult
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.plot_types.places import places_on, value_words
+from slamhive.analysis.result import PlotResult
 from slamhive.analysis.table import Column, RunTable
 from slamhive.errors import InvalidInput
 
@@ -28,41 +16,37 @@ MOST_LINES = 20_000
 MOST_PARAMETERS = 10
 
 
-class ParallelOptions(FormOptions):
-    """``dimensions`` default to the algorithm, the dataset and the parameters, as far as they vary."""
+class ParallelOptions(base.PlotOptions):
+    """``dimensions`` default to algorithm, dataset and parameters that vary."""
 
     dimensions: list[str] = Field(default_factory=list, max_length=15, description="Axes from left to right.")
-    metric: str = Field(default="ate.rmse", description="The last axis, and the colour.")
+    metric: str = Field(default="ate.rmse", description="Metric of the last axis and of the colour.")
 
 
-class ParallelCoordinates(Form[ParallelOptions]):
+class ParallelCoordinates(base.PlotType[ParallelOptions]):
     """The plot type ``parallel``."""
 
     key = "parallel"
     title = "Parallel coordinates"
-    description = "Every run as a line through its parameters and a metric; ranges can be picked on each axis."
+    description = "Each run as a line through its parameters and a metric; select ranges on each axis."
     options = ParallelOptions
+    column_options = ("dimensions", "metric")
 
-    def needs(self, options: ParallelOptions) -> frozenset[str]:
-        """The axes."""
-        return frozenset({*options.dimensions, options.metric})
-
-    def build(self, data: FormData, options: ParallelOptions) -> FormResult:
+    def build(self, data: base.PlotData, options: ParallelOptions) -> PlotResult:
         """One plot and its raw data."""
-        table = data.table
-        require_runs(table)
+        table = data.table.require_runs()
         metric = table.numeric(options.metric, "the colour")
         keys = options.dimensions or _default_dimensions(table)
         columns = [table.column(key) for key in keys if key != metric.key]
         protocol = table.one_protocol([column.key for column in (*columns, metric)])
-        shown = with_values(table, [metric.key])
+        shown = base.with_values(table, [metric.key])
         if len(shown) > MOST_LINES:
-            raise InvalidInput(f"{len(shown)} lines cannot be told apart", f"select at most {MOST_LINES} runs")
-        shades = number_column(shown, metric.key)
+            raise InvalidInput(f"{len(shown)} lines are too many to read", f"select at most {MOST_LINES} runs")
+        shades = base.number_column(shown, metric.key)
         marks = Parallel(
             dimensions=(*(_dimension(column, shown) for column in columns), _dimension(metric, shown)),
             shades=shades,
-            shade_axis=Axis(metric.label, metric.unit, log=spans_decades(shades)),
+            shade_axis=Axis(metric.label, metric.unit, log=base.spans_decades(shades)),
             runs=shown["run_id"].to_numpy(dtype=int),
         )
         chart = Chart(
@@ -71,23 +55,23 @@ class ParallelCoordinates(Form[ParallelOptions]):
             x=Axis(""),
             y=Axis(""),
             marks=(marks,),
-            caption=caption(table, len(shown), protocol, "Failed runs have no line."),
+            caption=base.caption(table, len(shown), protocol, "Failed runs have no line."),
             height=1.1,
         )
-        raw = raw_table("parallel_raw", table, [*keys, metric.key])
-        return result_of(table, protocol, (chart,), (raw,), lacking=[metric.key])
+        raw = base.raw_table("parallel_raw", table, [*keys, metric.key])
+        return base.result_of(table, protocol, (chart,), (raw,), lacking=[metric.key])
 
 
 def _default_dimensions(table: RunTable) -> list[str]:
-    """Algorithm and dataset where there are several, the first parameters that vary; the algorithm if nothing does."""
+    """Algorithm, dataset and the first parameters that vary; the algorithm if nothing varies."""
     names = [name for name in ("algorithm", "dataset") if table.frame[name].nunique() > 1]
     return [*names, *(column.key for column in table.varied()[:MOST_PARAMETERS])] or ["algorithm"]
 
 
 def _dimension(column: Column, shown: pd.DataFrame) -> Dimension:
-    """Numbers as they are; words, and numbers that some runs lack, as categories with a place for "none"."""
+    """Numbers as they are; text, and numbers that some runs lack, as categories with "none" among them."""
     if column.numeric and shown[column.key].notna().all():
-        return Dimension(Axis(column.label, column.unit), number_column(shown, column.key))
+        return Dimension(Axis(column.label, column.unit), base.number_column(shown, column.key))
     words = shown[column.key].map(lambda value: "none" if pd.isna(value) else value_words(value))
     order = sorted(set(words), key=lambda word: (word != "none", _number(word), word))
     axis = Axis(column.label, column.unit, categories=tuple(order))
@@ -99,6 +83,3 @@ def _number(word: str) -> float:
         return float(word)
     except ValueError:
         return 0.0
-
-
-FORMS.register(ParallelCoordinates.key, ParallelCoordinates())

@@ -1,4 +1,4 @@
-"""The same runs under several evaluation protocols, side by side: what the choice of alignment does to a metric."""
+"""The same runs under several evaluation protocols, side by side: how the alignment changes a metric."""
 
 from __future__ import annotations
 
@@ -11,77 +11,67 @@ from pydantic import Field
 
 from slamhive.analysis.chart import Axis, Boxes, Chart
 from slamhive.analysis.colours import PALETTE
-from slamhive.analysis.forms.base import (
-    FORMS,
-    Form,
-    FormData,
-    FormOptions,
-    plain_cell,
-    require_runs,
-    result_of,
-    spans_decades,
-)
-from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
 
 
-class ProtocolsOptions(FormOptions):
-    """``metric`` must be one that depends on the protocol."""
+class ProtocolsOptions(base.PlotOptions):
+    """``metric`` must depend on the protocol."""
 
-    metric: str = Field(default="ate.rmse", description="What is compared.")
+    metric: str = Field(default="ate.rmse", description="Metric to compare.")
 
 
-class Protocols(Form[ProtocolsOptions]):
+class Protocols(base.PlotType[ProtocolsOptions]):
     """The plot type ``protocols``."""
 
     key = "protocols"
     title = "Protocols side by side"
-    description = "One metric of the same runs under each protocol they were evaluated under; the only form that may."
+    description = "One metric of the same runs under each of their protocols; no other plot type mixes protocols."
     options = ProtocolsOptions
     all_protocols = True
+    column_options = ("metric",)
 
-    def needs(self, options: ProtocolsOptions) -> frozenset[str]:
-        """The metric."""
-        return frozenset({options.metric})
-
-    def build(self, data: FormData, options: ProtocolsOptions) -> FormResult:
-        """Boxes by algorithm and protocol over the runs that have all of them, the table, the raw data."""
-        table = data.table
-        require_runs(table)
+    def build(self, data: base.PlotData, options: ProtocolsOptions) -> PlotResult:
+        """Boxes by algorithm and protocol over the runs that have all protocols, a table of means, the raw data."""
+        table = data.table.require_runs()
         column = table.numeric(options.metric, "a comparison")
         if not column.needs_protocol:
             raise InvalidInput(f"{column.key!r} does not depend on a protocol", "choose one that does: ate.rmse")
         wide, labels = _wide(table, data.every_protocol, column.key)
         if wide.shape[1] < 2:
             raise InvalidInput(
-                f"the selected runs were evaluated under {wide.shape[1]} protocol", "evaluate them under another first"
+                f"the selected runs were evaluated under {wide.shape[1]} protocol",
+                "evaluate them under another protocol first",
             )
         complete = wide.dropna(axis=0)
         if complete.empty:
-            raise InvalidInput("no selected run was evaluated under all protocols", "evaluate the runs under each")
+            raise InvalidInput(
+                "no selected run was evaluated under all protocols", "evaluate the runs under each protocol"
+            )
         algorithms = table.frame.set_index("run_id")["algorithm"]
         chart = Chart(
             key=f"protocols_{column.key}",
             title=options.title or f"{column.label} by protocol",
             x=Axis("Algorithm", categories=tuple(sorted(algorithms.loc[complete.index].unique()))),
-            y=Axis(column.label, column.unit, spans_decades(complete.to_numpy(dtype=float).ravel())),
+            y=Axis(column.label, column.unit, base.spans_decades(complete.to_numpy(dtype=float).ravel())),
             marks=tuple(_boxes(complete, algorithms, labels)),
             caption=(
-                f"n = {len(complete)} runs that were evaluated under all {wide.shape[1]} protocols, of "
-                f"{len(table.frame)} selected, {len(table.failed())} of which failed. {table.rule_words} "
-                "Metrics of different protocols are shown side by side and not averaged."
+                f"n = {len(complete)} runs with all {wide.shape[1]} protocols, of {len(table.frame)} selected runs, "
+                f"{len(table.failed())} of which failed. {table.rule_words} Values of different protocols are "
+                "shown side by side and never averaged."
             ),
         )
         tables = (_summary(complete, algorithms, labels, column.unit), _raw(wide, algorithms, labels, column.unit))
         lacking = len(wide) - len(complete)
         notes = (f"{lacking} runs lack one of the protocols and are not shown.",) if lacking else ()
-        return replace(result_of(table, None, (chart,), tables), notes=notes)
+        return replace(base.result_of(table, None, (chart,), tables), notes=notes)
 
 
 def _wide(table: RunTable, every: pd.DataFrame, key: str) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Runs down, protocols across; and each protocol's words."""
+    """A table of runs by protocols, and the description of each protocol."""
     chosen = every[(every["metric"] == key) & every["run_id"].isin(table.frame["run_id"])]
     wide = chosen.pivot_table(index="run_id", columns="protocol", values="value", aggfunc="first")
     labels = dict(zip(chosen["protocol"], chosen["protocol_label"], strict=True))
@@ -115,10 +105,7 @@ def _raw(wide: pd.DataFrame, algorithms: pd.Series, labels: dict[str, str], unit
     columns = [TableColumn("run_id", "Run", links_run=True), TableColumn("algorithm", "Algorithm")]
     columns += [TableColumn(str(name), labels[name], unit) for name in wide.columns]
     rows = tuple(
-        (plain_cell(run), str(algorithms.loc[run]), *(plain_cell(value) for value in values))
+        (base.plain_cell(run), str(algorithms.loc[run]), *(base.plain_cell(value) for value in values))
         for run, values in zip(wide.index, wide.to_numpy(), strict=True)
     )
     return ResultTable("protocols_raw", "Raw data", tuple(columns), rows, raw=True)
-
-
-FORMS.register(Protocols.key, Protocols())

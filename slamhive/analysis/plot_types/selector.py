@@ -1,4 +1,4 @@
-"""Constraint selector: which configurations keep all bounds, ranked, with the evidence, and what was never tested."""
+"""Constraint selector: a ranking of the configurations that keep all bounds, and what was never tested."""
 
 from __future__ import annotations
 
@@ -11,18 +11,9 @@ from pydantic import Field
 
 from slamhive.analysis.analysis_model import read_by
 from slamhive.analysis.chart import Array, Axis, Bars, Chart
-from slamhive.analysis.forms.base import (
-    FORMS,
-    Form,
-    FormData,
-    FormOptions,
-    number_column,
-    raw_table,
-    require_runs,
-    result_of,
-)
-from slamhive.analysis.forms.places import settings_words
-from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.plot_types.places import settings_words
+from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, Column, RunTable
 from slamhive.domain.metrics import Direction
@@ -34,21 +25,21 @@ _SHOWN = 20
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """``key`` must lie below or above ``limit`` in every run."""
+    """A limit for the metric ``key``."""
 
     key: str
     sign: str
     limit: float
 
     def holds(self, values: Array) -> Array:
-        """Which values keep the bound; a missing one does not."""
+        """Which values keep the bound; a missing value does not."""
         compare = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}[self.sign]
         return np.isfinite(values) & compare(values, self.limit)
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One configuration over all selected datasets."""
+    """One algorithm with one set of parameters, over all selected datasets."""
 
     algorithm: str
     configurations: tuple[int, ...]
@@ -72,37 +63,36 @@ def parse_bound(text: str) -> Bound:
     raise InvalidInput(f"bound {text!r} is not METRIC < NUMBER", "write for example: ate.rmse < 0.1")
 
 
-class SelectorOptions(FormOptions):
-    """Bounds that each run must keep, as filters are written: ``ate.rmse < 0.1``."""
+class SelectorOptions(base.PlotOptions):
+    """Bounds that runs must keep, written like filters: ``ate.rmse < 0.1``."""
 
     bounds: list[Annotated[str, read_by(parse_bound)]] = Field(
         min_length=1,
         max_length=20,
-        description="metric < number, or >, <=, >=",
+        description="Metric, <, <=, > or >=, number.",
         examples=[["ate.rmse < 0.1", "tracked_fraction > 0.9"]],
     )
-    rank_by: str = Field(default="ate.rmse", description="What the configurations are ranked by.")
+    rank_by: str = Field(default="ate.rmse", description="Metric to rank by.")
     kept_share: float = Field(
-        default=1.0, gt=0, le=1, description="Share of a configuration's runs that keep all bounds."
+        default=1.0, gt=0, le=1, description="Share of a configuration's runs that must keep all bounds."
     )
 
 
-class Selector(Form[SelectorOptions]):
+class Selector(base.PlotType[SelectorOptions]):
     """The plot type ``selector``."""
 
     key = "selector"
     title = "Configurations that keep the bounds"
-    description = "Ranked configurations that stay within bounds, their evidence, and what was never tested."
+    description = "A ranking of the configurations that keep all bounds, with evidence, and what was never tested."
     options = SelectorOptions
 
     def needs(self, options: SelectorOptions) -> frozenset[str]:
-        """The bounded metrics and the one to rank by."""
+        """The bounded metrics and the metric to rank by."""
         return frozenset({options.rank_by, *(parse_bound(text).key for text in options.bounds)})
 
-    def build(self, data: FormData, options: SelectorOptions) -> FormResult:
-        """The ranking with intervals, the ranked table, what failed to keep which bound, what was never tested."""
-        table = data.table
-        require_runs(table)
+    def build(self, data: base.PlotData, options: SelectorOptions) -> PlotResult:
+        """The ranking with intervals, the ranked table, how many runs keep each bound, what was never tested."""
+        table = data.table.require_runs()
         bounds = [parse_bound(text) for text in options.bounds]
         for bound in bounds:
             table.numeric(bound.key, "a bound")
@@ -121,13 +111,13 @@ class Selector(Form[SelectorOptions]):
         under = f"Protocol: {protocol}. " if protocol else ""
         text = (
             f"{len(chosen)} of {len(candidates)} tested settings keep {words} in at least "
-            f"{100 * options.kept_share:g} % of their runs. Failed runs keep nothing. {table.rule_words} "
-            f"{under}Ranked by datasets covered, by the share of failed runs, then by the mean of {rank.label}; "
+            f"{100 * options.kept_share:g} % of their runs. Failed runs keep no bound. {table.rule_words} "
+            f"{under}Ranked by number of datasets, share of failed runs, and mean of {rank.label}; "
             "whiskers: 95 % bootstrap interval."
         )
         charts = (_chart(chosen[:_SHOWN], rank, options.title, text, table),) if chosen else ()
         notes = () if chosen else (f"No tested setting keeps {words}.",)
-        result = result_of(
+        result = base.result_of(
             table,
             protocol,
             charts,
@@ -135,7 +125,7 @@ class Selector(Form[SelectorOptions]):
                 _ranking(chosen, rank.label, rank.unit, "" if chosen else text),
                 _reasons(table, bounds),
                 _untested(table),
-                raw_table("selector_raw", table, [rank.key, *(bound.key for bound in bounds)]),
+                base.raw_table("selector_raw", table, [rank.key, *(bound.key for bound in bounds)]),
             ),
         )
         return replace(result, notes=notes)
@@ -150,7 +140,7 @@ def _candidates(table: RunTable, bounds: list[Bound], rank_by: str) -> list[Cand
     frame = table.frame.assign(settings=settings_words(table))
     kept = frame[FAILED].isna().to_numpy(dtype=bool)
     for bound in bounds:
-        kept = kept & bound.holds(number_column(frame, bound.key))
+        kept = kept & bound.holds(base.number_column(frame, bound.key))
     frame = frame.assign(kept=kept)
     found = []
     for (algorithm, settings), rows in frame.groupby(["algorithm", "settings"], sort=True):
@@ -160,10 +150,10 @@ def _candidates(table: RunTable, bounds: list[Bound], rank_by: str) -> list[Cand
                 configurations=tuple(int(entry) for entry in sorted(rows["configuration_id"].unique())),
                 settings=str(settings),
                 runs=len(rows),
-                failed=int(rows[FAILED].notna().sum()),
+                failed=base.failed_count(rows),
                 kept=int(rows["kept"].sum()),
                 datasets=int(rows["dataset"].nunique()),
-                score=summarise(number_column(rows[rows[FAILED].isna()], rank_by)),
+                score=summarise(base.good_values(rows, rank_by)),
             )
         )
     return found
@@ -172,13 +162,10 @@ def _candidates(table: RunTable, bounds: list[Bound], rank_by: str) -> list[Cand
 def _chart(chosen: list[Candidate], rank: Column, title: str | None, text: str, table: RunTable) -> Chart:
     names = tuple(f"{place}. {entry.algorithm}" for place, entry in enumerate(chosen, start=1))
     scores = [entry.score for entry in chosen if entry.score is not None]
-    ends = [(s.mean, s.mean) if s.interval is None else (s.interval.low, s.interval.high) for s in scores]
-    low, high = np.array(ends).reshape(-1, 2).T
     bars = Bars(
         rank.label,
         np.array([score.mean for score in scores]),
-        low,
-        high,
+        *base.interval_ends(scores),
         texts=tuple(f"{entry.settings}; n = {score.count}" for entry, score in zip(chosen, scores, strict=True)),
         colours=tuple(table.colours[entry.algorithm] for entry in chosen),
     )
@@ -227,13 +214,13 @@ def _reasons(table: RunTable, bounds: list[Bound]) -> ResultTable:
     rows: list[tuple[Cell, ...]] = []
     for algorithm, group in table.frame.groupby("algorithm", sort=True):
         good = group[group[FAILED].isna()]
-        kept = [int(bound.holds(number_column(good, bound.key)).sum()) for bound in bounds]
+        kept = [int(bound.holds(base.number_column(good, bound.key)).sum()) for bound in bounds]
         rows.append((str(algorithm), len(group), len(group) - len(good), *kept))
-    return ResultTable("bounds", "Which bound keeps whom out", tuple(columns), tuple(rows))
+    return ResultTable("bounds", "Runs that keep each bound", tuple(columns), tuple(rows))
 
 
 def _untested(table: RunTable) -> ResultTable:
-    """What was never run together: the algorithms of the selection, and installed ones of its set-ups, by dataset."""
+    """Pairs that were never run: algorithms of the selection or installed ones with the same sensors, by dataset."""
     columns = (TableColumn("algorithm", "Algorithm"), TableColumn("dataset", "Never run on"))
     tested = set(zip(table.frame["algorithm"], table.frame["dataset"], strict=True))
     setups = set(table.frame["sensors"].dropna())
@@ -244,8 +231,5 @@ def _untested(table: RunTable) -> ResultTable:
         for dataset in sorted(table.frame["dataset"].unique())
         if (algorithm, dataset) not in tested
     )
-    note = "Algorithms of this selection, and installed ones that sense with the same, on its datasets."
+    note = "Algorithms of this selection, and installed ones with the same sensors, on its datasets."
     return ResultTable("untested", "Never tested", columns, rows, note)
-
-
-FORMS.register(Selector.key, Selector())

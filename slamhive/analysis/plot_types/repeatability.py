@@ -1,4 +1,4 @@
-"""Repeatability: all runs of one configuration, their metrics and how much they differ."""
+"""Repeatability: all runs of one configuration, and how much their metrics differ."""
 
 from __future__ import annotations
 
@@ -6,22 +6,9 @@ import numpy as np
 from pydantic import Field
 
 from slamhive.analysis.chart import REFERENCE, Axis, Chart, FailedRuns, Line, Mark, Points
-from slamhive.analysis.forms.base import (
-    FORMS,
-    Form,
-    FormData,
-    FormOptions,
-    caption,
-    number_column,
-    one_value,
-    raw_table,
-    require_runs,
-    result_of,
-    summary_table,
-    with_values,
-)
-from slamhive.analysis.forms.places import disturbed_rings
-from slamhive.analysis.result import FormResult
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.plot_types.places import disturbed_rings
+from slamhive.analysis.result import PlotResult
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
@@ -29,31 +16,27 @@ from slamhive.errors import InvalidInput
 _TICK_LABELS = 30
 
 
-class RepeatabilityOptions(FormOptions):
-    """``metrics`` each get a plot."""
+class RepeatabilityOptions(base.PlotOptions):
+    """Each of ``metrics`` gets its own plot."""
 
     metrics: list[str] = Field(
-        default_factory=lambda: ["ate.rmse"], min_length=1, max_length=20, description="What is shown."
+        default_factory=lambda: ["ate.rmse"], min_length=1, max_length=20, description="Metrics to show."
     )
 
 
-class Repeatability(Form[RepeatabilityOptions]):
+class Repeatability(base.PlotType[RepeatabilityOptions]):
     """The plot type ``repeatability``."""
 
     key = "repeatability"
     title = "Repeatability"
-    description = "Every repeat of one configuration with the mean, its interval and the spread."
+    description = "All repeats of one configuration with the mean, its interval and the spread."
     options = RepeatabilityOptions
+    column_options = ("metrics",)
 
-    def needs(self, options: RepeatabilityOptions) -> frozenset[str]:
-        """The metrics."""
-        return frozenset(options.metrics)
-
-    def build(self, data: FormData, options: RepeatabilityOptions) -> FormResult:
-        """A plot for each metric, the summary, the raw data."""
-        table = data.table
-        require_runs(table)
-        one_value(table, "configuration_id", "repeatability")
+    def build(self, data: base.PlotData, options: RepeatabilityOptions) -> PlotResult:
+        """A plot for each metric, a summary, the raw data."""
+        table = data.table.require_runs()
+        base.one_value(table, "configuration_id", "repeatability")
         if len(table.frame) < 2:
             raise InvalidInput("repeatability needs two runs of the configuration, found 1", "add repeats")
         for key in options.metrics:
@@ -61,20 +44,20 @@ class Repeatability(Form[RepeatabilityOptions]):
         protocol = table.one_protocol(options.metrics)
         charts = [_chart(table, key, protocol, options.title) for key in options.metrics]
         tables = (
-            summary_table("repeatability", table, options.metrics, ["algorithm", "dataset"]),
-            raw_table("repeatability_raw", table, ["seed", *options.metrics]),
+            base.summary_table("repeatability", table, options.metrics, ["algorithm", "dataset"]),
+            base.raw_table("repeatability_raw", table, ["seed", *options.metrics]),
         )
-        return result_of(table, protocol, charts, tables, lacking=options.metrics)
+        return base.result_of(table, protocol, charts, tables, lacking=options.metrics)
 
 
 def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -> Chart:
     column = table.column(key)
-    shown = with_values(table, [key])
+    shown = base.with_values(table, [key])
     failed = table.failed()
     order = {int(run): float(place) for place, run in enumerate(table.frame["run_id"])}
     colour = table.colours[str(table.frame["algorithm"].iloc[0])]
     runs = shown["run_id"].to_numpy(dtype=int)
-    values = number_column(shown, key)
+    values = base.number_column(shown, key)
     places = np.array([order[run] for run in runs])
     marks: list[Mark] = [Points("runs", places, values, colour=colour, runs=runs)]
     marks += disturbed_rings(shown, places, values)
@@ -97,14 +80,11 @@ def _chart(table: RunTable, key: str, protocol: str | None, title: str | None) -
         x=Axis("repeat", categories=_numbers(len(order)), numbered=True),
         y=Axis(column.label, column.unit),
         marks=tuple(marks),
-        caption=caption(table, len(shown), protocol, more),
+        caption=base.caption(table, len(shown), protocol, more),
     )
 
 
 def _numbers(count: int) -> tuple[str, ...]:
-    """1 to ``count``, no more of them in words than there is room for."""
+    """1 to ``count``; only some have a label if there is no room for all."""
     every = -(-count // _TICK_LABELS)
     return tuple(str(place) if (place - 1) % every == 0 else "" for place in range(1, count + 1))
-
-
-FORMS.register(Repeatability.key, Repeatability())

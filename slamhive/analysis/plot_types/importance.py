@@ -1,4 +1,4 @@
-"""Which parameters matter: the share of a metric's variance that each explains, alone and together with another."""
+"""Which parameters matter: the share of a metric's variance that each parameter and each pair explains."""
 
 from __future__ import annotations
 
@@ -9,55 +9,41 @@ import pandas as pd
 from pydantic import Field
 
 from slamhive.analysis.chart import REFERENCE, Array, Axis, Bars, Cells, Chart
-from slamhive.analysis.forms.base import (
-    FORMS,
-    Form,
-    FormData,
-    FormOptions,
-    caption,
-    number_column,
-    plain_cell,
-    raw_table,
-    require_runs,
-    result_of,
-    with_values,
-)
-from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED, RunTable
 from slamhive.analysis.variance import Codes, Effects, explain_variance
 from slamhive.errors import InvalidInput
 
 MOST_GROUPS = 12
-"""A parameter with more values is cut into so many groups of equal size."""
+"""A parameter with more values is divided into this many groups of equal size."""
 
 MOST_PARAMETERS = 20
 _WORTH_SAYING = 0.005
-"""A smaller share rounds to nothing."""
+"""Smaller shares round to zero."""
 
 
-class ImportanceOptions(FormOptions):
-    """``parameters`` default to all that vary, with algorithm and dataset."""
+class ImportanceOptions(base.PlotOptions):
+    """``parameters`` default to algorithm, dataset and all parameters that vary."""
 
-    metric: str = Field(default="ate.rmse", description="What is explained.")
-    parameters: list[str] = Field(default_factory=list, max_length=MOST_PARAMETERS, description="By what.")
+    metric: str = Field(default="ate.rmse", description="Metric to explain.")
+    parameters: list[str] = Field(
+        default_factory=list, max_length=MOST_PARAMETERS, description="Parameters that explain it."
+    )
 
 
-class Importance(Form[ImportanceOptions]):
+class Importance(base.PlotType[ImportanceOptions]):
     """The plot type ``importance``."""
 
     key = "importance"
     title = "Parameter importance"
-    description = "Share of the variance of a metric, and of failing, explained by each parameter and by pairs."
+    description = "The share of the variance of a metric, and of failing, that each parameter and each pair explains."
     options = ImportanceOptions
+    column_options = ("metric", "parameters")
 
-    def needs(self, options: ImportanceOptions) -> frozenset[str]:
-        """The metric and the parameters."""
-        return frozenset({options.metric, *options.parameters})
-
-    def build(self, data: FormData, options: ImportanceOptions) -> FormResult:
-        """Bars of main effects, a map of interactions, the table, the raw data."""
-        table = data.table
-        require_runs(table)
+    def build(self, data: base.PlotData, options: ImportanceOptions) -> PlotResult:
+        """Bars of main effects, a map of interactions, a table of both, the raw data."""
+        table = data.table.require_runs()
         metric = table.numeric(options.metric, "importance")
         protocol = table.one_protocol([metric.key])
         names = options.parameters or default_parameters(table)
@@ -65,53 +51,54 @@ class Importance(Form[ImportanceOptions]):
             table.column(name)
         if not names:
             raise InvalidInput("nothing varies in the selection", "select runs of several parameters or algorithms")
-        shown = with_values(table, [metric.key])
-        values = number_column(shown, metric.key)
+        shown = base.with_values(table, [metric.key])
+        values = base.number_column(shown, metric.key)
         logarithm = bool(len(values)) and bool((values > 0).all())
         accuracy = explain_variance(_codes(shown, names), np.log10(values) if logarithm else values)
         failing = explain_variance(_codes(table.frame, names), table.frame[FAILED].notna().to_numpy(dtype=float))
-        text = caption(table, len(shown), protocol, _METHOD, _limits(accuracy, logarithm=logarithm))
+        text = base.caption(table, len(shown), protocol, _METHOD, _limits(accuracy, logarithm=logarithm))
         charts = (
             _bars(accuracy, failing, options.title or f"What {metric.label} depends on", metric.label, text),
             _map(accuracy, f"Interactions in {metric.label}", text),
         )
         tables = (
             _table(accuracy, failing, metric.label, text),
-            raw_table("importance_raw", table, [*names, metric.key]),
+            base.raw_table("importance_raw", table, [*names, metric.key]),
         )
-        return result_of(table, protocol, charts, tables, lacking=[metric.key])
+        return base.result_of(table, protocol, charts, tables, lacking=[metric.key])
 
 
 def default_parameters(table: RunTable) -> list[str]:
-    """Algorithm and dataset if they vary, then all parameters that vary."""
+    """Algorithm, dataset and parameters that vary."""
     names = [name for name in ("algorithm", "dataset") if table.frame[name].nunique() > 1]
     return [*names, *(column.key for column in table.varied())][:MOST_PARAMETERS]
 
 
 _METHOD = (
-    "Shares of variance by one analysis of variance with all parameters and pairs (omega squared, type II sums of "
-    "squares). Each share is what a parameter explains beyond all others, less what it would explain by chance."
+    "Shares of variance from one analysis of variance with all parameters and pairs (omega squared, type II sums of "
+    "squares). A share counts what a parameter explains beyond all others, minus what it would explain by chance."
 )
 
 
 def _limits(effects: Effects, *, logarithm: bool) -> str:
-    """What a reader must know of these shares in particular."""
+    """Limits of these shares, for the caption."""
     found = ["The values are log10 of the metric."] if logarithm else []
     if effects.shared > _WORTH_SAYING:
         found.append(
             "The design is not balanced: "
-            f"{100 * effects.shared:.2g} % of the variance belongs to several parameters together and to none alone."
+            f"{100 * effects.shared:.2g} % of the variance cannot be assigned to a single parameter."
         )
     found += [
-        f"{first} and {second} always vary together: each has the share of both." for first, second in effects.aliases
+        f"{first} and {second} always vary together; each is shown with the share of both."
+        for first, second in effects.aliases
     ]
     if effects.left_out:
-        found.append(f"There are too few runs to tell {effects.left_out} of {len(effects.pairs)} pairs from chance.")
+        found.append(f"There are too few runs to judge {effects.left_out} of {len(effects.pairs)} pairs.")
     return " ".join(found)
 
 
 def _codes(rows: pd.DataFrame, names: list[str]) -> dict[str, Codes]:
-    """The level of each run by parameter. A parameter that some algorithms lack counts within its algorithm."""
+    """The level of each run by parameter. A parameter that some algorithms lack is nested in the algorithm."""
     codes = {name: _levels(rows[name]) for name in names}
     if "algorithm" in codes:
         of = codes["algorithm"]
@@ -123,7 +110,7 @@ def _codes(rows: pd.DataFrame, names: list[str]) -> dict[str, Codes]:
 
 
 def _levels(values: pd.Series) -> Codes:
-    """Levels by value, or by quantile for numbers of many values; missing values are a level of their own."""
+    """Levels by value, or by quantile for numbers with many values; missing values form a separate level."""
     if values.nunique() > MOST_GROUPS and pd.api.types.is_numeric_dtype(values):
         groups = pd.qcut(values, MOST_GROUPS, labels=False, duplicates="drop").fillna(-1)
         return np.unique(groups.to_numpy(), return_inverse=True)[1]
@@ -171,8 +158,8 @@ def _map(effects: Effects, title: str, text: str) -> Chart:
         y=Axis("", categories=names),
         marks=(Cells(values, texts, "variance explained", "%", lower_is_better=False),),
         caption=(
-            "Diagonal: each parameter alone. Below it: what two explain together beyond that; empty where the runs "
-            f"cannot tell. {text}"
+            "Diagonal: each parameter alone. Below: what two parameters explain together beyond that; empty if the "
+            f"runs cannot show it. {text}"
         ),
     )
 
@@ -183,7 +170,7 @@ def _table(accuracy: Effects, failing: Effects, label: str, text: str) -> Result
         TableColumn("accuracy", f"Variance of {label} explained", "%"),
         TableColumn("failing", "Variance of failing explained", "%"),
     )
-    note = f"Empty: the runs cannot tell. {text}"
+    note = f"Empty: the runs cannot show it. {text}"
     return ResultTable("importance", "Importance", columns, tuple(_rows(accuracy, failing)), note)
 
 
@@ -191,7 +178,4 @@ def _rows(accuracy: Effects, failing: Effects) -> Iterator[tuple[Cell, ...]]:
     singles = [(name, accuracy.main[name], failing.main[name]) for name in accuracy.names]
     pairs = [(f"{a} with {b}", share, failing.pairs.get((a, b))) for (a, b), share in accuracy.pairs.items()]
     for name, first, second in sorted([*singles, *pairs], key=lambda entry: -(entry[1] or 0.0)):
-        yield (name, plain_cell(_number(first)), plain_cell(_number(second)))
-
-
-FORMS.register(Importance.key, Importance())
+        yield (name, base.plain_cell(_number(first)), base.plain_cell(_number(second)))

@@ -1,4 +1,4 @@
-"""Where values lie on an axis, and the marks that all plots over a parameter or a name share."""
+"""Positions of values on an axis, and marks that several plot types share."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NOWHERE = np.zeros(0)
 
 
 def places_on(axis: Axis, values: pd.Series) -> Array:
-    """Values as numbers; of categories, their positions (NaN where there is none)."""
+    """Values as numbers; for categories, their positions (NaN where there is none)."""
     if axis.categories is None:
         return np.asarray(values, dtype=float)
     position = {name: float(place) for place, name in enumerate(axis.categories)}
@@ -24,7 +24,7 @@ def places_on(axis: Axis, values: pd.Series) -> Array:
 
 
 def failed_marks(table: RunTable, axis: Axis, key: str) -> Iterator[FailedRuns]:
-    """Failed runs by algorithm, at their place on the x axis: a parameter they do have, a metric they do not."""
+    """Failed runs by algorithm, at their value on the x axis. They have parameters, but no metrics."""
     for algorithm, rows in table.failed().groupby("algorithm", sort=True):
         yield FailedRuns(
             x=places_on(axis, rows[key]),
@@ -36,11 +36,11 @@ def failed_marks(table: RunTable, axis: Axis, key: str) -> Iterator[FailedRuns]:
 
 
 def disturbed_rings(shown: pd.DataFrame, x: Array, y: Array, z: Array | None = None) -> Iterator[Points]:
-    """A ring around the point of each run that was measured on a disturbed machine, by what on hover; none without.
+    """A ring around each run that was measured on a disturbed machine; hovering shows the disturbance.
 
     Args:
         shown: The rows behind the points.
-        x, y, z: Their places.
+        x, y, z: Positions of the points.
     """
     chosen = is_disturbed(shown).to_numpy(dtype=bool)
     if chosen.any():
@@ -57,7 +57,7 @@ def disturbed_rings(shown: pd.DataFrame, x: Array, y: Array, z: Array | None = N
 
 
 def look_of(table: RunTable, algorithm: str, dataset: str) -> dict[str, Any]:
-    """How one algorithm on one dataset is drawn; :func:`legend` says what the looks mean."""
+    """The look of one algorithm on one dataset; :func:`legend` explains it."""
     return {
         "name": f"{algorithm} on {dataset}",
         "colour": table.colours[algorithm],
@@ -67,11 +67,11 @@ def look_of(table: RunTable, algorithm: str, dataset: str) -> dict[str, Any]:
 
 
 def legend(table: RunTable, *, markers: bool = True) -> Iterator[Points]:
-    """An entry for each algorithm's colour and, if there are several, each dataset's marker: never one for each pair.
+    """Legend entries for the colours of algorithms and, if there are several, the markers of datasets.
 
     Args:
         table: The runs of the plot.
-        markers: The plot has markers.
+        markers: Whether the plot has markers.
     """
     algorithms = sorted(table.frame["algorithm"].unique())
     datasets = sorted(table.frame["dataset"].unique())
@@ -84,7 +84,7 @@ def legend(table: RunTable, *, markers: bool = True) -> Iterator[Points]:
 
 
 def settings_words(table: RunTable) -> pd.Series:
-    """For each run, the parameters that vary: they distinguish its configuration besides algorithm and dataset."""
+    """The settings of each run in words: the parameters that vary in the selection."""
     varied = [column.key for column in table.varied()]
 
     def words(row: pd.Series) -> str:
@@ -96,5 +96,5 @@ def settings_words(table: RunTable) -> pd.Series:
 
 
 def value_words(value: object) -> str:
-    """A value as axes and tables show it: 20, not 20.0."""
+    """A value as axes and tables show it: 20 instead of 20.0."""
     return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)

@@ -1,4 +1,4 @@
-"""Accuracy by algorithm and dataset: mean and spread over all repeats, failures beside it, the best configuration."""
+"""Accuracy by algorithm and dataset: mean and spread over repeats, failure rates, the best configuration."""
 
 from __future__ import annotations
 
@@ -11,50 +11,35 @@ import pandas as pd
 from pydantic import Field
 
 from slamhive.analysis.chart import Axis, Bars, Chart, Mark
-from slamhive.analysis.forms.base import (
-    FORMS,
-    Form,
-    FormData,
-    FormOptions,
-    caption,
-    number_column,
-    raw_table,
-    require_runs,
-    result_of,
-    summary_table,
-)
-from slamhive.analysis.forms.places import failed_marks
-from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.plot_types.places import failed_marks
+from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, RunTable
 from slamhive.domain.metrics import Direction
 
 
-class ByAlgorithmOptions(FormOptions):
-    """``of`` chooses whether all runs count, or those of the configuration that is best on each dataset."""
+class ByAlgorithmOptions(base.PlotOptions):
+    """``of`` selects all runs, or those of the best configuration on each dataset."""
 
-    metric: str = Field(default="ate.rmse", description="What is compared.")
+    metric: str = Field(default="ate.rmse", description="Metric to compare.")
     of: Literal["average", "best"] = Field(
-        default="average", description="All configurations, or for each algorithm and dataset the best of them."
+        default="average", description="All configurations, or the best one of each algorithm and dataset."
     )
 
 
-class ByAlgorithm(Form[ByAlgorithmOptions]):
+class ByAlgorithm(base.PlotType[ByAlgorithmOptions]):
     """The plot type ``by_algorithm``."""
 
     key = "by_algorithm"
     title = "By algorithm and dataset"
-    description = "Mean, spread and failures for each algorithm on each dataset; the table of the best."
+    description = "Mean, spread and failures of each algorithm on each dataset; a table of the best configurations."
     options = ByAlgorithmOptions
+    column_options = ("metric",)
 
-    def needs(self, options: ByAlgorithmOptions) -> frozenset[str]:
-        """The metric."""
-        return frozenset({options.metric})
-
-    def build(self, data: FormData, options: ByAlgorithmOptions) -> FormResult:
-        """Bars of means with spread, bars of failure rates, the table of best configurations."""
-        everything = data.table
-        require_runs(everything)
+    def build(self, data: base.PlotData, options: ByAlgorithmOptions) -> PlotResult:
+        """Bars of means with spread, bars of failure rates, a table of the best configurations."""
+        everything = data.table.require_runs()
         column = everything.numeric(options.metric, "a mean")
         protocol = everything.one_protocol([options.metric])
         chosen = best_configurations(everything, options.metric)
@@ -70,12 +55,12 @@ class ByAlgorithm(Form[ByAlgorithmOptions]):
             x=x,
             y=Axis(f"{column.label}, mean", column.unit),
             marks=marks,
-            caption=caption(
+            caption=base.caption(
                 table,
                 shown,
                 protocol,
-                f"Bars: mean over {_counts(bars)} runs; whiskers: one standard deviation; dark lines: median. Crosses "
-                "above: failed runs.",
+                f"Bars: mean over {_counts(bars)} runs; whiskers: one standard deviation; dark lines: median. "
+                "Crosses above: failed runs.",
             ),
         )
         failures = Chart(
@@ -84,16 +69,16 @@ class ByAlgorithm(Form[ByAlgorithmOptions]):
             x=x,
             y=Axis("Failed runs", "%"),
             marks=tuple(_failure_rates(table, x)),
-            caption=caption(table, len(table.frame), protocol),
+            caption=base.caption(table, len(table.frame), protocol),
         )
-        result = result_of(
+        result = base.result_of(
             table,
             protocol,
             [*([means] if shown else []), *([failures] if len(table.failed()) else [])],
             (
-                summary_table("by_algorithm", table, [options.metric], ["algorithm", "dataset"]),
+                base.summary_table("by_algorithm", table, [options.metric], ["algorithm", "dataset"]),
                 _best_table(everything, options.metric, chosen),
-                raw_table("by_algorithm_raw", table, [options.metric]),
+                base.raw_table("by_algorithm_raw", table, [options.metric]),
             ),
             lacking=[options.metric],
         )
@@ -103,18 +88,17 @@ class ByAlgorithm(Form[ByAlgorithmOptions]):
 
 
 def best_configurations(table: RunTable, metric: str) -> dict[tuple[str, str], int]:
-    """{(algorithm, dataset): configuration} with the best mean; those with fewer failures come first.
+    """{(algorithm, dataset): configuration} with the fewest failures; among equals, with the best mean.
 
-    A configuration that fails more often is not better, however well its other runs went. Where all runs of all
-    configurations failed, the first of them stands there with its failures.
+    A configuration that fails more often is never better, however good its other runs are. If all runs of all
+    configurations failed, the first configuration is named.
     """
     sign = -1.0 if table.column(metric).direction is Direction.HIGHER else 1.0
     best: dict[tuple[str, str], int] = {}
     scores: dict[tuple[str, str], tuple[float, float]] = {}
     grouped = table.frame.groupby(["algorithm", "dataset", "configuration_id"], sort=True)
     for (algorithm, dataset, configuration), rows in grouped:
-        values = number_column(rows[rows[FAILED].isna()], metric)
-        values = values[np.isfinite(values)]
+        values = base.good_values(rows, metric)
         mean = sign * float(values.mean()) if len(values) else np.inf
         score = (float(rows[FAILED].notna().mean()), mean)
         key = (str(algorithm), str(dataset))
@@ -148,20 +132,20 @@ def _means(table: RunTable, metric: str, x: Axis) -> Iterator[Bars]:
 
 
 def _counts(bars: Sequence[Bars]) -> str:
-    """``5`` or ``1 to 5``: over how many runs the bars are means."""
+    """How many runs the bars average: ``5`` or ``1 to 5``."""
     counts = sorted({int(text.removeprefix("n = ")) for bar in bars for text in bar.texts or () if text})
     return " to ".join(map(str, dict.fromkeys((counts[0], counts[-1])))) if counts else "no"
 
 
 def _summary(rows: pd.DataFrame, dataset: str, metric: str) -> Summary | None:
-    return summarise(number_column(rows[(rows["dataset"] == dataset) & rows[FAILED].isna()], metric))
+    return summarise(base.good_values(rows[rows["dataset"] == dataset], metric))
 
 
 def _failure_rates(table: RunTable, x: Axis) -> Iterator[Bars]:
     for algorithm, rows in table.frame.groupby("algorithm", sort=True):
         groups = [rows[rows["dataset"] == name] for name in x.categories or ()]
         rates = [100 * float(group[FAILED].notna().mean()) if len(group) else np.nan for group in groups]
-        texts = [f"{group[FAILED].notna().sum()} of {len(group)}" if len(group) else "" for group in groups]
+        texts = [f"{base.failed_count(group)} of {len(group)}" if len(group) else "" for group in groups]
         colour = table.colours[str(algorithm)]
         yield Bars(str(algorithm), np.array(rates), colour=colour, striped=True, texts=tuple(texts))
 
@@ -181,12 +165,8 @@ def _best_table(table: RunTable, metric: str, chosen: dict[tuple[str, str], int]
     rows: list[tuple[Cell, ...]] = []
     for (algorithm, dataset), configuration in sorted(chosen.items()):
         group = table.frame[(table.frame["configuration_id"] == configuration) & (table.frame["dataset"] == dataset)]
-        summary = summarise(number_column(group[group[FAILED].isna()], metric))
+        summary = summarise(base.good_values(group, metric))
         spread = (None, None, None) if summary is None else (summary.mean, summary.median, summary.std)
-        failed = int(group[FAILED].notna().sum())
-        rows.append((algorithm, dataset, configuration, *spread, len(group), failed))
-    note = "The configuration with the fewest failures on the dataset; of several, that with the best mean."
+        rows.append((algorithm, dataset, configuration, *spread, len(group), base.failed_count(group)))
+    note = "The configuration with the fewest failures on the dataset; among equals, the one with the best mean."
     return ResultTable("best", "Best configurations", columns, tuple(rows), note)
-
-
-FORMS.register(ByAlgorithm.key, ByAlgorithm())

@@ -1,4 +1,4 @@
-"""Critical-difference diagram: mean ranks of competitors over datasets, and which cannot be told apart."""
+"""Critical-difference diagram: mean ranks of competitors over datasets, and which of them differ."""
 
 from __future__ import annotations
 
@@ -6,24 +6,12 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 from pydantic import Field
 
 from slamhive.analysis.chart import REFERENCE, Array, Axis, Chart, Labels, Mark, Segments
-from slamhive.analysis.forms.base import (
-    FORMS,
-    Form,
-    FormData,
-    FormOptions,
-    caption,
-    number_column,
-    raw_table,
-    require_runs,
-    result_of,
-    with_values,
-)
-from slamhive.analysis.forms.places import settings_words
-from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.plot_types.places import settings_words
+from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import RankTest, compare_means, rank_test
 from slamhive.analysis.table import FAILED, RunTable
 from slamhive.domain.metrics import Direction
@@ -32,41 +20,39 @@ from slamhive.errors import InvalidInput
 _ROW = 0.32
 _TICK_LABELS = 10
 _LETTERS = 45
-"""Longer names are cut in the diagram; the table has them whole."""
+"""Longer names are shortened in the diagram; the table shows them in full."""
 _COMPETITOR = "competitor"
 
 
-class CriticalDifferenceOptions(FormOptions):
-    """``of`` are the competitors, each dataset is one block."""
+class CriticalDifferenceOptions(base.PlotOptions):
+    """``of`` says who competes; each dataset is one block."""
 
-    metric: str = Field(default="ate.rmse", description="What is ranked.")
+    metric: str = Field(default="ate.rmse", description="Metric to rank by.")
     of: Literal["algorithm", "settings"] = Field(
-        default="algorithm", description="Who competes: algorithms, or each algorithm with its parameters."
+        default="algorithm", description="Competitors: algorithms, or each algorithm with its parameters."
     )
-    test: Literal["nemenyi", "wilcoxon-holm"] = Field(default="nemenyi", description="Test of pairs after Friedman's.")
-    significance: float = Field(default=0.05, gt=0, lt=0.5, description="Level of the tests.")
+    test: Literal["nemenyi", "wilcoxon-holm"] = Field(
+        default="nemenyi", description="Test of pairs, after Friedman's test."
+    )
+    significance: float = Field(default=0.05, gt=0, lt=0.5, description="Significance level of the tests.")
 
 
-class CriticalDifference(Form[CriticalDifferenceOptions]):
+class CriticalDifference(base.PlotType[CriticalDifferenceOptions]):
     """The plot type ``critical_difference``."""
 
     key = "critical_difference"
     title = "Critical differences"
-    description = "Friedman's test over datasets, mean ranks, who cannot be told apart, and the repeats that would."
+    description = (
+        "Friedman's test over datasets, mean ranks, which competitors differ, and how many repeats are missing."
+    )
     options = CriticalDifferenceOptions
+    column_options = ("metric",)
 
-    def needs(self, options: CriticalDifferenceOptions) -> frozenset[str]:
-        """The metric."""
-        return frozenset({options.metric})
-
-    def build(self, data: FormData, options: CriticalDifferenceOptions) -> FormResult:
-        """The diagram, the table of pairs with the repeats that would decide, the raw data."""
-        table = data.table
-        require_runs(table)
-        column = table.numeric(options.metric, "a rank")
-        if column.direction is Direction.NEUTRAL:
-            raise InvalidInput(f"{column.key!r} has no better end", "choose a metric of which less or more is better")
-        with_values(table, [column.key])
+    def build(self, data: base.PlotData, options: CriticalDifferenceOptions) -> PlotResult:
+        """The diagram, a table of pairs with the repeats that would decide, the raw data."""
+        table = data.table.require_runs()
+        column = base.directed(table, options.metric, "a rank")
+        base.with_values(table, [column.key])
         protocol = table.one_protocol([column.key])
         competitors = table.frame["algorithm"].astype(str)
         if options.of == "settings":
@@ -75,33 +61,33 @@ class CriticalDifference(Form[CriticalDifferenceOptions]):
         names, blocks, scores = _scores(table, options.metric)
         test = rank_test(scores, options.test, options.significance)
         words = "Nemenyi" if options.test == "nemenyi" else "Wilcoxon-Holm"
-        not_rejected = "" if test.p_value < options.significance else ", which does not reject that all are equal"
+        not_rejected = "" if test.p_value < options.significance else " (equality of all is not rejected)"
         chart = Chart(
             key=f"critical_difference_{column.key}",
             title=options.title or f"Ranks by {column.label} over {len(blocks)} datasets",
             x=Axis("mean rank (1 is best)"),
             y=Axis(""),
             marks=tuple(_diagram(names, test)),
-            caption=caption(
+            caption=base.caption(
                 table,
                 len(table.frame),
                 protocol,
-                f"Friedman p = {test.p_value:.3g} over {len(blocks)} datasets{not_rejected}; bars join those "
-                f"that {words} does not tell apart at {options.significance:g}. All runs of a dataset are ranked "
-                "together, failed ones last, and a competitor counts by the mean rank of its runs.",
+                f"Friedman p = {test.p_value:.3g} over {len(blocks)} datasets{not_rejected}; bars join competitors "
+                f"without a significant difference by {words} at {options.significance:g}. All runs of a dataset are "
+                "ranked together, failed ones last; the rank of a competitor is the mean rank of its runs.",
             ),
             bare=True,
             height=0.5 + 0.07 * len(names),
         )
-        tables = (_pairs(names, test, table, options), raw_table("critical_difference_raw", table, [column.key]))
-        return result_of(table, protocol, (chart,), tables, lacking=[column.key])
+        tables = (_pairs(names, test, table, options), base.raw_table("critical_difference_raw", table, [column.key]))
+        return base.result_of(table, protocol, (chart,), tables, lacking=[column.key])
 
 
 def _scores(table: RunTable, metric: str) -> tuple[list[str], list[str], Array]:
-    """Competitors, datasets, and the mean rank of each competitor's runs among all runs of the dataset.
+    """Competitors, datasets, and the mean rank of each competitor's runs among all runs of a dataset.
 
-    A failed run has the worst rank: a competitor is never judged by those of its runs that survived. Only datasets on
-    which every competitor was run take part; that its runs failed there is no reason to leave one out.
+    A failed run has the worst rank, so that failures never improve a rank. Datasets count if every competitor was run
+    on them, even if its runs failed.
     """
     sign = -1.0 if table.column(metric).direction is Direction.HIGHER else 1.0
     runs = table.frame[table.frame[FAILED].notna() | table.frame[metric].notna()]
@@ -111,12 +97,12 @@ def _scores(table: RunTable, metric: str) -> tuple[list[str], list[str], Array]:
     means = ranked.pivot_table(index="dataset", columns=_COMPETITOR, values="rank", aggfunc="mean")
     means = means.reindex(columns=sorted(table.frame[_COMPETITOR].unique())).dropna(axis=0)
     if means.empty:
-        raise InvalidInput("no dataset was run by every competitor", "narrow the selection to a full grid")
+        raise InvalidInput("no dataset was run with every competitor", "narrow the selection to a full grid")
     return [str(name) for name in means.columns], [str(name) for name in means.index], means.to_numpy(dtype=float)
 
 
 def _diagram(names: list[str], test: RankTest) -> Iterator[Mark]:
-    """After Demsar (2006), Fig. 1: the better half labelled on the left, the others on the right."""
+    """Drawn as in Demsar (2006), fig. 1: labels of the better half on the left, the others on the right."""
     order = np.argsort(test.mean_ranks, kind="stable")
     count = len(names)
     ticks = np.arange(1, count + 1, dtype=float)
@@ -153,15 +139,15 @@ def _strokes(x0: object, y0: object, x1: object, y1: object, width: float = 1.2)
 
 
 def _pairs(names: list[str], test: RankTest, table: RunTable, options: CriticalDifferenceOptions) -> ResultTable:
-    """Each pair: whether the ranks tell them apart, and on how many datasets repeats do or how many more would."""
+    """Each pair: whether ranks differ, and on how many datasets repeats decide or how many more would."""
     columns = (
         TableColumn("first", "First"),
         TableColumn("second", "Second"),
         TableColumn("p", "p, corrected"),
-        TableColumn("told_apart", "Told apart by ranks"),
+        TableColumn("told_apart", "Ranks differ"),
         TableColumn("decided", "Datasets decided by repeats"),
         TableColumn("undecided", "Undecided"),
-        TableColumn("too_few", "Too few repeats to tell"),
+        TableColumn("too_few", "Too few repeats"),
         TableColumn("more", "More repeats that would decide"),
         TableColumn("never", "Undecided by any number of repeats"),
     )
@@ -171,18 +157,17 @@ def _pairs(names: list[str], test: RankTest, table: RunTable, options: CriticalD
         repeats = _repeats(table, options.metric, (names[first], names[second]))
         rows.append((names[first], names[second], p_value, apart, *repeats))
     note = (
-        "A dataset is decided if Welch's 95 % interval of the difference of the two means excludes 0; two good runs "
-        "of each are needed to tell. More repeats: how many of each would decide the undecided datasets at the spread "
-        "seen so far. The last column names the datasets that a million repeats would not decide, because the means "
-        "are equal or nearly so."
+        "A dataset is decided if Welch's 95 % interval of the difference of the two means excludes 0; this needs two "
+        "good runs of each. More repeats: how many of each would decide the undecided datasets at the present spread. "
+        "The last column lists datasets that a million repeats would not decide, because the means are almost equal."
     )
     return ResultTable("pairs", "Pairs", columns, tuple(rows), note)
 
 
 def _repeats(table: RunTable, metric: str, names: tuple[str, str]) -> tuple[int, int, int, int | None, str | None]:
-    """Datasets decided, undecided, and with fewer than two good runs of one of both; then the remedy.
+    """Datasets decided, undecided, and with fewer than two good runs of a competitor; missing repeats; hopeless ones.
 
-    The remedy is the number of repeats still missing for each, and the datasets that no number of them decides.
+    The last entry lists the datasets that no number of repeats decides.
     """
     decided = undecided = too_few = 0
     missing: list[int] = []
@@ -191,7 +176,7 @@ def _repeats(table: RunTable, metric: str, names: tuple[str, str]) -> tuple[int,
     for dataset, rows in both.groupby("dataset", sort=True):
         if rows[_COMPETITOR].nunique() < 2:
             continue
-        groups = [_values(rows, metric, name) for name in names]
+        groups = [base.good_values(rows[rows[_COMPETITOR] == name], metric) for name in names]
         if min(map(len, groups)) < 2:
             too_few += 1
             continue
@@ -205,11 +190,3 @@ def _repeats(table: RunTable, metric: str, names: tuple[str, str]) -> tuple[int,
         else:
             missing.append(max(1, comparison.repeats_to_decide - min(map(len, groups))))
     return decided, undecided, too_few, max(missing, default=None), ", ".join(never) or None
-
-
-def _values(rows: pd.DataFrame, metric: str, name: str) -> Array:
-    values = number_column(rows[(rows[_COMPETITOR] == name) & rows[FAILED].isna()], metric)
-    return values[np.isfinite(values)]
-
-
-FORMS.register(CriticalDifference.key, CriticalDifference())

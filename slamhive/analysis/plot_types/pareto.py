@@ -1,4 +1,4 @@
-"""The Pareto front: configurations that no other beats in all of several metrics at once."""
+"""The Pareto front: configurations that no other configuration beats in all metrics at once."""
 
 from __future__ import annotations
 
@@ -9,36 +9,23 @@ import pandas as pd
 from pydantic import Field, model_validator
 
 from slamhive.analysis.chart import REFERENCE, Array, Chart, Line, Points
-from slamhive.analysis.forms.base import (
-    FORMS,
-    Form,
-    FormData,
-    FormOptions,
-    axis_of,
-    caption,
-    number_column,
-    plain_cell,
-    raw_table,
-    require_runs,
-    result_of,
-    spans_decades,
-)
-from slamhive.analysis.forms.places import legend, look_of
-from slamhive.analysis.result import FormResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.plot_types.places import legend, look_of
+from slamhive.analysis.result import PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED, RunTable
 from slamhive.domain.metrics import Direction
 from slamhive.errors import InvalidInput
 from slamhive.schema.validation import explained
 
 
-class ParetoOptions(FormOptions):
-    """Two metrics give the plot; more may take part in what beats what."""
+class ParetoOptions(base.PlotOptions):
+    """The first two metrics are the axes; all metrics decide which configuration beats which."""
 
     metrics: list[str] = Field(
         default_factory=lambda: ["cpu.mean", "ate.rmse"],
         min_length=2,
         max_length=6,
-        description="What is traded off: the first is the x axis, the second the y axis, all count.",
+        description="Metrics to trade off: the first is the x axis, the second the y axis; all count.",
     )
 
     @model_validator(mode="after")
@@ -48,26 +35,19 @@ class ParetoOptions(FormOptions):
         return self
 
 
-class Pareto(Form[ParetoOptions]):
+class Pareto(base.PlotType[ParetoOptions]):
     """The plot type ``pareto``."""
 
     key = "pareto"
     title = "Pareto front"
-    description = "Accuracy against CPU, memory or latency: the configurations that nothing beats in all of them."
+    description = "Accuracy against CPU, memory or latency: the configurations that no other beats in all of them."
     options = ParetoOptions
+    column_options = ("metrics",)
 
-    def needs(self, options: ParetoOptions) -> frozenset[str]:
-        """The metrics."""
-        return frozenset(options.metrics)
-
-    def build(self, data: FormData, options: ParetoOptions) -> FormResult:
-        """The scatter of configurations with the front as a line, the table of the front, the raw data."""
-        table = data.table
-        require_runs(table)
-        columns = [table.numeric(key, "a trade-off") for key in options.metrics]
-        neutral = [column.key for column in columns if column.direction is Direction.NEUTRAL]
-        if neutral:
-            raise InvalidInput(f"{neutral[0]!r} has no better end", "choose metrics of which less or more is better")
+    def build(self, data: base.PlotData, options: ParetoOptions) -> PlotResult:
+        """A scatter of configurations with the front as a line, a table of the front, the raw data."""
+        table = data.table.require_runs()
+        columns = [base.directed(table, key, "a trade-off") for key in options.metrics]
         protocol = table.one_protocol(options.metrics)
         means = configuration_means(table, options.metrics)
         if means.empty:
@@ -84,27 +64,29 @@ class Pareto(Form[ParetoOptions]):
         chart = Chart(
             key=f"pareto_{'_'.join(options.metrics)}",
             title=options.title or f"{y.label} against {x.label}",
-            x=axis_of(x, log=spans_decades(number_column(means, x.key))),
-            y=axis_of(y, log=spans_decades(number_column(means, y.key))),
+            x=base.axis_of_numbers(x, means),
+            y=base.axis_of_numbers(y, means),
             marks=(
                 *(_front(means[front], x.key, y.key) if in_plane else ()),
                 *_points(means.assign(front=front), options.metrics, table),
             ),
-            caption=caption(
+            caption=base.caption(
                 table,
                 int(means["good"].sum()),
                 protocol,
-                f"One point for each of {len(means)} configurations and datasets (mean over its good runs); "
-                f"{int(front.sum())} are beaten by none of their dataset in "
-                f"{', '.join(beaten)}: outlined{joined}.",
+                f"One point for each of {len(means)} pairs of configuration and dataset (mean over good runs). Outlined"
+                f"{joined}: the {int(front.sum())} that no other on the same dataset beats in {', '.join(beaten)}.",
             ),
         )
-        tables = (_front_table(means[front], table, options.metrics), raw_table("pareto_raw", table, options.metrics))
-        return result_of(table, protocol, (chart,), tables, lacking=options.metrics)
+        tables = (
+            _front_table(means[front], table, options.metrics),
+            base.raw_table("pareto_raw", table, options.metrics),
+        )
+        return base.result_of(table, protocol, (chart,), tables, lacking=options.metrics)
 
 
 def configuration_means(table: RunTable, metrics: list[str]) -> pd.DataFrame:
-    """One row for each configuration and dataset with all metrics: means over its good runs, runs, failures."""
+    """One row per configuration and dataset that has all metrics: means over good runs, runs, failures."""
     keys = ["algorithm", "dataset", "configuration_id"]
     good = table.good().dropna(subset=metrics)
     means = good.groupby(keys, sort=True)[metrics].mean()
@@ -117,7 +99,7 @@ def configuration_means(table: RunTable, metrics: list[str]) -> pd.DataFrame:
 def pareto_front(costs: Array) -> Array:
     """Which rows no other row beats: (n,) bool.
 
-    A row beats another if it is nowhere worse and somewhere better (V. Pareto; dominance as in K. Deb, 2001).
+    A row beats another if it is never worse and at least once better (dominance as in K. Deb, 2001).
 
     Args:
         costs: (n, metrics), lower is better, finite.
@@ -135,9 +117,10 @@ def pareto_front(costs: Array) -> Array:
 
 
 def fronts_by_dataset(means: pd.DataFrame, metrics: list[str], signs: Array) -> Array:
-    """Which rows are on the front of their dataset: an easy sequence says nothing about who is better on a hard one.
+    """Which rows are on the front of their dataset; sequences differ in difficulty and are never compared.
 
-    The share of failed runs is one more cost: a mean over the runs that survived beats nobody who lost fewer.
+    The share of failed runs is another cost: a good mean over few surviving runs beats no configuration with fewer
+    failures.
     """
     front = np.zeros(len(means), dtype=bool)
     datasets = means["dataset"].to_numpy()
@@ -150,12 +133,12 @@ def fronts_by_dataset(means: pd.DataFrame, metrics: list[str], signs: Array) -> 
 
 
 def _points(means: pd.DataFrame, metrics: list[str], table: RunTable) -> Iterator[Points]:
-    grouped = means.groupby(["front", "algorithm", "dataset"], sort=True)  # what is on the front is drawn over the rest
+    grouped = means.groupby(["front", "algorithm", "dataset"], sort=True)  # the front is drawn last
     for (on_front, algorithm, dataset), rows in grouped:
         yield Points(
             **look_of(table, str(algorithm), str(dataset)),
-            x=number_column(rows, metrics[0]),
-            y=number_column(rows, metrics[1]),
+            x=base.number_column(rows, metrics[0]),
+            y=base.number_column(rows, metrics[1]),
             marker=table.markers[str(dataset)],
             emphasis=bool(on_front),
             texts=tuple(
@@ -167,10 +150,10 @@ def _points(means: pd.DataFrame, metrics: list[str], table: RunTable) -> Iterato
 
 
 def _front(front: pd.DataFrame, x: str, y: str) -> Iterator[Line]:
-    """The front of each dataset as a line, which its points lie on if two costs alone count."""
+    """The front of each dataset as a line; only drawn if no third cost counts."""
     for dataset, rows in front.groupby("dataset", sort=True):
         ordered = rows.sort_values(x)
-        places = number_column(ordered, x), number_column(ordered, y)
+        places = base.number_column(ordered, x), base.number_column(ordered, y)
         yield Line(f"front on {dataset}", *places, colour=REFERENCE, dashed=True, in_legend=False)
 
 
@@ -184,8 +167,5 @@ def _front_table(front: pd.DataFrame, table: RunTable, metrics: list[str]) -> Re
         TableColumn("failed", "Failed"),
     ]
     chosen = front[[column.key for column in columns]].sort_values(metrics[0])
-    rows = tuple(tuple(map(plain_cell, row)) for row in chosen.itertuples(index=False, name=None))
+    rows = tuple(tuple(map(base.plain_cell, row)) for row in chosen.itertuples(index=False, name=None))
     return ResultTable("pareto", "Configurations on the front", tuple(columns), rows)
-
-
-FORMS.register(Pareto.key, Pareto())

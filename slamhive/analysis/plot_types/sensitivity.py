@@ -1,4 +1,4 @@
-"""Sensitivity to a degradation: how a metric changes from the best condition on, and where it breaks."""
+"""Sensitivity to a degradation: how a metric changes from the undegraded end, and where it breaks."""
 
 from __future__ import annotations
 
@@ -11,41 +11,32 @@ import pandas as pd
 from pydantic import Field
 
 from slamhive.analysis.chart import Chart, Line, Points
-from slamhive.analysis.forms.base import (
-    FORMS,
-    Form,
-    FormData,
-    FormOptions,
-    axis_of,
-    caption,
-    number_column,
-    raw_table,
-    require_runs,
-    result_of,
-    spans_decades,
-    with_values,
-)
-from slamhive.analysis.forms.line import mean_lines
-from slamhive.analysis.forms.places import failed_marks, look_of
-from slamhive.analysis.result import Cell, FormResult, ResultTable, TableColumn
-from slamhive.analysis.table import FAILED, RunTable
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.plot_types.line import mean_lines
+from slamhive.analysis.plot_types.places import failed_marks, look_of
+from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
+from slamhive.analysis.table import RunTable
 from slamhive.domain.metrics import Direction
 from slamhive.errors import InvalidInput
 
 
-class SensitivityOptions(FormOptions):
-    """``x`` is what was degraded; its better end is where algorithms are compared with themselves."""
+class SensitivityOptions(base.PlotOptions):
+    """``x`` is the degraded parameter; its undegraded end is the baseline of each algorithm."""
 
-    x: str = Field(description="Parameter that was degraded: a rate, a resolution, the strength of a fault.")
-    metric: str = Field(default="ate.rmse", description="What suffers.")
-    better: Literal["high", "low"] = Field(default="high", description="Which end of x is the undegraded one.")
-    factor: float = Field(default=2.0, gt=1, le=1000, description="Broken: the metric is worse by this factor, or")
-    failure_rate: float = Field(default=0.5, gt=0, le=1, description="this share of the runs fails.")
+    x: str = Field(description="Degraded parameter: a rate, a resolution, the strength of a fault.")
+    metric: str = Field(default="ate.rmse", description="Metric to watch.")
+    better: Literal["high", "low"] = Field(default="high", description="The undegraded end of x.")
+    factor: float = Field(
+        default=2.0, gt=1, le=1000, description="An algorithm breaks where the metric is worse by this factor."
+    )
+    failure_rate: float = Field(
+        default=0.5, gt=0, le=1, description="An algorithm also breaks where this share of its runs fails."
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class BreakingPoint:
-    """Where one algorithm on one dataset breaks. ``last_good`` and ``first_bad`` are values of x; None: beyond."""
+    """Where one algorithm on one dataset breaks: ``last_good`` and ``first_bad`` are values of x, None if beyond."""
 
     algorithm: str
     dataset: str
@@ -55,56 +46,50 @@ class BreakingPoint:
     why: str
 
 
-class Sensitivity(Form[SensitivityOptions]):
+class Sensitivity(base.PlotType[SensitivityOptions]):
     """The plot type ``sensitivity``."""
 
     key = "sensitivity"
     title = "Sensitivity to a degradation"
-    description = "A metric from the undegraded end on, and the value at which each algorithm breaks."
+    description = "A metric over a degraded parameter, and the value at which each algorithm breaks."
     options = SensitivityOptions
+    column_options = ("x", "metric")
 
-    def needs(self, options: SensitivityOptions) -> frozenset[str]:
-        """The degraded parameter and the metric."""
-        return frozenset({options.x, options.metric})
-
-    def build(self, data: FormData, options: SensitivityOptions) -> FormResult:
-        """The lines with breaking points marked, the table of breaking points, the raw data."""
-        table = data.table
-        require_runs(table)
-        x, metric = table.numeric(options.x, "a degradation"), table.numeric(options.metric, "a mean")
-        if metric.direction is Direction.NEUTRAL:
-            raise InvalidInput(f"{metric.key!r} has no better end", "choose a metric of which less or more is better")
+    def build(self, data: base.PlotData, options: SensitivityOptions) -> PlotResult:
+        """Lines with breaking points, a table of breaking points, the raw data."""
+        table = data.table.require_runs()
+        x, metric = table.numeric(options.x, "a degradation"), base.directed(table, options.metric, "a mean")
         if table.frame[x.key].nunique() < 2:
-            raise InvalidInput(f"{x.key!r} has one value in the selection", "a degradation needs two values or more")
+            raise InvalidInput(f"{x.key!r} has one value in the selection", "select runs with two values or more")
         protocol = table.one_protocol([x.key, metric.key])
-        shown = with_values(table, [x.key, metric.key])
+        shown = base.with_values(table, [x.key, metric.key])
         points = list(breaking_points(table, options))
-        x_axis = axis_of(x, log=spans_decades(number_column(shown, x.key)))
-        broken = "whose runs fail in a share of {:g} % or more, or whose mean is worse than {:g} times the undegraded"
+        x_axis = base.axis_of_numbers(x, shown)
         chart = Chart(
             key=f"sensitivity_{x.key}_{metric.key}",
             title=options.title or f"{metric.label} as {x.label} degrades",
             x=x_axis,
-            y=axis_of(metric, log=spans_decades(number_column(shown, metric.key))),
+            y=base.axis_of_numbers(metric, shown),
             marks=(
                 *mean_lines(shown, x.key, metric.key, table),
                 *_limits(points, shown, metric.key, table),
                 *failed_marks(table, x_axis, x.key),
             ),
-            caption=caption(
+            caption=base.caption(
                 table,
                 len(shown),
                 protocol,
-                "Lines: mean; bands: 95 % bootstrap interval. Dashed: the first value "
-                f"{broken.format(100 * options.failure_rate, options.factor)}.",
+                "Lines: mean; bands: 95 % bootstrap interval. Dashed: the first value at which "
+                f"{100 * options.failure_rate:g} % or more of the runs fail, or the mean is worse than "
+                f"{options.factor:g} times the undegraded mean.",
             ),
         )
-        tables = (_table(points, table, options), raw_table("sensitivity_raw", table, [x.key, metric.key]))
-        return result_of(table, protocol, (chart,), tables, lacking=[x.key, metric.key])
+        tables = (_table(points, table, options), base.raw_table("sensitivity_raw", table, [x.key, metric.key]))
+        return base.result_of(table, protocol, (chart,), tables, lacking=[x.key, metric.key])
 
 
 def breaking_points(table: RunTable, options: SensitivityOptions) -> Iterator[BreakingPoint]:
-    """For each algorithm and dataset the first value, from the undegraded end on, at which it is broken."""
+    """For each algorithm and dataset, the first value at which it breaks, counted from the undegraded end."""
     higher_is_better = table.column(options.metric).direction is Direction.HIGHER
     for (algorithm, dataset), rows in table.frame.dropna(subset=[options.x]).groupby(["algorithm", "dataset"]):
         groups = [(float(value), group) for value, group in rows.groupby(options.x, sort=True)]
@@ -130,13 +115,12 @@ def breaking_points(table: RunTable, options: SensitivityOptions) -> Iterator[Br
 
 
 def _mean(rows: pd.DataFrame, metric: str) -> float | None:
-    values = number_column(rows[rows[FAILED].isna()], metric)
-    values = values[np.isfinite(values)]
+    values = base.good_values(rows, metric)
     return float(values.mean()) if len(values) else None
 
 
 def _failing(rows: pd.DataFrame, failure_rate: float) -> str:
-    failed = int(rows[FAILED].notna().sum())
+    failed = base.failed_count(rows)
     return f"{failed} of {len(rows)} runs failed" if failed >= failure_rate * len(rows) else ""
 
 
@@ -147,7 +131,7 @@ def _much_worse(mean: float | None, baseline: float | None, factor: float, *, hi
 
 
 def _limits(points: list[BreakingPoint], shown: pd.DataFrame, metric: str, table: RunTable) -> Iterator[Line | Points]:
-    values = number_column(shown, metric)
+    values = base.number_column(shown, metric)
     if not len(values):
         return
     ends = np.array([np.nanmin(values), np.nanmax(values)])
@@ -173,6 +157,3 @@ def _table(points: list[BreakingPoint], table: RunTable, options: SensitivityOpt
         for point in points
     )
     return ResultTable("breaking_points", "Breaking points", columns, rows)
-
-
-FORMS.register(Sensitivity.key, Sensitivity())

@@ -1,0 +1,109 @@
+"""CPU and memory over time, one line per run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from pydantic import Field
+
+from slamhive.analysis.chart import Array, Axis, Chart, Line, Points
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.plot_types.places import legend
+from slamhive.analysis.result import Exclusion, PlotResult, ResultTable, TableColumn
+from slamhive.analysis.table import RunTable
+from slamhive.errors import InvalidInput
+
+_MB = 1e-6
+_MOST_POINTS = 600
+
+
+class UsageOptions(base.PlotOptions):
+    """The number of runs to draw."""
+
+    most_runs: int = Field(
+        default=60, ge=1, le=500, description="The first runs are drawn; more lines would be unreadable."
+    )
+
+
+class Usage(base.PlotType[UsageOptions]):
+    """The plot type ``usage``."""
+
+    key = "usage"
+    title = "CPU and memory over time"
+    description = "CPU cores and memory of each run over the time since its start; failed runs are dashed."
+    options = UsageOptions
+    reads = frozenset({"cpu.mean", "cpu.max", "ram.max"})
+
+    def build(self, data: base.PlotData, options: UsageOptions) -> PlotResult:
+        """A plot of CPU and one of memory, a table of means and peaks, the samples."""
+        table = data.table.require_runs()
+        runs = [int(run) for run in table.frame["run_id"]]
+        sampled: list[base.RunUsage] = []
+        without: list[int] = []
+        for place, run in enumerate(runs):
+            if len(sampled) == options.most_runs:
+                break
+            data.progress(place / len(runs))
+            usage = data.files.usage(run)
+            without += [] if usage is not None else [run]
+            sampled += [] if usage is None else [usage]
+        if not sampled:
+            raise InvalidInput("no selected run has sampled usage", "imported runs have none")
+        left_over = runs[len(sampled) + len(without) :]
+        text = base.caption(table, len(sampled), None, "One line for each run; dashed: failed.")
+        charts = [
+            Chart(
+                key=f"usage_{y.label.lower()}",
+                title=options.title or f"{y.label[0].upper()}{y.label[1:]} in use",
+                x=Axis("time since the start of the run", "s"),
+                y=y,
+                marks=tuple(_lines(sampled, table, y.label)),
+                caption=text,
+            )
+            for y in (Axis("CPU", "cores"), Axis("memory", "MB"))
+        ]
+        excluded = (Exclusion("not sampled", tuple(without)), Exclusion("more runs than are drawn", tuple(left_over)))
+        tables = (
+            base.raw_table("usage", table, ["cpu.mean", "cpu.max", "ram.max"], "Means and peaks"),
+            _samples(sampled),
+        )
+        return base.result_of(table, None, charts, tables, excluded=excluded)
+
+
+def _lines(sampled: list[base.RunUsage], table: RunTable, what: str) -> Iterator[Line | Points]:
+    failed = set(table.failed()["run_id"])
+    algorithms = dict(zip(table.frame["run_id"], table.frame["algorithm"], strict=True))
+    for usage in sampled:
+        values = usage.cpu_cores if what == "CPU" else usage.memory_bytes * _MB
+        kept = _evenly(len(values))
+        yield Line(
+            name=f"run {usage.run_id}, {algorithms[usage.run_id]}",
+            x=usage.times_s[kept],
+            y=values[kept],
+            colour=table.colours[algorithms[usage.run_id]],
+            dashed=usage.run_id in failed,
+            runs=usage.run_id,
+            in_legend=False,
+            group=algorithms[usage.run_id],
+        )
+    yield from legend(table, markers=False)
+
+
+def _evenly(count: int) -> Array:
+    return np.unique(np.linspace(0, count - 1, min(count, _MOST_POINTS)).astype(int))
+
+
+def _samples(sampled: list[base.RunUsage]) -> ResultTable:
+    columns = (
+        TableColumn("run_id", "Run", links_run=True),
+        TableColumn("time_s", "Time", "s"),
+        TableColumn("cpu_cores", "CPU", "cores"),
+        TableColumn("memory_bytes", "Memory", "bytes"),
+    )
+    rows = tuple(
+        (usage.run_id, float(at), float(cpu), float(memory))
+        for usage in sampled
+        for at, cpu, memory in zip(usage.times_s, usage.cpu_cores, usage.memory_bytes, strict=True)
+    )
+    return ResultTable("usage_samples", "Samples", columns, rows, raw=True)
