@@ -3,8 +3,8 @@
     python benchmarks/archive.py [RUNS] [POSES]
 
 A run of 4,000 poses has a folder of 600 kB. Prints seconds of wall time and of CPU time, and the largest memory use
-of the process. Both depend on the machine, so it also prints the ratio to a plain copy: the same folders packed by
-tarfile (gzip, level 1) and unpacked, with the SHA-256 of every file both times.
+of the process. Both depend on the machine, so it also prints the ratio to a plain copy. That packs and unpacks
+the same folders with tarfile (gzip, level 1), with the SHA-256 of every file both times.
 Asked: 2,000 runs out and in again in under 2 minutes.
 """
 

@@ -3,11 +3,10 @@
     python benchmarks/search.py --runs 100000 --mlflow /path/to/venv/bin/python
     python benchmarks/search.py --runs 1000000 --only mariadb
 
-"clock" is what a user waits for, "CPU" what client and server worked for it: on a machine that does other things at
-the same time only the second tells anything. Every query is a page as the web server makes it: filter text read,
-matches and what is left out counted, 50 runs with all their parameters and metrics. The values in the filter are drawn
-again before each, so that nothing is answered from a cache of results. On SQLite the same pages are then asked of the
-web server, whose memory is measured.
+"clock" is the time a user waits, "CPU" the CPU time of client and server; on a busy machine only the second is
+meaningful. Every query is a page as the web server makes it. It parses the filter, counts matches and runs left out,
+and reads 50 runs with all parameters and metrics. The values in the filter are random, so nothing comes from a cache of
+results. On SQLite, the benchmark then requests the same pages from the web server and measures its memory.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ class Dataset:
             alone = "relations" if self.groundtruth is None else "a ground truth"
             raise InvalidInput(
                 f"dataset {self.name} is {alone} without a recording: nothing can be run on it",
-                "slamhive runs import adds trajectories that were made elsewhere",
+                "slamhive runs import adds trajectories of other tools",
             )
 
     @property

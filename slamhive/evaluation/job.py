@@ -1,7 +1,7 @@
 """The job file between the controller and the evaluation container: many runs in one start.
 
-The controller writes ``job.json``; the entry script evaluates every task, writes ``result.json`` into each task's
-output folder (aside, then renamed), and prints one JSON line per task to stdout as progress.
+The controller writes ``job.json``. The entry script evaluates every task, writes ``result.json`` into each task's
+output folder (temporary name, then renamed), and prints one JSON line per task to stdout as progress.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ class Artefacts(StrEnum):
 class EvaluationTask:
     """One run to evaluate. Paths are as the evaluating process sees them.
 
-    ``T_body_sensor`` is the pose of the frame that the estimate describes in the ground truth's body frame; the
-    ground truth is moved into that frame (which is metric, whatever the estimate's scale).
-    ``reference`` is None where there are relations, among ``files``, and no ground-truth trajectory.
+    ``T_body_sensor`` is the pose of the estimate's frame in the ground truth's body frame. The ground truth is moved
+    into that frame, because it is metric at every scale of the estimate. ``reference`` is None if ``files`` contain
+    relations and there is no ground-truth trajectory.
     ``positions_only``: the orientations of the ground truth mean nothing. ``files``: what else there is of the run,
     by the name that evaluators know it by (see :class:`~slamhive.evaluation.evaluators.base.Paired`).
     ``artefacts``: METRICS writes metrics only; FILES adds ``ape.zip``, ``rpe.zip`` and the aligned ``traj.tum``;
-    PLOTS adds the paper's metrics.
+    PLOTS adds the paper's plots.
     """
 
     id: str

@@ -1,4 +1,4 @@
-"""Following what a batch prints while keeping an eye on the time and on being told to stop."""
+"""Follows the output of a batch, with a time limit and a way to stop it."""
 
 from __future__ import annotations
 

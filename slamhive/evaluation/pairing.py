@@ -96,5 +96,5 @@ def shifted(trajectory: Trajectory, offset_s: float) -> Trajectory:
         return trajectory
     stamps_s = trajectory.stamps_s + offset_s
     if np.any((np.diff(stamps_s) <= 0) & (np.diff(trajectory.stamps_s) > 0)):
-        raise InvalidInput(f"a time offset of {offset_s:g} s makes stamps fall together", "give a smaller offset")
+        raise InvalidInput(f"a time offset of {offset_s:g} s makes timestamps fall together", "give a smaller offset")
     return Trajectory(stamps_s, trajectory.positions_m, trajectory.quats_xyzw)

@@ -53,9 +53,9 @@ PRESETS.register(
         ),
         figures=("ate.rmse", "rpe.seconds.mean", "rpe.seconds.rmse", "rpe_rot.seconds.mean", "rpe_rot.seconds.rmse"),
         differs="SE(3); each pose once, closest pairs first, less than 0.02 s apart. RPE over 1 s from every pose of "
-        "the estimate, matched or not. Equal to the scripts to 1e-9, but that they draw 10,000 pairs at random where "
-        "there are more (ours takes all, as --max_pairs 0) and take the last of poses with one timestamp (ours refuses "
-        "them).",
+        "the estimate, matched or not. Equal to the scripts to 1e-9, with two differences: they draw 10,000 pairs at "
+        "random if there are more (ours takes all, as --max_pairs 0). They also take the last of several poses with "
+        "one timestamp (ours rejects them).",
         source="Sturm et al., IROS 2012; https://cvg.cit.tum.de/data/datasets/rgbd-dataset/tools",
     ),
 )
@@ -65,7 +65,7 @@ PRESETS.register(
         title="KITTI odometry devkit",
         protocol=Protocol(Alignment.NONE, association=Association.INDEX),
         figures=("kitti.translation", "kitti.rotation", "kitti.segments"),
-        differs="No stamps and no alignment: the n-th pose answers to the n-th, every frame needs one. Errors over "
+        differs="No timestamps and no alignment: the n-th pose matches the n-th, every frame needs one. Errors over "
         "segments of 100 to 800 m from every tenth frame, all pooled, path lengths in single precision.",
         source="Geiger et al., CVPR 2012; https://www.cvlibs.net/datasets/kitti/eval_odometry.php",
     ),
@@ -85,9 +85,9 @@ PRESETS.register(
             "ate.rmse",
             *(f"segment.{part}.{percent}pct" for percent in SEGMENT_PERCENTS for part in ("translation", "rotation")),
         ),
-        differs="Sim(3), the tool's default whatever the sensors; association as TUM; segments from every pose over 10 "
-        "to 50 % of the whole ground truth's path, with the tool's shift after a pose that no segment starts from. The "
-        "tool draws box plots; ours are the means of the same errors, equal to 1e-9.",
+        differs="Sim(3), the tool's default for all sensors; association as TUM. Segments from every pose over 10 to "
+        "50 % of the whole ground truth's path, with the tool's shift after a pose where no segment starts. The tool "
+        "draws box plots; ours are the means of the same errors, equal to 1e-9.",
         source="Zhang and Scaramuzza, IROS 2018; https://github.com/uzh-rpg/rpg_trajectory_evaluation",
     ),
 )
@@ -112,10 +112,10 @@ PRESETS.register(
                 for part in ("metres", "degrees")
             ),
         ),
-        differs="Yaw + position, both frames with z along gravity; each pose in turn takes the nearest one that is "
-        "left; segments of 8 to 48 m (error_singlerun stops at 40, error_comparison goes on), to 0.5 m, of the aligned "
-        "estimate; mean and standard deviation of each length are there too. Equal to 1e-9 where quaternions are unit. "
-        "The tool takes them as they are written: with six digits that is typically 0.01 %, at most 0.9 %.",
+        differs="Yaw + position, both frames with z along gravity; each pose takes the nearest one that is left. "
+        "Segments of 8 to 48 m (error_singlerun stops at 40, error_comparison continues), to 0.5 m, of the aligned "
+        "estimate, with mean and standard deviation of each length. Equal to 1e-9 for unit quaternions. The tool does "
+        "not normalise them: with six digits this makes typically 0.01 %, at most 0.9 %.",
         source="Geneva et al., ICRA 2020; https://github.com/rpng/open_vins",
     ),
 )
@@ -140,10 +140,10 @@ PRESETS.register(
                 for part in ("translation", "rotation")
             ),
         ),
-        differs="The estimate answers at every stamp of the ground truth, held where tracking was lost, so that losing "
-        "track costs accuracy. Equal to 1e-9 if the tool is given the ground truth's timestamps and unit quaternions. "
-        "It goes by the images' timestamps instead (up to 2 % of the ATE, 17 % of a segment error) and takes "
-        "quaternions as they are written (at most 0.01 %).",
+        differs="The estimate is compared at every timestamp of the ground truth and held where tracking was lost, so "
+        "lost tracking costs accuracy. Equal to 1e-9 if the tool gets the ground truth's timestamps and unit "
+        "quaternions. It uses the timestamps of the images instead (up to 2 % of the ATE, 17 % of a segment error) and "
+        "does not normalise quaternions (at most 0.01 %).",
         source="Schops et al., BAD SLAM, CVPR 2019; https://github.com/ETH3D/slam-evaluation",
     ),
 )

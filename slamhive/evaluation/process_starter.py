@@ -66,7 +66,7 @@ def _environment(home: Path) -> dict[str, str]:
 def _follow(
     process: subprocess.Popen[bytes], timeout_s: float, on_line: LineCallback, stopping: threading.Event
 ) -> str | None:
-    """Hand over lines until the process has ended; end it on timeout or when told to stop."""
+    """Hand over lines until the process has ended; end it on timeout or when ``stopping`` is set."""
     assert process.stdout is not None
     feed = LineFeed(_lines_of(process.stdout))
     ended: str | None = "it was not followed to its end"

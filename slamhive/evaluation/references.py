@@ -42,7 +42,7 @@ class Reference:
     T_body_estimate: FloatArray = field(default_factory=lambda: np.eye(4))
 
     def check(self, protocol: Protocol) -> None:
-        """Raise InvalidInput if the estimate cannot be aligned so for want of orientations."""
+        """Raise InvalidInput if this alignment needs orientations that are missing."""
         if self.rotations_known:
             return
         if protocol.aligns_one_pose:

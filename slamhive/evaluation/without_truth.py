@@ -27,7 +27,7 @@ def figures_without_truth(
     files: Mapping[str, Path],
     keys: Iterable[str],
 ) -> Figures:
-    """Errors of the relations, and what the map tells by itself.
+    """Errors of the relations, and the map metrics that need no reference.
 
     Args:
         estimate: As the algorithm wrote it.

@@ -54,8 +54,8 @@ def main(arguments: Sequence[str], emit: Callable[[str], None]) -> int:
 def evaluate_all(tasks: Sequence[EvaluationTask], workers: int) -> Iterator[EvaluationResult]:
     """The result of every task, as each is done. Ground truths are read once, before the workers are forked.
 
-    A task that kills its worker (out of memory, say) takes down the pool: it and those in flight with it are tried
-    again one by one, and only the one that does it again is given up.
+    A task that kills its worker, for example by its memory use, takes down the pool. All tasks in flight are then
+    retried one by one, and only one that does it again is abandoned.
     """
     _references.preload(tasks)
     load_libraries(tasks)

@@ -20,7 +20,7 @@ from slamhive.web.formatting import duration, plural, value_text
 
 PARAMETER_PREFIX = "parameter."
 _OWN_FIELDS = ("algorithm", "dataset", "parameters", "variant")
-"""What a form reads with the catalogue at hand; ``variant`` is typed into the field ``steps``."""
+"""Fields that need the catalogue; the field ``steps`` contains ``variant``."""
 _TYPED = [option for option in OPTIONS.values() if option.name not in _OWN_FIELDS]
 CONTENT_OPTIONS = [option for option in _TYPED if option.group == CONTENT]
 RUN_OPTIONS = [option for option in _TYPED if option.group != CONTENT]

@@ -34,7 +34,7 @@ class Contents:
 def check_archive(archive: ArchiveReader, progress: Progress, place: Place = not_unpacked) -> Contents:
     """Compare every member with its checksum and read every row; raises InvalidInput for the first that is wrong.
 
-    What ``place`` tells is unpacked on the way.
+    Members for which ``place`` returns a path are unpacked on the way.
     """
     archive.verify(lambda done, total: progress(0.8 * done / max(total, 1), "comparing checksums"), place)
     contents = Contents()

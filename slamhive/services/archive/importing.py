@@ -1,8 +1,8 @@
 """Importing an archive: merged with what is here, whole or completed by the same command, nothing twice.
 
-Folders of runs are unpacked aside while their checksums are compared. When all is known to be whole, each batch of runs
-is filed in one transaction, and their folders are renamed into place right after; an import that is killed in between,
-or anywhere else, is completed by the same command.
+Folders of runs are unpacked to a temporary place while their checksums are compared. When everything is intact, each
+batch of runs is stored in one transaction, and then their folders are renamed into place. The same command completes
+an import that was killed at any point.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _MB = 1_000_000
 
 @dataclass
 class ArchiveReport:
-    """What became of the runs of an archive, in numbers, and what was done otherwise than one may think."""
+    """The result of an import: numbers of runs, and notes on what may be unexpected."""
 
     imported: int = 0
     known: int = 0
@@ -217,7 +217,7 @@ class ArchiveImport:
 
 
 def _current(line: RunLine, folder: RunFolder | None, found: list[FoundEvaluation]) -> str | None:
-    """The protocol that the run showed where it comes from, if its figures have come along."""
+    """The protocol that the run showed where it comes from, if its metrics were imported too."""
     if folder is None:
         return None
     done = {result.fingerprint for _, result, _ in found if result.succeeded}

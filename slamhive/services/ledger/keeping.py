@@ -31,7 +31,7 @@ class Ledger:
 
     Args:
         settings: Where it lies.
-        store: What it tells of.
+        store: The store that it records.
     """
 
     def __init__(self, settings: Settings, store: Store) -> None:
@@ -68,7 +68,7 @@ class Ledger:
         self._replace(files.searches, search_lines)
 
     def knows_more(self) -> bool:
-        """Whether the ledger tells of something while the database holds nothing: it was lost."""
+        """Whether the ledger has entries but the database is empty, so it was lost."""
         if not self._store.read(lambda t: t.ledger.empty()):
             return False
         return bool(live_configurations(self.files.configurations)) or any(self.files.searches.read())
@@ -107,7 +107,7 @@ class Ledger:
                 yield {"experiment": self._uid(experiment), "size": sizes[self._uid(experiment)]}
 
     def _runs(self, changes: Changes) -> Iterator[Line]:
-        # Runs that were made elsewhere never wait: their folders follow at once.
+        # Imported runs never wait: their folders follow immediately.
         rows = [row for row in changes.runs if row.content.executor != IMPORTED]
         named = {row.content.experiment_id for row in rows} - {None}
         yield from run_lines(rows, {number: self._uid(number) for number in named if number is not None})

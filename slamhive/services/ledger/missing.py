@@ -55,7 +55,7 @@ class Missing:
         stored, described = self._store.read(lambda t: (t.ledger.configurations(), t.ledger.described()))
         if told - stored:
             logger.warning(
-                "%s tells of %d configurations that the database does not know: slamhive reindex restores them",
+                "%s lists %d configurations that the database does not know: slamhive reindex restores them",
                 self._files.configurations.path,
                 len(told - stored),
             )
@@ -149,7 +149,7 @@ class Missing:
             after = found[-1][0]
 
     def _untold(self, run_id: int, state: RunState, told: set[int]) -> bool:
-        """Whether neither the book nor the run's folder tells that it is in ``state``."""
+        """Whether neither the book nor the run's folder says that it is in ``state``."""
         if run_id in told:
             return False
         folder = RunFolder(self._settings.runs_folder / str(run_id))

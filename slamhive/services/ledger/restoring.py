@@ -47,7 +47,7 @@ class _Cancelled:
 
 
 class LedgerRestore:
-    """Restores what the ledger tells; the caller files the folders of experiments and runs in between.
+    """Restores the content of the ledger; the caller files the folders of experiments and runs in between.
 
     Args:
         store: To be filled.

@@ -45,7 +45,7 @@ def runs() -> Response:
 
 @blueprint.get(f"/runs/{RUN_ID}")
 def run(run_id: int) -> Response:
-    """One run with its figures, evaluations and events."""
+    """One run with its metrics, evaluations and events."""
     return answer(hive().runs.in_full(run_id).content)
 
 
