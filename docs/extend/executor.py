@@ -142,8 +142,9 @@ class PlainExecutor(Executor):
             **{name: str(places.get(value, value)) for name, value in spec.environment.items()},
             KEY_VARIABLE: spec.key,
         }
-        command = ["/bin/sh", "-c", SCRIPT, "sh", str(environment.python), str(script)]
-        subprocess.Popen(command, cwd=work, env=variables, start_new_session=True)
+        # In a session of its own, and no child of this process: the run outlives the worker and leaves it no zombie.
+        command = ["setsid", "--fork", "/bin/sh", "-c", SCRIPT, "sh", str(environment.python), str(script)]
+        subprocess.run(command, cwd=work, env=variables, check=True)
 
 
 def _processes(key: str) -> list[psutil.Process]:
