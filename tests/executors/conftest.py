@@ -62,6 +62,7 @@ class Bench:
     identity: str
     executor: Executor
     make: Callable[[], Executor]
+    containment: str = ""
     handles: list[RunHandle] = field(default_factory=list)
 
     def spec(self, script: str, limits: Limits | None = None, key: str | None = None) -> RunSpec:
@@ -137,6 +138,7 @@ class Maker:
     name: str
     context: ExecutorContext
     make: Callable[[], Executor]
+    containment: str = ""
 
 
 @pytest.fixture(scope="session")
@@ -204,7 +206,7 @@ def maker(request, tmp_path: Path, environment_data: Path) -> Maker:
         open_to_other_users(tmp_path, environment_data)
     context = ExecutorContext(environment_data, PROJECT_ROOT, uuid.uuid4().hex, 100_000)
     if containment:
-        return Maker(name, context, lambda: ProcessExecutor(context, containment))
+        return Maker(name, context, lambda: ProcessExecutor(context, containment), containment)
     if name in PLUGINS:
         plugin = request.getfixturevalue("plugins")[name]
         if name == "remote":
@@ -225,6 +227,7 @@ def bench(request, maker: Maker, tmp_path: Path, test_package: AlgorithmPackage)
     else:
         image, identity = test_package.image, executor.build(test_package, lambda line: None)
     bench = Bench(maker.name, maker.context, tmp_path, replace(test_package), image, identity, executor, maker.make)
+    bench.containment = maker.containment
     yield bench
     for handle in bench.handles:
         executor.remove(handle)

@@ -137,7 +137,7 @@ def test_sweep_ends_the_groups_of_runs_that_nobody_knows(bench):
         eventually((bench.result(spec) / "ready").exists, "the start")
     os.kill(int(lost_handle.data["pid"]), signal.SIGKILL)
     removed = bench.again().sweep({kept.key})
-    if bench.context.containment == "cgroup":
+    if bench.containment == "cgroup":
         assert [name.endswith(lost.key) for name in removed] == [True]
         assert processes_of(lost_handle) == []
         assert folders_of(lost_handle) == []
@@ -163,7 +163,7 @@ def test_a_user_of_its_own_has_its_files_while_it_lives(bench):
     assert wait_for_end(bench.executor, handle).exit_code == 0
     result = bench.result(spec)
     uid, gid, groups, writes_elsewhere = json.loads((result / "seen").read_text())
-    if bench.context.containment == "user":
+    if bench.containment == "user":
         assert FIRST_UID <= uid < FIRST_UID + USERS
         assert (gid, groups, writes_elsewhere) == (uid, [], False)
         assert processes_of_user(uid) == []
