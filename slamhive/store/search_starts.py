@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,7 +101,7 @@ def _starts_of_part(part: Bound, others: Sequence[Bound]) -> Iterator[Start]:
     shared = [other for other in others if _of_configuration(other)] if _of_configuration(part) else []
     rest = [other for other in others if other not in shared]
     for start in starts(part):
-        yield Start(start.part, _all_of(rest if start.rest is None else [start.rest, *rest]), _all_of(shared))
+        yield Start(start.part, _all_of([start.rest, *rest]), _all_of([start.also, *shared]))
 
 
 def _of_configuration(part: Bound) -> bool:
@@ -116,5 +116,6 @@ def _has_index(leaf: Condition) -> bool:
     return leaf.field.source is not Source.RUN or (leaf.field.name in _INDEXED and leaf.sign is not Sign.HAS)
 
 
-def _all_of(parts: Collection[Bound]) -> Bound | None:
-    return join("and", list(parts)) if parts else None
+def _all_of(parts: Sequence[Bound | None]) -> Bound | None:
+    there = [part for part in parts if part is not None]
+    return join("and", there) if there else None
