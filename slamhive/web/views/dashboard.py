@@ -55,7 +55,6 @@ def index() -> str:
         ended=ended,
         ended_rows=rows(ended.records, map(column, RESULT_COLUMNS), algorithms),
         result_columns=[column(key) for key in RESULT_COLUMNS],
-        has_algorithms=bool(algorithms),
         has_datasets=bool(services.catalogue.datasets()),
     )
 
