@@ -87,10 +87,7 @@ class Settings(BaseSettings):
         0.05, "Limit of the share of CPU time that the hypervisor gives to other machines", minimum=0, maximum=1
     )
     disturbed_cpu_pressure: float = setting(
-        0.3,
-        "Limit of CPU pressure; counts only beside half of the load of others that is allowed",
-        minimum=0,
-        maximum=1,
+        0.3, "Limit of CPU pressure; counts only with half of the allowed load of others", minimum=0, maximum=1
     )
     disturbed_io_pressure: float = setting(0.4, "Limit of disk pressure", minimum=0, maximum=1)
     disturbed_memory_pressure: float = setting(0.1, "Limit of memory pressure", minimum=0, maximum=1)
@@ -194,13 +191,7 @@ class SettingInForce:
 def describe() -> list[SettingInfo]:
     """Every setting with its documentation, in definition order."""
     return [
-        SettingInfo(
-            name=name.upper(),
-            environment=_variable(name),
-            default=str(field.default),
-            unit=_extra(name)["unit"],
-            help=field.description or "",
-        )
+        SettingInfo(name.upper(), _variable(name), str(field.default), _extra(name)["unit"], field.description or "")
         for name, field in Settings.model_fields.items()
     ]
 
