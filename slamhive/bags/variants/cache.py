@@ -1,8 +1,8 @@
 """The cache of variants. Each is made once, is complete or absent, and the least recently used goes first.
 
-``<root>/<key>/`` is a dataset folder with ``variant.json`` beside the recording; ``<key>.lock`` beside it carries the
-locks (``flock``: the kernel lets go of them with the process, however it dies). Whoever uses a variant shares its lock,
-whoever makes or removes one holds it alone. ``.<key>.partial`` is work in progress and never taken for a variant.
+``<root>/<key>/`` is a dataset folder with ``variant.json`` beside the recording. ``<key>.lock`` beside it carries the
+locks (``flock``: the kernel releases them when the process ends). A user of a variant shares its lock. To make
+or remove one it holds the lock exclusively. ``.<key>.partial`` is work in progress and never used as a variant.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ from slamhive.tree import folder_bytes
 logger = logging.getLogger(__name__)
 
 _ROOM_LOCK = ".room.lock"
-_LOCK = ".lock"
 _PARTIAL = ".partial"
 
 Builder = Callable[[Path, Progress], Dataset]
@@ -67,21 +66,16 @@ class CacheLimits:
     free_bytes: int = 0
 
 
-def nothing_kept() -> Collection[str]:
-    """Only variants that processes hold are in use."""
-    return ()
-
-
 class VariantCache:
     """The variants of one data root, shared by all processes.
 
     Args:
         root: Their folder; made when the first variant is.
         limits: Kept to when a variant is made.
-        kept: Keys that are in use although no process holds them (by a container whose worker was killed).
+        kept: Returns keys that are in use although no process holds them (by a container whose worker was killed).
     """
 
-    def __init__(self, root: Path, limits: CacheLimits, kept: Callable[[], Collection[str]] = nothing_kept) -> None:
+    def __init__(self, root: Path, limits: CacheLimits, kept: Callable[[], Collection[str]] = frozenset) -> None:
         self._root = root
         self._limits = limits
         self._kept = kept
@@ -170,10 +164,8 @@ class VariantCache:
         except BaseException as error:
             shutil.rmtree(aside, ignore_errors=True)
             if isinstance(error, OSError):
-                raise Unavailable(
-                    f"variant {plan.key} of {plan.dataset} cannot be written: {error.strerror}",
-                    "check space and rights",
-                ) from error
+                message = f"variant {plan.key} of {plan.dataset} cannot be written: {error.strerror}"
+                raise Unavailable(message, "check space and rights") from error
             raise
         with exclusive(self._root / _ROOM_LOCK, _silent):
             self._evict(wanted_bytes=0)
@@ -297,7 +289,7 @@ class VariantCache:
         return self._root / f".{key}{_PARTIAL}"
 
     def _lock(self, key: str) -> Path:
-        return self._root / f"{key}{_LOCK}"
+        return self._root / f"{key}.lock"
 
 
 def _megabytes(size_bytes: int) -> str:

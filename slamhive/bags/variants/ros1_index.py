@@ -1,7 +1,7 @@
 """The index of a ROS 1 bag: where each message lies, read without touching the messages.
 
-Format 2.0, https://wiki.ros.org/Bags/Format/2.0: a bag is a list of records (header fields, then data). Messages sit in
-chunks, each followed by one index record for every connection in it; connections and a summary of the chunks end the
+Format 2.0, https://wiki.ros.org/Bags/Format/2.0: a bag is a list of records (header fields, then data). Messages are in
+chunks, each followed by one index record for every connection in it. Connections and a summary of the chunks end the
 file. Positions and sizes are bytes; times are nanoseconds.
 """
 
