@@ -124,8 +124,9 @@ def metrics_page() -> str:
     """``docs/metrics.md``: the metric catalogue, group by group."""
     sections = []
     for group in Group:
-        rows = (_metric_row(metric) for metric in CATALOGUE.values() if metric.group is group)
-        sections.append(f"\n## {group.value.capitalize()}\n\n{METRICS_TABLE}{''.join(rows)}")
+        rows = [_metric_row(metric) for metric in CATALOGUE.values() if metric.group is group]
+        if rows:
+            sections.append(f"\n## {group.value.capitalize()}\n\n{METRICS_TABLE}{''.join(rows)}")
     return NOTE + METRICS_HEAD + "".join(sections)
 
 

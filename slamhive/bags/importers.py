@@ -1,29 +1,28 @@
-"""Dataset importers, which turn a recording of some format into a dataset folder.
+"""Dataset importers: each turns recordings of one format into dataset folders.
 
-To add one: write a class with ``name``, ``detect`` and ``convert`` and register an instance, here or through the
-entry-point group ``slamhive.dataset_importers``. ``docs/dataset-format.md`` says what a dataset folder holds.
+Importers of other packages come in through the entry-point group ``slamhive.dataset_importers``;
+``docs/extend/index.md`` shows one, and ``docs/dataset-format.md`` says what a dataset folder holds.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from slamhive.bags.detection import Detection
 from slamhive.bags.kitti_odometry import KittiOdometryImporter
 from slamhive.bags.staging import Progress
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput
-from slamhive.registry import Registry
+from slamhive.registry import Registry, instances_of
 
 
+@runtime_checkable
 class Importer(Protocol):
-    """Converts one format."""
-
-    name: str
+    """Turns recordings of one format into dataset folders."""
 
     def detect(self, path: Path) -> Detection:
-        """Check quickly whether ``path`` has this format."""
+        """Say what at ``path`` speaks for the format and what is missing, without reading much."""
         ...
 
     def convert(self, source: Path, folder: Path, name: str, progress: Progress) -> Dataset:
@@ -31,12 +30,11 @@ class Importer(Protocol):
         ...
 
 
-IMPORTERS: Registry[Importer] = Registry("dataset importer", "slamhive.dataset_importers")
-IMPORTERS.register(KittiOdometryImporter.name, KittiOdometryImporter())
-
+IMPORTERS: Registry[Importer] = Registry("dataset importer", "slamhive.dataset_importers", instances_of(Importer))
+IMPORTERS.register("kitti-odometry", KittiOdometryImporter())
 
 AUTO = "auto"
-"""Instead of a format: choose the one that fits."""
+"""Stands for the format that fits."""
 
 
 def detect_format(path: Path) -> str:

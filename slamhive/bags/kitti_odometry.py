@@ -48,8 +48,6 @@ class KittiOdometryImporter:
     point. Colour images (``image_2``, ``image_3``) become ``bgr8``, grey ones ``mono8``.
     """
 
-    name = "kitti-odometry"
-
     def detect(self, path: Path) -> Detection:
         """The parts of a sequence in ``path``."""
         return detect_kitti(path)

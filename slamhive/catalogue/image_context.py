@@ -1,4 +1,4 @@
-"""What ``docker build`` of an algorithm package gets to see: a folder put together from package, runtime and host."""
+"""The build context of an algorithm image: files of the package, of the runtime and of the host."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HOST_CERTIFICATES = Path("/usr/local/share/ca-certificates")
 """Where Debian and Ubuntu keep the certificates of private authorities."""
 
 RUNTIME_PARTS = ("__init__.py", "errors.py", "files.py", "input_bounds.py", "strict_yaml.py", "runtime")
-"""What runs inside the images: the modules that the runtime imports, and itself."""
+"""What runs inside the images: the runtime and the modules that it imports."""
 
 RENDERING_PARTS = (
     "__init__.py",
@@ -29,7 +29,7 @@ RENDERING_PARTS = (
     "bags/geometry.py",
     "bags/room",
 )
-"""What renders the images that a package's ``prepare.py`` may train on."""
+"""The code that renders images on which the ``prepare.py`` of a package can train."""
 
 BASE_SCRIPT = "docker/base/install-runtime.sh"
 
@@ -53,14 +53,14 @@ def stage_context(
     certificates: Path = HOST_CERTIFICATES,
     environment: Mapping[str, str] = os.environ,
 ) -> BuildContext:
-    """Put the build context of a package together in ``target``, which must not exist.
+    """Write the build context of a package to ``target``, which must not exist.
 
     Args:
         package_folder: ``algorithms/<name>``.
         project_root: Folder with ``docker/base``.
-        target: The context; see ``docker/base/README.md`` for what lies where.
-        certificates: Folder whose ``*.crt`` files the image is to trust while building; may be absent.
-        environment: ``BASE_IMAGE`` and pip's index settings become build arguments.
+        target: The context; ``docker/base/README.md`` explains its layout.
+        certificates: Folder whose ``*.crt`` files the image trusts during the build; may be absent.
+        environment: Its ``BASE_IMAGE`` and index settings of pip become build arguments.
 
     Raises:
         InvalidInput: the package has no Dockerfile.
@@ -91,7 +91,7 @@ def build_arguments(environment: Mapping[str, str] = os.environ) -> dict[str, st
 
 
 def context_hash(package_folder: Path, project_root: Path) -> str:
-    """What an image is made from, as one SHA-256: an image that carries another one is out of date."""
+    """SHA-256 of everything that goes into an image; an image with another hash is out of date."""
     source = Path(slamhive.__file__).parent
     parts = [hash_files(package_folder), hash_files(source, RUNTIME_PARTS), hash_files(project_root, (BASE_SCRIPT,))]
     if (package_folder / "prepare.py").is_file():
@@ -111,6 +111,6 @@ def copy_parts(source: Path, parts: tuple[str, ...], target: Path) -> None:
 
 
 def _set_plain_modes(folder: Path) -> None:
-    """Readable by any user, whatever the umask of the checkout: runs use the controller's user id."""
+    """Make files readable by any user, whatever the umask of the checkout: runs have the controller's user id."""
     for path in [folder, *folder.rglob("*")]:
         path.chmod(0o755 if path.is_dir() else 0o644)

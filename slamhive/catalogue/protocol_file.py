@@ -1,128 +1,77 @@
-"""Read a protocol file into a :class:`~slamhive.domain.protocol_request.ProtocolRequest`; errors name the line."""
+"""Reads a protocol file; mistakes are reported with their line."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import Field as DataclassField
+from dataclasses import fields
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from slamhive import strict_yaml
-from slamhive.domain.protocol import (
-    BOUNDS,
-    MOST_SEGMENT_LENGTHS,
-    Alignment,
-    Association,
-    Duplicates,
-    RpePairs,
-    SegmentRule,
-)
+from slamhive.domain.protocol import MOST_SEGMENT_LENGTHS, Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.domain.sensors import is_rigid
 from slamhive.errors import InvalidInput
 from slamhive.schema.validation import first_problem_at
 
 
-def _number(name: str, unit: str, description: str) -> Any:
-    minimum, maximum = BOUNDS[name]
-    return Field(ge=minimum, le=maximum, allow_inf_nan=False, description=f"{description} ({unit})")
+def _is_a_plain_name(value: str) -> str:
+    if PurePosixPath(value).name != value or value in {"", ".", ".."} or "\\" in value:
+        raise ValueError("must be the name of a file in the dataset's folder, without a path")
+    return value
 
 
-class ProtocolModel(BaseModel):
-    """An evaluation protocol. Missing keys follow from the sensors of the run, or have their default."""
+def _must_be_rigid(value: list[float]) -> list[float]:
+    if not is_rigid(tuple(value)):
+        raise ValueError("must be a rigid transform by rows: a rotation, a translation in m, last row 0 0 0 1")
+    return value
 
-    model_config = ConfigDict(extra="forbid", strict=True, title="SLAM Hive evaluation protocol")
 
-    alignment: Annotated[Alignment, Field(strict=False)] | None = Field(
-        None, description="How the estimate is aligned with the ground truth; default: from the sensors."
-    )
-    align_poses: Annotated[int, _number("align_poses", "1", "Align over this many first matched poses")] | None = None
-    association: Annotated[Association, Field(strict=False)] | None = Field(
-        None, description="Which pose of the ground truth answers to which of the estimate; default nearest."
-    )
-    association_tolerance_s: (
-        Annotated[float, _number("association_tolerance_s", "s", "Largest gap between matched timestamps")] | None
-    ) = None
-    interpolation_interval_s: (
-        Annotated[float, _number("interpolation_interval_s", "s", "Longest ground-truth interval interpolated")] | None
-    ) = None
-    time_offset_s: Annotated[float, _number("time_offset_s", "s", "Added to the estimate's timestamps")] | None = None
-    offset_search_s: (
-        Annotated[
-            float, _number("offset_search_s", "s", "Search the offset within this of time_offset_s; 0: no search")
-        ]
-        | None
-    ) = None
-    T_body_sensor: list[float] | None = Field(
-        None,
-        min_length=16,
-        max_length=16,
-        description="Pose of the estimate's frame in the ground truth's body frame, 16 numbers by rows, metres; "
-        "instead of what algorithm and dataset say.",
-    )
-    reference: str | None = Field(
-        None,
-        max_length=200,
-        description="File in the dataset's folder to compare with, instead of its ground truth.",
-    )
-    gap_threshold_s: (
-        Annotated[float, _number("gap_threshold_s", "s", "A longer time without poses counts as lost tracking")] | None
-    ) = None
-    rpe_pairs: Annotated[RpePairs, Field(strict=False)] | None = Field(
-        None, description="Over which pairs the relative errors are taken; default all."
-    )
-    rpe_delta_m: Annotated[float, _number("rpe_delta_m", "m", "Path between the poses of an RPE pair")] | None = None
-    rpe_delta_s: Annotated[float, _number("rpe_delta_s", "s", "Time between the poses of an RPE pair")] | None = None
-    rpe_delta_frames: (
-        Annotated[int, _number("rpe_delta_frames", "frames", "Poses from one to the other of an RPE pair")] | None
-    ) = None
-    rpe_delta_deg: (
-        Annotated[float, _number("rpe_delta_deg", "deg", "Rotation between the poses of an RPE pair")] | None
-    ) = None
-    segment_lengths_m: list[Annotated[float, _number("segment_lengths_m", "m", "Path length of a segment")]] | None = (
-        Field(
-            None,
-            min_length=1,
-            max_length=MOST_SEGMENT_LENGTHS,
-            description="Lengths of the segments in m, growing; left out: 10 to 50 % of the path.",
-        )
-    )
-    segment_tolerance_m: (
-        Annotated[float, _number("segment_tolerance_m", "m", "How far a segment's length may be off")] | None
-    ) = None
-    segment_rule: Annotated[SegmentRule, Field(strict=False)] | None = Field(
-        None, description="What path shares are of, and what the errors of a segment are divided by; default matched."
-    )
-    hold_interval_s: (
-        Annotated[float, _number("hold_interval_s", "s", "Longest step of the ground truth that counts with hold")]
-        | None
-    ) = None
-    duplicates: Annotated[Duplicates, Field(strict=False)] | None = Field(
-        None,
-        description="What is done with poses of one file that have the same timestamp; default refuse.",
-    )
+def _must_grow(value: list[float]) -> list[float]:
+    if value != sorted(set(value)):
+        raise ValueError("must grow, each length once")
+    return value
 
-    @field_validator("reference")
-    @classmethod
-    def _is_a_plain_name(cls, value: str | None) -> str | None:
-        if value is not None and (PurePosixPath(value).name != value or value in {"", ".", ".."} or "\\" in value):
-            raise ValueError("must be the name of a file in the dataset's folder, without a path")
-        return value
 
-    @field_validator("T_body_sensor")
-    @classmethod
-    def _is_rigid(cls, value: list[float] | None) -> list[float] | None:
-        if value is not None and not is_rigid(tuple(value)):
-            raise ValueError("must be a rigid transform by rows: a rotation, a translation in m, last row 0 0 0 1")
-        return value
+_SPECIAL: dict[str, Any] = {
+    "reference": Annotated[str, Field(max_length=200), AfterValidator(_is_a_plain_name)],
+    "T_body_sensor": Annotated[list[float], Field(min_length=16, max_length=16), AfterValidator(_must_be_rigid)],
+}
 
-    @field_validator("segment_lengths_m")
-    @classmethod
-    def _grow(cls, value: list[float] | None) -> list[float] | None:
-        if value is not None and value != sorted(set(value)):
-            raise ValueError("must grow, each length once")
-        return value
+
+def _type_of(entry: DataclassField[Any], declared: Any) -> Any:
+    """The type of a field of :class:`Protocol` in a file."""
+    if entry.name in _SPECIAL:
+        return _SPECIAL[entry.name]
+    if "minimum" not in entry.metadata:
+        return Annotated[declared, Field(strict=False)]
+    bounds = Field(ge=entry.metadata["minimum"], le=entry.metadata["maximum"], allow_inf_nan=False)
+    if get_origin(declared) is tuple:
+        lengths = Field(min_length=1, max_length=MOST_SEGMENT_LENGTHS)
+        return Annotated[list[Annotated[float, bounds]], lengths, AfterValidator(_must_grow)]
+    return Annotated[int if int in (declared, *get_args(declared)) else float, bounds]
+
+
+def _protocol_model() -> type[BaseModel]:
+    """A model with the fields of :class:`Protocol`, each of which may be left out."""
+    declared = get_type_hints(Protocol)
+    definitions: dict[str, Any] = {
+        entry.name: (_type_of(entry, declared[entry.name]) | None, Field(None, description=entry.metadata["help"]))
+        for entry in fields(Protocol)
+    }
+    model: type[BaseModel] = create_model(
+        "ProtocolModel",
+        __config__=ConfigDict(extra="forbid", strict=True, title="SLAM Hive evaluation protocol"),
+        __doc__="An evaluation protocol. A field that is left out has its default, or follows from the sensors.",
+        **definitions,
+    )
+    return model
+
+
+ProtocolModel = _protocol_model()
 
 
 def load_protocol(path: Path) -> ProtocolRequest:

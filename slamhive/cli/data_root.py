@@ -23,6 +23,7 @@ EXPECTED: dict[str, DataRoot] = {
     "algorithm list": DataRoot.OPTIONAL,
     "algorithm show": DataRoot.OPTIONAL,
     "doctor": DataRoot.OPTIONAL,
+    "plugins": DataRoot.OPTIONAL,
 }
 """By the name of a command. All others read, and refuse a data root that does not exist."""
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from slamhive import __version__
+from slamhive import __version__, registry
 from slamhive.cli.context import CliContext
 from slamhive.errors import InvalidInput, SlamHiveError, one_line
 from slamhive.input_bounds import check_text
@@ -25,6 +25,7 @@ MODULES = {
     "doctor": "maintenance",
     "evaluate": "evaluate",
     "experiment": "experiments",
+    "plugins": "plugins",
     "protocol": "protocols",
     "reindex": "maintenance",
     "run": "runs",
@@ -108,5 +109,6 @@ def main(context: click.Context, data: Path | None, database_url: str | None, ve
     """
     level = logging.INFO if verbose else logging.ERROR
     logging.basicConfig(level=level, format="%(levelname)s %(name)s: %(message)s")
+    logging.getLogger(registry.__name__).setLevel(logging.WARNING)  # what it says of broken plug-ins is always shown
     context.obj = CliContext({"data": None if data is None else data.absolute(), "database_url": database_url})
     context.call_on_close(context.obj.close)

@@ -8,8 +8,9 @@ import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import counting_bar, print_json, print_table, tell
+from slamhive.cli.plugins import all_origins
 from slamhive.project import project_root
-from slamhive.services.doctor import Verdict, examine
+from slamhive.services.doctor import Verdict, examine, plugin_checks
 from slamhive.services.reindex import reindex, run_folders
 from slamhive.settings import settings_in_force
 
@@ -49,7 +50,7 @@ def reindex_command(cli: CliContext, as_json: bool) -> None:
 @pass_cli
 def doctor(cli: CliContext, as_json: bool) -> None:
     """Check what works on this machine, and say how to fix the rest."""
-    checks = examine(cli.hive(indexed=False))
+    checks = [*examine(cli.hive(indexed=False)), *plugin_checks(all_origins())]
     if as_json:
         print_json([asdict(check) for check in checks])
     else:

@@ -9,7 +9,7 @@ import click
 from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json, print_table
-from slamhive.domain.metrics import metric
+from slamhive.domain.metrics import described
 from slamhive.domain.numbers import plural
 from slamhive.errors import Conflict
 from slamhive.services.evaluations import ToolFigures, UsedProtocol, presets
@@ -57,7 +57,7 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
         return
     if preset is not None:
         click.echo(f"# {preset.title}\n# {preset.differs}\n# {preset.source}")
-        click.echo(f"# prints {', '.join(preset.figures)}; fingerprint {preset.protocol.fingerprint}")
+        click.echo(f"# prints {', '.join(preset.metrics)}; fingerprint {preset.protocol.fingerprint}")
     values = {key: list(value) if isinstance(value, tuple) else value for key, value in request.values.items()}
     click.echo(dump({key: str(v) if isinstance(v, str) else v for key, v in values.items() if v is not None}), nl=False)
 
@@ -101,7 +101,8 @@ def compare(cli: CliContext, run_id: int, as_json: bool) -> None:
 
 def _tool_row(row: ToolFigures) -> tuple[Any, ...]:
     figures = [
-        f"{key} {value:.6g} {metric(key).unit}".rstrip() + (f" over {row.samples[key]}" if key in row.samples else "")
+        f"{key} {value:.6g} {described(key).unit}".rstrip()
+        + (f" over {row.samples[key]}" if key in row.samples else "")
         for key, value in row.figures.items()
     ]
     return (row.name, None if row.protocol is None else row.protocol.fingerprint, "\n".join(figures) or None, row.note)
@@ -114,7 +115,7 @@ def _tool_json(row: ToolFigures) -> dict[str, Any]:
         "protocol": None if row.protocol is None else row.protocol.content,
         "fingerprint": None if row.protocol is None else row.protocol.fingerprint,
         "figures": {
-            key: {"value": value, "unit": metric(key).unit, "over": row.samples.get(key)}
+            key: {"value": value, "unit": described(key).unit, "over": row.samples.get(key)}
             for key, value in row.figures.items()
         },
         "note": row.note,
@@ -129,7 +130,7 @@ def _preset_json(name: str) -> dict[str, Any]:
         "title": preset.title,
         "fingerprint": preset.protocol.fingerprint,
         "values": preset.protocol.content,
-        "figures": list(preset.figures),
+        "figures": list(preset.metrics),
         "differs": preset.differs,
         "source": preset.source,
     }

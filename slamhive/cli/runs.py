@@ -14,7 +14,7 @@ from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.run_options import submission_options, submission_values
 from slamhive.cli.searching import Listing, print_export, print_groups, search_of, split_columns, write_parquet
 from slamhive.cli.waiting import run_to_end
-from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.metrics import described
 from slamhive.domain.numbers import plural
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput
@@ -176,8 +176,7 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
     if metrics:
         values = entry.metrics or {}
         rows = [
-            (key, f"{part['value']:.6g}", part["unit"], CATALOGUE[key].sample(values) if key in CATALOGUE else None)
-            for key, part in metrics.items()
+            (key, f"{part['value']:.6g}", part["unit"], described(key).sample(values)) for key, part in metrics.items()
         ]
         print_table(("metric", "value", "unit", "over"), rows, right=("value",))
     if entry.protocol is not None:

@@ -1,4 +1,4 @@
-"""Which runs are better done one after the other: those that share a variant of a dataset, and among them an image."""
+"""Which runs should follow each other: those with the same variant of a dataset, and among them the same image."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _AFTER = chr(ord(_BETWEEN) + 1)
 
 
 def run_affinity(dataset: str, variant: Variant, package: str) -> str:
-    """25 characters: equal for runs that see the same data with the same package.
+    """25 characters that are equal for runs of one package on the same data.
 
-    The first part contains dataset and variant only, so that runs of other packages on the same data are near.
+    The first part depends on dataset and variant only, so that runs of other packages on the same data sort next to it.
     """
     data = _digest([dataset, variant_to_json(variant)])[:_DATA_DIGITS]
     return f"{data}{_BETWEEN}{_digest(package)[:_PACKAGE_DIGITS]}"
 
 
 def same_data(affinity: str) -> tuple[str, str]:
-    """The affinities of all runs that see the same data: at least the first, below the second."""
+    """Bounds of the affinities of all runs on the same data: at least the first, below the second."""
     data = affinity[:_DATA_DIGITS]
     return data + _BETWEEN, data + _AFTER
 

@@ -1,4 +1,4 @@
-"""Algorithms of which only the trajectories are here: what is known of them is a name, and what they sense with."""
+"""Algorithms that are known by imported trajectories only. They have a name and a sensor setup."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ IMPORTED = "imported"
 """The executor of imported runs."""
 
 EXTERNAL_PACKAGE = "(imported)"
-"""Stands where a package does for algorithms that have none; no package can be called so. Their mode is their setup."""
+"""The package of algorithms that have none; no real package can have this name. Their mode is their setup."""
 
 
 def external_algorithm(name: str, setup: SensorSetup) -> Algorithm:
-    """The algorithm called ``name``; its trajectories are of the body, and nothing can be run."""
+    """The algorithm called ``name``, whose trajectories describe the body. It cannot be run."""
     package = AlgorithmPackage(
         name=EXTERNAL_PACKAGE, folder=Path(), title=name, version="", upstream="", licence="", citation=""
     )

@@ -207,7 +207,4 @@ def _check_still_fits(owner: str, parameter: Parameter, value: Value) -> None:
     except InvalidInput:
         fits = False
     if not fits:
-        raise InvalidInput(
-            f"{parameter.key}={value!r} is stored, {owner} now wants {parameter.expectation}",
-            _OUTDATED,
-        )
+        raise InvalidInput(f"{parameter.key}={value!r} is stored, {owner} now wants {parameter.expectation}", _OUTDATED)

@@ -5,166 +5,106 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import Field, dataclass, field, fields
 from enum import StrEnum
 from typing import Any
 
+from slamhive.domain.protocol_choices import (
+    ALIGNMENT_LABELS,
+    DUPLICATES_LABELS,
+    Alignment,
+    Association,
+    Duplicates,
+    RpePairs,
+    SegmentRule,
+)
 from slamhive.domain.sensors import Matrix4, SensorSetup, is_rigid
 from slamhive.errors import InvalidInput, nearest
 
-
-class Alignment(StrEnum):
-    """How the estimate is moved onto the ground truth before errors are taken."""
-
-    NONE = "none"
-    FIRST_POSE = "first_pose"
-    SE3 = "se3"
-    SIM3 = "sim3"
-    YAW_POSITION = "yaw_position"
-    SCALE = "scale"
-
-
-ALIGNMENT_LABELS = {
-    Alignment.NONE: "no alignment",
-    Alignment.FIRST_POSE: "first pose",
-    Alignment.SE3: "SE(3)",
-    Alignment.SIM3: "Sim(3)",
-    Alignment.YAW_POSITION: "yaw + position",
-    Alignment.SCALE: "scale only",
-}
+__all__ = [
+    "ALIGNMENT_LABELS",
+    "DUPLICATES_LABELS",
+    "MOST_SEGMENT_LENGTHS",
+    "Alignment",
+    "Association",
+    "Duplicates",
+    "Protocol",
+    "RpePairs",
+    "SegmentRule",
+    "default_alignment",
+    "protocol_from_content",
+]
 
 
-class Association(StrEnum):
-    """Which pose of the ground truth answers to which of the estimate.
-
-    ``nearest``: each pose of the shorter list takes the nearest of the other, which may be taken twice (as evo does).
-    ``one_to_one``: pairs by growing gap, each pose once (as TUM does). ``sweep``: each pose of the estimate in turn
-    takes the nearest pose of the ground truth after the last one taken (as OpenVINS does). ``interpolate``: the ground
-    truth at the estimate's timestamps, between neighbours. ``hold``: the estimate at the ground truth's timestamps, its
-    last pose held where it pauses or has ended, so that lost tracking counts (as ETH3D does). ``index``: by position in
-    the files, timestamps unused (as KITTI does).
-    """
-
-    NEAREST = "nearest"
-    ONE_TO_ONE = "one_to_one"
-    SWEEP = "sweep"
-    INTERPOLATE = "interpolate"
-    HOLD = "hold"
-    INDEX = "index"
+def option(default: Any, help_text: str, minimum: float | None = None, maximum: float | None = None) -> Any:
+    """A field with its help in protocol files; a number also has a minimum and a maximum."""
+    limits = {} if minimum is None else {"minimum": minimum, "maximum": maximum}
+    return field(default=default, metadata={"help": help_text, **limits})
 
 
-class RpePairs(StrEnum):
-    """Which pairs of poses a relative error is taken over.
-
-    ``all``: all matched poses that are a delta apart. ``consecutive``: one pair after the other (both as evo does).
-    ``tum``: as TUM's ``evaluate_rpe.py --fixed_delta`` counts, from every pose of the estimate, matched or not, each
-    compared with the pose of the ground truth that is nearest in time.
-    """
-
-    ALL = "all"
-    CONSECUTIVE = "consecutive"
-    TUM = "tum"
-
-
-class SegmentRule(StrEnum):
-    """How long segments are, and what their errors are divided by.
-
-    ``matched``: shares of the path of the matched ground truth; errors over the nominal length. ``rpg``: as
-    rpg_trajectory_evaluation counts, shares of the path of the whole ground truth. ``eth3d``: as ETH3D counts, errors
-    over the length that a segment really has, seen from its last pose. What these tools do by mistake is part of it.
-    """
-
-    MATCHED = "matched"
-    RPG = "rpg"
-    ETH3D = "eth3d"
-
-
-class Duplicates(StrEnum):
-    """What is done with poses of one file that have the same timestamp.
-
-    ``refuse``: nothing is evaluated. ``first``: the first of them counts. ``mean``: one pose in their middle counts.
-    ``keep``: all of them count, each as a pose of its own (as evo does).
-    """
-
-    REFUSE = "refuse"
-    FIRST = "first"
-    MEAN = "mean"
-    KEEP = "keep"
-
-
-DUPLICATES_LABELS = {
-    Duplicates.REFUSE: "refused",
-    Duplicates.FIRST: "the first counts",
-    Duplicates.MEAN: "their mean counts",
-    Duplicates.KEEP: "all count",
-}
+_LARGEST_S, _LARGEST_M = 1e6, 1e9
 
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
     """Association, time offset, alignment, reference and deltas.
 
-    Metrics of different fingerprints are never averaged or ranked together. A field's default is part of existing
-    fingerprints, so no default may change, and the default of a new field must keep the old behaviour.
+    Values of different fingerprints are never averaged or ranked together. The default of a field is part of every
+    fingerprint that was ever taken. No default may therefore change, and the default of a new field has to mean what
+    was done before there was the field.
 
-    Attributes:
-        alignment: How the estimate is moved onto the ground truth.
-        association_tolerance_s: Largest gap between matched timestamps (nearest, one_to_one, sweep).
-        gap_threshold_s: A gap in the estimate longer than this counts as tracking lost.
-        rpe_delta_m: Path length between the poses of an RPE pair.
-        association: Which pose answers to which.
-        interpolation_interval_s: Longest interval of the ground truth that is interpolated (interpolate).
-        time_offset_s: Added to the estimate's timestamps, to bring them to the ground truth's clock.
-        offset_search_s: The offset is searched within this of ``time_offset_s``; 0 for no search.
-        align_poses: The alignment is computed over this many first matched poses; None for all. Over one, SE(3) and
-            yaw + position take its orientation too.
-        T_body_sensor: Pose of the estimate's frame in the ground truth's body frame, instead of what algorithm and
-            dataset say; None for that.
-        reference: File of the dataset's folder to compare with instead of its ground truth; None for that.
-        rpe_pairs: Which pairs the relative errors are taken over.
-        rpe_delta_s: Time between the poses of a pair, for the relative error by time.
-        rpe_delta_frames: Poses from one to the other of a pair, for the relative error by frames.
-        rpe_delta_deg: Rotation between the poses of a pair, for the relative error by angle.
-        segment_lengths_m: Path lengths of the segments; empty for 10, 20, 30, 40 and 50 % of the ground truth's path.
-        segment_tolerance_m: How far a segment's length may be off; None for a fifth of it.
-        duplicates: What is done with poses of one file that have the same timestamp.
-        segment_rule: What path the shares are of, and what the errors of a segment are divided by.
-        hold_interval_s: With the association ``hold``, poses of the ground truth count only where the next one is no
-            further away than this; None for all.
+    The metadata of a field is its help in protocol files, and the smallest and largest number that it takes.
 
     Raises:
-        InvalidInput: Naming the field and the value that cannot be meant.
+        InvalidInput: Naming the field and a value that is not allowed.
     """
 
-    alignment: Alignment
-    association_tolerance_s: float = 0.01
-    gap_threshold_s: float = 1.0
-    rpe_delta_m: float = 1.0
-    association: Association = Association.NEAREST
-    interpolation_interval_s: float = 0.1
-    time_offset_s: float = 0.0
-    offset_search_s: float = 0.0
-    align_poses: int | None = None
-    T_body_sensor: Matrix4 | None = None
-    reference: str | None = None
-    rpe_pairs: RpePairs = RpePairs.ALL
-    rpe_delta_s: float = 1.0
-    rpe_delta_frames: int = 1
-    rpe_delta_deg: float = 10.0
-    segment_lengths_m: tuple[float, ...] = ()
-    segment_tolerance_m: float | None = None
-    duplicates: Duplicates = Duplicates.REFUSE
-    segment_rule: SegmentRule = SegmentRule.MATCHED
-    hold_interval_s: float | None = None
+    alignment: Alignment = field(
+        metadata={"help": "How the estimate is moved onto the ground truth; left out: what follows from the sensors."}
+    )
+    association_tolerance_s: float = option(0.01, "Largest gap between matched timestamps (s)", 0.0, _LARGEST_S)
+    gap_threshold_s: float = option(1.0, "A longer gap in the estimate counts as lost tracking (s)", 1e-3, _LARGEST_S)
+    rpe_delta_m: float = option(1.0, "Path length between the poses of an RPE pair (m)", 1e-6, _LARGEST_M)
+    association: Association = option(
+        Association.NEAREST, "Which pose of the ground truth is matched with which of the estimate; default nearest."
+    )
+    interpolation_interval_s: float = option(
+        0.1, "Longest interval of the ground truth that is interpolated (s)", 1e-6, _LARGEST_S
+    )
+    time_offset_s: float = option(0.0, "Added to the timestamps of the estimate (s)", -1e10, 1e10)
+    offset_search_s: float = option(0.0, "Search the offset within this of time_offset_s; 0: no search (s)", 0.0, 60.0)
+    align_poses: int | None = option(
+        None, "Align over this many first matched poses; over one, by its orientation too (1)", 1, 10**9
+    )
+    T_body_sensor: Matrix4 | None = option(
+        None,
+        "Pose of the estimate's frame in the ground truth's body frame, 16 numbers by rows, metres; "
+        "instead of what algorithm and dataset say.",
+    )
+    reference: str | None = option(None, "File in the dataset's folder to compare with, instead of its ground truth.")
+    rpe_pairs: RpePairs = option(RpePairs.ALL, "Over which pairs the relative errors are taken; default all.")
+    rpe_delta_s: float = option(1.0, "Time between the poses of an RPE pair (s)", 1e-6, _LARGEST_S)
+    rpe_delta_frames: int = option(1, "Poses from one to the other of an RPE pair (frames)", 1, 10**9)
+    rpe_delta_deg: float = option(10.0, "Rotation between the poses of an RPE pair (deg)", 1e-3, 180.0)
+    segment_lengths_m: tuple[float, ...] = option(
+        (), "Path lengths of the segments, growing; left out: 10 to 50 % of the path (m)", 1e-6, _LARGEST_M
+    )
+    segment_tolerance_m: float | None = option(
+        None, "How far a segment's length may be off; left out: a fifth of it (m)", 1e-9, _LARGEST_M
+    )
+    duplicates: Duplicates = option(
+        Duplicates.REFUSE, "What is done with poses of one file that have the same timestamp; default refuse."
+    )
+    segment_rule: SegmentRule = option(
+        SegmentRule.MATCHED, "What path shares are of, and what segment errors are divided by; default matched."
+    )
+    hold_interval_s: float | None = option(
+        None, "Longest step of the ground truth that counts with hold; left out: any (s)", 1e-6, _LARGEST_S
+    )
 
     def __post_init__(self) -> None:
-        for name, (minimum, maximum) in BOUNDS.items():
-            value = getattr(self, name)
-            for number in value if isinstance(value, tuple) else (value,):
-                if number is not None and not minimum <= number <= maximum:
-                    raise InvalidInput(f"{name} {number!r} is not allowed", f"use {minimum:g} to {maximum:g}")
-            if isinstance(value, int) and name not in _COUNTS:
-                object.__setattr__(self, name, float(value))  # 1 and 1.0 are one protocol
+        for entry in fields(self):
+            self._check_number(entry)
         if len(self.segment_lengths_m) > MOST_SEGMENT_LENGTHS:
             raise InvalidInput(
                 f"segment_lengths_m has {len(self.segment_lengths_m)} lengths", f"give {MOST_SEGMENT_LENGTHS} at most"
@@ -181,6 +121,17 @@ class Protocol:
                 f"T_body_sensor moves by more than {LONGEST_LEVER_ARM_M:g} m", "write its translation in metres"
             )
 
+    def _check_number(self, entry: Field[Any]) -> None:
+        if "minimum" not in entry.metadata:
+            return
+        minimum, maximum = entry.metadata["minimum"], entry.metadata["maximum"]
+        value = getattr(self, entry.name)
+        for number in value if isinstance(value, tuple) else (value,):
+            if number is not None and not minimum <= number <= maximum:
+                raise InvalidInput(f"{entry.name} {number!r} is not allowed", f"use {minimum:g} to {maximum:g}")
+        if isinstance(value, int) and entry.name not in _COUNTS:
+            object.__setattr__(self, entry.name, float(value))  # 1 and 1.0 are one protocol
+
     @property
     def fingerprint(self) -> str:
         """First 12 hex digits of the SHA-256 of the protocol's content."""
@@ -191,12 +142,12 @@ class Protocol:
     def content(self) -> dict[str, Any]:
         """As plain values: the first four fields, and every other one that differs from its default.
 
-        So a field that comes to be later leaves the fingerprints as they are.
+        A new field therefore does not change fingerprints.
         """
         return {
-            field.name: value.value if isinstance(value := getattr(self, field.name), StrEnum) else value
-            for index, field in enumerate(fields(self))
-            if index < _ALWAYS_IN_CONTENT or getattr(self, field.name) != field.default
+            entry.name: value.value if isinstance(value := getattr(self, entry.name), StrEnum) else value
+            for index, entry in enumerate(fields(self))
+            if index < _ALWAYS_IN_CONTENT or getattr(self, entry.name) != entry.default
         }
 
     @property
@@ -207,33 +158,16 @@ class Protocol:
 
     @property
     def label(self) -> str:
-        """The protocol in words, for captions: what differs from the defaults is there."""
+        """The protocol in words, for captions; names every field that differs from its default."""
         return ", ".join(_words(self))
 
 
 LONGEST_LEVER_ARM_M = 1000.0
-"""A vehicle is shorter; numbers beyond it are no metres."""
+"""A vehicle is shorter; larger numbers are not metres."""
 MOST_SEGMENT_LENGTHS = 100
 """Every one costs a pass over the trajectory; published protocols have 4 to 8."""
 _ALWAYS_IN_CONTENT = 4
 _COUNTS = ("align_poses", "rpe_delta_frames")
-_LARGEST_S, _LARGEST_M = 1e6, 1e9
-BOUNDS = {
-    "association_tolerance_s": (0.0, _LARGEST_S),
-    "gap_threshold_s": (1e-3, _LARGEST_S),
-    "rpe_delta_m": (1e-6, _LARGEST_M),
-    "interpolation_interval_s": (1e-6, _LARGEST_S),
-    "time_offset_s": (-1e10, 1e10),
-    "offset_search_s": (0.0, 60.0),
-    "align_poses": (1, 10**9),
-    "rpe_delta_s": (1e-6, _LARGEST_S),
-    "rpe_delta_frames": (1, 10**9),
-    "rpe_delta_deg": (1e-3, 180.0),
-    "segment_lengths_m": (1e-6, _LARGEST_M),
-    "segment_tolerance_m": (1e-9, _LARGEST_M),
-    "hold_interval_s": (1e-6, _LARGEST_S),
-}
-"""What the numbers of a protocol may be, both ends included."""
 
 
 def protocol_from_content(content: Mapping[str, Any]) -> Protocol:
@@ -276,7 +210,7 @@ def _member(kind: type[StrEnum], name: str, value: str) -> StrEnum:
 
 
 def default_alignment(setup: SensorSetup, *, gravity_aligned: bool) -> Alignment:
-    """The alignment that a sensor setup deserves: what the sensors cannot observe, and nothing more.
+    """The alignment for a sensor setup: it removes what the sensors cannot observe, and nothing more.
 
     Monocular scale is unobservable: Sim(3). Visual-inertial roll, pitch and scale are observable: yaw + position,
     provided the ground truth's z axis points up; SE(3) where it does not. SE(3) otherwise.
@@ -311,13 +245,10 @@ def _words(protocol: Protocol) -> list[str]:
     words += _segment_words(protocol)
     if protocol.duplicates is not Duplicates.REFUSE:
         words.append(f"duplicate timestamps: {DUPLICATES_LABELS[protocol.duplicates]}")
-    shown = {"alignment", "association", "align_poses", "offset_search_s", "time_offset_s", "T_body_sensor"}
-    shown |= {"reference", "rpe_delta_m", "rpe_pairs", "association_tolerance_s", "interpolation_interval_s"}
-    shown |= {"duplicates", "segment_lengths_m", "segment_tolerance_m", "segment_rule", "hold_interval_s"}
-    for field in fields(protocol):
-        value = getattr(protocol, field.name)
-        if field.name not in shown and value != field.default:
-            words.append(f"{field.name} {value:g}")
+    defaults = {entry.name: entry.default for entry in fields(protocol)}
+    for name in ("gap_threshold_s", "rpe_delta_s", "rpe_delta_frames", "rpe_delta_deg"):
+        if getattr(protocol, name) != defaults[name]:
+            words.append(f"{name} {getattr(protocol, name):g}")
     return words
 
 

@@ -1,4 +1,4 @@
-"""A request for a protocol; what it leaves open follows from the sensors."""
+"""A request for a protocol. Fields that it leaves out follow from the sensors."""
 
 from __future__ import annotations
 

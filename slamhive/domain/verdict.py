@@ -1,7 +1,7 @@
-"""The one rule that separates good runs from failed ones. Lists, groups, experiments and analyses all follow it.
+"""The one rule that separates good runs from failed ones. Lists, groups, experiments and analyses all use it.
 
-The numbers that it looks at are metrics of the run's evaluation. Those that compare a run with its repeats are
-computed here as well (:func:`compare_repeats`) and stored like the others.
+It reads metrics of the run's evaluation. Those that compare a run with its repeats are computed here
+(:func:`compare_repeats`) and stored like the others.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ EVIDENCE = (
 """The metrics that a verdict depends on."""
 
 FROM_REPEATS = (ERROR_OVER_REPEATS, REPEATS_LIMIT)
-"""Those that no evaluation can know: they follow from the run's repeats."""
+"""Those that follow from the repeats of the run, and not from its own evaluation."""
 
 SMALLEST_DIVERGENCE_M = 0.05
 """An error below this is never called divergence, however short the path."""
 
 FEWEST_REPEATS = 3
-"""With fewer repeats nobody can tell which of them is the outlier."""
+"""With fewer repeats it is not clear which of them is the outlier."""
 
 _SPREADS = 3.0
 _LEAST_FACTOR, _LARGEST_FACTOR = 4.0, 6.0
@@ -59,7 +59,7 @@ class VerdictKind(StrEnum):
 
     @property
     def label(self) -> str:
-        """The kind in words, for badges, lists and bands of metrics."""
+        """The kind in words, for badges, lists and plots."""
         return _LABELS[self]
 
 
@@ -77,15 +77,14 @@ GROUPS: dict[str, tuple[VerdictKind, ...]] = {
     "failed": tuple(kind for kind in VerdictKind if kind.failed),
     "diverged": DIVERGED,
 }
-"""Names that filters know for several kinds together."""
+"""Names of several kinds together, for filters."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """A verdict and the reason for it in words.
 
-    ``dated``: the evaluation lacks metrics that the rule asks for, because it is older than they are. The verdict then
-    rests on what it has.
+    ``dated``: the evaluation is older than some metrics that the rule uses. The verdict rests on those that it has.
     """
 
     kind: VerdictKind
@@ -100,12 +99,12 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class FailureRule:
-    """When a run counts as failed. The defaults are what the stored verdicts follow; an analysis may set others.
+    """When a run counts as failed. Stored verdicts use the defaults; an analysis may set others.
 
     Attributes:
-        tracked_path_below: Least share of the true path that has to be tracked (metric ``tracked.path``).
-        tracked_fraction_below: Least share of the time by the protocol's gap threshold. Keyframe trajectories miss it
-            although they are sound, so the default has none; an evaluation without ``tracked.path`` is judged by
+        tracked_path_below: Least share of the true path that must be tracked (metric ``tracked.path``).
+        tracked_fraction_below: Least share of time by the protocol's gap threshold. There is no default, because sound
+            keyframe trajectories would fail. An evaluation without ``tracked.path`` is judged by
             :data:`DATED_FRACTION`.
         ate_rmse_above_m: Largest ATE RMSE.
         ate_path_above_percent: Largest ATE RMSE in percent of the true path.
@@ -146,7 +145,7 @@ class FailureRule:
 DEFAULT_RULE = FailureRule()
 
 DATED_FRACTION = 0.75
-"""Evaluations that lack ``tracked.path`` are judged by the share of time that they tracked, as was done then."""
+"""Evaluations without ``tracked.path`` are judged by the share of time that was tracked."""
 
 _DATED = (
     "The evaluation is older than this rule, so the verdict rests on the metrics that it has; "
@@ -177,13 +176,13 @@ def compare_repeats(errors_m: Mapping[int, float], compared: Mapping[int, float]
     """How the errors of repeats compare: {run: the metrics :data:`FROM_REPEATS`}; empty for too few repeats.
 
     A robust outlier in the logarithm: the limit is the median times exp(3 sigma). Divergence only makes errors larger,
-    so sigma is estimated from the better half alone, by the median deviation below the median. The limit is at least 4
-    and at most 6 times the median: a few repeats that agree by chance condemn nobody, and a wide spread excuses nobody.
-    It also lies 0.1 m above the median, so that 2 cm beside 1 mm is no divergence.
+    so sigma is estimated from the better half, by the median deviation below the median. The limit is at least 4 times
+    the median, since a few repeats may agree by chance, and at most 6 times, even if they differ widely. It also lies
+    0.1 m above the median, so 2 cm beside 1 mm is no divergence.
 
     Args:
-        errors_m: {run: ATE RMSE} of the runs to be compared.
-        compared: The same of the repeats that tracked enough for their error to mean something.
+        errors_m: {run: ATE RMSE} of the runs to compare.
+        compared: The same for the repeats that tracked enough for their error to mean something.
     """
     if len(compared) < FEWEST_REPEATS:
         return {}
@@ -197,15 +196,12 @@ def compare_repeats(errors_m: Mapping[int, float], compared: Mapping[int, float]
 
 
 def tracked_enough(metrics: Mapping[str, float], rule: FailureRule = DEFAULT_RULE) -> bool:
-    """Whether the run's error can be compared with that of its repeats: a lost run has hardly any."""
+    """Whether the run's error can be compared with that of its repeats; a lost run has hardly any error."""
     return _lost(metrics, rule, dated=TRACKED_PATH not in metrics) is None
 
 
 def _lost(metrics: Mapping[str, float], rule: FailureRule, *, dated: bool) -> tuple[VerdictKind, str] | None:
-    limits = [
-        (TRACKED_PATH, rule.tracked_path_below, "path"),
-        (TRACKED_FRACTION, rule.tracked_fraction_below, "time"),
-    ]
+    limits = [(TRACKED_PATH, rule.tracked_path_below, "path"), (TRACKED_FRACTION, rule.tracked_fraction_below, "time")]
     if dated and rule.tracked_path_below is not None and rule.tracked_fraction_below is None:
         limits.append((TRACKED_FRACTION, DATED_FRACTION, "time"))
     for key, least, what in limits:

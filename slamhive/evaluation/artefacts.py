@@ -1,4 +1,4 @@
-"""What an evaluation leaves on disk; every file is written aside and renamed, ``result.json`` last."""
+"""The files that an evaluation writes, each in one step, ``result.json`` last."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from evo.core.result import Result
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.evaluation.engine import ENGINE, Evaluated, evaluate
 from slamhive.evaluation.evaluators.base import Paired
+from slamhive.evaluation.evaluators.builtin import EVALUATORS
 from slamhive.evaluation.job import (
     RESULT_FILE,
     Artefacts,
@@ -33,7 +34,7 @@ FILES = (*(f"{name}.zip" for name in _ARCHIVES), ALIGNED_FILE, REFERENCE_FILE, E
 
 
 def run_task(task: EvaluationTask, references: References) -> EvaluationResult:
-    """Evaluate one task and write what it asks for; a failure is a result with a reason, and is written too."""
+    """Evaluate one task and write the files that it asks for. A failure is written as a result with a reason."""
     try:
         _remove(task.output, [RESULT_FILE])
         evaluated = evaluate(task, references)
@@ -62,17 +63,18 @@ def _write_files(task: EvaluationTask, evaluated: Evaluated, paired: Paired) -> 
     write_aside(task.output / REFERENCE_FILE, _tum(paired.reference))
     write_aside(task.output / ERRORS_FILE, _errors_csv(paired, evaluated.archives["ape"]))
     if task.artefacts is Artefacts.PLOTS:
-        # Plotting loads matplotlib and evo's settings, which the metrics alone do not need.
+        # Plotting loads Matplotlib and evo's settings, which metrics alone do not need.
         from slamhive.evaluation.plots import write_plots  # noqa: PLC0415
 
         write_plots(task.output, paired, evaluated.archives)
 
 
 def load_libraries(tasks: Iterable[EvaluationTask]) -> None:
-    """Import what the artefacts of ``tasks`` need, so that forked workers inherit it.
+    """Import plug-ins and the libraries that the files of ``tasks`` need, so that forked workers inherit them.
 
-    Two workers that import evo's plotting at once would write evo's settings file at once.
+    Otherwise two workers could write evo's settings file at the same time.
     """
+    EVALUATORS.names()  # loads plug-ins
     wanted = {task.artefacts for task in tasks}
     if wanted - {Artefacts.METRICS}:
         import evo.tools.file_interface  # noqa: F401, PLC0415
@@ -91,7 +93,7 @@ def _errors_csv(paired: Paired, ape: Result) -> str:
 
 def _result_archive(result: Result, name: str) -> bytes:
     """The zip that ``evo_res`` opens, with the task's id as the estimate's name; the trajectories lie beside it."""
-    from evo.tools import file_interface  # noqa: PLC0415  (brings in rosbags, which the metrics do not need)
+    from evo.tools import file_interface  # noqa: PLC0415  (loads rosbags, which metrics do not need)
 
     named = Result()
     named.add_info(result.info | {"est_name": name})
@@ -103,7 +105,7 @@ def _result_archive(result: Result, name: str) -> bytes:
 
 
 def _remove(folder: Path, names: Iterable[str]) -> None:
-    """Remove files of an earlier evaluation, and what a killed one left half-written: none may pass for this one's."""
+    """Remove the files of an earlier evaluation, and partly written ones of a killed evaluation."""
     try:
         for name in names:
             (folder / name).unlink(missing_ok=True)

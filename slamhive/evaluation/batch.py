@@ -1,4 +1,4 @@
-"""The seam between a list of evaluations and what runs them: a process here, a container in ``executors``."""
+"""The seam between evaluations and what runs them: a process in this package, a container in ``executors``."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ IMAGE = "slam-hive-evaluation:evo"
 """The evaluation image; its entry script is started with the job file as its only argument."""
 
 PARENT_VARIABLE = "SLAMHIVE_EVALUATION_PARENT"
-"""Passes the pid of the parent to a batch process; the batch ends when the parent does."""
+"""Holds the pid of the process that started the batch. The batch ends when that process does."""
 
 LineCallback = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class BatchMount:
-    """A file or folder of the host, and where the batch sees it."""
+    """A file or folder of the host, and its path inside the batch."""
 
     source: Path
     target: str
@@ -31,11 +31,11 @@ class Batch:
     """One start of the evaluation.
 
     Attributes:
-        job: ``job.json`` as the batch sees it: the argument of the entry script.
-        mounts: What the batch needs to see; where ``isolated`` is False every target is its source.
-        scratch: A folder of the host for what the starter needs to keep while it runs.
+        job: Path of ``job.json`` inside the batch, the argument of the entry script.
+        mounts: Files and folders that the batch needs. If the starter is not isolated, every target is its source.
+        scratch: A folder of the host for temporary files of the starter.
         timeout_s: The batch is ended after this time.
-        cores: The numbers of the cores it may use, None for all: runs are measured on the others.
+        cores: The numbers of the cores that it may use, None for all. Runs are measured on the others.
     """
 
     job: str
@@ -46,22 +46,22 @@ class Batch:
 
 
 class BatchStarter(Protocol):
-    """One way of running a batch.
+    """One way to run a batch.
 
-    ``isolated`` says whether the batch sees mount targets (a container) or the host's own paths (a process).
+    ``isolated``: the batch sees mount targets (a container) instead of the paths of the host (a process).
     """
 
     isolated: bool
 
     def prepare(self, progress: LineCallback) -> None:
-        """Make what every batch needs, unless it is there already; ``progress`` takes one line of what goes on.
+        """Make what every batch needs unless it exists; ``progress`` takes lines that say what happens.
 
-        :meth:`run_batch` does so too. Raises SlamHiveError if it cannot be made.
+        :meth:`run_batch` does the same first. Raises SlamHiveError if it fails.
         """
 
     def run_batch(self, batch: Batch, on_line: LineCallback, stopping: threading.Event) -> str | None:
-        """Run the batch to its end, handing over each line of its standard output as it comes.
+        """Run the batch and pass each line of its standard output to ``on_line``. End it when ``stopping`` is set.
 
-        Ends it when ``stopping`` is set. Returns None if it ended well, else one line that says how it ended. Raises
-        Unavailable if it cannot be started at all.
+        Returns None if it ended well, otherwise one line that says how it ended. Raises Unavailable if it cannot be
+        started.
         """

@@ -1,6 +1,7 @@
-"""One evaluation: read, pair, and let every evaluator take its metrics; or, without a ground truth, the relations'.
+"""One evaluation: read the trajectories, pair them, and run every evaluator.
 
-Runs in the evaluation process or container only, which is where evo is.
+This runs in the evaluation process or container, which has evo. A dataset with relations instead of a ground-truth
+trajectory is evaluated by them.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from evo.core.result import Result
 from slamhive.domain.hint import Hint
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation import without_truth
-from slamhive.evaluation.evaluators.base import Evaluator, Figures, Paired, absent
+from slamhive.evaluation.evaluators.base import Evaluator, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.builtin import EVALUATORS
 from slamhive.evaluation.hints import find_hints
 from slamhive.evaluation.job import EvaluationResult, EvaluationTask, failed_result
@@ -32,19 +33,19 @@ logger = logging.getLogger(__name__)
 ENGINE = f"evo {evo.__version__.removeprefix('v')}"
 
 ESSENTIAL = "ate.rmse"
-"""Without this metric an evaluation has failed."""
+"""An evaluation without this metric has failed."""
 
 TOO_FAR_OFF = "it cannot be computed: the estimate is too far off for the numbers to hold"
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluated:
-    """What an evaluation computed, before anything is written.
+    """The outcome of an evaluation before anything is written.
 
     Attributes:
         result: The metrics.
-        paired: What they were computed from; None where there was no ground-truth trajectory.
-        archives: {file name without ending: evo's result}; ``ape`` is there wherever ``paired`` is.
+        paired: The trajectories; None if there is no ground-truth trajectory.
+        archives: {file name without ending: evo's result}; holds ``ape`` if there is a pair.
     """
 
     result: EvaluationResult
@@ -63,12 +64,12 @@ def evaluate(task: EvaluationTask, references: References) -> Evaluated | Evalua
         if reference is None:
             keys = [key for _, evaluator in EVALUATORS for key in evaluator.keys]
             found = _finite(
-                without_truth.figures_without_truth(estimate, task.protocol, task.T_body_sensor, task.files, keys)
+                without_truth.evaluate_without_truth(estimate, task.protocol, task.T_body_sensor, task.files, keys)
             )
         else:
             paired = pair(reference, estimate, task.protocol, task.files)
             matched_poses = len(paired.aligned)
-            found = all_figures(paired)
+            found = all_metrics(paired)
         _check_essential(found, without_truth.ESSENTIAL if paired is None else ESSENTIAL)
     except InvalidInput as error:
         return failed_result(task, str(error), ENGINE, poses=poses, matched_poses=matched_poses)
@@ -86,33 +87,34 @@ def evaluate(task: EvaluationTask, references: References) -> Evaluated | Evalua
     return Evaluated(result, paired, found.archives)
 
 
-def all_figures(paired: Paired) -> Figures:
-    """What every evaluator finds of the pair; a number that is not finite is a missing metric."""
+def all_metrics(paired: Paired) -> MetricValues:
+    """The metrics of every evaluator. A value that is not finite is missing."""
     values: dict[str, float] = {}
     missing: dict[str, str] = {}
     archives: dict[str, Result] = {}
     for _, evaluator in EVALUATORS:
-        found = _finite(_figures(evaluator, paired))
+        found = _finite(_metrics_of(evaluator, paired))
         values |= found.values
         missing |= found.missing
         archives |= found.archives
-    return Figures(values, missing, archives)
+    broken = {origin.name: str(origin) for origin in EVALUATORS.origins() if origin.problem is not None}
+    return MetricValues(values, missing | broken, archives)
 
 
-def _finite(found: Figures) -> Figures:
+def _finite(found: MetricValues) -> MetricValues:
     values = {key: float(value) for key, value in found.values.items() if math.isfinite(value)}
     missing = {key: TOO_FAR_OFF for key in found.values if key not in values} | dict(found.missing)
-    return Figures(values, missing, found.archives)
+    return MetricValues(values, missing, found.archives)
 
 
-def _check_essential(found: Figures, key: str) -> None:
-    """Raise InvalidInput if the metric is missing that has to be there."""
+def _check_essential(found: MetricValues, key: str) -> None:
+    """Raise InvalidInput if the metric ``key`` is missing."""
     if key not in found.values:
         raise InvalidInput(f"{key}: {found.missing.get(key, 'no evaluator computed it')}")
 
 
-def _figures(evaluator: Evaluator, paired: Paired) -> Figures:
-    """What the evaluator finds, or, as its reason, why it finds nothing: one never takes the others down."""
+def _metrics_of(evaluator: Evaluator, paired: Paired) -> MetricValues:
+    """The metrics of one evaluator. If it fails, they are missing for that reason, and the others go on."""
     try:
         return evaluator.evaluate(paired)
     except InvalidInput as error:
@@ -121,10 +123,10 @@ def _figures(evaluator: Evaluator, paired: Paired) -> Figures:
         return absent(evaluator.keys, f"it cannot be computed: {error}")
 
 
-def _hints(paired: Paired, figures: Mapping[str, float]) -> tuple[Hint, ...]:
-    """The mistakes that the errors betray; numbers that break the search for them take no evaluation down."""
+def _hints(paired: Paired, values: Mapping[str, float]) -> tuple[Hint, ...]:
+    """Likely mistakes in the input. An evaluation does not fail because the search for them does."""
     try:
-        return find_hints(paired, figures)
+        return find_hints(paired, values)
     except (InvalidInput, ArithmeticError, np.linalg.LinAlgError) as error:
         logger.warning("no hints can be found: %s", error)
         return ()

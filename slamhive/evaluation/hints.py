@@ -1,6 +1,6 @@
-"""Common mistakes behind a large error: each is tested, and reported only if reversing it makes the error collapse.
+"""Common mistakes behind a large error. Each is undone, and reported only if the error then collapses.
 
-Little is tried on a pair that looks right, so that this costs a few per cent of an evaluation.
+Little is tried on a pair that looks right, so this costs a few per cent of an evaluation.
 """
 
 from __future__ import annotations
@@ -29,25 +29,19 @@ from slamhive.trajectory.alignment import align
 from slamhive.trajectory.association import associate
 from slamhive.trajectory.evidence import misread_unit
 from slamhive.trajectory.model import FloatArray
-from slamhive.trajectory.offset import (
-    COARSE_STEP_S,
-    coarse_offset,
-    position_misfit,
-    search_offset,
-    turning_misfit,
-)
+from slamhive.trajectory.offset import COARSE_STEP_S, coarse_offset, position_misfit, search_offset, turning_misfit
 
 _SCALING = (Alignment.SIM3, Alignment.SCALE)
 
 
-def find_hints(paired: Paired, figures: Mapping[str, float]) -> tuple[Hint, ...]:
-    """The mistakes that the pair shows; none for one that looks right.
+def find_hints(paired: Paired, values: Mapping[str, float]) -> tuple[Hint, ...]:
+    """The likely mistakes in the pair; none if it looks right.
 
     Args:
-        paired: What was evaluated.
-        metrics: What the evaluators found; without ``ate.rmse`` nothing is said.
+        paired: The pair that was evaluated.
+        values: Metrics of the evaluators; without ``ate.rmse`` there are no hints.
     """
-    ate_m = figures.get("ate.rmse")
+    ate_m = values.get("ate.rmse")
     if ate_m is None:
         return ()
     unit = _time_unit(paired)
@@ -68,7 +62,7 @@ def find_hints(paired: Paired, figures: Mapping[str, float]) -> tuple[Hint, ...]
 
 
 def _time_unit(paired: Paired) -> Hint | None:
-    """Files whose times hardly overlap, and would in another unit."""
+    """Timestamps that hardly overlap, and would in another unit."""
     found = misread_unit(paired.estimate.stamps_s, paired.reference.stamps_s)
     return None if found is None else Hint("time_unit", f"{found.sentence}.", found.remedy)
 
@@ -77,7 +71,7 @@ LEAST_TILT_DEG = 20.0
 
 
 def _gravity(paired: Paired, fit: Fit, ate_m: float) -> Hint | None:
-    """A z axis that does not point up, which alignment by yaw leaves as it is."""
+    """A z axis that does not point up, which alignment by yaw does not change."""
     if paired.protocol.alignment is not Alignment.YAW_POSITION or ate_m <= SUSPICIOUS_SHARE * fit.size_m:
         return None
     tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, float(fit.transform.rotation[2, 2])))))
@@ -95,11 +89,11 @@ def _gravity(paired: Paired, fit: Fit, ate_m: float) -> Hint | None:
 OFFSET_WITHIN_S = 10.0
 LEAST_OFFSET_S = 0.01
 OFFSET_COLLAPSE, LARGE_OFFSET_COLLAPSE = 0.4, 0.8
-"""An offset is reported where without it so much of the position error is left at most, and a large one so much."""
+"""An offset is reported if at most this share of the error is left without it; the second is for large offsets."""
 LARGE_OFFSET_S = 0.1
-"""A larger delay means that clocks differ. Found from the angular rate: drift shifts where positions fit."""
+"""More than the delay of a frame: the clocks differ. Found by rotation only, since drift moves the best positions."""
 ALONG_MOTION = 0.5
-"""An offset moves poses along their path, the faster the further: the share of the squared error that does so."""
+"""An offset moves poses along their path, in proportion to speed. Least share of the squared error that does so."""
 
 
 def _time_offset(paired: Paired, fit: Fit, ate_m: float) -> Hint | None:
@@ -131,7 +125,7 @@ def _falls_to(left_m: float | None, most_m: float) -> bool:
 
 
 def _guessed_offset_s(paired: Paired, *, suspicious: bool) -> float | None:
-    """Where the error is large or lies along the motion: the offset that the rates of motion tell, else a small one."""
+    """The offset that the rates of motion suggest, or a small one; None if the error gives no reason to search."""
     small_s, share = _first_order_offset_s(paired)
     if share < ALONG_MOTION and not suspicious:
         return None
@@ -155,7 +149,7 @@ def _first_order_offset_s(paired: Paired) -> tuple[float, float]:
 
 
 def _refined_offset_s(paired: Paired, guess_s: float) -> float | None:
-    """The offset where the motion fits best near the guess; None where it fits best nowhere, as of few keyframes."""
+    """The offset near the guess where the motion fits best; None if there is no best one, as with few keyframes."""
     reference, estimate = paired.reference, paired.estimate
     if paired.rotations_known:
         misfit = turning_misfit(reference, estimate)
@@ -180,9 +174,9 @@ def _ate_with_offset_m(paired: Paired, offset_s: float) -> float | None:
 
 
 _FACTORS = {1000.0: "millimetres", 100.0: "centimetres", 0.001: "kilometres"}
-"""What an estimate is in that is so many times too large."""
+"""The unit of an estimate that is too large by this factor."""
 SCALE_TOLERANCE = 0.15
-"""Scales of real systems are this far off at most."""
+"""The scale of a real system is wrong by this share at most."""
 
 
 def _scale(paired: Paired, fit: Fit) -> Hint | None:
@@ -191,7 +185,7 @@ def _scale(paired: Paired, fit: Fit) -> Hint | None:
         return None
     times_too_large = 1.0 / fit.transform.scale
     for factor, unit in _FACTORS.items():
-        # Where the scale is free, as of one camera, any may occur: only thousands are reported.
+        # A free scale, as with one camera, can have any value: only factors of a thousand are reported.
         likely = paired.protocol.alignment not in _SCALING or factor != 100.0
         if likely and abs(times_too_large / factor - 1.0) <= SCALE_TOLERANCE:
             other = ", or the ground truth in millimetres" if factor < 1 else ""
@@ -205,12 +199,12 @@ def _scale(paired: Paired, fit: Fit) -> Hint | None:
 
 
 STRAIGHT = 0.1
-"""Of a straight path: RMS to the side over RMS along it."""
+"""A path is straight if the RMS extent to the side is less than this share of that along it."""
 LEAST_OPEN_DEG = 5.0
 
 
 def _straight(paired: Paired, fit: Fit, ate_m: float) -> Hint | None:
-    """A path that hardly says how it is rolled about its own direction."""
+    """A path so straight that the rotation about its direction is hardly known."""
     if paired.protocol.alignment not in (Alignment.SE3, Alignment.SIM3):
         return None
     along_m, aside_m = _extents_m(fit.reference.positions_m)[:2]

@@ -1,7 +1,7 @@
-"""The job file between the controller and the evaluation container: many runs in one start.
+"""The job file between the controller and the evaluation container: many runs for each start.
 
-The controller writes ``job.json``. The entry script evaluates every task, writes ``result.json`` into each task's
-output folder (temporary name, then renamed), and prints one JSON line per task to stdout as progress.
+The controller writes ``job.json``. The entry script evaluates every task, writes ``result.json`` into its output folder
+in one step, and prints one line of JSON for it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ RESULT_FILE = "result.json"
 
 
 class Artefacts(StrEnum):
-    """What an evaluation leaves besides the metrics."""
+    """Which files an evaluation writes besides the metrics."""
 
     METRICS = "metrics"
     FILES = "files"
@@ -33,15 +33,20 @@ class Artefacts(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class EvaluationTask:
-    """One run to evaluate. Paths are as the evaluating process sees them.
+    """One run to evaluate. Paths are those that the evaluating process sees.
 
-    ``T_body_sensor`` is the pose of the estimate's frame in the ground truth's body frame. The ground truth is moved
-    into that frame, because it is metric at every scale of the estimate. ``reference`` is None if ``files`` contain
-    relations and there is no ground-truth trajectory.
-    ``positions_only``: the orientations of the ground truth mean nothing. ``files``: what else there is of the run,
-    by the name that evaluators know it by (see :class:`~slamhive.evaluation.evaluators.base.Paired`).
-    ``artefacts``: METRICS writes metrics only; FILES adds ``ape.zip``, ``rpe.zip`` and the aligned ``traj.tum``;
-    PLOTS adds the paper's plots.
+    Attributes:
+        id: Of the task, unique within a job.
+        estimate: The trajectory.
+        reference: The ground truth; None if the dataset has relations, in ``files``, instead of a trajectory.
+        output: The folder for results.
+        protocol: How to evaluate.
+        T_body_sensor: Pose of the estimate's frame in the body frame of the ground truth. The ground truth, which is
+            metric, is moved into that frame.
+        artefacts: METRICS writes metrics only; FILES adds ``ape.zip``, ``rpe.zip`` and the aligned ``traj.tum``; PLOTS
+            adds the plots of the published SLAM Hive.
+        positions_only: The orientations of the ground truth mean nothing.
+        files: Other files of the run by name; see :class:`~slamhive.evaluation.evaluators.base.Paired`.
     """
 
     id: str
@@ -57,10 +62,10 @@ class EvaluationTask:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationResult:
-    """What came out of one task. ``reason`` says in one line why it failed; ``metrics`` is then empty.
+    """The outcome of one task. ``reason`` says in one line why it failed; ``metrics`` is then empty.
 
-    ``missing`` says of each metric that could not be computed why not, {metric key: one line}. ``hints`` are the common
-    mistakes that the errors betray.
+    ``missing`` says why a metric could not be computed, {metric key: one line}. ``hints`` are likely mistakes in the
+    input.
     """
 
     id: str
@@ -75,7 +80,7 @@ class EvaluationResult:
 
     @property
     def succeeded(self) -> bool:
-        """All metrics could be computed."""
+        """Whether the evaluation has metrics."""
         return self.reason is None
 
 

@@ -1,4 +1,4 @@
-"""Follows the output of a batch, with a time limit and a way to stop it."""
+"""Follows the output of a batch, with a time limit and a way to stop."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _POLL_S = 0.2
 
 
 class LineFeed:
-    """Reads lines in a thread of its own, so that a batch that prints nothing can still be ended.
+    """Reads lines in a thread, so that a batch that prints nothing can be ended.
 
     Args:
-        source: The lines; blocks until there is one, and ends when the batch has closed its output.
+        source: The lines. It blocks until there is one, and ends when the batch closes its output.
     """
 
     def __init__(self, source: Iterable[str]) -> None:
@@ -25,7 +25,7 @@ class LineFeed:
         self._reader.start()
 
     def follow(self, timeout_s: float, on_line: LineCallback, stopping: threading.Event) -> str | None:
-        """Hand over lines until they end. Returns None then, else why they are no longer waited for."""
+        """Pass on lines until they end. Returns None then, otherwise why the batch must be ended."""
         deadline_s = time.monotonic() + timeout_s
         while True:
             try:
@@ -42,7 +42,7 @@ class LineFeed:
                 return f"it was still running after {timeout_s:.0f} s"
 
     def drain(self, patience_s: float, on_line: LineCallback) -> None:
-        """Hand over what is left, once the batch has been ended; waits ``patience_s`` for the reader at most."""
+        """Pass on the remaining lines after the batch has ended; waits at most ``patience_s`` for the reader."""
         self._reader.join(patience_s)
         while not self._lines.empty():
             if line := self._lines.get():

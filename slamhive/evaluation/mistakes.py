@@ -1,4 +1,4 @@
-"""Poses written by another convention than they are read by: a mistake is undone to see whether it was made."""
+"""Poses that were written in another convention than they are read in. Each mistake is undone to see if it was made."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ from slamhive.trajectory.model import FloatArray, Poses
 from slamhive.trajectory.transforms import inverse_quats, rotations_from_quats
 
 TRIED_POSES = 300
-"""Spread over the matched poses; more tell no more."""
+"""This many of the matched poses are enough."""
 SUSPICIOUS_SHARE = 0.1
-"""A position error of this share of the path's size is looked into."""
+"""A position error above this share of the path's size is suspicious."""
 SUSPICIOUS_DEG = 5.0
-"""Orientations that stray so far from the ground truth's are looked into: those of real systems stay below."""
+"""Orientations that differ from the ground truth by more are suspicious; those of real systems differ by less."""
 COLLAPSE, GOOD_SHARE = 0.3, 0.2
-"""A mistake is reported where undoing it leaves so much of the position error, and of the path's size, at most, ..."""
+"""A mistake is reported if undoing it leaves at most these shares of the position error and of the path's size, ..."""
 ROTATION_COLLAPSE, ROTATION_GAIN_DEG = 0.5, 2.0
-"""... or so much of the stray of the orientations, and at least so many degrees less."""
+"""... or at most this share of the spread of orientations, and at least so many degrees less."""
 KEPT = 1.2
-"""By this factor the other of the two errors may grow."""
+"""The other of the two errors may grow by this factor."""
 AMBIGUOUS = 3.0
-"""What leaves so much more of the errors may be the mistake as well."""
+"""An explanation that leaves up to this many times as much error may be right as well."""
 
 Undo = Callable[[Poses], Poses]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """How well matched poses go together where position, rotation and scale are free.
+    """How well matched poses agree if position, rotation and scale are free.
 
     Attributes:
         reference: Poses of the ground truth.
         estimate: As many of the estimate.
-        transform: What aligns them.
+        transform: The alignment.
         ate_m: RMSE of the aligned positions.
         size_m: RMS distance of the ground truth from its middle.
-        spread_deg: How far the orientations stray; None where they are not known.
+        spread_deg: Spread of the orientation errors; None if orientations are not known.
     """
 
     reference: Poses
@@ -59,10 +59,10 @@ class Mistake:
 
     Attributes:
         key: Of the hint.
-        found: What it looks like, in words, ``{}`` being the file.
+        found: Describes it; ``{}`` stands for the file.
         remedy: What to do.
-        undo: Makes right poses of wrong ones.
-        truth_remedy: What to do if it is the ground truth that is wrong; None where that cannot be told apart.
+        undo: Turns wrong poses into right ones.
+        truth_remedy: What to do if the ground truth is wrong; None if the two cases cannot be separated.
     """
 
     key: str
@@ -82,17 +82,17 @@ class _Explanation:
 
     @property
     def left(self) -> float:
-        """What is left of both errors: shares of the path's size and of a right angle."""
+        """The remaining errors, as shares of the path's size and of a right angle."""
         return self.undone.ate_m / self.undone.size_m + (self.undone.spread_deg or 0.0) / 90.0
 
 
 def thinned(poses: Poses) -> Poses:
-    """Some hundreds of the poses, spread over them."""
+    """Some hundreds of the poses, evenly spread."""
     return poses.take(np.unique(np.linspace(0, len(poses) - 1, TRIED_POSES).astype(np.intp)))
 
 
 def fit_poses(reference: Poses, estimate: Poses, *, rotations: bool) -> Fit | None:
-    """The fit of matched poses; None where they leave it open."""
+    """The fit of matched poses; None if they do not determine one."""
     try:
         transform = align_umeyama(estimate.positions_m, reference.positions_m, scaled=True)
     except InvalidInput:
@@ -109,9 +109,9 @@ def rms_m(vectors_m: FloatArray) -> float:
 
 
 def mistaken_convention(fit: Fit) -> Hint | None:
-    """The one mistake that explains the errors best; None where none does, or there is nothing to explain.
+    """The mistake that explains the errors best; None if none does, or if the errors are small.
 
-    Undone in the ground truth instead of the estimate, some explain nearly as much; then both are named.
+    Some mistakes explain nearly as much in the ground truth as in the estimate; the hint then names both.
     """
     if not _positions_suspicious(fit) and not _rotations_suspicious(fit):
         return None
@@ -138,7 +138,7 @@ def _tried(fit: Fit) -> Iterator[_Explanation]:
 
 
 def _by_owner(entries: Iterable[_Explanation]) -> list[list[_Explanation]]:
-    """Those of the estimate, then those of the ground truth, as far as there are any."""
+    """Explanations by the estimate, then those by the ground truth; empty groups are left out."""
     found = list(entries)
     return [part for of_truth in (False, True) if (part := [entry for entry in found if entry.of_truth is of_truth])]
 

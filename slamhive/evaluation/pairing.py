@@ -1,4 +1,4 @@
-"""From two trajectories and a protocol to a pair: time offset, association, alignment."""
+"""Makes a pair of two trajectories by a protocol: time offset, association, alignment."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.offset import position_misfit, search_offset, turning_misfit
 
 MINIMUM_MATCHED_POSES = 3
-"""With fewer an alignment is arbitrary, and so is every metric after it."""
+"""With fewer poses the alignment is arbitrary, and so is every metric."""
 
 SEARCHED_POSES = 1000
-"""An offset is searched by position with at most so many poses of the estimate, spread over it."""
+"""The search for an offset by position uses at most this many poses of the estimate, evenly spread."""
 
 
 def pair(
@@ -30,8 +30,7 @@ def pair(
 ) -> Paired:
     """Bring ``estimate`` to the clock of the ground truth, match the poses, align them.
 
-    Raises:
-        InvalidInput: Saying which of the steps is not possible, and why.
+    Raises InvalidInput that says which step is not possible, and why.
     """
     reference.check(protocol)
     truth = reference.trajectory
@@ -70,13 +69,11 @@ def pair(
 
 
 def find_offset(reference: Reference, estimate: Trajectory, protocol: Protocol) -> float:
-    """What to add to the estimate's timestamps, in s: where it turns as the ground truth does.
+    """The offset in s to add to the timestamps of the estimate, so that its angular rate matches the ground truth.
 
-    Where the ground truth holds positions only: where the RMSE of the aligned positions is least. That is less sure,
-    since drift of the estimate moves the place.
-
-    Raises:
-        InvalidInput: There is no least error within ``offset_search_s`` of ``time_offset_s``.
+    If the ground truth holds positions only, the offset with the least RMSE of the aligned positions. That is less
+    certain, since drift of the estimate moves it. Raises InvalidInput if there is no minimum within
+    ``offset_search_s`` of ``time_offset_s``.
     """
     if reference.rotations_known:
         misfit = turning_misfit(reference.trajectory, estimate)
@@ -91,10 +88,10 @@ def _thinned(trajectory: Trajectory) -> Trajectory:
 
 
 def shifted(trajectory: Trajectory, offset_s: float) -> Trajectory:
-    """The trajectory with ``offset_s`` added to its timestamps; raises InvalidInput where they fall together then."""
+    """The trajectory with ``offset_s`` added to its timestamps; raises InvalidInput if two of them become equal."""
     if offset_s == 0:
         return trajectory
     stamps_s = trajectory.stamps_s + offset_s
     if np.any((np.diff(stamps_s) <= 0) & (np.diff(trajectory.stamps_s) > 0)):
-        raise InvalidInput(f"a time offset of {offset_s:g} s makes timestamps fall together", "give a smaller offset")
+        raise InvalidInput(f"a time offset of {offset_s:g} s makes timestamps equal", "give a smaller offset")
     return Trajectory(stamps_s, trajectory.positions_m, trajectory.quats_xyzw)

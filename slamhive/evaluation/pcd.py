@@ -1,6 +1,6 @@
-"""Reading point clouds from PCD files (Point Cloud Library, versions 0.5 to 0.7): positions, whatever else there is.
+"""Reads positions from PCD files (Point Cloud Library, versions 0.5 to 0.7).
 
-The file is another's: its counts and sizes are checked against what is there before anything is made from them.
+An algorithm wrote the file: its counts and sizes are compared with its length before any memory is allocated for them.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class _Field:
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What a PCD file says of itself; ``offset`` is where the data begins."""
+    """The header of a PCD file; the data begins at ``offset``."""
 
     fields: tuple[_Field, ...]
     points: int

@@ -1,4 +1,4 @@
-"""The plots of the published SLAM Hive, drawn by evo: trajectory, its coordinates and angles, errors over time."""
+"""The plots of the published SLAM Hive, drawn by evo: trajectory, coordinates and angles, errors over time."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def write_plots(folder: Path, paired: Paired, archives: Mapping[str, Result]) ->
 
 
 def _widest_plane(positions_m: FloatArray) -> plot.PlotMode:
-    """The plane of the two coordinates that change most: camera frames have no z that points up."""
+    """The plane of the two coordinates that change most; z does not point up in camera frames."""
     extents_m = np.ptp(positions_m, axis=0)
     flattest = int(extents_m.argmin())
     return (plot.PlotMode.yz, plot.PlotMode.xz, plot.PlotMode.xy)[flattest]
@@ -84,7 +84,7 @@ def _speeds(figure: Figure, matched: PoseTrajectory3D, aligned: PoseTrajectory3D
 
 
 def _each_time_once(trajectory: PoseTrajectory3D) -> PoseTrajectory3D:
-    """The poses without those that repeat a timestamp: between two poses at one time there is no speed."""
+    """The poses without repeated timestamps: two poses at one time have no speed."""
     later = np.flatnonzero(np.diff(trajectory.timestamps, prepend=-np.inf) > 0)
     return PoseTrajectory3D(
         trajectory.positions_xyz[later], trajectory.orientations_quat_wxyz[later], trajectory.timestamps[later]

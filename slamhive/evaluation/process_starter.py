@@ -33,7 +33,7 @@ class ProcessStarter:
         self._script = project_root / "evaluation" / "evaluate.py"
 
     def prepare(self, progress: LineCallback) -> None:
-        """Nothing: the packages of this process will do."""
+        """Nothing to do: the batch uses the packages of this process."""
 
     def run_batch(self, batch: Batch, on_line: LineCallback, stopping: threading.Event) -> str | None:
         """Run the batch to its end; see :class:`~slamhive.evaluation.batch.BatchStarter`."""
@@ -55,7 +55,7 @@ class ProcessStarter:
 
 
 def _environment(home: Path) -> dict[str, str]:
-    """A private HOME (evo writes settings into it), one thread per worker process, and our own packages."""
+    """A private HOME, since evo writes settings into it, and the path to our own packages."""
     environment = {name: os.environ[name] for name in _KEPT_ENVIRONMENT if name in os.environ}
     package_parent = str(Path(__file__).resolve().parent.parent.parent)
     paths = [package_parent, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
@@ -66,7 +66,7 @@ def _environment(home: Path) -> dict[str, str]:
 def _follow(
     process: subprocess.Popen[bytes], timeout_s: float, on_line: LineCallback, stopping: threading.Event
 ) -> str | None:
-    """Hand over lines until the process has ended; end it on timeout or when ``stopping`` is set."""
+    """Pass on lines until the process has ended; end it on timeout or when ``stopping`` is set."""
     assert process.stdout is not None
     feed = LineFeed(_lines_of(process.stdout))
     ended: str | None = "it was not followed to its end"
@@ -87,7 +87,7 @@ def _lines_of(stream: IO[bytes]) -> Iterator[str]:
 
 @contextlib.contextmanager
 def _thread_bound_to(cores: tuple[int, ...] | None) -> Iterator[None]:
-    """Bind this thread (no other), so that what it starts is bound from its first instruction on."""
+    """Bind only this thread, so that a process that it starts is bound from its first instruction."""
     if cores is None:
         yield
         return
@@ -100,7 +100,7 @@ def _thread_bound_to(cores: tuple[int, ...] | None) -> Iterator[None]:
 
 
 def _end_group(process: subprocess.Popen[bytes], *, already_ending: bool) -> None:
-    """Wait for a process that closed its output; end one that did not. Its children go with it."""
+    """Wait for a process that closed its output; end one that did not, with its children."""
     if not already_ending:
         _signal_group(process, signal.SIGTERM)
     try:

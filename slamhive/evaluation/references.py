@@ -1,4 +1,4 @@
-"""Ground truths, each read once for all runs that are compared with it."""
+"""Ground truths, each of which is read once for all runs."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ _SCALING = {Alignment.SIM3, Alignment.SCALE}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """A ground truth, ready to be compared with an estimate.
+    """A ground truth in the frame of an estimate.
 
     Attributes:
-        trajectory: Its poses, in the frame of the estimate; where only positions are known, in the body frame.
-        rotations_known: False where only positions are known.
-        T_sensor_body: Where only positions are known, and there is a lever arm: what moves the estimate to the body.
-        T_body_estimate: Pose, in the body frame, of the frame whose poses the estimate holds once it is placed.
+        trajectory: Its poses, in the frame of the estimate; in the body frame if only positions are known.
+        rotations_known: False if only positions are known.
+        T_sensor_body: Moves the estimate to the body. Set if only positions are known and there is a lever arm.
+        T_body_estimate: Pose, in the body frame, of the frame of the estimate after :meth:`placed`.
     """
 
     trajectory: Trajectory
@@ -42,7 +42,7 @@ class Reference:
     T_body_estimate: FloatArray = field(default_factory=lambda: np.eye(4))
 
     def check(self, protocol: Protocol) -> None:
-        """Raise InvalidInput if this alignment needs orientations that are missing."""
+        """Raise InvalidInput if this alignment needs orientations that are not known."""
         if self.rotations_known:
             return
         if protocol.aligns_one_pose:
@@ -58,19 +58,19 @@ class Reference:
             )
 
     def placed(self, estimate: Trajectory) -> Trajectory:
-        """The estimate, moved to where the ground truth was taken if that could not be moved to the estimate."""
+        """The estimate, moved to the body if the ground truth could not be moved to the estimate."""
         return estimate if self.T_sensor_body is None else move_sensor(estimate, self.T_sensor_body)
 
 
 class References:
-    """Ground truths by file and by the sensor frame they are moved into, read when first asked for."""
+    """Ground truths by file and sensor frame, each read on first use."""
 
     def __init__(self) -> None:
         self._bodies: dict[_File, Reference | InvalidInput] = {}
         self._moved: dict[tuple[_File, Matrix4], Reference] = {}
 
     def preload(self, tasks: Iterable[EvaluationTask]) -> None:
-        """Read what ``tasks`` need. A malformed ground truth raises when its task asks for it."""
+        """Read all that ``tasks`` need. A malformed ground truth raises when its task asks for it."""
         for task in tasks:
             with contextlib.suppress(InvalidInput):
                 self.of(task)
@@ -110,7 +110,7 @@ class _File:
 
 
 def _read(file: _File) -> Reference:
-    """The ground truth as in the file: eight columns, or four, which are positions."""
+    """The ground truth of a file with eight columns, or four, which are positions."""
     data, name = read_bounded(file.path), f"ground truth {file.path.name}"
     if count_columns(data) == _POSITION_COLUMNS:
         return Reference(parse_positions(data, name, file.duplicates), rotations_known=False)

@@ -1,4 +1,4 @@
-"""Evaluate many runs with one start: prepare the job, start it, and account for every task whatever happens."""
+"""Evaluates many runs with one start: prepares the job, starts it, and has a result for every task in the end."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ class EvaluationRunner:
     """Runs evaluations through a starter.
 
     Args:
-        starter: What runs the batch: a process, or a container.
+        starter: Runs the batch in a process or in a container.
     """
 
     def __init__(self, starter: BatchStarter) -> None:
         self._starter = starter
 
     def prepare(self, progress: LineCallback) -> None:
-        """Make what evaluations need (in Docker: their image) unless it is there. Raises SlamHiveError."""
+        """Make what evaluations need, in Docker their image, unless it exists. Raises SlamHiveError."""
         self._starter.prepare(progress)
 
     def run(
@@ -62,14 +62,14 @@ class EvaluationRunner:
     ) -> list[EvaluationResult]:
         """Evaluate ``tasks``; one result for each, in the same order.
 
-        A task whose result is missing when the batch ends gets a reason that says how it ended. If ``stopping`` is
-        set, tasks not yet done are left out instead: nothing is known of them and they can be done later.
+        A task without a result when the batch ends fails, and its reason says how the batch ended. If ``stopping`` is
+        set, unfinished tasks are left out instead, since they can be evaluated later.
 
         Args:
-            tasks: With distinct ids and existing output folders; paths of this machine.
-            scratch: An empty folder of the caller, for the job file and the like.
+            tasks: With different ids and existing output folders; paths of this machine.
+            scratch: An empty folder for the job file and other temporary files.
             on_result: Called once for every result, as soon as it is known, in the caller's thread.
-            stopping: Set from outside to end early.
+            stopping: Set by another thread to end early.
             cores: The numbers of the cores to evaluate on, None for all.
 
         Raises:
@@ -116,7 +116,7 @@ class EvaluationRunner:
 
 
 class _Collected:
-    """Results by task id; each is handed on once."""
+    """Results by task id; ``on_result`` gets each of them once."""
 
     def __init__(self, tasks: Sequence[EvaluationTask], on_result: ResultCallback) -> None:
         self.results: dict[str, EvaluationResult] = {}
@@ -138,7 +138,7 @@ class _Collected:
         self.add(result)
 
     def take_files(self, tasks: Sequence[EvaluationTask]) -> None:
-        """Results that were written although their line did not arrive."""
+        """Add results that were written although their line did not arrive."""
         for task in tasks:
             if task.id in self.results:
                 continue
@@ -169,7 +169,7 @@ def _input_problem(task: EvaluationTask) -> str | None:
 def _place(
     tasks: Sequence[EvaluationTask], job_path: Path, *, isolated: bool
 ) -> tuple[list[EvaluationTask], tuple[BatchMount, ...]]:
-    """The tasks with paths as the batch sees them, and its mounts, the job file's first."""
+    """The tasks with the paths that the batch sees, and its mounts; the job file is the first."""
     places: dict[Path, BatchMount] = {}
 
     def place(path: Path, target: str, *, read_only: bool = True) -> Path:

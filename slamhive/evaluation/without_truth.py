@@ -1,4 +1,4 @@
-"""What can be said of an estimate where the dataset has relations between poses and no ground-truth trajectory."""
+"""Metrics of an estimate if the dataset has relations between poses and no ground-truth trajectory."""
 
 from __future__ import annotations
 
@@ -8,33 +8,29 @@ from pathlib import Path
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.sensors import Matrix4
 from slamhive.errors import InvalidInput
-from slamhive.evaluation.evaluators.base import RELATIONS, Figures, absent
-from slamhive.evaluation.evaluators.map_quality import MapQuality, map_figures
-from slamhive.evaluation.evaluators.relations import of_body, read_relations, relation_figures
+from slamhive.evaluation.evaluators.base import RELATIONS, MetricValues, absent
+from slamhive.evaluation.evaluators.map_quality import MapQuality, map_metrics
+from slamhive.evaluation.evaluators.relations import of_body, read_relations, relation_errors
 from slamhive.evaluation.pairing import shifted
 from slamhive.evaluation.references import NO_TRUTH
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import rigid_transform
 
 ESSENTIAL = "relations.translation.mean"
-"""Without this metric such an evaluation has failed."""
+"""Such an evaluation has failed without this metric."""
 
 
-def figures_without_truth(
-    estimate: Trajectory,
-    protocol: Protocol,
-    T_body_estimate: Matrix4,
-    files: Mapping[str, Path],
-    keys: Iterable[str],
-) -> Figures:
-    """Errors of the relations, and the map metrics that need no reference.
+def evaluate_without_truth(
+    estimate: Trajectory, protocol: Protocol, T_body_estimate: Matrix4, files: Mapping[str, Path], keys: Iterable[str]
+) -> MetricValues:
+    """Errors of the relations, and metrics that need the map alone.
 
     Args:
-        estimate: As the algorithm wrote it.
-        protocol: Its time offset and gap threshold count, and its alignment as far as it says that the scale is open.
+        estimate: The trajectory of the algorithm.
+        protocol: Its time offset and gap threshold are used; its alignment must not leave the scale open.
         T_body_estimate: Pose of the frame that the estimate describes in the body frame, 16 numbers by rows.
-        files: As evaluators know them.
-        keys: All that evaluators may yield; what is left of them is missing, and why.
+        files: See :class:`~slamhive.evaluation.evaluators.base.Paired`.
+        keys: All metrics of all evaluators; those that need a ground-truth trajectory are missing.
 
     Raises:
         InvalidInput: The relations cannot be compared with the estimate.
@@ -44,13 +40,13 @@ def figures_without_truth(
         raise InvalidInput("the file of the dataset's relations does not exist", "put it back")
     on_clock = shifted(estimate, protocol.time_offset_s)
     body = of_body(on_clock, 1.0, rigid_transform(protocol.T_body_sensor or T_body_estimate, "T_body_sensor"))
-    errors = relation_figures(read_relations(files[RELATIONS]), body, protocol.gap_threshold_s)
+    errors = relation_errors(read_relations(files[RELATIONS]), body, protocol.gap_threshold_s)
     try:
-        maps = map_figures(files, None)
+        maps = map_metrics(files, None)
     except InvalidInput as error:
         maps = absent(MapQuality.keys, str(error))
     missing = {key: NO_TRUTH for key in keys if key not in errors and key not in MapQuality.keys}
-    return Figures({**errors, **maps.values}, {**missing, **maps.missing})
+    return MetricValues({**errors, **maps.values}, {**missing, **maps.missing})
 
 
 def _check(protocol: Protocol) -> None:

@@ -1,4 +1,4 @@
-"""The work of one start of the evaluation: every task of a job, on all cores, whatever single tasks do."""
+"""Evaluates every task of a job on all cores, whatever single tasks do."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _PR_SET_PDEATHSIG = 1
 """Of <linux/prctl.h>."""
 
 _references = References()
-"""Of this process; the workers are forked from it and inherit what it has read."""
+"""Read by this process; the workers are forked from it and inherit them."""
 
 
 def main(arguments: Sequence[str], emit: Callable[[str], None]) -> int:
-    """Work through the job file in ``arguments``, handing one JSON line per finished task to ``emit``.
+    """Evaluate the job file in ``arguments``; ``emit`` gets one line of JSON for each finished task.
 
-    Returns the exit code: 0 when every task has a result, good or bad; 1, with one line on stderr, if there is no job
-    to read.
+    Returns the exit code: 0 if every task has a result, good or bad; 1, with one line on stderr, if the job file cannot
+    be read.
     """
     logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s")
     signal.signal(signal.SIGTERM, _end)
@@ -52,10 +52,10 @@ def main(arguments: Sequence[str], emit: Callable[[str], None]) -> int:
 
 
 def evaluate_all(tasks: Sequence[EvaluationTask], workers: int) -> Iterator[EvaluationResult]:
-    """The result of every task, as each is done. Ground truths are read once, before the workers are forked.
+    """The results of the tasks as they finish. Ground truths are read once, before the workers are forked.
 
-    A task that kills its worker, for example by its memory use, takes down the pool. All tasks in flight are then
-    retried one by one, and only one that does it again is abandoned.
+    A task that kills its worker, for example by using too much memory, breaks the pool. The unfinished tasks are then
+    tried again one by one, and only the one that kills its worker again is given up.
     """
     _references.preload(tasks)
     load_libraries(tasks)
@@ -67,7 +67,7 @@ def evaluate_all(tasks: Sequence[EvaluationTask], workers: int) -> Iterator[Eval
 
 
 def _in_pool(tasks: Sequence[EvaluationTask], workers: int) -> Generator[EvaluationResult, None, list[EvaluationTask]]:
-    """Results of ``tasks`` as they come; returns the tasks without one because a worker died."""
+    """Results of ``tasks`` as they finish; returns the tasks that have none because a worker died."""
     unfinished: list[EvaluationTask] = []
     if not tasks:
         return unfinished
@@ -107,7 +107,7 @@ def _read_job(arguments: Sequence[str]) -> tuple[EvaluationTask, ...]:
 
 
 def _end_with_parent() -> None:
-    """Have the kernel end this process when the one that started it is killed: nobody would end it in time then."""
+    """Make the kernel end this process when its parent is killed, since nobody else would."""
     parent = os.environ.get(PARENT_VARIABLE)
     if parent is None or not sys.platform.startswith("linux"):
         return
@@ -121,7 +121,7 @@ def _usable_cores() -> int:
 
 
 def _end(_number: int, _frame: FrameType | None) -> None:
-    """End at once, workers included: what is on disk is whole, since every file is renamed into place."""
+    """End at once, with the workers. Files on disk are complete, since each is renamed into place."""
     children = multiprocessing.active_children()
     for child in children:
         child.kill()

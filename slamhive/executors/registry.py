@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import fcntl
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-from slamhive.errors import Unavailable
+from slamhive.errors import InvalidInput, Unavailable
 from slamhive.executors.base import Executor, ExecutorContext
 from slamhive.files import write_aside
 from slamhive.registry import Registry
@@ -20,7 +21,16 @@ ExecutorFactory = Callable[[ExecutorContext], Executor]
 ExecutorFinder = Callable[[str], Executor]
 """Returns the executor of a name, as :meth:`Hive.executor` does."""
 
-EXECUTORS: Registry[ExecutorFactory] = Registry("executor", "slamhive.executors")
+
+def _read(name: str, found: Any) -> Mapping[str, ExecutorFactory]:
+    if not callable(found):
+        raise InvalidInput(
+            f"it makes no executor, but is of type {type(found).__name__}", "see docs/extend/executor.md"
+        )
+    return {name: found}
+
+
+EXECUTORS: Registry[ExecutorFactory] = Registry("executor", "slamhive.executors", _read)
 
 
 def _loaded_late(module: str, class_name: str) -> ExecutorFactory:

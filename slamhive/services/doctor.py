@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -13,6 +13,7 @@ from slamhive.errors import NotFound, SlamHiveError, Unavailable
 from slamhive.executors.energy import read_packages
 from slamhive.executors.host_counters import HostCounters, read_or_why, sources
 from slamhive.executors.registry import EXECUTORS
+from slamhive.registry import Origin
 from slamhive.services.data_root import REMEDY
 from slamhive.services.hive import Hive
 
@@ -47,6 +48,25 @@ def examine(hive: Hive) -> list[Check]:
             name = examination.__name__.removeprefix("_")
             checks.append(Check(name, Verdict.FAILED, error.message, error.remedy))
     return checks
+
+
+def plugin_checks(origins: Iterable[Origin]) -> list[Check]:
+    """One check for each plug-in that is broken, or one for all that work."""
+    plugins = [origin for origin in origins if origin.is_plugin]
+    broken = [
+        Check(
+            f"plug-in {origin.package} {origin.version}",
+            Verdict.FAILED,
+            f"{origin.seam} {origin.name!r} ({origin.entry_point}) cannot be used: {origin.problem}",
+            origin.remedy,
+        )
+        for origin in plugins
+        if origin.problem is not None
+    ]
+    if broken:
+        return broken
+    packages = sorted({f"{origin.package} {origin.version}" for origin in plugins})
+    return [Check("plug-ins", Verdict.OK, ", ".join(packages) or "none installed")]
 
 
 def _python(_: Hive) -> list[Check]:
@@ -134,7 +154,7 @@ def _algorithms(hive: Hive) -> list[Check]:
 
 
 def _broken_folders(hive: Hive) -> list[Check]:
-    return [Check(f"folder {entry.folder.name}", Verdict.FAILED, entry.problem) for entry in hive.catalogue.broken()]
+    return [Check(f"folder {entry.name}", Verdict.FAILED, entry.problem) for entry in hive.catalogue.broken()]
 
 
 def _datasets(hive: Hive) -> list[Check]:

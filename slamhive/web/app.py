@@ -26,6 +26,7 @@ from slamhive.web.caching import PageCache, add_caching, keep_pages
 from slamhive.web.columns import Kind
 from slamhive.web.errors import handle_errors
 from slamhive.web.live import LiveHub
+from slamhive.web.pages import register_pages
 from slamhive.web.presenters import catalogue as catalogue_presenter
 from slamhive.web.rates import visitor_limits
 from slamhive.web.security import protect, secret_key
@@ -48,6 +49,22 @@ from slamhive.web.views import help as help_pages
 
 MOST_UPLOAD_BYTES = 1_000_000
 MOST_STREAMS = 8
+_BLUEPRINTS = (
+    dashboard.blueprint,
+    algorithms.blueprint,
+    configurations.blueprint,
+    datasets.blueprint,
+    start.blueprint,
+    runs.blueprint,
+    experiments.blueprint,
+    experiment_builder.blueprint,
+    searches.blueprint,
+    analyses.blueprint,
+    help_pages.blueprint,
+    api.blueprint,
+    api_experiments.blueprint,
+    assets.blueprint,
+)
 
 
 def create_app(hive: Hive, host: str | None = None) -> Flask:
@@ -89,23 +106,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     for blueprint in (api.blueprint, api_experiments.blueprint):
         csrf.exempt(blueprint)
     handle_errors(app)
-    for blueprint in (
-        dashboard.blueprint,
-        algorithms.blueprint,
-        configurations.blueprint,
-        datasets.blueprint,
-        start.blueprint,
-        runs.blueprint,
-        experiments.blueprint,
-        experiment_builder.blueprint,
-        searches.blueprint,
-        analyses.blueprint,
-        help_pages.blueprint,
-        api.blueprint,
-        api_experiments.blueprint,
-        assets.blueprint,
-    ):
-        app.register_blueprint(blueprint)
+    register_blueprints(app)
     _add_template_words(app, hive)
     return app
 
@@ -130,6 +131,18 @@ def _show_one_moment(app: Flask, store: Store) -> None:
     @app.teardown_request
     def end_with_error(_error: BaseException | None) -> None:
         end()
+
+
+def register_blueprints(app: Flask) -> None:
+    """Register our own pages, then those of plug-ins."""
+    for blueprint in _BLUEPRINTS:
+        app.register_blueprint(blueprint)
+    register_pages(app)
+
+
+def check_plugin_pages() -> None:
+    """Register all pages on an application that serves nobody, which finds the plug-ins whose pages do not fit."""
+    register_blueprints(Flask("slamhive.web"))
 
 
 def _analysis_computer(hive: Hive) -> AnalysisComputer | None:

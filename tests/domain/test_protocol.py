@@ -1,11 +1,11 @@
 """A protocol's fingerprint, its plain form, and what it cannot be."""
 
 import math
+from dataclasses import fields
 
 import pytest
 
 from slamhive.domain.protocol import (
-    BOUNDS,
     Alignment,
     Association,
     Duplicates,
@@ -124,6 +124,13 @@ def test_the_plain_form_of_before_the_new_fields_is_read() -> None:
 def test_what_is_no_protocol_is_refused(content: dict[str, object], message: str) -> None:
     with pytest.raises(InvalidInput, match=message):
         protocol_from_content(content)
+
+
+BOUNDS = {
+    entry.name: (entry.metadata["minimum"], entry.metadata["maximum"])
+    for entry in fields(Protocol)
+    if "minimum" in entry.metadata
+}
 
 
 @pytest.mark.parametrize("name", BOUNDS)

@@ -13,7 +13,7 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.verdict import FROM_REPEATS
 from slamhive.evaluation.artefacts import FILES, run_task
-from slamhive.evaluation.evaluators.base import Figures
+from slamhive.evaluation.evaluators.base import MetricValues
 from slamhive.evaluation.evaluators.consistency import Consistency
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask, result_from_json
 from slamhive.evaluation.references import References
@@ -264,7 +264,7 @@ def test_a_map_is_measured_without_a_ground_truth_as_far_as_it_can_be(bench: Ben
 
 @pytest.mark.parametrize("error", [np.linalg.LinAlgError("Singular matrix"), ZeroDivisionError("division by zero")])
 def test_numbers_that_break_one_evaluator_leave_the_others(bench: Bench, monkeypatch, error: Exception) -> None:
-    def broken(_self: Consistency, _paired: object) -> Figures:
+    def broken(_self: Consistency, _paired: object) -> MetricValues:
         raise error
 
     monkeypatch.setattr(Consistency, "evaluate", broken)

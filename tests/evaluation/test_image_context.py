@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.errors import Unavailable
-from slamhive.evaluation.image_context import stage_evaluation_context
+from slamhive.evaluation.image_context import EvaluationContext
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 
@@ -18,12 +18,13 @@ def test_the_staged_script_runs_on_its_own(tmp_path: Path) -> None:
     certificate.write_text("x")
     context = tmp_path / "context"
     context.mkdir()
-    stage_evaluation_context(ROOT, context, [certificate])
+    EvaluationContext(ROOT).stage(context, [certificate])
     assert {path.name for path in context.iterdir()} == {
         "Dockerfile",
         "requirements.txt",
         "evaluate.py",
         "package",
+        "plugins",
         "ca-certificates",
     }
     assert (context / "ca-certificates" / "lab.crt").exists()
@@ -38,4 +39,4 @@ def test_the_staged_script_runs_on_its_own(tmp_path: Path) -> None:
 def test_a_missing_script_is_named(tmp_path: Path) -> None:
     (tmp_path / "context").mkdir()
     with pytest.raises(Unavailable, match="Dockerfile"):
-        stage_evaluation_context(tmp_path, tmp_path / "context")
+        EvaluationContext(tmp_path).stage(tmp_path / "context")

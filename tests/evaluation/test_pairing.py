@@ -10,7 +10,7 @@ from slamhive.domain.protocol import Alignment, Association, Protocol
 from slamhive.domain.sensors import IDENTITY4
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.artefacts import run_task
-from slamhive.evaluation.engine import all_figures
+from slamhive.evaluation.engine import all_metrics
 from slamhive.evaluation.evaluators.base import Paired
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask
 from slamhive.evaluation.pairing import pair
@@ -52,7 +52,7 @@ def later(trajectory: Trajectory, delay_s: float) -> Trajectory:
 
 
 def figures(paired: Paired) -> dict[str, float]:
-    return dict(all_figures(paired).values)
+    return dict(all_metrics(paired).values)
 
 
 TRUTH = Reference(flight(TRUTH_S))

@@ -4,8 +4,8 @@ import pytest
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput
-from slamhive.evaluation.engine import all_figures
-from slamhive.evaluation.evaluators.base import Figures
+from slamhive.evaluation.engine import all_metrics
+from slamhive.evaluation.evaluators.base import MetricValues
 from slamhive.evaluation.pairing import pair
 from slamhive.evaluation.presets import PRESETS
 from slamhive.evaluation.references import Reference
@@ -20,9 +20,9 @@ pytestmark = [
 ]
 
 
-def evaluated(name: str, reference: Trajectory, estimate: Trajectory) -> tuple[Figures, int]:
+def evaluated(name: str, reference: Trajectory, estimate: Trajectory) -> tuple[MetricValues, int]:
     paired = pair(Reference(reference), estimate, PRESETS.get(name).protocol)
-    return all_figures(paired), len(paired.aligned)
+    return all_metrics(paired), len(paired.aligned)
 
 
 def test_presets_show_figures_of_the_catalogue_in_words() -> None:
@@ -30,7 +30,7 @@ def test_presets_show_figures_of_the_catalogue_in_words() -> None:
     fingerprints = {preset.protocol.fingerprint for _, preset in PRESETS}
     assert len(fingerprints) == len(PRESETS.names())
     for _, preset in PRESETS:
-        assert set(preset.figures) <= CATALOGUE.keys()
+        assert set(preset.metrics) <= CATALOGUE.keys()
         assert preset.title
         assert preset.differs
         assert preset.source
@@ -63,7 +63,7 @@ def test_kitti_00_as_evo_and_as_the_devkit() -> None:
 def test_every_figure_of_a_tool_is_there_for_a_real_run(name: str) -> None:
     truth, estimate = read_tum(RUNS / "MH_01" / "groundtruth.txt"), read_tum(RUNS / "vio_mono" / "MH_01" / "0.txt")
     figures, _ = evaluated(name, truth, estimate)
-    assert set(PRESETS.get(name).figures) <= figures.values.keys()
+    assert set(PRESETS.get(name).metrics) <= figures.values.keys()
 
 
 def test_a_run_without_a_pose_for_every_frame_has_no_figure_as_kitti_counts() -> None:

@@ -25,7 +25,7 @@ import pytest
 
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
-from slamhive.evaluation.engine import all_figures
+from slamhive.evaluation.engine import all_metrics
 from slamhive.evaluation.pairing import pair
 from slamhive.evaluation.presets import PRESETS
 from slamhive.evaluation.references import Reference
@@ -54,7 +54,7 @@ def trajectories(name: str) -> tuple[Trajectory, Trajectory]:
 def figures(name: str, protocol: Protocol) -> dict[str, float]:
     truth, estimate = trajectories(name)
     paired = pair(Reference(truth), estimate, protocol)
-    return {**all_figures(paired).values, "matched": float(len(paired.aligned))}
+    return {**all_metrics(paired).values, "matched": float(len(paired.aligned))}
 
 
 def assert_equal(found: Mapping[str, float], tool: Mapping[str, float], within: float) -> None:
@@ -95,6 +95,6 @@ def test_the_made_up_flight_has_what_the_tools_stumble_over() -> None:
     ):
         protocol = PRESETS.get(preset).protocol
         asked = ProtocolRequest(plain).on(protocol) if None not in plain.values() else replace(protocol, **plain)
-        found = all_figures(pair(Reference(truth), estimate, asked)).values
+        found = all_metrics(pair(Reference(truth), estimate, asked)).values
         tool = TOOLS["synthetic"][preset]
         assert any(abs(found.get(key, 0.0) / value - 1) > 1e-3 for key, value in tool.items() if value), (preset, plain)

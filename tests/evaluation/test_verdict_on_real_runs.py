@@ -7,8 +7,8 @@ import pytest
 
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.verdict import Verdict, VerdictKind, compare_repeats, judge, tracked_enough
-from slamhive.evaluation.evaluators.coverage import Coverage
-from slamhive.evaluation.evaluators.relative_size import RelativeSize
+from slamhive.evaluation.evaluators.absolute import RelativeSize
+from slamhive.evaluation.evaluators.completeness import Coverage
 from slamhive.evaluation.pairing import pair
 from slamhive.evaluation.references import Reference
 from slamhive.project import project_root

@@ -28,11 +28,10 @@ Run = Callable[..., tuple[str | None, list[str]]]
 
 
 @pytest.fixture
-def run(base_image, tmp_path: Path, monkeypatch) -> Run:
+def run(base_image, tmp_path: Path) -> Run:
     """Run a script as the batch; how it ended and what it said."""
     context = ExecutorContext(tmp_path, tmp_path, f"test-{os.getpid()}-{tmp_path.name}")
     starter = DockerStarter(context, base_image)
-    monkeypatch.setattr(starter, "_ensure_image", lambda client, progress: None)
 
     def run_script(script: str, timeout_s: float = PATIENCE_S, cores: tuple[int, ...] | None = None):
         path = tmp_path / "script.py"

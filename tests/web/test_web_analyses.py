@@ -412,6 +412,17 @@ def test_help_is_the_documentation_with_links_that_work(shown: Web):
         assert shown.client.get(f"/help/{name}").status_code == 200
 
 
+def test_help_shows_the_examples_of_plugins(shown: Web):
+    page = shown.client.get("/help/extend").text
+    assert 'href="/help/extend/metric.py"' in page
+    assert 'href="/help/dataset-format"' in page
+    assert shown.client.get("/help/executor").status_code == 200
+    shown_example = shown.client.get("/help/extend/metric.py")
+    assert shown_example.mimetype == "text/plain"
+    assert "RMS_JERK" in shown_example.text
+    assert shown.client.get("/help/extend/..%2fdesign.md").status_code == 404
+
+
 @pytest.mark.parametrize("name", ["nothing", "..%2fREADME", "index.md", "examples", "%2fetc%2fpasswd"])
 def test_only_known_pages_of_help(shown: Web, name: str):
     assert shown.client.get(f"/help/{name}").status_code == 404

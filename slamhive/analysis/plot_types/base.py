@@ -17,7 +17,7 @@ from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, Column, RunTable, is_disturbed
 from slamhive.domain.metrics import Direction
 from slamhive.errors import InvalidInput
-from slamhive.registry import Registry
+from slamhive.registry import Registry, instances_of
 
 
 class PlotOptions(BaseModel):
@@ -114,7 +114,7 @@ class PlotType(ABC, Generic[OptionsT]):
         """Make plots and tables; raises InvalidInput or NotFound if the data or the options do not fit."""
 
 
-PLOT_TYPES: Registry[PlotType[Any]] = Registry("plot type", "slamhive.analysis_forms")
+PLOT_TYPES: Registry[PlotType[Any]] = Registry("plot type", "slamhive.analysis_forms", instances_of(PlotType, "key"))
 """Every plot type by its key; installed packages add theirs through the entry-point group."""
 
 

@@ -18,7 +18,7 @@ class Direction(StrEnum):
 
 
 class Group(StrEnum):
-    """What a metric is about: the order in which pages and lists offer them."""
+    """Groups of metrics, in the order in which pages and lists show them."""
 
     ABSOLUTE = "absolute error"
     RELATIVE = "relative error"
@@ -31,23 +31,23 @@ class Group(StrEnum):
     USAGE = "resources"
     TIMING = "timing"
     MACHINE = "disturbance"
+    OTHER = "other"
 
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """What one metric means.
+    """The meaning of one metric.
 
     Attributes:
-        key: What the metric is called everywhere.
+        key: Its name in files, filters and commands.
         label: Its name on pages.
         unit: Of the stored value; empty for a pure number.
         direction: Which way is better.
         definition: What it is, in one sentence or a few.
-        needs_protocol: It depends on association and alignment and comes from an evaluation; the others are measured
-            while running.
-        group: What it is about.
-        source: Paper, program or measuring device it is defined by.
-        counted_by: Key of the metric that says how many pairs or segments it is taken over; empty for none.
+        needs_protocol: It comes from an evaluation, and so depends on the protocol. Others are measured during the run.
+        group: Where pages show it.
+        source: The paper, program or device that defines it.
+        counted_by: Key of the metric that counts its pairs or segments; empty for none.
     """
 
     key: str
@@ -55,13 +55,13 @@ class Metric:
     unit: str
     direction: Direction
     definition: str
-    needs_protocol: bool
-    group: Group
-    source: str
+    needs_protocol: bool = True
+    group: Group = Group.OTHER
+    source: str = ""
     counted_by: str = ""
 
     def sample(self, values: Mapping[str, float]) -> str:
-        """How many pairs or segments it is taken over, of a run with ``values``: ``3,271 segments``; empty for none."""
+        """The number of its pairs or segments in a run with ``values``: ``3,271 segments``; empty for none."""
         number = values.get(self.counted_by)
         if number is None:
             return ""
@@ -95,10 +95,10 @@ def statistics(base: Metric, names: tuple[str, ...]) -> list[Metric]:
 
 
 def higher(metric: Metric) -> Metric:
-    """``metric`` as one of which more is better."""
+    """The same metric, for which higher is better."""
     return replace(metric, direction=Direction.HIGHER)
 
 
 def neutral(metric: Metric) -> Metric:
-    """``metric`` as one of which neither more nor less is better."""
+    """The same metric, for which neither direction is better."""
     return replace(metric, direction=Direction.NEUTRAL)

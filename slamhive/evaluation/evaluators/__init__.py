@@ -1,1 +1,4 @@
-"""Computes metrics from a pair of trajectories; each evaluator is one module behind one seam."""
+"""The evaluators, each of which computes some metrics of a pair of trajectories."""
+
+GROUP = "slamhive.evaluators"
+"""The entry-point group in which other packages announce theirs."""

@@ -1,11 +1,11 @@
-"""The seam: an evaluator takes a pair of trajectories and yields metrics of the catalogue."""
+"""The seam of evaluators: each computes metrics of the catalogue from a pair of trajectories."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, runtime_checkable
 from typing import Protocol as Interface
 
 import numpy as np
@@ -28,22 +28,22 @@ KITTI_REFERENCE = "kitti_reference"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Paired:
-    """An estimate and its ground truth, associated and aligned as the protocol has it.
+    """An estimate and its ground truth, associated and aligned by the protocol.
 
     Attributes:
-        protocol: What association, alignment and deltas are.
+        protocol: How they were associated and aligned, and which pairs relative errors use.
         reference: The whole ground truth, in the frame of the estimate.
-        rotations_known: False where the ground truth holds positions only; its orientations then mean nothing.
-        estimate: The whole estimate in its own world, its timestamps on the clock of the ground truth.
+        rotations_known: False if the ground truth holds positions only; its orientations then mean nothing.
+        estimate: The whole estimate in its own world, with timestamps on the clock of the ground truth.
         matched_reference: The matched poses of the ground truth.
         matched_estimate: The matched poses of the estimate, not aligned, one for each of ``matched_reference``.
         aligned: The matched poses of the estimate, aligned.
         aligned_estimate: The whole estimate, aligned.
-        transform: What aligned it.
-        time_offset_s: What was added to the estimate's timestamps.
+        transform: The alignment.
+        time_offset_s: The offset that was added to the timestamps of the estimate.
         T_body_estimate: Pose, in the body frame, of the frame whose poses the estimate holds, shape (4, 4).
-        files: What else there is of run and dataset, by name: :data:`COVARIANCES`, :data:`MAP`, :data:`RELATIONS`,
-            :data:`REFERENCE_MAP`, :data:`KITTI_ESTIMATE`, :data:`KITTI_REFERENCE`; what is not there is left out.
+        files: Other files of run and dataset that exist, by name: :data:`COVARIANCES`, :data:`MAP`,
+            :data:`RELATIONS`, :data:`REFERENCE_MAP`, :data:`KITTI_ESTIMATE`, :data:`KITTI_REFERENCE`.
     """
 
     protocol: Protocol
@@ -61,12 +61,12 @@ class Paired:
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
-    """What one evaluator found.
+class MetricValues:
+    """The metrics that one evaluator found.
 
     Attributes:
         values: {metric key: finite number}.
-        missing: {metric key: why there is none}, in one line.
+        missing: {metric key: why it has no value}, in one line.
         archives: {file name without ending: evo's result}, for ``evo_res`` and the plots.
     """
 
@@ -75,23 +75,24 @@ class Figures:
     archives: Mapping[str, Result] = field(default_factory=dict)
 
 
+@runtime_checkable
 class Evaluator(Interface):
-    """One way of taking metrics from a pair."""
+    """Computes some metrics of a pair."""
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The metric keys it may yield, all of them in the catalogue; no two evaluators yield the same."""
+        """The metrics that it may find. All are in the catalogue, and no other evaluator finds them."""
 
-    def evaluate(self, paired: Paired) -> Figures:
-        """The metrics of the pair. Raises InvalidInput if none can be taken: all keys are then missing for that.
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """Compute the metrics. Raises InvalidInput if there are none: all keys are then missing for that reason.
 
-        What the protocol does not ask for, such as other lengths of segments, is neither found nor missing.
+        A metric that the protocol does not ask for, such as another segment length, is neither found nor missing.
         """
 
 
-def absent(keys: Iterable[str], reason: str) -> Figures:
-    """No metrics, all for one reason."""
-    return Figures({}, dict.fromkeys(keys, reason))
+def absent(keys: Iterable[str], reason: str) -> MetricValues:
+    """No values, all for one reason."""
+    return MetricValues({}, dict.fromkeys(keys, reason))
 
 
 ROTATIONS_UNKNOWN = "the ground truth holds positions only"

@@ -1,8 +1,8 @@
-"""Consistency: whether the estimate's errors are as large as the covariances that the algorithm gives say.
+"""Consistency: whether the errors are as large as the covariances of the algorithm say.
 
-NEES (normalised estimation error squared), Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
-Navigation", 2001, section 5.4: e^T P^-1 e, chi-square distributed with 3 degrees of freedom for position and
-orientation each, so 3 on average.
+NEES (normalised estimation error squared) is e^T P^-1 e. For position and for orientation it has a chi-square
+distribution with 3 degrees of freedom, so its mean is 3. Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to
+Tracking and Navigation", 2001, section 5.4.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.evaluation.evaluators.base import COVARIANCES, ROTATIONS_UNKNOWN, Figures, Paired, absent
+from slamhive.evaluation.evaluators.base import COVARIANCES, ROTATIONS_UNKNOWN, MetricValues, Paired, absent
 from slamhive.trajectory.model import FloatArray
 from slamhive.trajectory.table import parse_table, read_bounded
 from slamhive.trajectory.transforms import inverse_quats, multiply_quats, quats_from_rotations
@@ -22,7 +22,7 @@ LAYOUT = "timestamp and 21 numbers: the upper triangle, row by row, of the 6x6 c
 FRAMES = ("body", "world")
 _HEADER = b"# orientation:"
 _SAME_STAMP_S = 1e-5
-"""Timestamps of one pose in two files, written with different digits."""
+"""Timestamps of one pose in two files can differ by this much, because they are written with different digits."""
 _CHI_SQUARE_95 = 7.814727903251179
 """95 % of a chi-square distribution with 3 degrees of freedom is below this."""
 _UPPER = np.triu_indices(6)
@@ -49,20 +49,20 @@ class Consistency:
 
     keys = ("nees.position", "nees.position.within", "nees.orientation", "nees.orientation.within")
 
-    def evaluate(self, paired: Paired) -> Figures:
-        """Missing where the algorithm gives no covariances; one that is none leaves all metrics out."""
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """Missing if the algorithm gives no covariances, or one that is invalid."""
         path = paired.files.get(COVARIANCES)
         if path is None:
             return absent(self.keys, "the algorithm gives no covariances.txt")
         covariances = read_covariances(path)
         own, theirs = _matched(paired, covariances)
         if len(own) == 0:
-            return absent(self.keys, "no covariance has the stamp of a matched pose")
-        values = _figures("nees.position", _position_errors_m(paired)[own], covariances.matrices[theirs, :3, :3])
+            return absent(self.keys, "no covariance has the timestamp of a matched pose")
+        values = _nees("nees.position", _position_errors_m(paired)[own], covariances.matrices[theirs, :3, :3])
         if not paired.rotations_known:
-            return Figures(values, dict.fromkeys(self.keys[2:], ROTATIONS_UNKNOWN))
+            return MetricValues(values, dict.fromkeys(self.keys[2:], ROTATIONS_UNKNOWN))
         turns_rad = _rotation_errors_rad(paired, in_body=covariances.in_body)[own]
-        return Figures(values | _figures("nees.orientation", turns_rad, covariances.matrices[theirs, 3:, 3:]))
+        return MetricValues(values | _nees("nees.orientation", turns_rad, covariances.matrices[theirs, 3:, 3:]))
 
 
 def read_covariances(path: Path) -> Covariances:
@@ -109,7 +109,7 @@ def _orientation_frame(data: bytes, name: str) -> str:
 
 
 def _matched(paired: Paired, covariances: Covariances) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of matched poses, and of the covariances that have their timestamps."""
+    """Indices of matched poses, and of the covariances with their timestamps."""
     stamps_s = paired.matched_estimate.stamps_s - paired.time_offset_s
     after = np.searchsorted(covariances.stamps_s, stamps_s - _SAME_STAMP_S)
     after = np.minimum(after, len(covariances.stamps_s) - 1)
@@ -137,7 +137,7 @@ def _rotation_errors_rad(paired: Paired, *, in_body: bool) -> FloatArray:
     return np.asarray(factors * turned[:, :3])
 
 
-def _figures(key: str, errors: FloatArray, covariances: FloatArray) -> dict[str, float]:
+def _nees(key: str, errors: FloatArray, covariances: FloatArray) -> dict[str, float]:
     """Mean NEES, and the share within the 95 % bound."""
     nees = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0])
     return {key: float(nees.mean()), f"{key}.within": float(np.mean(nees <= _CHI_SQUARE_95))}

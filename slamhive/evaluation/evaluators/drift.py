@@ -1,8 +1,8 @@
-"""Start-end drift where there is ground truth at both ends only, and errors of scale.
+"""Drift from start to end where ground truth exists at both ends only, and errors of scale.
 
-Engel, Usenko, Cremers, "A Photometrically Calibrated Benchmark For Monocular Visual Odometry", arXiv 1607.02555. The
-estimate is aligned with the ground truth once at its start and once at its end; without drift, both would be equal.
-Schubert et al., "The TUM VI Benchmark", IROS 2018, has ground truth of the same kind.
+The estimate is aligned with the ground truth at its start, and again with that at its end. Without drift, both
+alignments would be equal. Engel, Usenko, Cremers, "A Photometrically Calibrated Benchmark For Monocular Visual
+Odometry", arXiv 1607.02555. Schubert et al., "The TUM VI Benchmark", IROS 2018, has ground truth of the same kind.
 """
 
 from __future__ import annotations
@@ -11,27 +11,27 @@ import numpy as np
 
 from slamhive.domain.protocol import Alignment
 from slamhive.errors import InvalidInput
-from slamhive.evaluation.evaluators.base import Figures, Paired, absent
+from slamhive.evaluation.evaluators.base import MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.pairs import path_m
 from slamhive.trajectory.alignment import Similarity, align, align_umeyama
 from slamhive.trajectory.model import FloatArray, Poses
 from slamhive.trajectory.transforms import quats_from_rotations, rotation_angles_rad
 
 _SHORTEST = 0.5
-"""A pair whose ends are closer than this share of its path says little about the scale."""
+"""A pair whose ends are nearer than this share of its path says little about the scale."""
 
 
 class StartEndDrift:
-    """What the estimate has drifted from the ground truth's first part to its last."""
+    """Drift of the estimate from the first part of the ground truth to the last."""
 
     keys = ("drift.alignment", "drift.rotation", "drift.scale", "drift.end")
 
-    def evaluate(self, paired: Paired) -> Figures:
-        """Missing where the ground truth knows no pause longer than the gap threshold."""
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """Missing if the ground truth has no gap longer than the protocol's threshold."""
         stamps_s = paired.reference.stamps_s
-        pauses_s = np.diff(stamps_s)
-        longest = int(pauses_s.argmax())
-        if pauses_s[longest] <= paired.protocol.gap_threshold_s:
+        gaps_s = np.diff(stamps_s)
+        longest = int(gaps_s.argmax())
+        if gaps_s[longest] <= paired.protocol.gap_threshold_s:
             return absent(
                 self.keys, "the ground truth covers the whole run; drift is for ground truth at its ends only"
             )
@@ -48,7 +48,7 @@ class StartEndDrift:
             "drift.scale": 100.0 * abs(end.scale / start.scale - 1.0),
             "drift.end": 100.0 * float(np.linalg.norm(last_m)) / path,
         }
-        return Figures(values)
+        return MetricValues(values)
 
 
 class ScaleErrors:
@@ -56,8 +56,8 @@ class ScaleErrors:
 
     keys = ("scale.error", "scale.drift")
 
-    def evaluate(self, paired: Paired) -> Figures:
-        """The error is taken before alignment; a single camera's estimate has one, of no meaning."""
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """The scale error before alignment. It means nothing for a single camera."""
         values: dict[str, float] = {}
         missing: dict[str, str] = {}
         reference, estimate = paired.matched_reference, paired.matched_estimate
@@ -72,7 +72,17 @@ class ScaleErrors:
         else:
             delta_m = paired.protocol.rpe_delta_m
             missing["scale.drift"] = f"no two poses {delta_m:g} m of path apart are half as far apart directly"
-        return Figures(values, missing)
+        return MetricValues(values, missing)
+
+
+class AppliedAlignment:
+    """Reports the alignment as metrics."""
+
+    keys = ("alignment.scale", "alignment.time_offset")
+
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """Both are always known."""
+        return MetricValues({"alignment.scale": paired.transform.scale, "alignment.time_offset": paired.time_offset_s})
 
 
 def local_scales(reference: Poses, estimate: Poses, delta_m: float) -> FloatArray:
@@ -109,4 +119,4 @@ _ALIGNMENTS = {
     Alignment.SCALE: Alignment.SIM3,
     Alignment.YAW_POSITION: Alignment.YAW_POSITION,
 }
-"""How both ends are aligned; SE(3) for the others: unaligned ends would know no drift."""
+"""How both ends are aligned; by SE(3) for other alignments, since drift needs aligned ends."""

@@ -13,7 +13,7 @@ from evo.main_ape import ape
 from evo.main_rpe import rpe
 
 from slamhive.domain.protocol import ALIGNMENT_LABELS, Alignment, Protocol, RpePairs
-from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
+from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.pairs import relative_errors
 from slamhive.evaluation.evaluators.relative import compare
 from slamhive.trajectory.model import Poses
@@ -35,14 +35,14 @@ class AbsoluteError:
 
     keys = error_keys("ate")
 
-    def evaluate(self, paired: Paired) -> Figures:
+    def evaluate(self, paired: Paired) -> MetricValues:
         """Needs no orientations."""
         reference, aligned = evo_pair(paired)
         result = ape(reference, aligned, PoseRelation.translation_part)
         result.trajectories.clear()
         if paired.protocol.alignment is not Alignment.NONE:
             result.add_np_array("alignment_transformation_sim3", paired.transform.matrix)
-        return error_figures("ate", result, paired.protocol, archive="ape")
+        return error_statistics("ate", result, paired.protocol, archive="ape")
 
 
 class RelativeError:
@@ -50,7 +50,7 @@ class RelativeError:
 
     keys = (*error_keys("rpe"), "rpe.pairs")
 
-    def evaluate(self, paired: Paired) -> Figures:
+    def evaluate(self, paired: Paired) -> MetricValues:
         """Missing where no pair is the delta apart."""
         if not paired.rotations_known:
             return absent(self.keys, ROTATIONS_UNKNOWN)
@@ -58,9 +58,9 @@ class RelativeError:
         result = _as_tum(paired) if protocol.rpe_pairs is RpePairs.TUM else _as_evo(paired)
         if result is None:
             return absent(self.keys, f"no pair of poses is {protocol.rpe_delta_m:g} m of path apart")
-        found = error_figures("rpe", result, protocol, archive="rpe")
+        found = error_statistics("rpe", result, protocol, archive="rpe")
         number = float(len(result.np_arrays["error_array"]))
-        return Figures({**found.values, "rpe.pairs": number}, archives=found.archives)
+        return MetricValues({**found.values, "rpe.pairs": number}, archives=found.archives)
 
 
 def _as_evo(paired: Paired) -> Result | None:
@@ -100,11 +100,11 @@ def _as_tum(paired: Paired) -> Result | None:
     return result
 
 
-def error_figures(prefix: str, result: Result, protocol: Protocol, archive: str) -> Figures:
+def error_statistics(prefix: str, result: Result, protocol: Protocol, archive: str) -> MetricValues:
     """The statistics of evo's ``result`` as metrics ``<prefix>.<statistic>``, and the result as an archive."""
     result.info["title"] = result.info["title"].replace("(not aligned)", _aligned_words(protocol))
     values = {f"{prefix}.{name}": float(value) for name, value in result.stats.items()}
-    return Figures(values, archives={archive: result})
+    return MetricValues(values, archives={archive: result})
 
 
 def evo_pair(paired: Paired) -> tuple[PoseTrajectory3D, PoseTrajectory3D]:

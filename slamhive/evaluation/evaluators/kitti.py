@@ -1,8 +1,8 @@
 """The KITTI odometry protocol: mean error over segments of 100 to 800 m.
 
 Geiger, Lenz, Urtasun, "Are we ready for Autonomous Driving? The KITTI Vision Benchmark Suite", CVPR 2012, and the
-odometry devkit (``evaluate_odometry.cpp``). Its single precision is kept. For path lengths it decides where a segment
-ends; for the arc cosine and the sums over all segments it shows in the sixth digit.
+odometry devkit (``evaluate_odometry.cpp``). Its single precision is kept. In path lengths it decides where a segment
+ends; in the arc cosine and in sums over all segments it changes the sixth digit.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from slamhive.evaluation.evaluators.base import (
     KITTI_ESTIMATE,
     KITTI_REFERENCE,
     ROTATIONS_UNKNOWN,
-    Figures,
+    MetricValues,
     Paired,
     absent,
 )
@@ -52,7 +52,7 @@ class KittiProtocol:
         *(f"kitti.{part}.{length_m}m" for length_m in KITTI_LENGTHS_M for part in _PARTS),
     )
 
-    def evaluate(self, paired: Paired) -> Figures:
+    def evaluate(self, paired: Paired) -> MetricValues:
         """Every pose of the ground truth needs one of the estimate, by time or, as in the devkit, by index."""
         if not paired.rotations_known:
             return absent(self.keys, ROTATIONS_UNKNOWN)
@@ -71,7 +71,7 @@ class KittiProtocol:
             else:
                 reason = f"no segment is {length_m} m long"
                 missing |= {f"kitti.{part}.{length_m}m": reason for part in _PARTS}
-        return Figures(values, missing)
+        return MetricValues(values, missing)
 
 
 def kitti_segments(T_reference: FloatArray, T_estimate: FloatArray) -> KittiSegments:

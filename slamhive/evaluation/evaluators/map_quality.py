@@ -1,9 +1,9 @@
 """Map quality: ``Map.pcd`` against the dataset's reference cloud, and its crispness without one.
 
-Accuracy, completeness and F-score are precision, recall and F-score of Knapitsch et al., "Tanks and Temples", ACM
-Transactions on Graphics 36, 2017. The clouds are not registered: the map moves by the alignment of the trajectory, so a
-map is not better than its poses. Mean map entropy: Droeschel and Behnke,
-"Efficient Continuous-time SLAM for 3D Lidar-based Online Mapping", ICRA 2018.
+Accuracy, completeness and F-score are the precision, recall and F-score of Knapitsch et al., "Tanks and Temples", ACM
+Transactions on Graphics 36, 2017. The clouds are not registered with each other: the alignment of the trajectory moves
+the map, so a map is not better than its poses. Mean map entropy: Droeschel and Behnke, "Efficient Continuous-time SLAM
+for 3D Lidar-based Online Mapping", ICRA 2018.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from slamhive.domain.metrics.maps import (
     MAP_VOXEL_M,
 )
 from slamhive.errors import InvalidInput
-from slamhive.evaluation.evaluators.base import MAP, REFERENCE_MAP, Figures, Paired, absent
+from slamhive.evaluation.evaluators.base import MAP, REFERENCE_MAP, MetricValues, Paired, absent
 from slamhive.evaluation.pcd import read_pcd
 from slamhive.trajectory.alignment import Similarity
 from slamhive.trajectory.model import FloatArray
@@ -62,15 +62,15 @@ class MapQuality:
         "map.points",
     )
 
-    def evaluate(self, paired: Paired) -> Figures:
-        """Missing where the algorithm wrote no map; without a reference cloud, entropy and size are left."""
-        return map_figures(paired.files, paired.transform)
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """Missing if the algorithm wrote no map. Without a reference cloud, only entropy and size are found."""
+        return map_metrics(paired.files, paired.transform)
 
 
-def map_figures(files: Mapping[str, Path], transform: Similarity | None) -> Figures:
-    """The metrics of the map among ``files``, which ``transform`` moves into the world of the reference cloud.
+def map_metrics(files: Mapping[str, Path], transform: Similarity | None) -> MetricValues:
+    """The metrics of the map in ``files``, moved into the world of the reference cloud by ``transform``.
 
-    Without a transform, which needs a ground-truth trajectory, the map is compared with nothing.
+    Without a transform, which needs a ground-truth trajectory, the map is not compared.
     """
     path = files.get(MAP)
     if path is None:
@@ -94,11 +94,11 @@ def map_figures(files: Mapping[str, Path], transform: Similarity | None) -> Figu
         missing |= dict.fromkeys(compared, "without a ground-truth trajectory nothing moves the map to the reference")
     else:
         values |= compare(cloud, _reference_cloud(reference))
-    return Figures(values, missing)
+    return MetricValues(values, missing)
 
 
 def compare(cloud: Cloud, reference: Cloud) -> dict[str, float]:
-    """The metrics of a map against its reference, in one frame."""
+    """Metrics of a map against its reference, both in one frame."""
     to_reference_m, _ = reference.tree.query(spread(cloud.points_m, COMPARED_POINTS))
     to_map_m, _ = cloud.tree.query(spread(reference.points_m, COMPARED_POINTS))
     values: dict[str, float] = {}
@@ -143,7 +143,7 @@ def thin(points_m: FloatArray, voxel_m: float) -> FloatArray:
     cells = np.floor(points_m / voxel_m).astype(np.int64)
     ids = np.zeros(len(points_m), dtype=np.int64)
     for axis in range(3):
-        # Numbered again for each axis, so that the product cannot overflow whatever the extent.
+        # Each axis gets its own numbers, so that the product cannot overflow.
         along = np.unique(cells[:, axis], return_inverse=True)[1]
         ids = np.unique(ids * (int(along.max()) + 1) + along, return_inverse=True)[1]
     counts = np.bincount(ids)

@@ -1,4 +1,4 @@
-"""Pairs of poses and the relative errors over them, vectorised: what RPE and segment errors share."""
+"""Pairs of poses and the relative errors over them, vectorised; used by RPE and segment errors."""
 
 from __future__ import annotations
 
@@ -9,12 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamhive.trajectory.model import FloatArray, Poses
-from slamhive.trajectory.transforms import (
-    inverse_quats,
-    multiply_quats,
-    rotation_angles_rad,
-    rotations_from_quats,
-)
+from slamhive.trajectory.transforms import inverse_quats, multiply_quats, rotation_angles_rad, rotations_from_quats
 
 IndexArray = npt.NDArray[np.intp]
 Pairs = tuple[IndexArray, IndexArray]

@@ -1,4 +1,4 @@
-"""Errors against relations between poses that people have measured, beside a ground-truth trajectory or without one.
+"""Errors against measured relations between poses, with or without a ground-truth trajectory.
 
 Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27, 2009; the relations are
 those that the Freiburg benchmark publishes beside recordings of 2D lasers.
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.evaluation.evaluators.base import RELATIONS, Figures, Paired, absent
+from slamhive.evaluation.evaluators.base import RELATIONS, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.pairs import statistics
 from slamhive.trajectory.completeness import covers
 from slamhive.trajectory.interpolation import interpolate
@@ -33,11 +33,11 @@ _NAMES = ("rmse", "mean", "std", "max")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relations:
-    """Poses of the body at one time as seen from itself at another.
+    """Poses of the body at one time, relative to its pose at another.
 
     Attributes:
-        from_s: The times seen from, shape (n,).
-        to_s: The times seen, shape (n,).
+        from_s: Times of the poses that are the origin, shape (n,).
+        to_s: Times of the poses that are described, shape (n,).
         positions_m: Shape (n, 3).
         quats_xyzw: Shape (n, 4).
     """
@@ -56,13 +56,13 @@ class RelationErrors:
         "relations.matched_fraction",
     )
 
-    def evaluate(self, paired: Paired) -> Figures:
-        """Missing where the dataset has no relations."""
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """Missing if the dataset has no relations."""
         path = paired.files.get(RELATIONS)
         if path is None:
             return absent(self.keys, "the dataset has no relations")
         body = of_body(paired.estimate, paired.transform.scale, paired.T_body_estimate)
-        return Figures(relation_figures(read_relations(path), body, paired.protocol.gap_threshold_s))
+        return MetricValues(relation_errors(read_relations(path), body, paired.protocol.gap_threshold_s))
 
 
 def of_body(estimate: Trajectory, scale: float, T_body_estimate: FloatArray) -> Trajectory:
@@ -104,7 +104,7 @@ def parse_relations(data: bytes, name: str) -> Relations:
     )
 
 
-def relation_figures(relations: Relations, estimate: Trajectory, gap_s: float) -> dict[str, float]:
+def relation_errors(relations: Relations, estimate: Trajectory, gap_s: float) -> dict[str, float]:
     """Mean, spread and maximum of the errors over the relations whose times the estimate covers.
 
     Args:

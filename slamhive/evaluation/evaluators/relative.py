@@ -1,9 +1,10 @@
 """Relative pose errors by frames, seconds and degrees, and the rotation part of that by metres.
 
-The definition is Sturm et al.'s, "A Benchmark for the Evaluation of RGB-D SLAM Systems", IROS 2012, equations (1) to
-(3). Pairs are those of evo, which picks them on the estimate. Pairs by seconds, which evo lacks, and all pairs by
-degrees follow the script of the TUM RGB-D benchmark: the pose nearest to the delta along the trajectory. A protocol
-with TUM's pairs follows that script (``evaluate_rpe.py --fixed_delta``) throughout.
+The definition is that of Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", IROS 2012, equations (1)
+to (3). Pairs are those of evo, which chooses them on the estimate. Pairs by seconds, which evo lacks, and all pairs by
+degrees are those of the TUM RGB-D benchmark's script. It takes each pose with the one nearest to the delta along the
+trajectory. (By degrees, evo compares every pose with every other.) A protocol with TUM's pairs follows that script,
+``evaluate_rpe.py --fixed_delta``, throughout.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamhive.domain.protocol import Protocol, RpePairs
-from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
+from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.pairs import (
     Pairs,
     all_pairs,
@@ -33,11 +34,11 @@ _NAMES = ("rmse", "mean", "median", "max")
 _TOLERANCE = 0.1
 """How far the distance of a pair may be off, as a share of the delta."""
 _INTERVALS = 2.0
-"""TUM's script takes the pose of the ground truth that is nearest in time, if it is within so many of its intervals."""
+"""TUM's script takes the ground-truth pose that is nearest in time, within this many of its intervals."""
 
 
 class RelativeErrors:
-    """RPE over pairs that are apart by so many frames, seconds or degrees, and the rotation part over metres."""
+    """RPE over pairs that are a number of frames, seconds or degrees apart, and the rotation part over metres."""
 
     keys = (
         *(f"rpe_rot.{name}" for name in _NAMES),
@@ -49,8 +50,8 @@ class RelativeErrors:
         ),
     )
 
-    def evaluate(self, paired: Paired) -> Figures:
-        """A delta that no pair has leaves its metrics out."""
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """The metrics of a delta that no pair has are missing."""
         if not paired.rotations_known:
             return absent(self.keys, ROTATIONS_UNKNOWN)
         values: dict[str, float] = {}
@@ -65,7 +66,7 @@ class RelativeErrors:
             if suffix:
                 values |= {**statistics(f"rpe{suffix}", errors_m, _NAMES), f"rpe{suffix}.pairs": float(len(errors_m))}
             values |= statistics(f"rpe_rot{suffix}", np.rad2deg(errors_rad), _NAMES)
-        return Figures(values, missing)
+        return MetricValues(values, missing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ import numpy as np
 
 from slamhive.domain.metrics.segments import LONG_LENGTHS_M, SEGMENT_PERCENTS, SHORT_LENGTHS_M, SPREAD, length_name
 from slamhive.domain.protocol import Protocol, SegmentRule
-from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Figures, Paired, absent
+from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.pairs import Pairs, all_pairs, path_m, relative_errors
 from slamhive.trajectory.model import FloatArray
 
@@ -64,9 +64,9 @@ def _spread_keys(name: str) -> tuple[str, ...]:
 
 
 class SegmentErrors:
-    """Percent and degrees per metre over all segments; for each length these, or metres and degrees, as tools do.
+    """Percent and degrees per metre over all segments; for each length the same, or metres and degrees, as tools do.
 
-    Of lengths that the protocol does not have nothing is said, not even that it is missing.
+    Lengths that the protocol does not ask for are neither found nor missing.
     """
 
     keys = (
@@ -76,8 +76,8 @@ class SegmentErrors:
         *(key for length_m in LONG_LENGTHS_M for key in _spread_keys(length_name(length_m))),
     )
 
-    def evaluate(self, paired: Paired) -> Figures:
-        """Where the path has no segment of any length, all are missing for that."""
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """All are missing if the path has no segment of any length."""
         whole_m = _whole_m(paired)
         lengths = _lengths(paired.protocol, whole_m)
         asked = (*_ratio_keys(""), *(key for length in lengths for key in length.keys))
@@ -93,13 +93,13 @@ class SegmentErrors:
         missing: dict[str, str] = {}
         for length, segments in zip(lengths, found, strict=True):
             if len(segments) > 0:
-                values |= _figures(length, segments)
+                values |= _metrics(length, segments)
             missing |= {key: f"no segment is as long as {length.words}" for key in length.keys if key not in values}
-        return Figures(values, missing)
+        return MetricValues(values, missing)
 
 
 def _whole_m(paired: Paired) -> float:
-    """The path that shares are of."""
+    """Length of the path that shares refer to."""
     whole = paired.protocol.segment_rule is SegmentRule.RPG
     return (paired.reference if whole else paired.matched_reference).path_length_m
 
@@ -136,7 +136,7 @@ def _segments(paired: Paired, length_m: float) -> Segments:
         return Segments(errors_m, np.rad2deg(errors_rad), path[last] - path[first])
     first, last = all_pairs(path, length_m, tolerance_m)
     if paired.protocol.segment_rule is SegmentRule.RPG:
-        # The tool leaves out starts without an end, and then counts on as if it had not.
+        # The tool drops starts without an end, and then numbers the rest as if it had not.
         first = np.arange(len(first))
     errors_m, errors_rad = relative_errors(reference, paired.aligned, (first, last))
     return Segments(errors_m, np.rad2deg(errors_rad), np.full(len(first), length_m))
@@ -145,9 +145,9 @@ def _segments(paired: Paired, length_m: float) -> Segments:
 def _pairs_as_eth3d(path: FloatArray, length_m: float, tolerance_m: float) -> Pairs:
     """Segments as ETH3D's program finds their ends.
 
-    From the end of the last segment it continues while a pose is nearer to the length than that end. So it overshoots,
-    at first by as much as the length. It never leaves a pose where the ground truth does not move. It stops at the last
-    pose.
+    From the end of the last segment it goes on as long as a pose is nearer to the length than that end is. It therefore
+    overshoots, at first by as much as the length. It never leaves a pose at which the ground truth stands still, to the
+    last digit. It stops when it reaches the last pose.
     """
     listed: list[float] = path.tolist()
     ends: list[int] = []
@@ -171,7 +171,7 @@ def _joined(found: Sequence[Segments]) -> Segments:
     )
 
 
-def _figures(length: _Length, segments: Segments) -> dict[str, float]:
+def _metrics(length: _Length, segments: Segments) -> dict[str, float]:
     ratios = {} if length.ratios is None else _ratios(length.ratios, segments)
     return ratios if length.spread is None else ratios | _spread(length.spread, segments)
 

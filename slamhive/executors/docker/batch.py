@@ -18,8 +18,8 @@ from docker.types import Mount
 
 from slamhive.catalogue.image_context import HOST_CERTIFICATES, BuildContext, build_arguments
 from slamhive.errors import Unavailable
-from slamhive.evaluation.batch import IMAGE, Batch, LineCallback
-from slamhive.evaluation.image_context import evaluation_context_hash, stage_evaluation_context
+from slamhive.evaluation.batch import Batch, LineCallback
+from slamhive.evaluation.image_context import EvaluationContext
 from slamhive.evaluation.line_feed import LineFeed
 from slamhive.executors.base import EngineUnavailable, ExecutorContext
 from slamhive.executors.docker.build import build_image, content_of, get_image, name_image
@@ -45,12 +45,12 @@ class DockerStarter:
 
     Args:
         context: Names the installation, for the labels of containers.
-        image: The evaluation image.
+        image: Used as it is; without it, the evaluation image is built and used.
     """
 
     isolated = True
 
-    def __init__(self, context: ExecutorContext, image: str = IMAGE) -> None:
+    def __init__(self, context: ExecutorContext, image: str | None = None) -> None:
         self._context = context
         self._image = image
 
@@ -68,8 +68,7 @@ class DockerStarter:
             on_line(line)
 
         with contextlib.closing(connect()) as client:
-            self._ensure_image(client, logger.debug)
-            container = self._create(client, batch)
+            container = self._create(client, self._image or self._ensure_image(client, logger.debug), batch)
             try:
                 feed = LineFeed(_lines_of(_started(container)))
                 return feed.follow(batch.timeout_s, take, stopping) or _how_it_ended(container, last)
@@ -77,21 +76,24 @@ class DockerStarter:
                 with engine_errors("removing the evaluation container", EngineUnavailable):
                     container.remove(force=True, v=True)
 
-    def _ensure_image(self, client: docker.DockerClient, progress: LineCallback) -> None:
+    def _ensure_image(self, client: docker.DockerClient, progress: LineCallback) -> str:
+        """Build the evaluation image unless the engine has it; its name."""
         root = self._context.project_root
-        content = evaluation_context_hash(root)
-        image = get_image(client, self._image)
+        evaluation = EvaluationContext(root)
+        name, content = evaluation.image, evaluation.content
+        image = get_image(client, name)
         if image is not None and content_of(image) == content:
-            return
-        logger.info("building %s", self._image)
+            return name
+        logger.info("building %s", name)
         with temporary_folder() as folder:
             context = BuildContext(folder / "context", "Dockerfile", build_arguments())
             context.path.mkdir()
-            stage_evaluation_context(root, context.path, sorted(HOST_CERTIFICATES.glob("*.crt")))
-            digest = build_image(client, self._image, context, content, root, progress)
-        name_image(client, digest, self._image)
+            evaluation.stage(context.path, sorted(HOST_CERTIFICATES.glob("*.crt")))
+            digest = build_image(client, name, context, content, root, progress)
+        name_image(client, digest, name)
+        return name
 
-    def _create(self, client: docker.DockerClient, batch: Batch) -> Any:
+    def _create(self, client: docker.DockerClient, image: str, batch: Batch) -> Any:
         mounts = [
             Mount(entry.target, str(entry.source.resolve()), type="bind", read_only=entry.read_only)
             for entry in batch.mounts
@@ -99,7 +101,7 @@ class DockerStarter:
         with engine_errors("making the evaluation container", Unavailable):
             try:
                 return client.containers.create(
-                    self._image,
+                    image,
                     [batch.job],
                     mounts=mounts,
                     labels={
@@ -113,7 +115,7 @@ class DockerStarter:
                     **HARDENING,
                 )
             except docker.errors.ImageNotFound:
-                raise Unavailable(f"image {self._image} was removed from outside", "try again") from None
+                raise Unavailable(f"image {image} was removed from outside", "try again") from None
 
 
 def _started(container: Any) -> Any:

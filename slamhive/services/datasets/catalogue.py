@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from slamhive.bags.importers import AUTO, IMPORTERS, detect_format
 from slamhive.bags.room import RoomOptions, render_room
 from slamhive.catalogue.algorithm_file import ALGORITHM_FILE, load_algorithms
+from slamhive.catalogue.algorithm_folders import ALGORITHM_FOLDERS
 from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.dataset import Dataset
@@ -28,8 +29,10 @@ Progress = Callable[[float, str], None]
 class BrokenEntry:
     """A folder of an algorithm or dataset that cannot be read, and why."""
 
+    name: str
     folder: Path
     problem: str
+    is_algorithm: bool
 
 
 class Catalogue:
@@ -59,8 +62,9 @@ class Catalogue:
         if modes:
             raise NotFound(f"{name!r} is a package of {len(modes)} algorithms", f"choose one of {', '.join(modes)}")
         for entry in broken:
-            if name == entry.folder.name or name.startswith(f"{entry.folder.name}-"):
+            if name == entry.name or name.startswith(f"{entry.name}-"):
                 raise InvalidInput(f"algorithm {name!r} cannot be used: {entry.problem}")
+        ALGORITHM_FOLDERS.refuse_broken(name)
         raise unknown("algorithm", name, list(by_name), "slamhive algorithm list shows all")
 
     def packages(self) -> tuple[AlgorithmPackage, ...]:
@@ -87,7 +91,7 @@ class Catalogue:
         if name in by_name:
             return by_name[name]
         for entry in broken:
-            if entry.folder.name == name:
+            if entry.name == name:
                 raise InvalidInput(f"dataset {name!r} cannot be used: {entry.problem}")
         raise unknown("dataset", name, list(by_name), "slamhive dataset list shows all")
 
@@ -155,14 +159,20 @@ class Catalogue:
     def _scan_algorithms(self) -> tuple[list[Algorithm], list[BrokenEntry]]:
         found: list[Algorithm] = []
         broken: list[BrokenEntry] = []
-        for path in sorted((self.project_root / "algorithms").glob(f"*/{ALGORITHM_FILE}")):
+        for name, folder in self._algorithm_folders():
+            path = folder / ALGORITHM_FILE
             try:
                 algorithms = self._load(path, load_algorithms)
-                _check_package(path, algorithms, found)
+                _check_package(name, path, algorithms, found)
                 found.extend(algorithms)
             except SlamHiveError as error:
-                broken.append(BrokenEntry(path.parent, str(error)))
+                broken.append(BrokenEntry(name, folder, str(error), is_algorithm=True))
         return found, broken
+
+    def _algorithm_folders(self) -> list[tuple[str, Path]]:
+        """Those of the project, then those of plug-ins; the name is what the package must be called."""
+        own = sorted((self.project_root / "algorithms").glob(f"*/{ALGORITHM_FILE}"))
+        return [*((path.parent.name, path.parent) for path in own), *ALGORITHM_FOLDERS]
 
     def _scan_datasets(self) -> tuple[list[Dataset], list[BrokenEntry]]:
         found: list[Dataset] = []
@@ -178,7 +188,7 @@ class Catalogue:
                     )
                 found.append(dataset)
             except SlamHiveError as error:
-                broken.append(BrokenEntry(path.parent, str(error)))
+                broken.append(BrokenEntry(path.parent.name, path.parent, str(error), is_algorithm=False))
         return found, broken
 
 
@@ -188,11 +198,16 @@ def check_writable(settings: Settings) -> None:
         raise Forbidden("this installation is view-only", "set MODE to workstation to change anything")
 
 
-def _check_package(path: Path, algorithms: tuple[Algorithm, ...], others: list[Algorithm]) -> None:
-    """Raise InvalidInput if the package is not named like its folder, or reuses an algorithm name of another one."""
-    package = algorithms[0].package.name
-    if package != path.parent.name:
-        raise InvalidInput(f"{path}: package {package!r} differs from its folder's name", "rename the one or the other")
+def _check_package(name: str, path: Path, algorithms: tuple[Algorithm, ...], others: list[Algorithm]) -> None:
+    """Raise InvalidInput if the package is not called ``name``, or if another package has one of its names."""
+    package = algorithms[0].package
+    if package.name != name:
+        owner = "folder" if path.parent.name == name else "entry point"
+        raise InvalidInput(
+            f"{path}: package {package.name!r} differs from its {owner}'s name", "rename the one or the other"
+        )
+    if package.name in {other.package.name for other in others}:
+        raise InvalidInput(f"{path}: there is a package {package.name!r} in the project already", "rename one of them")
     taken = {other.name: other.package.name for other in others}
     for algorithm in algorithms:
         if algorithm.name in taken:

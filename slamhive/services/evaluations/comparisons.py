@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.metrics import described
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.protocol_request import exactly
 from slamhive.errors import InvalidInput
@@ -90,10 +90,10 @@ class Comparisons:
         found = done.get(protocol.fingerprint)
         if found is None:
             return ToolFigures(name, preset, protocol, {}, _state(latest.get(protocol.fingerprint)))
-        figures = {key: found[key] for key in preset.figures if key in found}
-        absent = [key for key in preset.figures if key not in found]
+        figures = {key: found[key] for key in preset.metrics if key in found}
+        absent = [key for key in preset.metrics if key not in found]
         note = self._why_missing(run.id, protocol, absent) if absent else None
-        samples = {key: words for key in figures if (words := CATALOGUE[key].sample(found))}
+        samples = {key: words for key in figures if (words := described(key).sample(found))}
         return ToolFigures(name, preset, protocol, figures, note, samples)
 
     def _protocol(self, run: RunRecord, name: str, preset: Preset) -> tuple[Protocol | None, str | None]:

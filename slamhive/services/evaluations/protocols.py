@@ -13,13 +13,10 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.protocol import Alignment, Protocol, default_alignment
 from slamhive.domain.protocol_request import ProtocolRequest, exactly
 from slamhive.errors import InvalidInput, NotFound, unknown
-from slamhive.evaluation.presets import PRESETS, Preset
+from slamhive.evaluation.presets import BY_SENSORS, PRESETS, Preset
 from slamhive.settings import Settings
 from slamhive.store import Store
 from slamhive.trajectory.alignment import MINIMUM_POSES
-
-BY_SENSORS = "default"
-"""The name of the default protocol, which depends on the sensors."""
 
 _FINGERPRINT = re.compile(r"[0-9a-f]{12}")
 _SHOWN = 60
@@ -114,7 +111,8 @@ class Protocols:
             return ProtocolRequest(name=name)
         if name in set(Alignment):
             return ProtocolRequest({"alignment": name}, name)
-        if name in PRESETS.names():
+        PRESETS.refuse_broken(name)
+        if name in PRESETS.entries:
             return exactly(PRESETS.get(name).protocol, name)
         if _FINGERPRINT.fullmatch(name):
             for entry in self.used():

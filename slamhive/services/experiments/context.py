@@ -55,7 +55,7 @@ class ExperimentContext:
         return expand(experiment, view)
 
     def _explain_broken(self, experiment: Experiment) -> None:
-        broken = {entry.folder.name for entry in self.catalogue.broken()}
+        broken = {entry.name for entry in self.catalogue.broken()}
         for axis, look_up in (
             (experiment.algorithms, self.catalogue.algorithm),
             (experiment.datasets, self.catalogue.dataset),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from slamhive.domain.metrics import CATALOGUE, Group
+from slamhive.domain.metrics import Group, described
 from slamhive.domain.protocol import ALIGNMENT_LABELS
 from slamhive.services.evaluations import NOT_EVALUATED, ToolFigures, presets
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
@@ -76,9 +76,9 @@ def tool_rows(tools: Iterable[ToolFigures]) -> list[ToolRow]:
             tool,
             tuple(
                 MetricRow(
-                    CATALOGUE[key],
-                    metric_cell(CATALOGUE[key], value),
-                    display_unit(CATALOGUE[key]).unit,
+                    described(key),
+                    metric_cell(described(key), value),
+                    display_unit(described(key)).unit,
                     tool.samples.get(key, ""),
                 )
                 for key, value in tool.figures.items()

@@ -10,7 +10,7 @@ from typing import Any
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.external import IMPORTED
-from slamhive.domain.metrics import CATALOGUE, Metric
+from slamhive.domain.metrics import Metric, with_unknown
 from slamhive.domain.parameters import Parameter, Value
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import Verdict, VerdictKind, not_evaluable
@@ -91,7 +91,7 @@ def metric_rows(run: RunRecord, *, needs_protocol: bool) -> list[MetricRow]:
     Numbers of pairs and segments are shown next to their metrics and have no row of their own.
     """
     values = run.metrics or {}
-    shown = [metric for key, metric in CATALOGUE.items() if key in values and metric.needs_protocol is needs_protocol]
+    shown = [metric for metric in with_unknown(values) if metric.needs_protocol is needs_protocol]
     numbers = {metric.counted_by for metric in shown}
     return [
         MetricRow(metric, metric_cell(metric, values[metric.key]), display_unit(metric).unit, metric.sample(values))

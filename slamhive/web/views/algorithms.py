@@ -22,7 +22,7 @@ def index() -> str:
         "algorithms/index.html",
         algorithms=algorithms,
         colours=algorithm_colours(algorithm.name for algorithm in algorithms),
-        broken=[entry for entry in catalogue.broken() if entry.folder.parent.name == "algorithms"],
+        broken=[entry for entry in catalogue.broken() if entry.is_algorithm],
     )
 
 

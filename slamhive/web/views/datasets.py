@@ -25,7 +25,7 @@ def index() -> str:
     return render_template(
         "datasets/index.html",
         datasets=catalogue.datasets(),
-        broken=[entry for entry in catalogue.broken() if entry.folder.parent.name != "algorithms"],
+        broken=[entry for entry in catalogue.broken() if not entry.is_algorithm],
     )
 
 

@@ -6,7 +6,7 @@ import re
 from functools import lru_cache
 from pathlib import Path
 
-from flask import Blueprint, render_template
+from flask import Blueprint, Response, render_template
 from flask import url_for as address
 from markupsafe import Markup
 
@@ -31,7 +31,11 @@ OF_PAGE = {
 }
 """The help page for each blueprint."""
 
-_ADDRESS = re.compile(r"(?P<name>[\w-]+)\.md(?P<part>#.*)?")
+EXTEND = "extend"
+"""The page about plug-ins, which has a folder of its own for its examples."""
+
+_ADDRESS = re.compile(r"(?:\.\./|extend/)?(?P<name>[\w-]+)\.md(?P<part>#.*)?")
+_EXAMPLE = re.compile(r"[\w-]+\.py|algorithm/algorithm\.yaml")
 
 
 @blueprint.get("/")
@@ -47,9 +51,22 @@ def page(name: str = FIRST) -> str:
     return render_template("help/page.html", name=name, title=title, content=Markup(html), titles=titles)  # noqa: S704
 
 
+@blueprint.get(f"/{EXTEND}/<path:name>")
+def example(name: str) -> Response:
+    """One file of an example of a plug-in, as text."""
+    folder = hive().catalogue.project_root / "docs" / EXTEND
+    known = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.suffix in {".py", ".yaml"}}
+    if name not in known:
+        raise unknown("example", name[:100], list(known))
+    return Response(known[name].read_text(encoding="utf-8"), mimetype="text/plain")
+
+
 def _pages(root: Path) -> dict[str, Path]:
     """Path of every page by name. A name from an address is looked up here, never joined to a path."""
-    return {path.stem: path for path in (root / "docs").glob("*.md") if path.is_file()}
+    docs = root / "docs"
+    pages = {path.stem: path for path in docs.glob("*.md") if path.is_file()}
+    extending = {EXTEND if path.stem == "index" else path.stem: path for path in docs.glob(f"{EXTEND}/*.md")}
+    return pages | extending
 
 
 @lru_cache(maxsize=100)
@@ -64,6 +81,9 @@ def _rendered(path: Path, _modified_ns: int) -> tuple[str, str]:
 
 
 def _link(target: str) -> str:
-    """Turn links between documentation files into links between help pages."""
+    """Turn links between documentation files into links between help pages, and those to examples into addresses."""
     found = _ADDRESS.fullmatch(target)
-    return address("help.page", name=found["name"]) + (found["part"] or "") if found else target
+    if found:
+        name = EXTEND if target.startswith(f"{EXTEND}/index") else found["name"]
+        return address("help.page", name=name) + (found["part"] or "")
+    return address("help.example", name=target) if _EXAMPLE.fullmatch(target) else target

@@ -96,7 +96,7 @@ def test_without_covariances_or_orientations_the_figures_are_missing(drawn, tmp_
     assert set(figures.missing.values()) == {ROTATIONS_UNKNOWN}
     other = write(tmp_path / "other.txt", estimate.stamps_s + 0.003, matrices)
     figures = Consistency().evaluate(paired(truth["body"], estimate, SE3, files={"covariances": other}))
-    assert set(figures.missing.values()) == {"no covariance has the stamp of a matched pose"}
+    assert set(figures.missing.values()) == {"no covariance has the timestamp of a matched pose"}
 
 
 IDENTITY = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1"

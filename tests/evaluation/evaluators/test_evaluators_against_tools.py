@@ -1,4 +1,4 @@
-"""Figures on recorded runs against evo, the KITTI devkit's golden values, and the relations of a recorded building."""
+"""Metrics of recorded runs against evo, the KITTI devkit's golden values, and the relations of a recorded building."""
 
 import bz2
 import math
@@ -11,12 +11,12 @@ from evo.core.metrics import APE, RPE, PoseRelation, Unit
 from evo.core.trajectory import PoseTrajectory3D
 
 from slamhive.domain.protocol import Alignment, Protocol, RpePairs
+from slamhive.evaluation.evaluators.absolute import RotationError
 from slamhive.evaluation.evaluators.base import Paired
 from slamhive.evaluation.evaluators.drift import StartEndDrift
 from slamhive.evaluation.evaluators.kitti import KittiProtocol, kitti_segments, mean_as_devkit
-from slamhive.evaluation.evaluators.relations import read_relations, relation_figures
+from slamhive.evaluation.evaluators.relations import read_relations, relation_errors
 from slamhive.evaluation.evaluators.relative import RelativeErrors
-from slamhive.evaluation.evaluators.rotation import RotationError
 from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.model import Poses, Trajectory
 from slamhive.trajectory.tum import parse_tum
@@ -145,7 +145,7 @@ def test_odometry_of_a_building_against_its_relations():
     zero, half = np.zeros(len(rows)), rows[:, 3] / 2
     quats = np.column_stack([zero, zero, np.sin(half), np.cos(half)])
     estimate = Trajectory(rows[:, 0], np.column_stack([rows[:, 1:3], zero]), quats)
-    values = relation_figures(read_relations(ACES / "aces.relations"), estimate, 1.0)
+    values = relation_errors(read_relations(ACES / "aces.relations"), estimate, 1.0)
     assert values["relations.matched_fraction"] == 1.0
 
     at = {stamp: (x, y, heading) for stamp, x, y, heading in rows}

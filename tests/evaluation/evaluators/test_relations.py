@@ -5,7 +5,7 @@ import pytest
 
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.errors import InvalidInput
-from slamhive.evaluation.evaluators.relations import RelationErrors, read_relations, relation_figures
+from slamhive.evaluation.evaluators.relations import RelationErrors, read_relations, relation_errors
 from slamhive.trajectory.transforms import move_sensor, rotations_from_quats
 from tests.evaluation.evaluators.curves import kept, loop, moved, paired, scaled
 
@@ -57,13 +57,13 @@ def test_an_estimate_of_unknown_scale_is_scaled_as_it_was_aligned(exact):
 
 def test_relations_in_a_gap_or_beyond_the_ends_are_not_matched(exact):
     part = kept(loop(), (np.arange(400) < 150) | ((np.arange(400) > 250) & (np.arange(400) < 380)))
-    values = relation_figures(read_relations(exact), part, 1.0)
+    values = relation_errors(read_relations(exact), part, 1.0)
     assert 0.2 < values["relations.matched_fraction"] < 0.6
     assert values["relations.translation.max"] == pytest.approx(0, abs=1e-5)
 
 
 def test_between_poses_the_estimate_is_interpolated(exact):
-    values = relation_figures(read_relations(exact), kept(loop(), np.arange(400) % 3 == 0), 1.0)
+    values = relation_errors(read_relations(exact), kept(loop(), np.arange(400) % 3 == 0), 1.0)
     assert values["relations.matched_fraction"] > 0.9
     assert values["relations.translation.max"] < 0.005
 
@@ -98,7 +98,7 @@ def test_another_clock_is_named(exact):
     late = loop()
     late = type(late)(late.stamps_s + 1e6, late.positions_m, late.quats_xyzw)
     with pytest.raises(InvalidInput, match="no poses at the times of any of the 52 relations"):
-        relation_figures(read_relations(exact), late, 1.0)
+        relation_errors(read_relations(exact), late, 1.0)
 
 
 def test_without_relations_the_figures_are_missing():

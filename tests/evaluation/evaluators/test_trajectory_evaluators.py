@@ -12,19 +12,19 @@ from scipy.spatial.transform import Rotation
 from slamhive.domain.metrics import CATALOGUE, Direction
 from slamhive.domain.protocol import Alignment, Association, Protocol, RpePairs
 from slamhive.errors import InvalidInput
+from slamhive.evaluation.evaluators.absolute import RotationError
 from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN
+from slamhive.evaluation.evaluators.completeness import Robustness, count_losses, score_seconds
 from slamhive.evaluation.evaluators.drift import ScaleErrors, StartEndDrift
 from slamhive.evaluation.evaluators.kitti import KittiProtocol, kitti_segments
 from slamhive.evaluation.evaluators.pairs import all_pairs, consecutive_pairs
 from slamhive.evaluation.evaluators.relative import RelativeErrors
-from slamhive.evaluation.evaluators.robustness import Robustness, count_losses, score_seconds
-from slamhive.evaluation.evaluators.rotation import RotationError
 from slamhive.evaluation.evaluators.segments import SegmentErrors
 from slamhive.trajectory.model import Trajectory
 from tests.evaluation.evaluators.curves import SE3, kept, loop, moved, noisy, paired, road, rotation_z, scaled
 
 OF_A_GIVEN_LENGTH = re.compile(r"segment\.(\w+)\.\d+c?m(\.\w+)?")
-"""Figures of segments that only a protocol which gives lengths has."""
+"""MetricValues of segments that only a protocol which gives lengths has."""
 ALL = (RotationError, RelativeErrors, KittiProtocol, SegmentErrors, ScaleErrors, StartEndDrift, Robustness)
 
 

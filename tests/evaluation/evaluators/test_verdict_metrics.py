@@ -5,9 +5,9 @@ import pytest
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.evaluation.evaluators.absolute import RelativeSize
 from slamhive.evaluation.evaluators.builtin import EVALUATORS
-from slamhive.evaluation.evaluators.coverage import Coverage
-from slamhive.evaluation.evaluators.relative_size import RelativeSize
+from slamhive.evaluation.evaluators.completeness import Coverage
 from slamhive.trajectory.completeness import measure_own_coverage
 from slamhive.trajectory.model import Trajectory
 from tests.evaluation.evaluators.curves import loop, moved, noisy, paired, road

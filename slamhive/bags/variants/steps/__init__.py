@@ -32,10 +32,10 @@ from slamhive.bags.variants.steps.stamp_jitter import StampJitter
 from slamhive.bags.variants.steps.time_offset import TimeOffset
 from slamhive.bags.variants.steps.voxel import Voxel
 from slamhive.errors import InvalidInput
-from slamhive.registry import Registry
+from slamhive.registry import Registry, subclasses_of
 from slamhive.schema.validation import first_problem
 
-STEPS: Registry[type[Step]] = Registry("pre-processing step", "slamhive.variant_steps")
+STEPS: Registry[type[Step]] = Registry("pre-processing step", "slamhive.variant_steps", subclasses_of(Step, "kind"))
 _SHIPPED: tuple[type[Step], ...] = (
     Rate,
     Resolution,

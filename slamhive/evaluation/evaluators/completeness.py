@@ -1,4 +1,4 @@
-"""When tracking began, how often it was lost, and one score that counts what was lost."""
+"""How much of the recording the estimate covers, how often tracking was lost, and a score of both."""
 
 from __future__ import annotations
 
@@ -6,9 +6,32 @@ import numpy as np
 
 from slamhive.domain.metrics.trajectories import SCORE_LIMIT_M
 from slamhive.domain.protocol import Association
-from slamhive.evaluation.evaluators.base import Figures, Paired
-from slamhive.trajectory.completeness import covers
+from slamhive.evaluation.evaluators.base import MetricValues, Paired
+from slamhive.trajectory.completeness import covers, measure_completeness, measure_own_coverage
 from slamhive.trajectory.model import FloatArray
+
+
+class Coverage:
+    """Coverage and gaps, by the protocol's gap threshold and by the estimate's own spacing."""
+
+    keys = ("tracked_fraction", "gap.max", "gap.count", "tracked.path", "tracked.time", "gap.own")
+
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """Measure over the time span of the whole ground truth."""
+        found = measure_completeness(
+            paired.estimate.stamps_s, paired.reference.stamps_s, paired.protocol.gap_threshold_s
+        )
+        own = measure_own_coverage(paired.estimate.stamps_s, paired.reference, paired.protocol.gap_threshold_s)
+        return MetricValues(
+            {
+                "tracked_fraction": found.tracked_fraction,
+                "gap.max": found.longest_gap_s,
+                "gap.count": float(found.gap_count),
+                "tracked.path": own.path_share,
+                "tracked.time": own.time_share,
+                "gap.own": own.gap_s,
+            }
+        )
 
 
 class Robustness:
@@ -16,8 +39,8 @@ class Robustness:
 
     keys = ("time_to_first_pose", "tracking.losses", "completeness.score")
 
-    def evaluate(self, paired: Paired) -> Figures:
-        """There is no score where the poses of the ground truth itself are further apart than the gap threshold."""
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """There is no score if the poses of the ground truth are further apart than the gap threshold."""
         start_s, end_s = float(paired.reference.stamps_s[0]), float(paired.reference.stamps_s[-1])
         gap_s = paired.protocol.gap_threshold_s
         values = {
@@ -28,13 +51,13 @@ class Robustness:
         known_s = float(steps_s[steps_s <= gap_s].sum())
         if known_s == 0:
             reason = f"the poses of the ground truth are more than {gap_s:g} s apart, the gap threshold"
-            return Figures(values, {"completeness.score": reason})
+            return MetricValues(values, {"completeness.score": reason})
         covered_s = score_seconds(paired.matched_reference.stamps_s, _errors_m(paired), gap_s, SCORE_LIMIT_M)
-        return Figures({**values, "completeness.score": covered_s / known_s})
+        return MetricValues({**values, "completeness.score": covered_s / known_s})
 
 
 def _errors_m(paired: Paired) -> FloatArray:
-    """Of the matched poses; infinite where the protocol holds a pose although there is none."""
+    """Errors of the matched poses; infinite where the protocol holds a pose although the estimate has none."""
     errors_m = np.linalg.norm(paired.aligned.positions_m - paired.matched_reference.positions_m, axis=1)
     if paired.protocol.association is Association.HOLD:
         stamps_s = paired.matched_reference.stamps_s
@@ -43,9 +66,9 @@ def _errors_m(paired: Paired) -> FloatArray:
 
 
 def count_losses(stamps_s: FloatArray, start_s: float, end_s: float, gap_s: float) -> int:
-    """Pauses longer than ``gap_s`` between poses inside the span, and one more if the poses end that long before it."""
-    pauses_s = np.diff(np.append(np.clip(stamps_s, start_s, end_s), end_s))
-    return int(np.count_nonzero(pauses_s > gap_s))
+    """Gaps longer than ``gap_s`` between poses inside the span, and one more if the poses end that long before it."""
+    gaps_s = np.diff(np.append(np.clip(stamps_s, start_s, end_s), end_s))
+    return int(np.count_nonzero(gaps_s > gap_s))
 
 
 def score_seconds(stamps_s: FloatArray, errors_m: FloatArray, gap_s: float, limit_m: float) -> float:
