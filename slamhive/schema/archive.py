@@ -39,7 +39,7 @@ class EvaluationLine(Document):
     engine: Annotated[str | None, _cut(190)]
     created_at: Moment
     started_at: Moment | None
-    ended_at: Moment
+    ended_at: Moment | None
     attempt: RowNumber
 
 

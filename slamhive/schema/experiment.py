@@ -98,7 +98,7 @@ class CellRun(Document):
     reason: FailureReason | None
     verdict: VerdictKind | None = Field(validation_alias=AliasChoices("judged", "verdict"))
     retried: bool
-    disturbed: bool
+    disturbed: Annotated[bool | None, described("Null if that is not known.")]
 
 
 class Spread(Document):

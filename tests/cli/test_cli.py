@@ -44,7 +44,7 @@ def test_a_run_in_json_has_what_scripts_rely_on(slamhive):
 
 
 def test_a_queued_run_says_who_will_take_it(slamhive):
-    assert "no worker runs on this machine" in slamhive("run", "tiny", "track").stderr
+    assert "no worker is running here" in slamhive("run", "tiny", "track").stderr
 
 
 def test_lists_and_shows_speak_json(slamhive):

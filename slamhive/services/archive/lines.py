@@ -167,6 +167,8 @@ def _ended(line: EvaluationLine) -> EndedEvaluation:
     state = EvaluationState(line.state)
     if state not in (EvaluationState.SUCCEEDED, EvaluationState.FAILED):
         raise ValueError(f"an evaluation is {state}")
+    if line.ended_at is None:
+        raise ValueError("an evaluation has no end")
     return EndedEvaluation(**{**dict(line), "state": state, "artefacts": Artefacts(line.artefacts)})
 
 
