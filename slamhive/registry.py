@@ -126,6 +126,10 @@ class Registry(Generic[T]):
         self._load_plugins()
         return sorted([*self._origins.values(), *self._broken], key=lambda origin: origin.name)
 
+    def is_plugin(self, name: str) -> bool:
+        """Whether the entry called ``name`` comes from another package."""
+        return self._origins[name].is_plugin
+
     def drop(self, name: str, error: Exception) -> None:
         """Take the plug-in ``name`` out again: it was loaded, and could not be put to use for ``error``."""
         origin = self._origins.pop(name)

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from slamhive.errors import InvalidInput, Unavailable
+from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.executors.base import Executor, ExecutorContext
 from slamhive.files import write_aside
 from slamhive.registry import Registry
@@ -48,15 +48,38 @@ EXECUTORS.register("process", _loaded_late("slamhive.executors.process.executor"
 
 
 def open_executor(name: str, context: ExecutorContext) -> Executor:
-    """The executor called ``name``, usable or not; raises NotFound that lists the choices."""
+    """The executor called ``name``, usable or not; raises NotFound that lists the choices.
+
+    A plug-in whose executor cannot be made counts as broken from then on.
+    """
+    factory = EXECUTORS.get(name)
+    try:
+        return factory(context)
+    except SlamHiveError:
+        raise
+    except Exception as error:
+        if not EXECUTORS.is_plugin(name):
+            raise
+        EXECUTORS.drop(name, error)
     return EXECUTORS.get(name)(context)
+
+
+def open_all(find: ExecutorFinder) -> list[Executor]:
+    """All executors, usable or not. Plug-ins whose executor cannot be made are left out."""
+    found = []
+    for name in EXECUTORS.names():
+        try:
+            found.append(find(name))
+        except NotFound:
+            continue  # the registry has warned of it, and lists it
+    return found
 
 
 def candidates(setting: str, find: ExecutorFinder) -> list[Executor]:
     """The executors that ``setting`` can mean, the preferred one first. Raises NotFound for an unknown name."""
     if setting != AUTO:
         return [find(setting)]
-    ranked = [(executor.capabilities.preference, executor.name, executor) for executor in map(find, EXECUTORS.names())]
+    ranked = [(executor.capabilities.preference, executor.name, executor) for executor in open_all(find)]
     return [executor for preference, _, executor in sorted(ranked, key=_rank) if preference is not None]
 
 

@@ -12,7 +12,7 @@ from enum import StrEnum
 from slamhive.errors import NotFound, SlamHiveError, Unavailable
 from slamhive.executors.energy import read_packages
 from slamhive.executors.host_counters import HostCounters, read_or_why, sources
-from slamhive.executors.registry import EXECUTORS
+from slamhive.executors.registry import open_all
 from slamhive.registry import Origin
 from slamhive.services.data_root import REMEDY
 from slamhive.services.hive import Hive
@@ -95,10 +95,10 @@ def _database(hive: Hive) -> list[Check]:
 
 def _executor(hive: Hive) -> list[Check]:
     checks = []
-    for name in EXECUTORS.names():
-        problem = hive.executors.get(name).unavailable_because()
+    for executor in open_all(hive.executors.get):
+        problem = executor.unavailable_because()
         verdict = Verdict.OK if problem is None else Verdict.WARNING
-        checks.append(Check(f"executor {name}", verdict, problem or "can be used"))
+        checks.append(Check(f"executor {executor.name}", verdict, problem or "can be used"))
     chosen, reason = hive.executors.default()
     return [*checks, Check("executor in force", Verdict.OK, f"{chosen} ({reason})")]
 
@@ -106,7 +106,7 @@ def _executor(hive: Hive) -> list[Check]:
 def _executor_findings(hive: Hive) -> list[Check]:
     """What each executor that can be used reports."""
     checks = []
-    for executor in map(hive.executors.get, EXECUTORS.names()):
+    for executor in open_all(hive.executors.get):
         for finding in executor.examine() if executor.unavailable_because() is None else ():
             verdict = Verdict.OK if finding.remedy is None else Verdict.WARNING
             checks.append(Check(f"{finding.name} {executor.name}", verdict, finding.found, finding.remedy))

@@ -15,6 +15,10 @@ pytestmark = pytest.mark.integration
 UNIMPORTABLE = "import no_such_library\n"
 EXITING = "raise SystemExit('bye')\n"
 RAISING = "raise RuntimeError('two\\nlines')\n"
+UNMADE = """
+def make(context):
+    raise RuntimeError("no licence server")
+"""
 WRONG = """
 from slamhive.domain.metrics import Direction, Metric
 from slamhive.evaluation.evaluators.base import MetricValues
@@ -88,6 +92,7 @@ def broken(examples: Path, tmp_path_factory: pytest.TempPathFactory) -> Command:
         write_package(folder / module, module, code, tables)
         for module, code, tables in (
             ("slamhive_unimportable", UNIMPORTABLE, entry_points("executors", cluster="slamhive_unimportable:MAKE")),
+            ("slamhive_unmade", UNMADE, entry_points("executors", unmade="slamhive_unmade:make")),
             ("slamhive_exiting", EXITING, entry_points("variant_steps", exiting="slamhive_exiting:STEP")),
             ("slamhive_raising", RAISING, entry_points("analysis_forms", raising="slamhive_raising:FORM")),
             ("slamhive_wrong", WRONG, WRONG_TABLES),
@@ -148,7 +153,10 @@ def test_each_is_listed_with_its_reason_and_remedy(broken: Command):
 
 def test_the_doctor_names_each(broken: Command):
     checks = [check for check in broken.json("doctor", expected=1) if check["name"].startswith("plug-in")]
-    assert len(checks) == len(EXPECTED)
+    assert len(checks) == len(EXPECTED) + 1, "the executor that cannot be made is found when the doctor makes it"
+    assert [check["found"] for check in checks if "no licence server" in check["found"]] == [
+        "executor 'unmade' (slamhive_unmade:make) cannot be used: RuntimeError: no licence server"
+    ]
     assert {check["verdict"] for check in checks} == {"failed"}
     (check,) = [check for check in checks if "cluster" in check["found"]]
     assert check["name"] == "plug-in slamhive-unimportable 1.0.0"
@@ -170,6 +178,7 @@ def test_a_command_warns_once_and_goes_on(broken: Command, tmp_path: Path):
         (("dataset", "import", "missing", ".", "--name", "x"), "dataset importer 'missing' of slamhive-wrong 1.0.0"),
         (("variants", "steps", "exiting"), "cannot be used: SystemExit: bye"),
         (("run", "tiny", "track", "--executor", "cluster"), "cannot be used: ModuleNotFoundError"),
+        (("run", "tiny", "track", "--executor", "unmade"), "cannot be used: RuntimeError: no licence server"),
         (("algorithm", "show", "empty"), "holds no algorithm.yaml"),
     ],
 )
@@ -191,3 +200,9 @@ def test_an_evaluator_that_fails_leaves_out_its_own_metrics_alone(broken: Comman
     assert "the evaluator 'failing' failed: KeyError: 'nothing'" in written
     assert "the evaluator 'sprawling' found 'ate.rmse', which is none of its keys" in written
     assert "evaluator 'half' of slamhive-wrong 1.0.0 (slamhive_wrong:HALF) cannot be used" in written
+
+
+def test_auto_passes_over_an_executor_that_cannot_be_made(broken: Command):
+    broken.environment.pop("SLAMHIVE_EXECUTOR", None)
+    found = {check["name"]: check["verdict"] for check in broken.json("doctor", expected=1)}
+    assert found["executor in force"] == "ok"

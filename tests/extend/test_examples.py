@@ -192,7 +192,7 @@ def test_a_step_makes_a_variant_and_an_algorithm_runs_on_it(evaluated: Command):
     )
     runs = evaluated.json("runs", "--where", "algorithm = dead-reckoning", "--sort", "id", "--ascending")
     errors_m = [run["metrics"]["ate.rmse"]["value"] for run in runs]
-    assert errors_m[0] < 0.1 < errors_m[1]
+    assert errors_m[0] < 0.2 < errors_m[1]
 
 
 def test_a_page_is_in_the_menu_and_keeps_the_rules(evaluated: Command):

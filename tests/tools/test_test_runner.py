@@ -74,7 +74,7 @@ def test_a_busy_machine_fails_no_tier_but_slow_tests_do(runner, monkeypatch, sec
 
 
 def test_processor_time_of_the_tests_is_measured(runner):
-    spin = "import time\nwhile time.process_time() < 0.4: pass"
+    spin = "import time\nwhile time.process_time() < 0.42: pass"  # the kernel counts in steps of 0.01 s
     outcome = runner.run_timed(runner.Tier("spin", ((sys.executable, "-c", spin),)))
     assert outcome.state == "passed"
     assert outcome.cpu_s >= 0.4
