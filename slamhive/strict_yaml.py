@@ -22,6 +22,8 @@ from slamhive.errors import InvalidInput
 
 MAX_BYTES = 2_000_000
 MAX_DEPTH = 20
+_COLON_REFUSED = "found unexpected ':'"
+_MOST_READ_SLOWLY = 200_000
 
 Lines = dict[tuple[str | int, ...], int]
 """The line, from 1, of each key (text) and list item (position from 0), by the path that leads to it."""
@@ -76,9 +78,8 @@ def parse_with_lines(text: str, source: str) -> tuple[dict[str, Any], Lines]:
     """Parse as :func:`parse` does; also return the line of every key and item."""
     if len(text) > MAX_BYTES:
         raise input_bounds.too_large(source, MAX_BYTES)
-    document = _Document(text)
     try:
-        content = document.read()
+        content, lines = _read(text)
     except MarkedYAMLError as error:
         last_line = text.count("\n", 0, len(text) - 1) + 1  # the parser places an early end behind the last line
         line = f" line {min(error.problem_mark.line + 1, last_line)}" if error.problem_mark else ""
@@ -91,15 +92,28 @@ def parse_with_lines(text: str, source: str) -> tuple[dict[str, Any], Lines]:
     broken = input_bounds.find_problem(content, deepest=MAX_DEPTH)
     if broken is not None:
         path, problem = broken
-        raise InvalidInput(f"{Places(source, document.lines).of(*path)}: {'.'.join(path)}: {problem}")
-    return content, document.lines
+        raise InvalidInput(f"{Places(source, lines).of(*path)}: {'.'.join(path)}: {problem}")
+    return content, lines
+
+
+def _read(text: str) -> tuple[Any, Lines]:
+    """The content of ``text`` and its lines; raises YAMLError and ValueError."""
+    document = _Document(text, pure=False)
+    try:
+        return document.read(), document.lines
+    except MarkedYAMLError as error:
+        if error.problem != _COLON_REFUSED or len(text) > _MOST_READ_SLOWLY:
+            raise
+    # libyaml refuses ranges in short lists ("[1:3, x]"), which YAML allows. The Python parser takes 5 s for 1 MB.
+    document = _Document(text, pure=True)
+    return document.read(), document.lines
 
 
 class _Document:
     """Builds the values of one document from the parser's events."""
 
-    def __init__(self, text: str) -> None:
-        self._events: Iterator[Any] = YAML(typ="safe").parse(text)
+    def __init__(self, text: str, *, pure: bool) -> None:
+        self._events: Iterator[Any] = YAML(typ="safe", pure=pure).parse(text)
         self.lines: Lines = {}
 
     def read(self) -> Any:

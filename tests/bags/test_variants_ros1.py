@@ -38,8 +38,6 @@ from tests.bags.variant_bags import (
     write_bag,
 )
 
-pytestmark = pytest.mark.integration
-
 COMPRESSIONS = [None, "bz2", "lz4"]
 THIRD = VariantStep("rate", ("cam0",), {"every": 3})
 HALF = VariantStep("resolution", ("cam0",), {"scale": 0.5})

@@ -174,3 +174,12 @@ def test_what_only_begins_like_a_power_of_ten_is_text():
 def test_keys_are_text_whatever_they_read_like():
     text = "1: a\n2.5: b\nnull: c\ntrue: d\n.nan: e\n2026-01-31: f\n"
     assert list(strict_yaml.parse(text, "f")) == ["1", "2.5", "null", "true", ".nan", "2026-01-31"]
+
+
+def test_ranges_stand_in_short_lists_as_they_always_did():
+    assert strict_yaml.parse("a: {one: [1:3, x], two: 1:3}\nb: 2", "f") == {
+        "a": {"one": ["1:3", "x"], "two": "1:3"},
+        "b": 2,
+    }
+    with pytest.raises(InvalidInput, match="f line 2: "):
+        strict_yaml.parse("a: [1:3, x]\nb: ]", "f")

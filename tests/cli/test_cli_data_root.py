@@ -20,8 +20,6 @@ from slamhive.services.hive import open_hive
 from slamhive.store import AbsentStore, Store
 from tests.services.tiny_project import environment, make_dataset, make_project
 
-pytestmark = pytest.mark.integration
-
 NO_HIVE = {"settings", "archive verify", "variants steps"}
 """Commands that never look at the installation."""
 

@@ -18,8 +18,6 @@ from slamhive.runs.untrusted import measured_number, read_numeric_columns, read_
 from slamhive.services.runs.series import read_track
 from slamhive.services.worker.evidence import read_about
 
-pytestmark = pytest.mark.integration
-
 HOSTILE_JSON = {
     "nothing": "",
     "a list": "[1]",

@@ -1,12 +1,8 @@
 from dataclasses import replace
 
-import pytest
-
 from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluations.files import evaluation_files
 from tests.services.tiny_project import make_dataset
-
-pytestmark = pytest.mark.integration
 
 
 def test_what_is_there_is_named_and_links_are_left_out(tmp_path):

@@ -12,8 +12,6 @@ from slamhive.services.hive import Hive
 from slamhive.services.worker.lock import WorkerLock
 from slamhive.settings import Settings
 
-pytestmark = pytest.mark.integration
-
 
 @pytest.fixture
 def hive(tmp_path, monkeypatch):

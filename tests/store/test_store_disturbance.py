@@ -13,8 +13,6 @@ from slamhive.store.experiment_records import ExperimentState
 from tests.store.conftest import NOW
 from tests.store.store_samples import Samples
 
-pytestmark = pytest.mark.integration
-
 QUIET = Disturbance(known=True)
 BUSY = Disturbance(
     known=True,

@@ -20,8 +20,6 @@ from slamhive.store import Store, Transaction, open_store
 from slamhive.store.engine import database_label, make_engine
 from tests.store.store_samples import Samples
 
-pytestmark = pytest.mark.integration
-
 SECRET = "hunter2!"
 
 

@@ -16,7 +16,6 @@ from tests.services.mariadb import DatabaseServer
 from tests.store.conftest import NOW
 from tests.store.store_samples import Samples
 
-pytestmark = pytest.mark.integration
 RECALCULATED_S = 60.0
 """InnoDB looks at a changed table again ten seconds after the last time at the earliest."""
 

@@ -12,8 +12,6 @@ from slamhive.services.executors import Executors
 from slamhive.web.security import API_HEADER
 from tests.web.web_world import Web
 
-pytestmark = pytest.mark.integration
-
 HEADERS = {API_HEADER: "1"}
 
 

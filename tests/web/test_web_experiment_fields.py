@@ -23,8 +23,6 @@ from slamhive.web.experiment_fields import (
     yaml_from_fields,
 )
 
-pytestmark = pytest.mark.integration
-
 EXAMPLES = sorted((project_root() / "docs" / "examples").glob("*.yaml"))
 EVERYTHING = """\
 name: everything

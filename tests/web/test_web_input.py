@@ -16,8 +16,6 @@ from tests.fuzzing import HUGE_INTEGER
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web
 
-pytestmark = pytest.mark.integration
-
 RUN = {"algorithm": "eye-slam-stereo", "dataset": "room"}
 EXPERIMENT = "name: x\nalgorithms: eye-slam-mono\ndatasets: room\n"
 HALF = "half of a surrogate pair"

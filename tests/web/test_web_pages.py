@@ -12,8 +12,6 @@ import pytest
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
-pytestmark = pytest.mark.integration
-
 PAGES = [
     "/",
     "/runs",

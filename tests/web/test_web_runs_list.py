@@ -19,8 +19,6 @@ from slamhive.web.run_query import RunQuery, summary
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
-pytestmark = pytest.mark.integration
-
 
 def listed(text: str) -> list[int]:
     return [int(number) for number in re.findall(r"<td class=\"number\"><a href=\"/runs/(\d+)\">", text)]

@@ -14,8 +14,6 @@ from slamhive.web.security import API_HEADER, SAFE_METHODS
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web
 
-pytestmark = pytest.mark.integration
-
 VALUES = {
     "run_id": 1,
     "configuration_id": 1,
