@@ -18,7 +18,7 @@ from _pytest.mark.expression import Expression
 if TYPE_CHECKING:
     from tests.services.mariadb import DatabaseServer
 
-MARKS = ("integration", "docker", "mysql", "shared_data")
+MARKS = ("quick", "integration", "docker", "mysql", "shared_data")
 PYTESTMARK = re.compile(r"^pytestmark = (\[[^\]]*\]|.*)", re.MULTILINE)
 
 

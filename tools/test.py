@@ -25,6 +25,9 @@ ROOT = Path(__file__).resolve().parent.parent
 BIN = Path(sys.executable).parent
 UNIT_LIMIT_S = 15.0
 """The unit tier is for use before each commit. Its limit is on CPU time: a busy machine slows no test down."""
+QUICK_LIMIT_S = 30.0
+"""The quick tier holds what needs a database or pages, but no other processes: for use before each merge."""
+PLAIN = "not integration and not docker and not mysql"
 MAY_BE_ABSENT = "shared/data"
 """A skipped test whose reason names this is fine everywhere: the recorded data is not part of the repository."""
 
@@ -102,7 +105,8 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("lint", (*((str(BIN / "ruff"), *rest) for rest in RUFF), (sys.executable, "tools/prose.py"))),
         Tier("types", ((str(BIN / "mypy"),),)),
         Tier("imports", ((str(BIN / "lint-imports"),),)),
-        Tier("unit", marks="not integration and not docker and not mysql", workers=2, limit_s=UNIT_LIMIT_S),
+        Tier("unit", marks=f"not quick and {PLAIN}", workers=2, limit_s=UNIT_LIMIT_S),
+        Tier("quick", marks=f"quick and {PLAIN}", workers=2, limit_s=QUICK_LIMIT_S),
         Tier("docs", (with_site,)),
         Tier("mysql", marks="mysql and not docker", workers=2, prepare=prepare_database),
         Tier("integration", marks="integration and not docker and not mysql", workers=2, prepare=prepare_libraries),

@@ -8,6 +8,8 @@ from slamhive.analysis.analysis_file import parse_analysis
 from slamhive.analysis.table import FAILED, RunTable, make_table
 from slamhive.domain.verdict import DEFAULT_RULE, FailureRule
 
+pytestmark = pytest.mark.quick
+
 TEXT = "name: a\nselect: {all: {where: 'id >= 1'}}\nforms:\n- {form: coverage}\n"
 
 

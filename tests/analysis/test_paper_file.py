@@ -8,6 +8,8 @@ from slamhive.analysis.analysis_file import parse_analysis
 from slamhive.analysis.paper_file import PaperNames, our_key
 from slamhive.errors import InvalidInput
 
+pytestmark = pytest.mark.quick
+
 NAMES = PaperNames({1: "orb-slam3-stereo", 2: "kiss-icp"}, {5: "room"}, {9: "sweep"})
 
 PAPER = """

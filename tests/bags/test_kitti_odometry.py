@@ -15,6 +15,8 @@ from slamhive.domain.sensors import SensorKind
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.trajectory.tum import read_tum
 
+pytestmark = pytest.mark.quick
+
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 FRAMES = 4
 POSE = "1 0 0 {x} 0 1 0 0 0 0 1 {z}"

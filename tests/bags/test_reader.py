@@ -13,6 +13,8 @@ from slamhive.bags.reader import decode, inspect_bag, messages, open_bag
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput
 
+pytestmark = pytest.mark.quick
+
 IMU = Sensor("imu0", SensorKind.IMU, "/imu0", 200.0)
 
 

@@ -25,7 +25,7 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 SIZE = 1000
 ROOMY = CacheLimits(10**9)

@@ -28,6 +28,8 @@ from tests.bags.variant_bags import (
     write_bag,
 )
 
+pytestmark = pytest.mark.quick
+
 SIZES = [(32, 24), (44, 33), (16, 12), (51, 38), (12, 9)]
 
 

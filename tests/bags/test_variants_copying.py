@@ -14,6 +14,8 @@ from slamhive.domain.variant import VariantStep
 from slamhive.errors import InvalidInput
 from tests.bags.variant_bags import dataset, stereo, write_bag
 
+pytestmark = pytest.mark.quick
+
 
 def half_rate(source, target):
     treatments = treat(source, (VariantStep("rate", ("cam0",), {"every": 2}),))

@@ -38,6 +38,8 @@ from tests.bags.variant_bags import (
     write_bag,
 )
 
+pytestmark = pytest.mark.quick
+
 COMPRESSIONS = [None, "bz2", "lz4"]
 THIRD = VariantStep("rate", ("cam0",), {"every": 3})
 HALF = VariantStep("resolution", ("cam0",), {"scale": 0.5})

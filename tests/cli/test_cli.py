@@ -14,6 +14,8 @@ from slamhive.cli.main import main as root
 from slamhive.cli.output import columns_to_leave_out
 from tests.services.tiny_project import environment, make_dataset, make_project
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture
 def slamhive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_template: Path):

@@ -20,6 +20,8 @@ from slamhive.services.hive import open_hive
 from slamhive.store import AbsentStore, Store
 from tests.services.tiny_project import environment, make_dataset, make_project
 
+pytestmark = pytest.mark.quick
+
 NO_HIVE = {"settings", "archive verify", "variants steps"}
 """Commands that never look at the installation."""
 
@@ -132,12 +134,14 @@ def test_a_path_that_no_system_takes_is_explained(project: Path):
     assert "cannot be used: File name too long" in result.stderr
 
 
+@pytest.mark.integration
 def test_rendering_makes_the_data_root_and_reading_finds_it(project: Path):
     made = call("--data", str(project / "new"), "dataset", "room", "--name", "r", "--seconds", "0.5")
     assert made.exit_code == 0, made.output
     assert "r" in call("--data", str(project / "new"), "dataset", "list").stdout
 
 
+@pytest.mark.integration
 def test_running_makes_the_database_of_a_data_root_that_has_none(project: Path):
     make_dataset(project / "data")
     assert call("run", "tiny", "track").exit_code == 0

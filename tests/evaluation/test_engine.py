@@ -22,7 +22,7 @@ from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import move_sensor, rotations_from_quats
 from slamhive.trajectory.tum import write_tum
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 STAMPS_S = np.arange(0.0, 20.0, 0.05)
 

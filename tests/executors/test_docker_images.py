@@ -20,6 +20,8 @@ from slamhive.executors.docker import build as docker_build
 from slamhive.executors.docker.build import choose_base, follow_build
 from slamhive.executors.docker.image import find_image, make_image
 
+pytestmark = pytest.mark.quick
+
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / "docker" / "base" / "make-base.sh"
 

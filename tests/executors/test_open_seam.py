@@ -6,6 +6,8 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 import slamhive
 from slamhive.executors.registry import EXECUTORS
 
@@ -24,6 +26,7 @@ def own_package(name: str) -> Path:
     return ROOT / "executors" / name
 
 
+@pytest.mark.integration
 def test_no_name_of_an_executor_outside_its_package():
     names = {name for name in EXECUTORS.names() if own_package(name).is_dir()}
     assert len(names) == 2

@@ -18,6 +18,8 @@ from slamhive.runs.untrusted import measured_number, read_numeric_columns, read_
 from slamhive.services.runs.series import read_track
 from slamhive.services.worker.evidence import read_about
 
+pytestmark = pytest.mark.quick
+
 HOSTILE_JSON = {
     "nothing": "",
     "a list": "[1]",
@@ -90,6 +92,7 @@ def test_columns_of_a_table(tmp_path: Path):
     assert read_numeric_columns(path, ("a", "b"), path.stat().st_size - 1).shape == (0, 2)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("line", [b"1\n", b"\n", b"\r", b"1,1\x1c", b"\x0b"])
 def test_a_file_of_more_lines_than_memory_holds_is_not_read(tmp_path: Path, line: bytes):
     """Each line is an object of its own to Python: 20 MB of them would take a gigabyte."""

@@ -1,8 +1,12 @@
 from dataclasses import replace
 
+import pytest
+
 from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluations.files import evaluation_files
 from tests.services.tiny_project import make_dataset
+
+pytestmark = pytest.mark.quick
 
 
 def test_what_is_there_is_named_and_links_are_left_out(tmp_path):

@@ -12,6 +12,8 @@ from slamhive.services.hive import Hive
 from slamhive.services.worker.lock import WorkerLock
 from slamhive.settings import Settings
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture
 def hive(tmp_path, monkeypatch):

@@ -6,6 +6,8 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 import slamhive
 
 SOURCE = Path(slamhive.__file__).parent
@@ -31,6 +33,7 @@ def modules_reached(path: Path) -> Iterator[str]:
                 yield name
 
 
+@pytest.mark.integration
 def test_no_module_reaches_into_the_package_of_another_use_case() -> None:
     reached = {
         str(path.relative_to(SOURCE)): found for path in SOURCE.rglob("*.py") if (found := list(modules_reached(path)))

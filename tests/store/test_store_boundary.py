@@ -6,6 +6,8 @@ import ast
 import inspect
 from pathlib import Path
 
+import pytest
+
 import slamhive
 from slamhive.store import Transaction
 
@@ -28,6 +30,7 @@ def trespasses(source: str) -> list[str]:
     return found
 
 
+@pytest.mark.integration
 def test_nobody_else_has_a_session_or_makes_a_repository() -> None:
     assert len(REPOSITORIES) >= 15
     outside = [path for path in sorted(PACKAGE.rglob("*.py")) if path.relative_to(PACKAGE).parts[0] != "store"]

@@ -15,6 +15,8 @@ from slamhive.errors import Conflict, InvalidInput, NotFound, SlamHiveError
 from slamhive.store import ConfigurationFilter, ConfigurationPage, ParameterCondition, Store, open_store
 from tests.store.store_samples import Samples, dataset
 
+pytestmark = pytest.mark.quick
+
 HOSTILE = "<script>'\"%_\\ 漢"
 DEFINITIONS = (
     Parameter("count", ParameterType.INT, 1, "", general="features"),

@@ -19,6 +19,8 @@ from slamhive.errors import NotFound
 from slamhive.store import ConfigurationFilter, ParameterCondition, Store, StoredParameter, open_store
 from tests.store.store_samples import Samples, dataset
 
+pytestmark = pytest.mark.quick
+
 NOW = datetime(2026, 5, 4, 3, 2, 1, tzinfo=UTC)
 EVERY_TYPE: dict[str, Value] = {
     "zeta": 1,

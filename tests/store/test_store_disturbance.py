@@ -13,6 +13,8 @@ from slamhive.store.experiment_records import ExperimentState
 from tests.store.conftest import NOW
 from tests.store.store_samples import Samples
 
+pytestmark = pytest.mark.quick
+
 QUIET = Disturbance(known=True)
 BUSY = Disturbance(
     known=True,

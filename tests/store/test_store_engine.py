@@ -20,6 +20,8 @@ from slamhive.store import Store, Transaction, open_store
 from slamhive.store.engine import database_label, make_engine
 from tests.store.store_samples import Samples
 
+pytestmark = pytest.mark.quick
+
 SECRET = "hunter2!"
 
 

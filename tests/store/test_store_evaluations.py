@@ -13,6 +13,8 @@ from slamhive.evaluation.job import Artefacts
 from slamhive.store import EvaluationState, Lease, LeaseLost, Store
 from tests.store.store_samples import SE3, SIM3, WORKER, Samples, result
 
+pytestmark = pytest.mark.quick
+
 NOW = datetime(2026, 5, 4, 3, 2, 1, 123456, tzinfo=UTC)
 LATER = NOW + timedelta(seconds=31)
 

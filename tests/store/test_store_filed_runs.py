@@ -18,6 +18,8 @@ from slamhive.store.filed_runs import EndedEvaluation, FiledRun
 from slamhive.store.records import EvaluationRecord
 from tests.store.store_samples import SE3, SIM3, Samples
 
+pytestmark = pytest.mark.quick
+
 NOW = datetime(2026, 5, 4, 3, 2, 1, 123456, tzinfo=UTC)
 LATER = NOW + timedelta(seconds=7)
 EVENTS = (

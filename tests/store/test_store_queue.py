@@ -14,6 +14,8 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.store import Lease, Store, open_store
 from tests.store.store_samples import WORKER, Samples
 
+pytestmark = pytest.mark.quick
+
 NOW = datetime(2026, 5, 4, 3, 2, 1, 123456, tzinfo=UTC)
 LEASE_S = 30.0
 LATER = NOW + timedelta(seconds=LEASE_S + 1)

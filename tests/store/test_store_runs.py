@@ -11,6 +11,8 @@ from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.store import AlgorithmVersion, Host, LeaseLost, RunFields, Store
 from tests.store.store_samples import SIM3, WORKER, Samples
 
+pytestmark = pytest.mark.quick
+
 NOW = datetime(2026, 5, 4, 3, 2, 1, 123456, tzinfo=UTC)
 LATER = NOW + timedelta(seconds=7)
 

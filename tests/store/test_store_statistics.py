@@ -16,6 +16,8 @@ from tests.services.mariadb import DatabaseServer
 from tests.store.conftest import NOW
 from tests.store.store_samples import Samples
 
+pytestmark = pytest.mark.quick
+
 RECALCULATED_S = 60.0
 """InnoDB looks at a changed table again ten seconds after the last time at the earliest."""
 

@@ -94,8 +94,9 @@ def test_every_test_belongs_to_exactly_one_tier(runner):
     for docker in (False, True):
         for mysql in (False, True):
             for integration in (False, True):
-                marks = {"docker": docker, "mysql": mysql, "integration": integration}
-                assert sum(eval(tier.marks, {}, marks) for tier in tiers) == 1
+                for quick in (False, True):
+                    marks = {"docker": docker, "mysql": mysql, "integration": integration, "quick": quick}
+                    assert sum(eval(tier.marks, {}, marks) for tier in tiers) == 1
 
 
 def test_unknown_tier_lists_the_known_ones(runner, capsys):

@@ -12,6 +12,8 @@ from slamhive.trajectory.association import associate, match_in_one_sweep, match
 from slamhive.trajectory.interpolation import interpolate
 from slamhive.trajectory.model import Trajectory
 
+pytestmark = pytest.mark.quick
+
 HALF = np.sqrt(0.5)
 
 

@@ -13,7 +13,7 @@ from slamhive.services.executors import Executors
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 FORM = {"algorithm": "eye-slam-stereo", "dataset": "room", "executor": "process", "repeat": "3", "evaluate": "no"}
 

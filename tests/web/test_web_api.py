@@ -12,6 +12,8 @@ from slamhive.services.executors import Executors
 from slamhive.web.security import API_HEADER
 from tests.web.web_world import Web
 
+pytestmark = pytest.mark.quick
+
 HEADERS = {API_HEADER: "1"}
 
 

@@ -14,7 +14,7 @@ from slamhive.services.configurations.changes import Label
 from slamhive.services.executors import Executors
 from tests.web.web_world import HOSTILE, Web
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 FORM = {
     "algorithm": "eye-slam-stereo",

@@ -23,6 +23,8 @@ from slamhive.web.experiment_fields import (
     yaml_from_fields,
 )
 
+pytestmark = pytest.mark.quick
+
 EXAMPLES = sorted((project_root() / "docs" / "examples").glob("*.yaml"))
 EVERYTHING = """\
 name: everything

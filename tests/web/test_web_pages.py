@@ -12,6 +12,8 @@ import pytest
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
+pytestmark = pytest.mark.quick
+
 PAGES = [
     "/",
     "/runs",

@@ -19,6 +19,8 @@ from slamhive.web.run_query import RunQuery, summary
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
+pytestmark = pytest.mark.quick
+
 
 def listed(text: str) -> list[int]:
     return [int(number) for number in re.findall(r"<td class=\"number\"><a href=\"/runs/(\d+)\">", text)]
@@ -118,6 +120,7 @@ def test_a_filter_that_matches_nothing_offers_all(shown: Web):
     assert "No run matches this filter." in shown.client.get("/runs?dataset=nowhere").text
 
 
+@pytest.mark.integration
 def test_a_full_page_takes_50_ms_of_the_processor(web: Web):
     for run_id in world.add_runs(web.hive, 50):
         world.advance(web.hive, run_id, RunState.PREPARING)

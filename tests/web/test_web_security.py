@@ -14,6 +14,8 @@ from slamhive.web.security import API_HEADER, SAFE_METHODS
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web
 
+pytestmark = pytest.mark.quick
+
 VALUES = {
     "run_id": 1,
     "configuration_id": 1,
@@ -176,7 +178,7 @@ def test_a_bug_shows_no_traceback(web: Web, monkeypatch: pytest.MonkeyPatch, cap
     def broken() -> None:
         raise ZeroDivisionError("secret detail")
 
-    monkeypatch.setattr(web.hive, "counts", broken)
+    monkeypatch.setattr(web.hive.runs, "counts", broken)
     answer = web.client.get("/")
     assert answer.status_code == 500
     assert "secret detail" not in answer.text

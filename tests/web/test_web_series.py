@@ -18,6 +18,8 @@ from slamhive.web.figures import best_plane, path_figures
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
+pytestmark = pytest.mark.quick
+
 EUROC = project_root().parent / "shared" / "data" / "euroc_vio_runs"
 
 

@@ -9,7 +9,7 @@ from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import multiply_quats
 from tests.evaluation.evaluators.curves import SE3, loop, moved, paired, scaled
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 COUNT = 4000
 UPPER = np.triu_indices(6)
