@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, AliasChoices, BeforeValidator, Field, FiniteFloat
+from pydantic import AfterValidator, AliasChoices, BeforeValidator, Field, FiniteFloat, model_validator
 from pydantic import StrictBool as Flag
 from pydantic import StrictInt as Whole
 
@@ -78,6 +78,13 @@ class ConfigurationLine(Document):
         BeforeValidator(_definitions),
         described("Type, unit and general name of each parameter."),
     ]
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        for key in self.parameters:
+            if key not in self.request.parameters:
+                raise ValueError(f"the parameter {key!r} has no value")
+        return self
 
     @property
     def configuration(self) -> Configuration:

@@ -112,5 +112,5 @@ def test_an_analysis_on_a_site_shares_the_library_and_leads_to_the_pages_of_runs
 def test_a_folder_of_something_else_is_no_site(world: Path) -> None:
     (world / "mine").mkdir()
     (world / "mine" / "thesis.tex").write_text("x")
-    assert "no site" in call("archive", "site", str(world / "mine")).stderr
+    assert "not a published site" in call("archive", "site", str(world / "mine")).stderr
     assert (world / "mine" / "thesis.tex").exists()

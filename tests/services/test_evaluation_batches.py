@@ -126,7 +126,7 @@ def test_none_is_lost_when_the_command_is_killed(hive, runs, monkeypatch):
     assert all(hive.runs.get(run_id).metrics["ate.rmse"] > 0 for run_id in runs)
     assert list(hive.settings.data.glob(".evaluation-*")) == []
     again = CliRunner().invoke(main, ["evaluate", "--where", "executor = imported", "--align", "sim3"])
-    assert f"of {RUNS} runs; to change that: the same command with --current" in again.stderr, (
+    assert f"for {RUNS} runs; to change that: the same command with --current" in again.stderr, (
         "not a line of all numbers"
     )
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import resource
-import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -238,11 +237,7 @@ def in_run(name: str) -> Callable[[Hive], bytes]:
 
 
 def member(name: str) -> Callable[[Hive], bytes]:
-    def data(hive: Hive) -> bytes:
-        with zipfile.ZipFile(hive.settings.data.parent / "a.zip") as file:
-            return file.read(name)
-
-    return data
+    return lambda hive: members_of(hive.settings.data.parent / "a.zip")[name]
 
 
 def map_of(hive: Hive) -> bytes:

@@ -131,7 +131,7 @@ def test_text_that_is_no_yaml_leaves_the_fields_alone(web: Web):
     state = write(web, "name: [\n")
     assert state["builder"] is None
     assert state["yaml"] == "name: [\n"
-    assert state["line"] == 2
+    assert state["line"] == 1
 
 
 def test_steps_are_added_and_removed(web: Web):
