@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from slamhive.services.evaluations import Evaluations
 from slamhive.services.hive import Hive
 from tests.executors.plugins import Agent
 from tests.services.conftest import hive
+from tests.services.killed_worker import killed_workers
 from tests.waiting import PATIENCE_S, eventually
 
 # A worker is started and killed some thirty times; on a busy machine that takes minutes.
@@ -30,7 +30,6 @@ pytestmark = [pytest.mark.integration, pytest.mark.timeout(1200)]
 __all__ = ["hive"]
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-KILLED_WORKER = CHECKOUT / "tests" / "services" / "killed_worker.py"
 MOST_STEPS = 200
 
 
@@ -137,16 +136,17 @@ def test_a_wrong_token_is_refused_in_words(far, monkeypatch):
 def test_killed_at_any_step_the_run_ends_once_and_well(far, agent, monkeypatch):
     monkeypatch.setattr(Evaluations, "work_once", lambda *_arguments, **_options: 0)
     submit(far)
-    (steps,) = map(int, re.findall(r"steps (\d+)", command(str(KILLED_WORKER), str(MOST_STEPS))))
-    assert steps > 20
-    # Each call is two steps. After one call is as good as before the next, so every second step will do.
-    for fatal_step in range(2, steps + 1, 2):
-        run_id = submit(far)
-        command(str(KILLED_WORKER), str(fatal_step))
-        far.worker().run(until_idle=True)
-        after = far.runs.get(run_id)
-        assert after.state is RunState.SUCCEEDED, f"killed at step {fatal_step}: {after.state}, {after.detail}"
-        assert after.poses == 30
-        assert len(far.evaluations.of_run(run_id)) == 1, f"killed at step {fatal_step}"
-        assert started_times(far, run_id) == 1, f"killed at step {fatal_step}"
-        assert runs_of(agent) == []
+    with killed_workers() as work:
+        steps = work(MOST_STEPS).steps
+        assert steps > 20
+        # Each call is two steps. After one call is as good as before the next, so every second step will do.
+        for fatal_step in range(2, steps + 1, 2):
+            run_id = submit(far)
+            work(fatal_step)
+            far.worker().run(until_idle=True)
+            after = far.runs.get(run_id)
+            assert after.state is RunState.SUCCEEDED, f"killed at step {fatal_step}: {after.state}, {after.detail}"
+            assert after.poses == 30
+            assert len(far.evaluations.of_run(run_id)) == 1, f"killed at step {fatal_step}"
+            assert started_times(far, run_id) == 1, f"killed at step {fatal_step}"
+            assert runs_of(agent) == []

@@ -1,15 +1,23 @@
-"""A worker that kills itself (SIGKILL) at its N-th step: before or after a write, a start, a poll, a removal.
+"""Workers that kill themselves (SIGKILL) at their N-th step: before or after a write, a start, a poll, a removal.
 
-Run as ``python killed_worker.py N``; exit by signal 9 means that step N was reached, exit 0 that the work was done
-before. Every write to the database and to the record, and every call of the executor, is two steps: before and after.
+Every write to the database and to the record, and every call of the executor, is two steps: before and after.
+
+Run as a program, it reads one N from each line. Each worker is a process of its own, forked from this one, which has
+imported everything: importing takes longer than the work. A line with its exit code (-9: step N was reached) and the
+number of its steps, 0 if it was killed, answers each N.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from slamhive.runs.folder import RunFolder
@@ -40,8 +48,8 @@ class Countdown:
         return wrapped
 
 
-def main(fatal_step: int) -> None:
-    """Work until nothing is left, or until the chosen step."""
+def work(fatal_step: int) -> int:
+    """Work until nothing is left, or until the chosen step; how many steps that took."""
     countdown = Countdown(fatal_step)
     hive = open_hive()
     for owner, names in (
@@ -54,8 +62,56 @@ def main(fatal_step: int) -> None:
     # Nothing is evaluated here: the test counts what is queued for it.
     Evaluations.work_once = lambda *_arguments, **_options: 0  # type: ignore[method-assign]
     hive.worker().run(until_idle=True)
-    sys.stdout.write(f"steps {countdown.step}\n")
+    hive.close()
+    return countdown.step
+
+
+def serve() -> None:
+    """Answer each line of standard input."""
+    for line in sys.stdin:
+        reading, writing = os.pipe()
+        child = os.fork()
+        if child == 0:
+            os.write(writing, str(work(int(line))).encode())
+            os._exit(0)
+        os.close(writing)
+        with os.fdopen(reading) as steps:
+            _, status = os.waitpid(child, 0)
+            sys.stdout.write(f"{os.waitstatus_to_exitcode(status)} {steps.read() or 0}\n")
+        sys.stdout.flush()
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a worker ended; ``errors`` is what all workers have written to standard error so far."""
+
+    returncode: int
+    steps: int
+    errors: str
+
+
+@contextmanager
+def killed_workers() -> Iterator[Callable[[int], Ended]]:
+    """Yields what runs one worker up to a step. The environment of this moment says on which data root."""
+    with tempfile.TemporaryFile("w+") as errors:
+        program = [sys.executable, str(Path(__file__))]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors, "text": True}
+        with subprocess.Popen(program, env=dict(os.environ), **pipes) as server:  # type: ignore[call-overload]
+
+            def run(fatal_step: int) -> Ended:
+                server.stdin.write(f"{fatal_step}\n")
+                server.stdin.flush()
+                answer = server.stdout.readline().split()
+                errors.seek(0)
+                said = errors.read()
+                assert len(answer) == 2, said
+                return Ended(int(answer[0]), int(answer[1]), said)
+
+            try:
+                yield run
+            finally:
+                server.kill()
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
+    serve()

@@ -19,8 +19,9 @@ from slamhive.services.configurations.submission import unwatchable
 from slamhive.services.worker.evidence import STOP_RULE, STOPPED_BECAUSE
 from slamhive.store import Lease
 from tests.services.fake_executor import FakeExecutor, write_trajectory
+from tests.services.killed_worker import killed_workers
 from tests.services.test_worker import finish, hive, submit
-from tests.services.test_worker_recovery import processes_of, started_times, work
+from tests.services.test_worker_recovery import processes_of, started_times
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 
@@ -187,19 +188,19 @@ def test_killed_at_any_step_around_the_stop_the_reason_stays(hive):
     """A real process that stops tracking, a worker killed before and after each of its writes and calls."""
     asked = Submission("tiny", "track", {"behaviour": "lost", "seconds": 20}, evaluate=False, stop_when=LOST)
     (warm_up,) = hive.runs.submit(asked)
-    undisturbed = work(10_000)
-    assert undisturbed.returncode == 0, undisturbed.stderr
-    (steps,) = map(int, re.findall(r"steps (\d+)", undisturbed.stdout))
-    assert hive.runs.get(warm_up.id).reason is FailureReason.LOST_TRACKING
-    # "After one" and "before the next" are the same moment, so every other step meets all of them.
-    for fatal_step in range(steps - 18, steps + 1, 2):
-        (run,) = hive.runs.submit(asked)
-        killed = work(fatal_step)
-        assert killed.returncode in (-signal.SIGKILL, 0), killed.stderr
-        hive.worker().run(until_idle=True)
-        after = hive.runs.get(run.id)
-        assert (after.state, after.reason) == (RunState.FAILED, FailureReason.LOST_TRACKING), f"step {fatal_step}"
-        assert "no pose for" in after.detail
-        assert hive.runs.record(run.id)["reason"] == "lost_tracking"
-        assert started_times(hive, run.id) == 1, f"step {fatal_step}"
+    with killed_workers() as work:
+        undisturbed = work(10_000)
+        assert undisturbed.returncode == 0, undisturbed.errors
+        assert hive.runs.get(warm_up.id).reason is FailureReason.LOST_TRACKING
+        # "After one" and "before the next" are the same moment, so every other step meets all of them.
+        for fatal_step in range(undisturbed.steps - 18, undisturbed.steps + 1, 2):
+            (run,) = hive.runs.submit(asked)
+            killed = work(fatal_step)
+            assert killed.returncode in (-signal.SIGKILL, 0), killed.errors
+            hive.worker().run(until_idle=True)
+            after = hive.runs.get(run.id)
+            assert (after.state, after.reason) == (RunState.FAILED, FailureReason.LOST_TRACKING), f"step {fatal_step}"
+            assert "no pose for" in after.detail
+            assert hive.runs.record(run.id)["reason"] == "lost_tracking"
+            assert started_times(hive, run.id) == 1, f"step {fatal_step}"
     assert processes_of(hive) == []

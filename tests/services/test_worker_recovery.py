@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import re
 import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,25 +15,14 @@ from slamhive.domain.run import RunState
 from slamhive.schema.submission import Submission
 from slamhive.services.evaluations.service import Evaluations
 from slamhive.services.hive import Hive, open_hive
-from tests.waiting import PATIENCE_S, eventually
+from tests.services.killed_worker import Ended, killed_workers
+from tests.waiting import eventually
 
 # A worker is started, killed and followed by another some forty times; on a busy machine that takes minutes.
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(1200)]
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-KILLED_WORKER = Path(__file__).with_name("killed_worker.py")
 MOST_STEPS = 200
-
-
-def work(fatal_step: int) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, str(KILLED_WORKER), str(fatal_step)],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        env=dict(os.environ),
-        check=False,
-    )
 
 
 def started_times(hive: Hive, run_id: int) -> int:
@@ -50,25 +38,29 @@ def test_killed_at_any_step_the_run_ends_once_and_well(hive, monkeypatch):
     # Evaluating takes a second each time and has tests of its own; here it counts that each run is queued for it.
     monkeypatch.setattr(Evaluations, "work_once", lambda *_arguments, **_options: 0)
     (warm_up,) = hive.runs.submit(Submission("tiny", "track"))
-    undisturbed = work(MOST_STEPS)
-    assert undisturbed.returncode == 0, undisturbed.stderr
-    (steps,) = map(int, re.findall(r"steps (\d+)", undisturbed.stdout))
-    assert steps > 20
-    assert hive.runs.get(warm_up.id).state is RunState.SUCCEEDED
-    for fatal_step in range(1, steps + 1):
-        (run,) = hive.runs.submit(Submission("tiny", "track", {"seconds": 0.05}))
-        killed = work(fatal_step)
-        assert killed.returncode in (-signal.SIGKILL, 0), killed.stderr
-        hive.worker().run(until_idle=True)
-        after = hive.runs.get(run.id)
-        assert after.state is RunState.SUCCEEDED, f"killed at step {fatal_step}: {after.state}, {after.detail}"
-        assert after.poses == 30
-        assert len(hive.evaluations.of_run(run.id)) == 1, f"killed at step {fatal_step}"
-        assert started_times(hive, run.id) == 1, f"killed at step {fatal_step}"
-        record = hive.runs.record(run.id)
-        assert (record["state"], record["poses"]) == ("succeeded", 30)
-        assert [event.to_state for event in hive.runs.events(run.id)][-1] is RunState.SUCCEEDED
+    with killed_workers() as work:
+        undisturbed = work(MOST_STEPS)
+        assert undisturbed.returncode == 0, undisturbed.errors
+        assert undisturbed.steps > 20
+        assert hive.runs.get(warm_up.id).state is RunState.SUCCEEDED
+        for fatal_step in range(1, undisturbed.steps + 1):
+            check_killed(hive, work, fatal_step)
     assert processes_of(hive) == []
+
+
+def check_killed(hive: Hive, work: Callable[[int], Ended], fatal_step: int) -> None:
+    (run,) = hive.runs.submit(Submission("tiny", "track", {"seconds": 0.05}))
+    killed = work(fatal_step)
+    assert killed.returncode in (-signal.SIGKILL, 0), killed.errors
+    hive.worker().run(until_idle=True)
+    after = hive.runs.get(run.id)
+    assert after.state is RunState.SUCCEEDED, f"killed at step {fatal_step}: {after.state}, {after.detail}"
+    assert after.poses == 30
+    assert len(hive.evaluations.of_run(run.id)) == 1, f"killed at step {fatal_step}"
+    assert started_times(hive, run.id) == 1, f"killed at step {fatal_step}"
+    record = hive.runs.record(run.id)
+    assert (record["state"], record["poses"]) == ("succeeded", 30)
+    assert [event.to_state for event in hive.runs.events(run.id)][-1] is RunState.SUCCEEDED
 
 
 def test_a_run_that_goes_on_while_no_worker_lives_is_adopted(hive):
