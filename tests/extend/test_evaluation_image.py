@@ -15,7 +15,7 @@ from tests.services.tiny_project import make_dataset, make_project
 
 NAME = "slam-hive-evaluation:evo"
 NEEDY = """
-import tabulate
+import {1}
 from slamhive.domain.metrics import Direction, Metric
 from slamhive.evaluation.evaluators.base import MetricValues
 
@@ -24,7 +24,7 @@ POSES = Metric("{0}.poses", "Poses", "", Direction.NEUTRAL, "x")
 class Count:
     keys = (POSES.key,)
     def evaluate(self, paired):
-        return MetricValues({{POSES.key: float(tabulate.tabulate([[len(paired.aligned)]], tablefmt="plain"))}})
+        return MetricValues({{POSES.key: float(len(paired.aligned))}})
 
 COUNT = Count()
 """
@@ -39,7 +39,9 @@ NEEDY_TABLES = """
 def needy(folder: Path, name: str, dependency: str) -> Path:
     """A package whose evaluator needs another package."""
     module = f"slamhive_{name}"
-    package = write_package(folder / module, module, NEEDY.format(name), NEEDY_TABLES.format(name))
+    package = write_package(
+        folder / module, module, NEEDY.format(name, dependency.partition(">")[0]), NEEDY_TABLES.format(name)
+    )
     project = package / "pyproject.toml"
     project.write_text(project.read_text().replace("[project]", f'[project]\ndependencies = ["{dependency}"]'))
     return package
@@ -89,7 +91,7 @@ def test_a_package_that_is_edited_in_place_is_found(tmp_path: Path, monkeypatch:
 
 @pytest.mark.docker
 def test_an_evaluator_works_in_the_image(examples: Path, tmp_path: Path, base_image: str):
-    packages = [needy(tmp_path, "needy", "tabulate"), needy(tmp_path, "hopeless", "tabulate>=999")]
+    packages = [needy(tmp_path, "needy", "tabulate"), needy(tmp_path, "hopeless", "toolz>=999")]
     installed = install(packages, tmp_path / "installed")
     root = make_project(tmp_path / "project")
     (root / "docker").symlink_to(CHECKOUT / "docker")
