@@ -85,6 +85,10 @@ def main(arguments: Sequence[str]) -> int:
     """Check the named files or all; returns the exit code."""
     rules = [Rule.read(path) for path in sorted(STYLE.glob("*.yml"))]
     if arguments and arguments != ["--update"]:
+        unknown = next((name for name in arguments if not (ROOT / name).is_file()), None)
+        if unknown is not None:
+            print(f"there is no file {unknown}; usage: prose.py [--update | FILE ...]", file=sys.stderr)
+            return 2
         return report({name: check(ROOT / name, rules) for name in arguments})
     found = {name: check(ROOT / name, rules) for name in tracked_files()}
     unclean = {name for name, problems in found.items() if problems}
