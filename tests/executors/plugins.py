@@ -11,40 +11,24 @@ from importlib.metadata import EntryPoint, distributions
 from pathlib import Path
 from typing import Self
 
+from tests.extend.plugin_packages import CHECKOUT, EXTEND, install, write_package
 from tests.waiting import eventually
 
-CHECKOUT = Path(__file__).resolve().parents[2]
 PLUGINS = ("plain", "remote")
-PLAIN = """
-[build-system]
-requires = ["setuptools>=77"]
-build-backend = "setuptools.build_meta"
-
-[project]
-name = "slamhive-plain"
-version = "1.0.0"
-
+PLAIN_ENTRY_POINT = """
 [project.entry-points."slamhive.executors"]
 plain = "slamhive_plain:PlainExecutor"
-
-[tool.setuptools]
-py-modules = ["slamhive_plain"]
 """
 TOKEN = "a token of these tests"
 
 
 def install_plugins(folder: Path) -> Path:
     """Install both packages into a folder that is put on the path."""
-    remote, plain, target = folder / "remote", folder / "plain", folder / "installed"
+    remote = folder / "remote"
     shutil.copytree(Path(__file__).parent / "remote_plugin", remote, ignore=shutil.ignore_patterns("__pycache__"))
-    plain.mkdir()
-    (plain / "pyproject.toml").write_text(PLAIN)
-    shutil.copy(CHECKOUT / "docs" / "extend" / "executor.py", plain / "slamhive_plain.py")
-    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation"]
-    command += ["--disable-pip-version-check", "--target", str(target), str(remote), str(plain)]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ended.returncode == 0, ended.stderr
-    return target
+    example = (EXTEND / "executor.py").read_text()
+    plain = write_package(folder / "plain", "slamhive_plain", example, PLAIN_ENTRY_POINT)
+    return install([remote, plain], folder / "installed")
 
 
 def distributions_in(folder: Path) -> list[EntryPoint]:
