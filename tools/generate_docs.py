@@ -64,9 +64,9 @@ PLOT_TYPES_TABLE = "| option | default | meaning |\n|---|---|---|\n"
 
 METRICS_HEAD = """# Metrics
 
-Every figure that a run can have. Those of an evaluation depend on the [protocol](evaluation.md) and carry its
-fingerprint; figures of different fingerprints are never averaged or ranked together. The others, marked "while
-running", need no evaluation. A figure that cannot be computed is absent, never 0, and the evaluation says why.
+Every metric that a run can have. Metrics of an evaluation depend on the [protocol](evaluation.md) and carry its
+fingerprint; values with different fingerprints are never averaged or ranked together. The others, marked "while
+running", need no evaluation. A metric that cannot be computed is absent, never 0, and the evaluation says why.
 """
 METRICS_TABLE = "| key | name | unit | better | what it is | after |\n|---|---|---|---|---|---|\n"
 

@@ -3,8 +3,7 @@
 No package registry carries the Vale program, so the kinds of rules that the style uses are implemented here.
 
     python tools/prose.py             check every file; part of "make test TIERS=lint"
-    python tools/prose.py FILE ...    check these, even if they are listed as unclean
-    python tools/prose.py --update    write the list of unclean files again
+    python tools/prose.py FILE ...    check these
 """
 
 from __future__ import annotations
@@ -22,9 +21,7 @@ from prose_text import Passage, passages
 
 ROOT = Path(__file__).resolve().parent.parent
 STYLE = ROOT / "tools" / "vale" / "SlamHive"
-UNCLEAN = ROOT / "tools" / "vale" / "unclean.txt"
-"""Files that are not checked yet. One that has become clean must leave the list."""
-CHECKED = ("*.md", "templates/*.html", "*.py")
+CHECKED = ("*.md", "templates/*.html", "*.py", "*/algorithm.yaml")
 GENERATED = ("cli", "settings", "metrics", "analysis-forms", "variant-steps")
 LEFT_OUT = ("docs/glossary.md", *(f"docs/{name}.md" for name in GENERATED), "tests/", "algorithms/*/README.md")
 """The glossary names what it retires; generated pages come from code, which is checked."""
@@ -84,24 +81,13 @@ class Rule:
 def main(arguments: Sequence[str]) -> int:
     """Check the named files or all; returns the exit code."""
     rules = [Rule.read(path) for path in sorted(STYLE.glob("*.yml"))]
-    if arguments and arguments != ["--update"]:
-        unknown = next((name for name in arguments if not (ROOT / name).is_file()), None)
-        if unknown is not None:
-            print(f"there is no file {unknown}; usage: prose.py [--update | FILE ...]", file=sys.stderr)
-            return 2
-        return report({name: check(ROOT / name, rules) for name in arguments})
-    found = {name: check(ROOT / name, rules) for name in tracked_files()}
-    unclean = {name for name, problems in found.items() if problems}
-    if arguments:
-        UNCLEAN.write_text("".join(f"{name}\n" for name in sorted(unclean)), encoding="utf-8")
-        return 0
-    listed = set(UNCLEAN.read_text(encoding="utf-8").split()) if UNCLEAN.exists() else set()
-    outdated = sorted(listed - unclean)
-    for name in outdated:
-        print(f"{name} is clean or gone; remove it from {UNCLEAN.relative_to(ROOT)}")
-    code = report({name: problems for name, problems in found.items() if name not in listed})
-    print(f"prose: {len(found)} files, {len(listed)} of them listed as unclean")
-    return 1 if outdated else code
+    unknown = next((name for name in arguments if not (ROOT / name).is_file()), None)
+    if unknown is not None:
+        print(f"there is no file {unknown}; usage: prose.py [FILE ...]", file=sys.stderr)
+        return 2
+    found = {name: check(ROOT / name, rules) for name in arguments or tracked_files()}
+    print(f"prose: {len(found)} files")
+    return report(found)
 
 
 def tracked_files() -> list[str]:

@@ -1,4 +1,4 @@
-"""Finds the English in a file: Markdown, a Jinja template, or the messages, docstrings and comments of Python.
+"""Finds the English in a file: Markdown, a Jinja template, Python (messages, docstrings, comments) or YAML.
 
 What is no English (code, markup, addresses) becomes a placeholder, so that the words around it stay a sentence.
 """
@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import yaml
+
 CODE = "CODE"
 _FENCE = re.compile(r"^ {0,8}(`{3,}|~{3,})")
 _BLOCK_START = re.compile(r"^\s*(?:[-*+]|\d+\.|:|>|#+|!!!|===)\s+")
@@ -24,6 +26,9 @@ _HTML_CODE = re.compile(r"<(code|pre|script|style|kbd|svg)\b.*?</\1>", re.DOTALL
 _SPOKEN_ATTRIBUTE = re.compile(r'\b(?:title|alt|placeholder|aria-label)="([^"]*)"')
 _JINJA_BLOCK = re.compile(r"\{[{%].*?[}%]\}", re.DOTALL)
 _JINJA_STRING = re.compile(r"'((?:[^'\\]|\\.)*)'")
+_OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*\b")
+_SETTING = re.compile(r"[A-Z_]+ = \S+\s*")
+_YAML_TEXTS = frozenset({"title", "help", "description", "note"})
 _NOQA = re.compile(r"\b(?:noqa|type: ignore|pragma|mypy:).*")
 
 
@@ -38,7 +43,7 @@ class Passage:
 def passages(path: Path) -> list[Passage]:
     """All English in a file, by its suffix."""
     text = path.read_text(encoding="utf-8")
-    readers = {".md": markdown, ".html": template, ".py": python}
+    readers = {".md": markdown, ".html": template, ".py": python, ".yaml": yaml_texts}
     return [entry for entry in readers[path.suffix](text) if re.search(r"[A-Za-z]{2}", entry.text)]
 
 
@@ -83,6 +88,7 @@ def plain(text: str) -> str:
     text = re.sub(r"<(https?:[^>]*)>", CODE, text)
     text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", text)
     text = re.sub(r"</?[a-zA-Z][^>]*>|\*\*", "", text)
+    text = _OPTION.sub(CODE, text)
     return re.sub(r"\bhttps?://\S+", CODE, text)
 
 
@@ -156,18 +162,36 @@ def docstring(text: str, line: int) -> Iterator[Passage]:
 
 
 def comments(text: str) -> Iterator[Passage]:
-    """Comments; those on consecutive lines are one."""
+    """Comments; those on consecutive lines are one. A setting that is commented out is by itself."""
     block: list[str] = []
     start = last = 0
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type != tokenize.COMMENT:
             continue
         words = _NOQA.sub("", token.string.lstrip("#!")).strip()
-        if token.start[0] != last + 1 and block:
+        if block and (token.start[0] != last + 1 or _SETTING.match(words)):
             yield Passage(start, plain(" ".join(block)))
             block = []
         start = start if block else token.start[0]
-        block.append(words)
+        block.append(_SETTING.sub("", words))
         last = token.start[0]
     if block:
         yield Passage(start, plain(" ".join(block)))
+
+
+def yaml_texts(text: str) -> Iterator[Passage]:
+    """The values that users read, such as the help of a parameter."""
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    pending = [root] if root else []
+    while pending:
+        node = pending.pop()
+        for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
+            if key.value in _YAML_TEXTS and isinstance(value, yaml.ScalarNode):
+                yield Passage(value.start_mark.line + 1, plain(value.value))
+        pending += [child for child in _children(node) if not isinstance(child, yaml.ScalarNode)]
+
+
+def _children(node: yaml.Node) -> list[yaml.Node]:
+    if isinstance(node, yaml.MappingNode):
+        return [value for _, value in node.value]
+    return list(node.value)

@@ -268,8 +268,9 @@ def _association_words(protocol: Protocol) -> str:
         return f"ground truth interpolated over up to {protocol.interpolation_interval_s:g} s"
     if protocol.association is Association.HOLD:
         if protocol.hold_interval_s is not None:
-            return f"estimate held at the ground truth's stamps with a next one within {protocol.hold_interval_s:g} s"
-        return "estimate held at every stamp of the ground truth"
+            within = f"with a next one within {protocol.hold_interval_s:g} s"
+            return f"estimate held at the ground truth's timestamps {within}"
+        return "estimate held at every timestamp of the ground truth"
     if protocol.association is Association.INDEX:
         return "poses by index"
     how = {Association.ONE_TO_ONE: " one to one", Association.SWEEP: " in one sweep"}.get(protocol.association, "")

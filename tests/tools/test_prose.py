@@ -1,4 +1,4 @@
-"""``tools/prose.py``: what it finds in Markdown, templates and Python, and its list of unclean files."""
+"""``tools/prose.py``: what it finds in Markdown, templates, Python and YAML."""
 
 from __future__ import annotations
 
@@ -76,17 +76,25 @@ def test_a_rule_of_an_unknown_kind_is_refused(tmp_path):
         prose.Rule.read(tmp_path / "Odd.yml")
 
 
-def test_a_clean_file_must_leave_the_list(tmp_path, monkeypatch, capsys):
+def test_what_users_read_of_a_yaml_file_is_english(tmp_path):
+    text = "parameters:\n  stamps:\n    help: >-\n      The stamps\n      of a scan.\n  other:\n    unit: stamps\n"
+    assert [line for line, _ in problems(tmp_path, "algorithm.yaml", text)] == [3]
+    assert problems(tmp_path, "algorithm.yaml", "modes: [{title: One stamp}]")
+    assert not problems(tmp_path, "algorithm.yaml", "")
+
+
+def test_an_option_is_code_and_a_setting_in_a_comment_stands_alone(tmp_path):
+    assert not problems(tmp_path, "page.md", "Use --figures or --all-unevaluated.\n")
+    words = " ".join(["word"] * 15)
+    assert not problems(tmp_path, "code.py", f"# MODE = 'a'  # {words}\n# DATA = 'b'  # {words} word\n")
+    assert problems(tmp_path, "code.py", f"# {words}\n# {words} word\n")
+
+
+def test_one_unclean_file_fails_the_check(tmp_path, monkeypatch, capsys):
     (tmp_path / "clean.md").write_text("All is well.\n", encoding="utf-8")
     (tmp_path / "unclean.md").write_text("A stamp.\n", encoding="utf-8")
     monkeypatch.setattr(prose, "ROOT", tmp_path)
-    monkeypatch.setattr(prose, "UNCLEAN", tmp_path / "unclean.txt")
     monkeypatch.setattr(prose, "tracked_files", lambda: ["clean.md", "unclean.md"])
     assert prose.main([]) == 1
     assert "unclean.md:1: Use 'timestamp' instead of 'stamp'" in capsys.readouterr().out
-    assert prose.main(["--update"]) == 0
-    assert (tmp_path / "unclean.txt").read_text() == "unclean.md\n"
-    assert prose.main([]) == 0
-    (tmp_path / "unclean.txt").write_text("clean.md\nunclean.md\n")
-    assert prose.main([]) == 1
-    assert "clean.md is clean or gone" in capsys.readouterr().out
+    assert prose.main(["clean.md"]) == 0

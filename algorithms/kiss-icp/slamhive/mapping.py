@@ -22,8 +22,8 @@ from slamhive.runtime.trajectory import Poses
 class KissIcpOdometry:
     """Registers each scan against the map.
 
-    KISS-ICP undoes the motion within a scan towards the time 1.0 of its normalised timestamps, the scan's end (its
-    ``Preprocessor`` moves a point by ``(stamp - 1) * delta``), so a pose is the sensor's at the end of the scan.
+    KISS-ICP removes the motion within a scan: its ``Preprocessor`` moves each point to where it would be at the
+    normalised timestamp 1.0. That is the end of the scan, so each pose is that of the sensor at the end of the scan.
     """
 
     def __init__(self, config: RunConfig) -> None:

@@ -33,10 +33,10 @@ class Savable(Protocol):
 def save_trajectory(slam: Savable, folder: Path, limit_s: float = SAVING_LIMIT_S) -> Path | None:
     """The file with the final trajectory, in ``folder``; None if no map holds a keyframe.
 
-    Without any keyframe ``SaveTrajectoryEuRoC`` goes on with a map that it never chose: it crashes, or waits for ever
-    for a lock somewhere in memory. ``SaveKeyFrameTrajectoryTUM`` does no such thing, but saves the current map only.
-    If that one is empty (tracking was lost and the map restarted), whether an older one holds keyframes is tried in a
-    child process, which inherits no held lock: on an empty map no thread works.
+    If there is no keyframe, ``SaveTrajectoryEuRoC`` continues with an uninitialised map: it crashes, or waits for ever
+    for a lock. ``SaveKeyFrameTrajectoryTUM`` is safe, but saves the current map only. The current map may be empty
+    because tracking was lost and the map restarted. An older map may still hold keyframes, so a child process tries
+    to save it. The child inherits no held lock, because no thread works on an empty map.
 
     Raises InvalidInput if there are keyframes, but saving crashes or takes more than ``limit_s``.
     """

@@ -2,9 +2,10 @@
 
 Usage: ``train_vocabulary.py OUTPUT --images FOLDER`` (any images), or without ``--images`` on rendered rooms.
 
-A vocabulary tree (Nister and Stewenius, CVPR 2006) of binary descriptors (Galvez-Lopez and Tardos, T-RO 2012): each
-node's descriptors are split into ``branching`` clusters by k-majority (Grana et al., ICPR 2013: k-means in Hamming
-space, the centre being the bit-wise majority), down to ``levels``. A word's weight is its inverse document frequency.
+It makes a vocabulary tree (Nister and Stewenius, CVPR 2006) of binary descriptors (Galvez-Lopez and Tardos, T-RO
+2012). The descriptors of each node are split into ``branching`` clusters, down to ``levels``. The clusters come from
+k-majority (Grana et al., ICPR 2013): k-means in Hamming space, with the bit-wise majority as centre. The weight of a
+word is its inverse document frequency.
 """
 
 from __future__ import annotations

@@ -88,8 +88,8 @@ def _relative() -> list[Metric]:
         "seconds": f"pairs {pairs} in seconds (1 s); all pairs: each pose with the nearest, within a tenth of it",
         "degrees": (
             f"pairs {pairs} in degrees (10) of rotation summed along the estimate; all pairs: each pose with the "
-            "nearest, within a tenth of it. evo takes any two poses whose orientations differ by that, however far "
-            "apart in time, which measures drift"
+            "nearest, within a tenth of it. In evo, any two poses whose orientations differ by this angle are a pair. "
+            "They may be far apart in time, so that evo measures drift"
         ),
     }
     metres = f"pairs {pairs} in metres (1 m) of estimated path; all pairs: within a tenth of it"
@@ -160,11 +160,11 @@ def _drift_and_scale() -> list[Metric]:
             "Scale drift",
             "%",
             group,
-            "Mean |r / r0 - 1| over all pairs of a matched pose and the first one at least the RPE delta (1 m) of "
-            "ground-truth path further on. r is the distance of the estimated positions over that of the true ones. r0 "
-            "is the same for the sums of all pairs, so a constant scale error is not drift. Pairs that end near their "
-            "start (under half of the delta) are left out. rpg_trajectory_evaluation intends this but takes distances "
-            "from the origin.",
+            "Mean |r / r0 - 1| over pairs of matched poses. The second pose of a pair is the first one at least the "
+            "RPE delta (1 m) of ground-truth path after the other. The ratio r is the distance of the estimated "
+            "positions over that of the true ones. The ratio r0 is the same for the sums of all pairs, so a constant "
+            "scale error is not drift. Pairs that end near their start (under half of the delta) are left out. "
+            "rpg_trajectory_evaluation intends this but takes distances from the origin.",
             f"{_ZHANG} (intent)",
         ),
         neutral(

@@ -16,7 +16,7 @@ from slamhive.trajectory.model import Trajectory
 
 _Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
 
-_TOLD = "as told"
+_TOLD = "as specified"
 _HEADER = "by its header"
 _PARTNERS = 5
 """At most this many estimates are compared with a ground truth to detect its conventions."""

@@ -93,7 +93,7 @@ def test_an_order_that_contradicts_the_ground_truth_is_asked_for(hive, tmp_path,
     told = carry_out(hive, source, told=Convention(quaternion_order=QuaternionOrder.WXYZ))
     assert told.imported == 1
     np.testing.assert_allclose(np.loadtxt(hive.runs.folder(told.run_ids[0]).trajectory), expected_rows, atol=1.1e-6)
-    assert hive.runs.record(told.run_ids[0])["imported"]["because"]["quaternion_order"] == "as told"
+    assert hive.runs.record(told.run_ids[0])["imported"]["because"]["quaternion_order"] == "as specified"
 
 
 def test_a_named_format_does_not_overrule_the_ground_truth(hive, tmp_path, plain_truth):
