@@ -116,9 +116,15 @@ def seal(aside: Path, dataset: Dataset) -> None:
 
 
 def checksum(path: Path) -> str:
-    """``sha256:<hex>`` of a file."""
-    with path.open("rb") as stream:
-        return f"sha256:{hashlib.file_digest(stream, 'sha256').hexdigest()}"
+    """``sha256:<hex>`` of a file, or of the names and contents of all files in a folder."""
+    if path.is_file():
+        with path.open("rb") as stream:
+            return f"sha256:{hashlib.file_digest(stream, 'sha256').hexdigest()}"
+    digests = hashlib.sha256()
+    for file in sorted(entry for entry in path.iterdir() if entry.is_file()):
+        with file.open("rb") as stream:
+            digests.update(f"{file.relative_to(path)}\0".encode() + hashlib.file_digest(stream, "sha256").digest())
+    return f"sha256:{digests.hexdigest()}"
 
 
 def _lock(aside: Path, folder: Path) -> int:

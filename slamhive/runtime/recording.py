@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import struct
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
+import apsw
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag1 import ReaderError as Ros1Error
 from rosbags.rosbag2 import ReaderError as Ros2Error
@@ -19,12 +21,19 @@ from rosbags.typesys import Stores, TypesysError, get_typestore
 from slamhive.errors import InvalidInput
 from slamhive.runtime.messages import SUPPORTED
 
+if sys.version_info >= (3, 14):
+    from compression.zstd import ZstdError
+else:
+    from backports.zstd import ZstdError
+
 DAMAGE = (
     AnyReaderError,
     Ros1Error,
     Ros2Error,
     SerdeError,
     TypesysError,
+    ZstdError,
+    apsw.Error,
     OSError,
     ValueError,
     KeyError,

@@ -2,17 +2,23 @@
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
 
 from slamhive.project import project_root
 from tests.bags.variant_bags import IMAGE, START_NS, STORE, image
 
 pytestmark = pytest.mark.integration
 
+ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 BOUND_BYTES = 300_000_000
 SCRIPT = """
 import sys
@@ -27,7 +33,7 @@ size = {"width": 1504, "height": 960, "fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0
 sensor = Sensor("cam0", SensorKind.CAMERA, "/cam0/image_raw", 20.0, calibration=size)
 steps = [VariantStep("rate", ("cam0",), {"every": 2}), VariantStep("resolution", ("cam0",), {"scale": 0.9})]
 (folder / "v").mkdir()
-source = Dataset("d", folder, "d.bag", 1.0, (sensor,), None, "sha256:" + 64 * "0")
+source = Dataset("d", folder, sys.argv[3], 1.0, (sensor,), None, "sha256:" + 64 * "0")
 build_variant(source, steps[-int(sys.argv[2]):], folder / "v", lambda fraction, text: None)
 print(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1])
 """
@@ -41,18 +47,37 @@ def test_memory_stays_below_its_bound(tmp_path: Path, compression: str | None, c
     writer.chunk_threshold = chunk
     if compression is not None:
         writer.set_compression(Writer.CompressionFormat[compression.upper()])
-    pixels = np.random.default_rng(0).integers(0, 255, (960, 1504), dtype=np.uint8)
     with writer:
         connection = writer.add_connection("/cam0/image_raw", IMAGE, typestore=STORE)
-        for frame in range(350):
-            stamp_ns = START_NS + frame * 50_000_000
-            writer.write(connection, stamp_ns, STORE.serialize_ros1(image(pixels, stamp_ns), IMAGE))
+        for stamp_ns, content in images():
+            writer.write(connection, stamp_ns, STORE.serialize_ros1(content, IMAGE))
     assert (tmp_path / "d.bag").stat().st_size > 500_000_000
+    assert peak_bytes(tmp_path, "d.bag", steps) < BOUND_BYTES
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+def test_memory_stays_below_its_bound_for_ros2(tmp_path: Path, plugin: StoragePlugin) -> None:
+    with Writer2(tmp_path / "d", version=8, storage_plugin=plugin) as writer:
+        connection = writer.add_connection("/cam0/image_raw", IMAGE, typestore=ROS2)
+        for stamp_ns, content in images():
+            writer.write(connection, stamp_ns, ROS2.ros1_to_cdr(STORE.serialize_ros1(content, IMAGE), IMAGE))
+    assert peak_bytes(tmp_path, "d", 2) < BOUND_BYTES
+
+
+def images() -> Iterator[tuple[int, Any]]:
+    """Half a gigabyte."""
+    pixels = np.random.default_rng(0).integers(0, 255, (960, 1504), dtype=np.uint8)
+    for frame in range(350):
+        stamp_ns = START_NS + frame * 50_000_000
+        yield stamp_ns, image(pixels, stamp_ns)
+
+
+def peak_bytes(folder: Path, bag: str, steps: int) -> int:
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(tmp_path), str(steps)],
+        [sys.executable, "-c", SCRIPT, str(folder), str(steps), bag],
         cwd=project_root(),
         capture_output=True,
         text=True,
         check=True,
     )
-    assert int(done.stdout) * 1024 < BOUND_BYTES
+    return int(done.stdout) * 1024

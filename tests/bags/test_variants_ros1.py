@@ -326,11 +326,11 @@ def test_bayer_images_are_refused(tmp_path):
         build(dataset(tmp_path, (camera(),)), tmp_path / "v", HALF)
 
 
-def test_recordings_of_ros2_are_refused_in_one_line(tmp_path):
+def test_a_truncated_mcap_file_is_refused_in_one_line(tmp_path):
     write_bag(tmp_path / "d.bag", stereo(1))
     source = dataset(tmp_path)
     (tmp_path / "d.mcap").write_bytes(b"\x89MCAP0\r\n")
-    with pytest.raises(InvalidInput, match="ROS 1 bags only"):
+    with pytest.raises(InvalidInput, match="cannot be read as a recording"):
         build(replace(source, bag="d.mcap"), tmp_path / "v", THIRD)
 
 

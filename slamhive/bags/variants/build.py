@@ -10,6 +10,7 @@ from slamhive.bags.staging import Progress, seal
 from slamhive.bags.variants.editing import topics_of
 from slamhive.bags.variants.ros1_output import BagExtent
 from slamhive.bags.variants.ros1_variant import make_ros1
+from slamhive.bags.variants.rosbag2_variant import make_rosbag2
 from slamhive.bags.variants.streams import Treatment, treat
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.variant import Variant
@@ -19,24 +20,27 @@ from slamhive.errors import InvalidInput
 def build_variant(dataset: Dataset, variant: Variant, folder: Path, progress: Progress) -> Dataset:
     """Make ``variant`` of ``dataset`` in ``folder``, which is empty; the dataset itself if nothing changes.
 
-    The folder is a dataset folder of its own: recording under the name of the source's, ground truth, ``dataset.yaml``
-    with rates, sizes and intrinsics as they are now. Whoever calls writes aside and renames (the cache does).
+    The folder is a dataset folder of its own: recording with the name and storage of the source's, ground truth,
+    ``dataset.yaml`` with rates, sizes and intrinsics as they are now. Whoever calls writes aside and renames (the
+    cache does).
 
     Raises:
         NotFound: a step or sensor that does not exist.
-        InvalidInput: steps that make no sense here, or a recording that is damaged or of a kind that cannot be written.
+        InvalidInput: steps that make no sense here, or a recording that is damaged.
         OSError: the disk is full or refuses.
     """
     treatments = treat(dataset, variant)
     if not any(treatment.steps for treatment in treatments):
         return dataset
-    _check_source(dataset)
+    if not dataset.bag_path.exists():
+        raise InvalidInput(f"{dataset.bag_path} does not exist", "restore the dataset's recording")
     (folder / dataset.bag).parent.mkdir(parents=True, exist_ok=True)
 
     def choose(present: dict[str, str]) -> dict[str, Treatment]:
         return topics_of(dataset, treatments, present)
 
-    digest, before, after = make_ros1(dataset.bag_path, folder / dataset.bag, choose, progress)
+    make = make_ros1 if dataset.bag_path.suffix == ".bag" else make_rosbag2
+    digest, before, after = make(dataset.bag_path, folder / dataset.bag, choose, progress)
     steps = "; ".join(str(step) for step in variant)
     made = replace(
         dataset,
@@ -50,17 +54,6 @@ def build_variant(dataset: Dataset, variant: Variant, folder: Path, progress: Pr
         shutil.copyfile(dataset.groundtruth_path, folder / dataset.groundtruth_path.name)
     seal(folder, made)
     return made
-
-
-def _check_source(dataset: Dataset) -> None:
-    path = dataset.bag_path
-    if not path.exists():
-        raise InvalidInput(f"{path} does not exist", "restore the dataset's recording")
-    if path.suffix != ".bag":
-        raise InvalidInput(
-            f"{path} is no ROS 1 bag, and variants are made of ROS 1 bags only",
-            "convert it: rosbags-convert --src RECORDING --dst NAME.bag",
-        )
 
 
 def _duration_s(dataset: Dataset, before: BagExtent, after: BagExtent) -> float:

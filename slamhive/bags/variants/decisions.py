@@ -20,6 +20,8 @@ from slamhive.runtime.recording import damaged
 _STAMP = struct.Struct("<LL")
 _STAMP_OFFSET = 4
 """Of the timestamp in a message that begins with a ``std_msgs/Header``: behind its sequence number."""
+_LATEST_NS = 2**32 * 1_000_000_000
+"""Seconds of ROS 1 are numbers of 32 bits."""
 _PEEK_BYTES = 4096
 """Enough for a message record's header and the start of its data, even behind a connection record."""
 
@@ -59,7 +61,7 @@ def _decide_topic(
 ) -> None:
     topic, treatment = topic_treatment
     connections = [connection for connection in index.connections.values() if connection.topic == topic]
-    message_type = _one_type(topic, connections)
+    message_type = one_type(topic, {connection.type for connection in connections})
     rows = np.flatnonzero(np.isin(index.entries["connection"], [connection.id for connection in connections]))
     rows = rows[np.argsort(index.entries["time_ns"][rows], kind="stable")]
     stream = TopicStream(treatment, len(rows))
@@ -75,19 +77,18 @@ def _decide_topic(
         if decided_ns is None:
             decisions.kept[row] = False
         elif decided_ns != stamp_ns:
-            decisions.stamps_ns[row] = _checked(decided_ns, topic)
+            decisions.stamps_ns[row] = check_timestamp(decided_ns, topic, _LATEST_NS)
             decisions.changed[row] = True
     if edit is not None:
         decisions.changed[rows] = True
         decisions.edits.update({connection.id: edit for connection in connections})
 
 
-def _one_type(topic: str, connections: list[Ros1Connection]) -> str:
+def one_type(topic: str, types: set[str]) -> str:
     """The type of a topic; raises InvalidInput if there are several."""
-    types = sorted({connection.type for connection in connections})
     if len(types) != 1:
-        raise InvalidInput(f"topic {topic} carries messages of several types: {', '.join(types)}")
-    return types[0]
+        raise InvalidInput(f"topic {topic} carries messages of several types: {', '.join(sorted(types))}")
+    return next(iter(types))
 
 
 def header_stamps(file: Ros1File, index: Ros1Index, rows: Array) -> Array:
@@ -131,9 +132,11 @@ def _check_definitions(connections: list[Ros1Connection], message_type: str) -> 
             )
 
 
-def _checked(stamp_ns: int, topic: str) -> int:
-    if not 0 < stamp_ns < 2**32 * 1_000_000_000:
+def check_timestamp(stamp_ns: int, topic: str, latest_ns: int) -> int:
+    """``stamp_ns``, if a message can hold it; raises InvalidInput otherwise."""
+    if not 0 < stamp_ns < latest_ns:
         raise InvalidInput(
-            f"{topic}: a step moves a timestamp to {stamp_ns * 1e-9:.3f} s", "ROS 1 knows times from 0 s to 2^32 s"
+            f"{topic}: a step moves a timestamp to {stamp_ns * 1e-9:.3f} s",
+            f"this recording knows times from 0 s to {latest_ns // 1_000_000_000} s",
         )
     return stamp_ns
