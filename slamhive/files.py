@@ -148,6 +148,13 @@ def remedy_of(error: OSError) -> str:
     return "check space and rights"
 
 
+def size_bytes(path: Path) -> int:
+    """The size of a file, or of all files in a folder; 0 for what does not exist."""
+    if path.is_dir():
+        return sum(entry.stat().st_size for entry in path.rglob("*") if entry.is_file())
+    return path.stat().st_size if path.exists() else 0
+
+
 def hash_files(root: Path, parts: Iterable[str] = (".",)) -> str:
     """SHA-256 (``sha256:<hex>``) over the names and contents of the files and folders ``parts`` below ``root``.
 
@@ -159,5 +166,6 @@ def hash_files(root: Path, parts: Iterable[str] = (".",)) -> str:
         for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
             if file.is_file() and "__pycache__" not in file.parts:
                 digest.update(f"{file.relative_to(root)}\0".encode())
-                digest.update(hashlib.sha256(file.read_bytes()).digest())
+                with file.open("rb") as stream:
+                    digest.update(hashlib.file_digest(stream, "sha256").digest())
     return f"sha256:{digest.hexdigest()}"

@@ -1,18 +1,19 @@
 """A dataset importer: folders of the TUM RGB-D benchmark, depth images and ground truth, to datasets.
 
-`slamhive dataset import tum-depth FOLDER --name NAME` makes a dataset of one. Copy this file and change what it reads.
+`slamhive dataset import FOLDER --format tum-depth` makes a dataset of one. Copy this file and change what it reads.
 """
 
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from slamhive.bags.bag_writer import BagWriter, nanoseconds
 from slamhive.bags.detection import Detection
-from slamhive.bags.staging import Progress, new_dataset
-from slamhive.domain.dataset import Dataset, GroundTruth
+from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream, rate_hz
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput
+from slamhive.trajectory.tum import read_tum
 
 LIST = "depth.txt"
 TRUTH = "groundtruth.txt"
@@ -21,29 +22,37 @@ TRUTH = "groundtruth.txt"
 class TumDepthImporter:
     """`depth.txt` lists images as `timestamp depth/NAME.png`; `groundtruth.txt` has the format that SLAM Hive uses."""
 
+    title = "TUM RGB-D, depth images alone"
+    options = frozenset({"depth_units_per_m"})
+    """The options of `slamhive dataset import` that this format takes; others are refused."""
+
+    refines = frozenset({"tum-rgbd"})
+    """Where the format tum-rgbd fits too, this one is chosen."""
+
     def detect(self, path: Path) -> Detection:
-        """Say what speaks for the format and what is missing. `slamhive dataset import auto` asks every importer."""
+        """Say what speaks for the format and what is missing. Without `--format`, every importer is asked."""
         names = (LIST, "depth", TRUTH)
         there = {name: (path / name).exists() for name in names}
         return Detection(
             found=tuple(name for name in names if there[name]), missing=tuple(name for name in names if not there[name])
         )
 
-    def convert(self, source: Path, folder: Path, name: str, progress: Progress) -> Dataset:
-        """Make the dataset. The folder appears when the block ends well, and not at all after an error."""
+    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
+        """Say what the folder becomes. Users see this before anything is written; images are read one by one later."""
         images = read_list(source / LIST)
-        needed_bytes = sum((source / file).stat().st_size for _, file in images) * 4
-        with new_dataset(folder, needed_bytes) as new:
-            with new.recording() as bag:
-                sensor = write_images(bag, source, images, progress)
-            (new.aside / TRUTH).write_bytes((source / TRUTH).read_bytes())
-            return new.seal(  # writes dataset.yaml, and the script that plays the recording
-                sensors=(sensor,),
-                duration_s=images[-1][0] - images[0][0],
-                groundtruth=GroundTruth(TRUTH, gravity_aligned=True),
-                title=f"{name}: TUM RGB-D, depth of {source.name}",
-                licence="CC BY 4.0",
-            )
+        truth = read_tum(source / TRUTH)
+        stream = depth_stream(source, images, options.depth_units_per_m or 5000.0)
+        return ImportPlan(
+            recording=(stream,),
+            truth=PlannedTruth(
+                truth.stamps_s,
+                truth.positions_m,
+                truth.quats_xyzw,
+                gravity_aligned=True,
+                source="motion capture",
+            ),
+            text=DatasetText(title=f"TUM RGB-D, depth of {source.name}", licence="CC BY 4.0"),
+        )
 
 
 def read_list(path: Path) -> list[tuple[float, str]]:
@@ -61,27 +70,16 @@ def read_list(path: Path) -> list[tuple[float, str]]:
     return images
 
 
-def write_images(bag: BagWriter, source: Path, images: list[tuple[float, str]], progress: Progress) -> Sensor:
-    """Write the images to the recording; the sensor that they come from."""
-    for number, (timestamp_s, file) in enumerate(images):
-        pixels = cv2.imread(str(source / file), cv2.IMREAD_UNCHANGED)
-        if pixels is None or pixels.dtype != "uint16":
-            raise InvalidInput(f"{source / file} is no image of 16 bits", "copy it again from the benchmark")
-        if number == 0:
-            sensor = sensor_of(images, *pixels.shape)
-        bag.image(sensor, nanoseconds(timestamp_s), pixels, "16UC1")
-        progress(number / len(images), file)  # a fraction, and what is being done
-    return sensor
-
-
-def sensor_of(images: list[tuple[float, str]], height: int, width: int) -> Sensor:
-    """The depth camera of the benchmark (freiburg3); docs/dataset-format.md explains every key."""
-    return Sensor(
+def depth_stream(source: Path, images: list[tuple[float, str]], units_per_m: float) -> Stream:
+    """The messages of the depth camera: their timestamps, and how one of them is written."""
+    times_ns = np.array([nanoseconds(timestamp_s) for timestamp_s, _ in images])
+    height, width = read_depth(source / images[0][1]).shape
+    sensor = Sensor(
         name="depth0",
         kind=SensorKind.DEPTH,
         topic="/depth0/image_raw",
-        rate_hz=(len(images) - 1) / (images[-1][0] - images[0][0]),
-        calibration={
+        rate_hz=rate_hz(times_ns),
+        calibration={  # the camera freiburg3 of the benchmark; docs/dataset-format.md explains every key
             "width": width,
             "height": height,
             "fx": 535.4,
@@ -89,9 +87,22 @@ def sensor_of(images: list[tuple[float, str]], height: int, width: int) -> Senso
             "cx": 320.1,
             "cy": 247.6,
             "encoding": "16UC1",
-            "units_per_m": 5000.0,
+            "units_per_m": units_per_m,
         },
     )
+
+    def write(bag: BagWriter, index: int) -> None:
+        bag.image(sensor, int(times_ns[index]), read_depth(source / images[index][1]), "16UC1")
+
+    return Stream(sensor, times_ns, write, message_bytes=2 * width * height)
+
+
+def read_depth(path: Path) -> np.ndarray:
+    """The depth image at `path`, (h, w) uint16."""
+    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if pixels is None or pixels.dtype != np.uint16:
+        raise InvalidInput(f"{path} is no image of 16 bits", "copy it again from the benchmark")
+    return pixels
 
 
 IMPORTER = TumDepthImporter()

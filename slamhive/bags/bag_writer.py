@@ -13,6 +13,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.sensors import Sensor
 
 Array = NDArray[Any]
@@ -73,21 +74,22 @@ class BagWriter:
         self._write(sensor.topic, IMAGE, stamp_ns, message)
 
     def camera_info(self, sensor: Sensor, topic: str, stamp_ns: int, baseline_m: float = 0.0) -> None:
-        """The ``sensor_msgs/CameraInfo`` of a rectified camera, ``baseline_m`` to the right of its left partner."""
-        c = {key: float(sensor.calibration[key]) for key in ("fx", "fy", "cx", "cy")}  # type: ignore[arg-type]
+        """The ``sensor_msgs/CameraInfo`` of a camera, ``baseline_m`` to the right of its left partner."""
+        c = CameraIntrinsics.of(sensor)
         no_region = self._message(
             "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
         )
+        distorted = any(c.distortion)
         message = self._message(
             CAMERA_INFO,
             header=self._header(topic, stamp_ns, sensor.name),
-            height=sensor.calibration["height"],
-            width=sensor.calibration["width"],
-            distortion_model="plumb_bob",
-            D=np.zeros(5),
-            K=np.array([c["fx"], 0, c["cx"], 0, c["fy"], c["cy"], 0, 0, 1.0]),
+            height=c.height,
+            width=c.width,
+            distortion_model=c.ros_model,
+            D=np.array(c.distortion) if distorted else np.zeros(5),
+            K=np.array([c.fx, 0, c.cx, 0, c.fy, c.cy, 0, 0, 1.0]),
             R=np.eye(3).reshape(-1),
-            P=np.array([c["fx"], 0, c["cx"], -c["fx"] * baseline_m, 0, c["fy"], c["cy"], 0, 0, 0, 1.0, 0]),
+            P=np.array([c.fx, 0, c.cx, -c.fx * baseline_m, 0, c.fy, c.cy, 0, 0, 0, 1.0, 0]),
             binning_x=0,
             binning_y=0,
             roi=no_region,

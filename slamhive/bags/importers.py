@@ -6,52 +6,95 @@ Importers of other packages come in through the entry-point group ``slamhive.dat
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from slamhive.bags.detection import Detection
+from slamhive.bags.importing import ImportOptions, ImportPlan
 from slamhive.bags.kitti_odometry import KittiOdometryImporter
-from slamhive.bags.staging import Progress
-from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput
 from slamhive.registry import Registry, instances_of
 
 
 @runtime_checkable
 class Importer(Protocol):
-    """Turns recordings of one format into dataset folders."""
+    """Turns recordings of one format into dataset folders.
+
+    Attributes:
+        title: The format in one line: what it is, and which files it has.
+        options: The fields of :class:`~slamhive.bags.importing.ImportOptions` that it takes.
+        refines: Names of more general formats. Where one of them fits as well, this one is chosen.
+    """
+
+    title: str
+    options: frozenset[str]
+    refines: frozenset[str]
 
     def detect(self, path: Path) -> Detection:
-        """Say what at ``path`` speaks for the format and what is missing, without reading much."""
+        """Say what at ``path`` (a file or folder) speaks for the format and what is missing, without reading much."""
         ...
 
-    def convert(self, source: Path, folder: Path, name: str, progress: Progress) -> Dataset:
-        """Make the dataset ``name`` in ``folder`` completely, or raise InvalidInput, Conflict or Unavailable."""
+    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
+        """What ``source`` becomes. Reads lists, calibration and ground truth, but no images or point clouds.
+
+        Raises InvalidInput naming the file, the line, the value and the remedy.
+        """
         ...
 
 
 IMPORTERS: Registry[Importer] = Registry("dataset importer", "slamhive.dataset_importers", instances_of(Importer))
 IMPORTERS.register("kitti-odometry", KittiOdometryImporter())
 
-AUTO = "auto"
-"""Stands for the format that fits."""
+
+def plan_import(source: Path, options: ImportOptions, format_name: str | None = None) -> tuple[str, ImportPlan]:
+    """The format of ``source`` and what it becomes.
+
+    Args:
+        source: A file or folder.
+        options: What users say about it.
+        format_name: The name of the importer; None to detect it.
+
+    Raises:
+        NotFound: There is no such importer.
+        InvalidInput: The format is unknown or ambiguous, an option does not fit it, or a file is damaged.
+    """
+    chosen = None if format_name is None else IMPORTERS.get(format_name)
+    if not source.exists():
+        raise InvalidInput(f"{source} does not exist", "give the file or folder of the recording")
+    name = format_name or detect_format(source)
+    importer = chosen or IMPORTERS.get(name)
+    unfit = [option for option in options.given if option not in importer.options]
+    if unfit:
+        takes = ", ".join(sorted(importer.options)) or "none"
+        raise InvalidInput(f"importer {name} takes no option {', '.join(unfit)}", f"leave it out; it takes {takes}")
+    return name, importer.plan(source, options)
 
 
 def detect_format(path: Path) -> str:
     """The name of the importer that can convert ``path``.
 
-    Raises InvalidInput that names, for the format that fits best, what is missing.
+    Raises InvalidInput that names the formats if several fit; if none does, what the nearest one misses.
     """
     detections = {name: importer.detect(path) for name, importer in IMPORTERS}
-    for name, detection in detections.items():
-        if detection.complete:
-            return name
+    fitting = {name for name, detection in detections.items() if detection.complete}
+    general = {other for name in fitting for other in IMPORTERS.get(name).refines}
+    names = sorted(fitting - general)
+    if len(names) == 1:
+        return names[0]
+    if names:
+        evidence = "; ".join(f"{name} ({', '.join(detections[name].found)})" for name in names)
+        raise InvalidInput(f"{path} fits several formats: {evidence}", "choose one with --format")
+    raise _unknown_format(path, detections)
+
+
+def _unknown_format(path: Path, detections: Mapping[str, Detection]) -> InvalidInput:
     name, nearest = max(detections.items(), key=lambda entry: len(entry[1].found))
     if not nearest.found:
-        raise InvalidInput(
+        return InvalidInput(
             f"{path} is in no format that can be imported", f"known formats: {', '.join(IMPORTERS.names())}"
         )
-    raise InvalidInput(
+    return InvalidInput(
         f"{path} looks like {name} (found {', '.join(nearest.found)}), but lacks {', '.join(nearest.missing)}",
-        "add what is missing",
+        "add what is missing, or name another format with --format",
     )

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from slamhive.bags.bag_writer import nanoseconds
+from slamhive.bags.bag_writer import BagWriter, nanoseconds
 from slamhive.bags.detection import Detection
 from slamhive.bags.frame_files import read_png, read_velodyne
 from slamhive.bags.geometry import Array, quaternions_from_rotations, transform
+from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream
 from slamhive.bags.kitti_sequence import KittiSequence, detect_kitti, read_sequence
-from slamhive.bags.staging import GROUND_TRUTH_FILE, NewDataset, Progress, new_dataset
-from slamhive.domain.dataset import Dataset, GroundTruth
-from slamhive.domain.names import check_name
+from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput
 
-_LOG = logging.getLogger(__name__)
 _FIRST_COLOUR_CAMERA = 2
+_OVERHEAD_BYTES = 1000
+"""Of a message: header, camera info, index."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,49 +46,48 @@ class KittiOdometryImporter:
     point. Colour images (``image_2``, ``image_3``) become ``bgr8``, grey ones ``mono8``.
     """
 
+    title = "KITTI odometry sequence: PNG images, Velodyne scans, calib.txt, times.txt, poses"
+    options: frozenset[str] = frozenset()
+    refines: frozenset[str] = frozenset()
+
     def detect(self, path: Path) -> Detection:
         """The parts of a sequence in ``path``."""
         return detect_kitti(path)
 
-    def convert(self, source: Path, folder: Path, name: str, progress: Progress) -> Dataset:
-        """Make the dataset ``name`` in ``folder``, complete or not at all.
-
-        Raises:
-            InvalidInput: naming the file, the line or frame, what was found, and the remedy.
-            Conflict: the dataset exists.
-            Unavailable: not enough disk space.
-        """
-        check_name("dataset", name)
+    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:  # noqa: ARG002 - it takes no options
+        """What the sequence becomes; raises InvalidInput naming the file, the line or frame, and the remedy."""
         sequence = read_sequence(source)
-        cameras = [_camera(sequence, number) for number in sequence.images]
+        streams = [_camera_stream(sequence, _camera(sequence, number)) for number in sequence.images]
         lidar = _lidar(sequence)
-        with new_dataset(folder, _expected_bytes(sequence, cameras)) as new:
-            _record(new, sequence, cameras, lidar, progress)
-            if sequence.poses is not None:
-                poses = sequence.poses
-                new.write_ground_truth(sequence.times_s, poses[:, :, 3], quaternions_from_rotations(poses[:, :, :3]))
-            progress(0.97, "computing the checksum")
-            sensors = (*(camera.sensor for camera in cameras), *([lidar] if lidar else []))
-            dataset = new.seal(sensors=sensors, **_description(sequence))
-        _LOG.info("imported %s as dataset %s", source, name)
-        progress(1.0, "done")
-        return dataset
+        if lidar is not None:
+            streams.append(_lidar_stream(sequence, lidar))
+        return ImportPlan(tuple(streams), _truth(sequence), _text(sequence))
 
 
-def _record(
-    new: NewDataset, sequence: KittiSequence, cameras: list[_Camera], lidar: Sensor | None, progress: Progress
-) -> None:
-    frames = len(sequence.times_s)
-    with new.recording() as bag:
-        for index, time_s in enumerate(sequence.times_s):
-            stamp_ns = nanoseconds(float(time_s))
-            for camera in cameras:
-                pixels = _pixels(sequence.images[camera.number][index], camera)
-                bag.camera_info(camera.sensor, f"/{camera.sensor.name}/camera_info", stamp_ns, camera.baseline_m)
-                bag.image(camera.sensor, stamp_ns, pixels, camera.encoding)
-            if lidar is not None:
-                bag.points(lidar, stamp_ns, stamp_ns, read_velodyne(sequence.scans[index]))
-            progress(0.95 * (index + 1) / frames, f"converting frame {index + 1} of {frames}")
+def _camera_stream(sequence: KittiSequence, camera: _Camera) -> Stream:
+    times_ns, paths, sensor = _times_ns(sequence), sequence.images[camera.number], camera.sensor
+
+    def write(bag: BagWriter, index: int) -> None:
+        pixels, stamp_ns = _pixels(paths[index], camera), int(times_ns[index])
+        bag.camera_info(sensor, f"/{sensor.name}/camera_info", stamp_ns, camera.baseline_m)
+        bag.image(sensor, stamp_ns, pixels, camera.encoding)
+
+    pixels = int(sensor.calibration["width"]) * int(sensor.calibration["height"])  # type: ignore[arg-type]
+    return Stream(sensor, times_ns, write, pixels * (3 if camera.colour else 1) + _OVERHEAD_BYTES)
+
+
+def _lidar_stream(sequence: KittiSequence, lidar: Sensor) -> Stream:
+    times_ns, scans = _times_ns(sequence), sequence.scans
+
+    def write(bag: BagWriter, index: int) -> None:
+        stamp_ns = int(times_ns[index])
+        bag.points(lidar, stamp_ns, stamp_ns, read_velodyne(scans[index]))
+
+    return Stream(lidar, times_ns, write, sum(path.stat().st_size for path in scans) // len(scans) + _OVERHEAD_BYTES)
+
+
+def _times_ns(sequence: KittiSequence) -> Array:
+    return np.array([nanoseconds(float(time_s)) for time_s in sequence.times_s], dtype=np.int64)
 
 
 def _pixels(path: Path, camera: _Camera) -> Array:
@@ -110,6 +107,16 @@ def _camera(sequence: KittiSequence, number: int) -> _Camera:
     P = sequence.projections[number]
     colour = number >= _FIRST_COLOUR_CAMERA
     height, width = read_png(sequence.images[number][0], colour=colour).shape[:2]
+    intrinsics = CameraIntrinsics(
+        width=int(width),
+        height=int(height),
+        fx=float(P[0, 0]),
+        fy=float(P[1, 1]),
+        cx=float(P[0, 2]),
+        cy=float(P[1, 2]),
+        distortion=(0.0, 0.0, 0.0, 0.0),
+        rectified=True,
+    )
     position_m = 0.0 - np.linalg.solve(P[:, :3], P[:, 3])
     sensor = Sensor(
         f"cam{number}",
@@ -117,18 +124,7 @@ def _camera(sequence: KittiSequence, number: int) -> _Camera:
         f"/cam{number}/image_raw",
         _rate_hz(sequence),
         tuple(float(value) for value in transform(np.eye(3), position_m).reshape(-1)),
-        {
-            "width": int(width),
-            "height": int(height),
-            "fx": float(P[0, 0]),
-            "fy": float(P[1, 1]),
-            "cx": float(P[0, 2]),
-            "cy": float(P[1, 2]),
-            "encoding": "bgr8" if colour else "mono8",
-            "model": "pinhole",
-            "distortion": (0.0, 0.0, 0.0, 0.0),
-            "rectified": True,
-        },
+        intrinsics.calibration("bgr8" if colour else "mono8"),
     )
     return _Camera(number, sensor, float(position_m[0]))
 
@@ -155,29 +151,27 @@ def _lidar(sequence: KittiSequence) -> Sensor | None:
     )
 
 
-def _description(sequence: KittiSequence) -> dict[str, Any]:
-    has_truth = sequence.poses is not None
-    return {
-        "duration_s": float(sequence.times_s[-1] - sequence.times_s[0]),
-        "groundtruth": GroundTruth(GROUND_TRUTH_FILE, gravity_aligned=False) if has_truth else None,
-        "title": f"KITTI odometry, {sequence.source.resolve().name}",
-        "description": f"{len(sequence.times_s)} frames of the KITTI odometry benchmark; the body is camera 0.",
-        "licence": "CC BY-NC-SA 3.0",
-        "source": "https://www.cvlibs.net/datasets/kitti/eval_odometry.php",
-        "attributes": ("real", "outdoor", "car"),
-    }
+def _truth(sequence: KittiSequence) -> PlannedTruth | None:
+    poses = sequence.poses
+    if poses is None:
+        return None
+    quats_xyzw = quaternions_from_rotations(poses[:, :, :3])
+    return PlannedTruth(
+        sequence.times_s, poses[:, :, 3], quats_xyzw, gravity_aligned=False, source="GNSS and IMU (RTK)"
+    )
+
+
+def _text(sequence: KittiSequence) -> DatasetText:
+    return DatasetText(
+        title=f"KITTI odometry, {sequence.source.resolve().name}",
+        description=f"{len(sequence.times_s)} frames of the KITTI odometry benchmark; the body is camera 0.",
+        licence="CC BY-NC-SA 3.0",
+        citation="Geiger, Lenz, Urtasun: Are we ready for autonomous driving? The KITTI benchmark suite. CVPR 2012",
+        source="https://www.cvlibs.net/datasets/kitti/eval_odometry.php",
+        attributes=("real", "outdoor", "car"),
+    )
 
 
 def _rate_hz(sequence: KittiSequence) -> float:
     times_s = sequence.times_s
     return round(float((len(times_s) - 1) / (times_s[-1] - times_s[0])), 6)
-
-
-def _expected_bytes(sequence: KittiSequence, cameras: list[_Camera]) -> int:
-    frames = len(sequence.times_s)
-    image_bytes = 0
-    for camera in cameras:
-        width, height = camera.sensor.calibration["width"], camera.sensor.calibration["height"]
-        image_bytes += int(width) * int(height) * (3 if camera.colour else 1)  # type: ignore[arg-type]
-    scan_bytes = sum(path.stat().st_size for path in sequence.scans)
-    return frames * (image_bytes + 2000) + scan_bytes

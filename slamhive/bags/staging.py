@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import hashlib
 import os
@@ -16,15 +17,21 @@ from slamhive.bags.geometry import Array
 from slamhive.catalogue.dataset_file import DATASET_FILE, dataset_to_yaml
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import Conflict, Unavailable
-from slamhive.files import sweep_folder
+from slamhive.files import size_bytes, sweep_folder
 from slamhive.trajectory.tum import write_tum
 
 Progress = Callable[[float, str], None]
 """Called with the fraction done (0..1) and what is being done."""
 
+
+def _silent(_fraction: float, _text: str) -> None:
+    """Show nothing."""
+
+
 GROUND_TRUTH_FILE = "groundtruth.txt"
 PLAY_SCRIPT = "rosbag_play.py"
 _SPARE_BYTES = 50_000_000
+_BLOCK_BYTES = 4_000_000
 
 
 class NewDataset:
@@ -40,6 +47,11 @@ class NewDataset:
         self._folder = folder
         self._bag = f"{folder.name}.bag"
 
+    def keep(self, recording: Path, progress: Progress) -> None:
+        """Copy a finished recording, a file or the folder of a ROS 2 bag, in place of writing one."""
+        self._bag = f"{self._folder.name}{recording.suffix if recording.is_file() else ''}"
+        copy_recording(recording, self.aside / self._bag, progress)
+
     def recording(self) -> BagWriter:
         """The writer of the dataset's bag; use as a context manager."""
         return BagWriter(self.aside / self._bag)
@@ -48,8 +60,8 @@ class NewDataset:
         """Write the poses of the body: times (n,), positions (n, 3), quaternions (n, 4)."""
         write_tum(self.aside / GROUND_TRUTH_FILE, times_s, positions_m, quats_xyzw)
 
-    def seal(self, **description: Any) -> Dataset:
-        """Write ``dataset.yaml`` and the play script.
+    def seal(self, progress: Progress = _silent, **description: Any) -> Dataset:
+        """Compute the checksum, then write ``dataset.yaml`` and the play script.
 
         ``description`` holds the fields of :class:`~slamhive.domain.dataset.Dataset` except name, folder, bag and
         checksum, which follow from the folder.
@@ -58,7 +70,7 @@ class NewDataset:
             name=self._folder.name,
             folder=self._folder,
             bag=self._bag,
-            checksum=checksum(self.aside / self._bag),
+            checksum=checksum(self.aside / self._bag, progress),
             **description,
         )
         seal(self.aside, dataset)
@@ -115,16 +127,56 @@ def seal(aside: Path, dataset: Dataset) -> None:
     (aside / DATASET_FILE).write_text(dataset_to_yaml(dataset), encoding="utf-8")
 
 
-def checksum(path: Path) -> str:
+def checksum(path: Path, progress: Progress = _silent) -> str:
     """``sha256:<hex>`` of a file, or of the names and contents of all files in a folder."""
-    if path.is_file():
-        with path.open("rb") as stream:
-            return f"sha256:{hashlib.file_digest(stream, 'sha256').hexdigest()}"
+    total = max(size_bytes(path), 1)
+    done = 0
     digests = hashlib.sha256()
-    for file in sorted(entry for entry in path.iterdir() if entry.is_file()):
-        with file.open("rb") as stream:
-            digests.update(f"{file.relative_to(path)}\0".encode() + hashlib.file_digest(stream, "sha256").digest())
+    for file in recording_files(path):
+        digest = hashlib.sha256()
+        with file.open("rb", buffering=0) as stream:
+            while block := stream.read(_BLOCK_BYTES):
+                digest.update(block)
+                done += len(block)
+                progress(done / total, "computing the checksum")
+        if file == path:
+            return f"sha256:{digest.hexdigest()}"
+        digests.update(f"{file.relative_to(path)}\0".encode() + digest.digest())
     return f"sha256:{digests.hexdigest()}"
+
+
+def recording_files(path: Path) -> list[Path]:
+    """The files that make up a recording: the file itself, or all in the folder of a ROS 2 bag."""
+    return [path] if path.is_file() else sorted(entry for entry in path.iterdir() if entry.is_file())
+
+
+def copy_recording(source: Path, target: Path, progress: Progress) -> None:
+    """Copy the files of a recording; file systems that can share the blocks (Btrfs, XFS) do so."""
+    files = recording_files(source)
+    total = max(sum(file.stat().st_size for file in files), 1)
+    done = 0
+    if source.is_dir():
+        target.mkdir()
+    for file in files:
+        copy = target / file.name if source.is_dir() else target
+        with file.open("rb") as reader, copy.open("wb") as writer:
+            while count := _copy_block(reader.fileno(), writer.fileno()):
+                done += count
+                progress(done / total, f"copying {done / 1e6:.0f} of {total / 1e6:.0f} MB")
+
+
+def _copy_block(source: int, target: int) -> int:
+    """Copy the next block between two descriptors; the number of bytes, 0 at the end."""
+    try:
+        return os.copy_file_range(source, target, _BLOCK_BYTES)
+    except OSError as error:
+        if error.errno not in {errno.EXDEV, errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP}:
+            raise
+    block = memoryview(os.read(source, _BLOCK_BYTES))
+    count = len(block)
+    while block:
+        block = block[os.write(target, block) :]
+    return count
 
 
 def _lock(aside: Path, folder: Path) -> int:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+from dataclasses import asdict
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from slamhive import strict_yaml
+from slamhive.domain.calibration import camera_model
 from slamhive.domain.dataset import Dataset, GroundTruth
-from slamhive.domain.sensors import IDENTITY4, Sensor, SensorKind, is_rigid
+from slamhive.domain.sensors import IDENTITY4, CalibrationValue, Sensor, SensorKind, is_rigid
 from slamhive.errors import InvalidInput
 from slamhive.schema.validation import check_name_in, first_problem
 
@@ -22,9 +24,8 @@ _CHECKSUM = re.compile(r"sha256:[0-9a-f]{64}")
 REQUIRED_CALIBRATION: dict[SensorKind, tuple[str, ...]] = {
     SensorKind.CAMERA: ("width", "height", "fx", "fy", "cx", "cy"),
     SensorKind.DEPTH: ("width", "height", "fx", "fy", "cx", "cy", "units_per_m"),
-    SensorKind.IMU: (),
-    SensorKind.LIDAR: (),
 }
+_CAMERAS = {SensorKind.CAMERA, SensorKind.DEPTH}
 
 
 class _SensorModel(BaseModel):
@@ -57,6 +58,7 @@ class _GroundTruthModel(BaseModel):
     gravity_aligned: bool
     positions_only: bool = False
     kitti_poses: str | None = None
+    source: str = ""
 
 
 class _DatasetModel(BaseModel):
@@ -66,6 +68,7 @@ class _DatasetModel(BaseModel):
     title: str = ""
     description: str = ""
     licence: str = ""
+    citation: str = ""
     source: str = ""
     attributes: list[str] = Field(default_factory=list)
     bag: str | None = None
@@ -126,6 +129,7 @@ def load_dataset(folder: Path) -> Dataset:
         title=model.title,
         description=model.description,
         licence=model.licence,
+        citation=model.citation,
         source=model.source,
         attributes=tuple(model.attributes),
         reference_map=model.reference_map,
@@ -141,6 +145,7 @@ def dataset_to_yaml(dataset: Dataset) -> str:
         "title": dataset.title,
         "description": dataset.description,
         "licence": dataset.licence,
+        **({"citation": dataset.citation} if dataset.citation else {}),
         "source": dataset.source,
         "attributes": list(dataset.attributes),
         **({"bag": dataset.bag} if dataset.bag else {}),
@@ -161,13 +166,10 @@ def dataset_to_yaml(dataset: Dataset) -> str:
         ],
     }
     if dataset.groundtruth is not None:
+        truth = asdict(dataset.groundtruth)
         content["groundtruth"] = {
-            "file": dataset.groundtruth.file,
-            "gravity_aligned": dataset.groundtruth.gravity_aligned,
-            "positions_only": dataset.groundtruth.positions_only,
+            key: value for key, value in truth.items() if value or key not in {"kitti_poses", "source"}
         }
-        if dataset.groundtruth.kitti_poses is not None:
-            content["groundtruth"]["kitti_poses"] = dataset.groundtruth.kitti_poses
     for key in ("reference_map", "relations"):
         if getattr(dataset, key) is not None:
             content[key] = getattr(dataset, key)
@@ -181,10 +183,12 @@ def _sensor(model: _SensorModel) -> Sensor:
         topic=model.topic,
         rate_hz=model.rate_hz,
         T_body_sensor=tuple(model.T_body_sensor),
-        calibration={
-            key: tuple(value) if isinstance(value, list) else value for key, value in model.calibration.items()
-        },
+        calibration=_calibration(model),
     )
+
+
+def _calibration(model: _SensorModel) -> dict[str, CalibrationValue]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in model.calibration.items()}
 
 
 def _check_sensors(path: Path, sensors: list[_SensorModel]) -> None:
@@ -193,9 +197,11 @@ def _check_sensors(path: Path, sensors: list[_SensorModel]) -> None:
         check_name_in(path, "sensor", sensor.name)
         if names.count(sensor.name) > 1:
             raise InvalidInput(f"{path}: two sensors have the name {sensor.name!r}", "give each a name of its own")
-        missing = [key for key in REQUIRED_CALIBRATION[sensor.kind] if key not in sensor.calibration]
+        missing = [key for key in REQUIRED_CALIBRATION.get(sensor.kind, ()) if key not in sensor.calibration]
         if missing:
             raise InvalidInput(f"{path}: sensor {sensor.name} lacks calibration {', '.join(missing)}")
+        if sensor.kind in _CAMERAS:
+            camera_model(_calibration(sensor), f"{path}: sensor {sensor.name}")
 
 
 def _check_plain_file(path: Path, kind: str, name: str) -> None:

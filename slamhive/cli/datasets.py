@@ -7,11 +7,13 @@ from typing import Any
 
 import click
 
+from slamhive.bags.importing import ImportOptions
 from slamhive.bags.room import RoomOptions
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.domain.dataset import Dataset
-from slamhive.services.datasets import dataset_document
+from slamhive.errors import InvalidInput
+from slamhive.services.datasets import PlannedImport, dataset_document
 
 
 @click.group()
@@ -20,16 +22,84 @@ def dataset() -> None:
 
 
 @dataset.command("import")
-@click.argument("importer", metavar="FORMAT")
-@click.argument("source", type=click.Path(path_type=Path))
-@click.option("--name", required=True, help="Name of the new dataset.")
+@click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
+@click.option("--name", help="Name of the new dataset.  [default: that of PATH]")
+@click.option("--format", "format_name", help="Format of PATH.  [default: detected]")
+@click.option("--groundtruth", type=click.Path(path_type=Path), help="Ground truth in TUM format.")
+@click.option("--groundtruth-topic", help="Topic that holds the ground truth.")
+@click.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    help="Calibration: Kalibr's camchain.yaml or imu.yaml, or a dataset.yaml. Can be given several times.",
+)
+@click.option(
+    "--topic", "topics", metavar="SENSOR=TOPIC", multiple=True, help="Topic of a sensor, for instance cam0=/left."
+)
+@click.option("--typestore", help="Message types of a recording that does not contain them, for instance ros2_humble.")
+@click.option(
+    "--msgs",
+    "message_definitions",
+    type=click.Path(path_type=Path),
+    help="Folder of .msg files for types that are not defined.",
+)
+@click.option("--depth-units-per-m", type=float, help="Value of a depth pixel that means one metre, for instance 5000.")
+@click.option(
+    "--frame-rate",
+    "frame_rate_hz",
+    type=float,
+    metavar="HZ",
+    help="Frames per second, where the format stores no timestamps.",
+)
+@click.option("--sequence", help="Sequence, where PATH holds several.")
+@click.option("--preview", is_flag=True, help="Show what would be made, and stop.")
 @json_option
 @pass_cli
-def import_(cli: CliContext, importer: str, source: Path, name: str, as_json: bool) -> None:
-    """Convert a recording in FORMAT (kitti-odometry, or auto to detect it) at SOURCE into a dataset."""
-    with progress_bar(f"importing {name}") as progress:
-        made = cli.hive(indexed=False).catalogue.import_dataset(importer, source, name, progress)
-    _report(made, as_json)
+def import_(
+    cli: CliContext, source: Path, name: str | None, format_name: str | None, preview: bool, as_json: bool, **given: Any
+) -> None:
+    """Make a dataset of the recording at PATH: a file or a folder, its format is detected."""
+    catalogue = cli.hive(indexed=False).catalogue
+    given["topics"] = dict(_sensor_and_topic(text) for text in given["topics"])
+    planned = catalogue.plan_import(source, ImportOptions(**given), format_name=format_name, name=name)
+    if preview and as_json:
+        print_json(planned.content)
+        return
+    if not as_json:
+        _show_plan(planned)
+    if preview:
+        return
+    with progress_bar(f"importing {planned.name}") as progress:
+        made = catalogue.import_dataset(planned, progress)
+    if as_json:
+        _report(made, as_json)
+    else:
+        tell(f"dataset {made.name} is ready: slamhive run ALGORITHM {made.name} --evaluate")
+
+
+def _sensor_and_topic(text: str) -> tuple[str, str]:
+    sensor, equals, topic = text.partition("=")
+    if not sensor or not equals or not topic:
+        raise InvalidInput(f"--topic {text!r} is not SENSOR=TOPIC", "write for instance --topic cam0=/left/image_raw")
+    return sensor, topic
+
+
+def _show_plan(planned: PlannedImport) -> None:
+    plan, truth = planned.plan, planned.plan.truth
+    click.echo(f"{planned.name}: {planned.format}, {plan.duration_s:.1f} s, about {plan.needed_bytes / 1e6:.0f} MB")
+    if truth is None:
+        words = "none" if plan.relations is None else "relations"
+    else:
+        kind = "positions" if truth.quats_xyzw is None else "poses"
+        words = f"{len(truth.times_s)} {kind}{', ' if truth.source else ''}{truth.source}"
+    click.echo(f"ground truth: {words}")
+    rows = [
+        (sensor.name, sensor.kind.value, sensor.topic, plan.counts[sensor.name], f"{sensor.rate_hz:g}")
+        for sensor in plan.sensors
+    ]
+    print_table(("sensor", "kind", "topic", "messages", "rate Hz"), rows, right=("messages", "rate Hz"))
+    for note in plan.notes:
+        tell(f"note: {note}")
 
 
 @dataset.command("room")
@@ -111,6 +181,7 @@ def _report(entry: Dataset, as_json: bool) -> None:
         ("title", entry.title),
         ("attributes", ", ".join(entry.attributes)),
         ("licence", entry.licence),
+        ("citation", entry.citation),
         ("ground truth", _ground_truth_in_words(entry)),
         ("relations", entry.relations),
     ):

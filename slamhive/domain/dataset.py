@@ -8,6 +8,8 @@ from pathlib import Path
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput, lacks
 
+RELATIONS_FILE = "relations.txt"
+
 
 @dataclass(frozen=True, slots=True)
 class GroundTruth:
@@ -15,13 +17,14 @@ class GroundTruth:
 
     ``gravity_aligned`` says that the world's z axis points up, which yaw + position alignment needs. ``kitti_poses`` is
     the file of the same poses as KITTI publishes them, where they come from one: matrices of seven digits, which the
-    KITTI protocol takes as they are.
+    KITTI protocol takes as they are. ``source`` says what measured it: ``motion capture (Vicon)``.
     """
 
     file: str
     gravity_aligned: bool
     positions_only: bool = False
     kitti_poses: str | None = None
+    source: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,7 @@ class Dataset:
     title: str = ""
     description: str = ""
     licence: str = ""
+    citation: str = ""
     source: str = ""
     attributes: tuple[str, ...] = ()
     reference_map: str | None = None

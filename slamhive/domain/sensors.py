@@ -12,6 +12,9 @@ Matrix4 = tuple[float, ...]
 
 IDENTITY4: Matrix4 = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
+CalibrationValue = float | int | str | tuple[float, ...]
+"""What a key of a sensor's calibration may hold; ``bool`` is an ``int``."""
+
 _RIGID_TOLERANCE = 1e-3
 
 
@@ -37,6 +40,11 @@ class SensorKind(StrEnum):
     DEPTH = "depth"
     IMU = "imu"
     LIDAR = "lidar"
+    LASER = "laser"
+    """A laser scanner that measures in one plane."""
+    ODOMETRY = "odometry"
+    """Wheel odometry: poses and velocities that the platform computes itself."""
+    GNSS = "gnss"
 
 
 class SensorSetup(StrEnum):
@@ -65,4 +73,4 @@ class Sensor:
     topic: str
     rate_hz: float
     T_body_sensor: Matrix4 = IDENTITY4
-    calibration: dict[str, float | int | str | tuple[float, ...]] = field(default_factory=dict)
+    calibration: dict[str, CalibrationValue] = field(default_factory=dict)

@@ -77,6 +77,7 @@ class GroundTruth(Document):
     exists: Annotated[bool, described("The file is there.")]
     gravity_aligned: Annotated[bool, described("The z axis points up.")]
     positions_only: bool
+    source: Annotated[str, described("What measured it.")]
 
 
 class Dataset(Document):
@@ -86,6 +87,7 @@ class Dataset(Document):
     title: str
     description: str
     licence: str
+    citation: str
     source: str
     attributes: tuple[str, ...]
     duration_s: Annotated[float, described("Duration of the recording.", unit="s")]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from slamhive.bags.importers import IMPORTERS, detect_format
+from slamhive.bags.importing import ImportOptions, perform
 from slamhive.bags.reader import decode, inspect_bag, messages, open_bag
 from slamhive.catalogue.dataset_file import load_dataset
 from slamhive.domain.sensors import SensorKind
@@ -52,7 +53,7 @@ def sequence(tmp_path):
 
 
 def convert(source, folder):
-    return IMPORTERS.get("kitti-odometry").convert(source, folder, folder.name, silent)
+    return perform(IMPORTERS.get("kitti-odometry").plan(source, ImportOptions()), folder, silent)
 
 
 def test_a_sequence_becomes_a_dataset(sequence, tmp_path):

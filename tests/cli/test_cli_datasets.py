@@ -44,6 +44,7 @@ def test_json_holds_extrinsics_gravity_and_attributes(slamhive):
         "exists": True,
         "gravity_aligned": True,
         "positions_only": False,
+        "source": "",
     }
     assert shown["attributes"] == []
 
@@ -63,11 +64,11 @@ def test_what_is_left_out_stays_on_one_line(slamhive, tmp_path):
 
 
 def test_the_format_of_a_recording_is_found_out(slamhive, sequence, tmp_path):
-    made = slamhive("dataset", "import", "auto", str(sequence), "--name", "found")
+    made = slamhive("dataset", "import", str(sequence), "--name", "found")
     assert made.exit_code == 0, made.stderr
     assert "cam0" in slamhive("dataset", "show", "found").stdout
     (tmp_path / "empty").mkdir()
-    refused = slamhive("dataset", "import", "auto", str(tmp_path / "empty"), "--name", "other")
+    refused = slamhive("dataset", "import", str(tmp_path / "empty"), "--name", "other")
     assert refused.exit_code == 1
     assert "is in no format that can be imported; known formats: kitti-odometry" in refused.stderr
     assert not (tmp_path / "data" / "datasets" / "other").exists()

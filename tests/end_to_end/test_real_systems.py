@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.bags.importing import ImportOptions
 from slamhive.bags.room import RoomOptions
 from slamhive.domain.run import RunState
 from slamhive.schema.submission import Submission
@@ -29,7 +30,8 @@ def hive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
 def kitti_06(hive: Hive) -> str:
     if not KITTI_06.is_dir():
         pytest.skip("the recorded data in ../shared/data is not here")
-    hive.catalogue.import_dataset("kitti-odometry", KITTI_06, "kitti_06", lambda _fraction, _text: None)
+    planned = hive.catalogue.plan_import(KITTI_06, ImportOptions(), name="kitti_06")
+    hive.catalogue.import_dataset(planned, lambda _fraction, _text: None)
     return "kitti_06"
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.bags.importing import ImportOptions
 from slamhive.bags.room import RoomOptions
 from slamhive.catalogue.dataset_file import dataset_to_yaml
 from slamhive.domain.configuration import PlaybackMode
@@ -43,7 +44,7 @@ def silent(_fraction: float, _text: str) -> None:
 def half_size_run(hive: Hive) -> RunRecord:
     if not KITTI_06.is_dir():
         pytest.skip("the recorded data in ../shared/data is not here")
-    hive.catalogue.import_dataset("kitti-odometry", KITTI_06, "kitti_06", silent)
+    hive.catalogue.import_dataset(hive.catalogue.plan_import(KITTI_06, ImportOptions(), name="kitti_06"), silent)
     entry = run(hive, ORB, "kitti_06", HALF_SIZE)
     assert entry.state is RunState.SUCCEEDED, hive.runs.log(entry.id)[-2000:]
     return entry

@@ -123,9 +123,15 @@ EXPECTED = {
     ("pre-processing step", "exiting"): r"SystemExit: bye",
     ("pre-processing step", "number"): r"it is no subclass of Step, but <class 'slamhive_wrong.Half'>",
     ("plot type", "raising"): r"RuntimeError: two lines",
-    ("dataset importer", "number"): r"it is no Importer, but of type list without convert, detect",
+    (
+        "dataset importer",
+        "number",
+    ): r"it is no Importer, but of type list without detect, options, plan, refines, title",
     ("dataset importer", "missing"): r"AttributeError: module 'slamhive_wrong' has no attribute 'NOTHING'",
-    ("dataset importer", "kitti-odometry"): r"it is no Importer, but of type Half without convert, detect",
+    (
+        "dataset importer",
+        "kitti-odometry",
+    ): r"it is no Importer, but of type Half without detect, options, plan, refines, title",
     ("metric", "unnameable"): r"the metric key 'Jerk' is not allowed",
     ("evaluator", "half"): r"it is no Evaluator, but of type Half without evaluate",
     ("evaluator", "class"): r"it is the class Failing, not an object",
@@ -166,7 +172,7 @@ def test_the_doctor_names_each(broken: Command):
 
 def test_a_command_warns_once_and_goes_on(broken: Command, tmp_path: Path):
     (tmp_path / "depth").mkdir()
-    told = broken.run("dataset", "import", "auto", str(tmp_path), "--name", "x", expected=1).stderr
+    told = broken.run("dataset", "import", str(tmp_path), "--name", "x", expected=1).stderr
     assert "looks like tum-depth (found depth), but lacks depth.txt" in told
     assert told.count("dataset importer 'number' of slamhive-wrong 1.0.0") == 1
     assert "Traceback" not in told
@@ -175,7 +181,10 @@ def test_a_command_warns_once_and_goes_on(broken: Command, tmp_path: Path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("dataset", "import", "missing", ".", "--name", "x"), "dataset importer 'missing' of slamhive-wrong 1.0.0"),
+        (
+            ("dataset", "import", ".", "--format", "missing", "--name", "x"),
+            "dataset importer 'missing' of slamhive-wrong 1.0.0",
+        ),
         (("variants", "steps", "exiting"), "cannot be used: SystemExit: bye"),
         (("run", "tiny", "track", "--executor", "cluster"), "cannot be used: ModuleNotFoundError"),
         (("run", "tiny", "track", "--executor", "unmade"), "cannot be used: RuntimeError: no licence server"),

@@ -172,11 +172,11 @@ def test_an_importer_imports(evaluated: Command, tmp_path: Path):
         cv2.imwrite(str(source / "depth" / f"{number}.png"), np.full((48, 64), 5000 + number, np.uint16))
     (source / "depth.txt").write_text("# depth\n" + "".join(f"{10 + n / 10} depth/{n}.png\n" for n in range(3)))
     (source / "groundtruth.txt").write_text("10 0 0 0 0 0 0 1\n10.2 1 0 0 0 0 0 1\n")
-    made = evaluated.json("dataset", "import", "tum-depth", str(source), "--name", "desk")
+    made = evaluated.json("dataset", "import", str(source), "--format", "tum-depth", "--name", "desk")
     assert made["sensors"][0]["rate_hz"] == pytest.approx(10)
-    evaluated.run("dataset", "import", "auto", str(source), "--name", "again")
+    evaluated.run("dataset", "import", str(source), "--name", "again")
     (source / "depth.txt").write_text("10 depth/0.png\nnonsense\n")
-    told = evaluated.run("dataset", "import", "auto", str(source), "--name", "bad", expected=1).stderr
+    told = evaluated.run("dataset", "import", str(source), "--name", "bad", expected=1).stderr
     assert "depth.txt:2: 'nonsense' is no 'timestamp file'; correct the line" in told
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -17,6 +16,7 @@ from slamhive.catalogue.dataset_file import dataset_to_yaml
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.domain.variant import Variant, variant_to_json
+from slamhive.files import size_bytes
 
 ENGINE_VERSION = 1
 """Raise it when the same steps make other bytes; a step alone has ``Step.version``."""
@@ -40,7 +40,7 @@ def plan_variant(dataset: Dataset, variant: Variant) -> VariantPlan | None:
         dataset=dataset.name,
         steps=tuple(variant_to_json(variant)),
         needed_bytes=_needed_bytes(dataset, treatments),
-        source_bytes=_size_bytes(dataset.bag_path),
+        source_bytes=size_bytes(dataset.bag_path),
     )
 
 
@@ -70,7 +70,7 @@ def _options(step: Step) -> dict[str, Any]:
 
 def _needed_bytes(dataset: Dataset, treatments: tuple[Treatment, ...]) -> int:
     """An estimate from above: images shrink with pixels and rate, everything else is taken to stay as large."""
-    source_bytes = _size_bytes(dataset.bag_path)
+    source_bytes = size_bytes(dataset.bag_path)
     before = sum(_image_bytes(treatment.before, dataset.duration_s) for treatment in treatments)
     after = sum(_image_bytes(treatment.after, dataset.duration_s) for treatment in treatments)
     images_bytes = min(before, source_bytes)
@@ -84,9 +84,3 @@ def _image_bytes(sensor: Sensor, duration_s: float) -> float:
         return 0.0
     pixels = float(sensor.calibration["width"]) * float(sensor.calibration["height"])  # type: ignore[arg-type]
     return pixels * _PIXEL_BYTES.get(str(sensor.calibration.get("encoding")), 1) * sensor.rate_hz * duration_s
-
-
-def _size_bytes(path: Path) -> int:
-    if path.is_dir():
-        return sum(entry.stat().st_size for entry in path.rglob("*") if entry.is_file())
-    return path.stat().st_size if path.exists() else 0

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from slamhive.services.datasets.catalogue import Catalogue, check_writable, dataset_document
+from slamhive.services.datasets.catalogue import Catalogue, PlannedImport, check_writable, dataset_document
 from slamhive.services.datasets.external import algorithm_here_or_elsewhere, choose_algorithm, imported_algorithms
 from slamhive.services.datasets.variants import IDENTITY, UsedVariant, Variants, variant_key
 
 __all__ = [
     "IDENTITY",
     "Catalogue",
+    "PlannedImport",
     "UsedVariant",
     "Variants",
     "algorithm_here_or_elsewhere",

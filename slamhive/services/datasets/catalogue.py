@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from slamhive.bags.importers import AUTO, IMPORTERS, detect_format
+from slamhive.bags.importers import IMPORTERS, plan_import
+from slamhive.bags.importing import ImportOptions, ImportPlan, perform
 from slamhive.bags.room import RoomOptions, render_room
 from slamhive.catalogue.algorithm_file import ALGORITHM_FILE, load_algorithms
 from slamhive.catalogue.algorithm_folders import ALGORITHM_FOLDERS
@@ -33,6 +35,32 @@ class BrokenEntry:
     folder: Path
     problem: str
     is_algorithm: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedImport:
+    """What an import will make: the name of the dataset, the format that was found or named, and the plan."""
+
+    name: str
+    format: str
+    plan: ImportPlan
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The plan as plain JSON."""
+        plan, truth = self.plan, self.plan.truth
+        return {
+            "name": self.name,
+            "format": self.format,
+            "duration_s": plan.duration_s,
+            "needed_bytes": plan.needed_bytes,
+            "sensors": [
+                {**schema.Sensor.of(sensor).content, "messages": plan.counts[sensor.name]} for sensor in plan.sensors
+            ],
+            "groundtruth": None if truth is None else {**asdict(truth.definition), "poses": len(truth.times_s)},
+            "relations": plan.relations is not None,
+            "notes": list(plan.notes),
+        }
 
 
 class Catalogue:
@@ -107,17 +135,31 @@ class Catalogue:
         """Folders of algorithms and datasets that cannot be read, with the reason."""
         return (*self._scan_algorithms()[1], *self._scan_datasets()[1])
 
-    def import_dataset(self, importer_name: str, source: Path, name: str, progress: Progress) -> Dataset:
-        """Convert a recording of another format into the dataset ``name``; a failure leaves nothing behind.
+    def plan_import(
+        self, source: Path, options: ImportOptions, *, format_name: str | None = None, name: str | None = None
+    ) -> PlannedImport:
+        """Say what would be made of ``source``; changes nothing.
 
-        ``importer_name`` may be :data:`~slamhive.bags.importers.AUTO`.
+        Args:
+            source: The file or folder of a recording.
+            options: What users say about it.
+            format_name: The importer; None to detect it.
+            name: The name of the dataset; None for that of ``source``.
+
+        Raises:
+            NotFound: There is no such importer.
+            Conflict: The dataset exists already.
+            InvalidInput: The name or the source cannot be used; says why.
         """
-        chosen = None if importer_name == AUTO else IMPORTERS.get(importer_name)
-        folder = self._new_dataset_folder(name)
-        if not source.exists():
-            raise InvalidInput(f"{source} does not exist", "give the folder that holds the recording")
-        importer = chosen or IMPORTERS.get(detect_format(source))
-        return importer.convert(source, folder, name, progress)
+        if format_name is not None:
+            IMPORTERS.get(format_name)
+        name = _name_of(source) if name is None else name
+        self._refuse_taken(name)
+        return PlannedImport(name, *plan_import(source, options, format_name))
+
+    def import_dataset(self, planned: PlannedImport, progress: Progress) -> Dataset:
+        """Make the dataset as planned; a failure leaves nothing behind."""
+        return perform(planned.plan, self._new_dataset_folder(planned.name), progress)
 
     def render_room(self, options: RoomOptions, progress: Progress, *, replace: bool = False) -> Dataset:
         """Render the synthetic room as a new dataset."""
@@ -130,10 +172,8 @@ class Catalogue:
         shutil.rmtree(self.dataset(name).folder)
 
     def _new_dataset_folder(self, name: str, *, replace: bool = False) -> Path:
-        check_writable(self._settings)
-        folder = self.dataset_folder(check_name("dataset", name))
-        if folder.exists() and not replace:
-            raise Conflict(f"dataset {name!r} exists already", "choose another --name, or remove it first")
+        folder = self.dataset_folder(name)
+        self._refuse_taken(name, replace=replace)
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)
             if folder.exists():
@@ -141,6 +181,11 @@ class Catalogue:
         except OSError as error:
             raise Unavailable(f"{folder} cannot be made: {error.strerror}", "check space and rights") from None
         return folder
+
+    def _refuse_taken(self, name: str, *, replace: bool = False) -> None:
+        check_writable(self._settings)
+        if self.dataset_folder(check_name("dataset", name)).exists() and not replace:
+            raise Conflict(f"dataset {name!r} exists already", "choose another --name, or remove it first")
 
     def _load(self, path: Path, load: Callable[[Path], Loaded]) -> Loaded:
         """Load the folder of ``path``, or return the cached result if the file has not changed."""
@@ -190,6 +235,13 @@ class Catalogue:
             except SlamHiveError as error:
                 broken.append(BrokenEntry(path.parent.name, path.parent, str(error), is_algorithm=False))
         return found, broken
+
+
+def _name_of(source: Path) -> str:
+    """The name of a file or folder, with ``_`` in place of what names of datasets must not contain."""
+    resolved = source.resolve()
+    stem = resolved.stem if resolved.is_file() else resolved.name
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", stem).strip("_-")[:64] or "dataset"
 
 
 def check_writable(settings: Settings) -> None:

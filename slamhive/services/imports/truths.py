@@ -9,7 +9,7 @@ from pathlib import Path
 
 from slamhive.bags.staging import GROUND_TRUTH_FILE, new_dataset_folder
 from slamhive.catalogue.dataset_file import DATASET_FILE, dataset_to_yaml
-from slamhive.domain.dataset import Dataset, GroundTruth
+from slamhive.domain.dataset import RELATIONS_FILE, Dataset, GroundTruth
 from slamhive.domain.names import check_name
 from slamhive.domain.protocol import Duplicates
 from slamhive.errors import InvalidInput, NotFound
@@ -21,7 +21,6 @@ from slamhive.services.imports.request import Reading
 from slamhive.trajectory.layout import UNKNOWN, Convention
 from slamhive.trajectory.table import read_bounded
 
-RELATIONS_FILE = "relations.txt"
 KITTI_POSES_FILE = "groundtruth_kitti.txt"
 
 

@@ -1,0 +1,262 @@
+"""What an importer plans, and how a plan becomes a dataset.
+
+An importer reads the small files of a recording (lists, calibration, ground truth) and returns an
+:class:`ImportPlan`. Commands show the plan before anything is written. :func:`perform` then streams the messages
+of all sensors in order of time, so memory does not grow with the recording.
+"""
+
+from __future__ import annotations
+
+import heapq
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from slamhive.bags.bag_writer import NS_PER_S, BagWriter
+from slamhive.bags.geometry import Array
+from slamhive.bags.staging import GROUND_TRUTH_FILE, NewDataset, Progress, new_dataset
+from slamhive.domain.dataset import RELATIONS_FILE, Dataset, GroundTruth
+from slamhive.domain.sensors import Sensor
+from slamhive.errors import InvalidInput
+from slamhive.files import size_bytes
+
+_LOG = logging.getLogger(__name__)
+_RECORDED, _HASHED = 0.9, 0.98
+"""The fractions of an import after which the recording is written, and its checksum known."""
+
+OPTION_HELP: dict[str, str] = {
+    "groundtruth": "ground truth file in TUM format",
+    "groundtruth_topic": "topic that holds the ground truth",
+    "calibration": "calibration file, for instance Kalibr's camchain.yaml or a dataset.yaml",
+    "topics": "topic of a sensor, as SENSOR=TOPIC",
+    "typestore": "message types of recordings that do not contain them, for instance ros2_humble",
+    "message_definitions": "folder of .msg files for types that the recording does not define",
+    "depth_units_per_m": "value of a depth pixel that means one metre",
+    "frame_rate_hz": "frames per second, for formats that do not store timestamps",
+    "sequence": "name of the sequence, for sources that hold several",
+}
+"""All options that an importer may take: the fields of :class:`ImportOptions`."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportOptions:
+    """What users say about a recording that its files do not; None or empty means "look for yourself".
+
+    :data:`OPTION_HELP` explains the fields.
+    """
+
+    groundtruth: Path | None = None
+    groundtruth_topic: str | None = None
+    calibration: tuple[Path, ...] = ()
+    topics: Mapping[str, str] = field(default_factory=dict)
+    typestore: str | None = None
+    message_definitions: Path | None = None
+    depth_units_per_m: float | None = None
+    frame_rate_hz: float | None = None
+    sequence: str | None = None
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """The names of the options that have a value."""
+        return tuple(name for name in OPTION_HELP if getattr(self, name))
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """The messages of one sensor.
+
+    Attributes:
+        sensor: Where they come from.
+        times_ns: When each was measured, int64 (n,), increasing.
+        write: Writes message ``index`` (0..n-1) to the recording, stamped with its time.
+        message_bytes: The size of one message in the recording, about.
+        received_ns: When each was received, if later than measured; its order is that of the recording.
+    """
+
+    sensor: Sensor
+    times_ns: Array
+    write: Callable[[BagWriter, int], None]
+    message_bytes: int
+    received_ns: Array | None = None
+
+    @property
+    def order_ns(self) -> Array:
+        """The times at which the messages stand in the recording."""
+        return self.times_ns if self.received_ns is None else self.received_ns
+
+
+@dataclass(frozen=True, eq=False)
+class KeptRecording:
+    """A ROS recording (a file, or the folder of a ROS 2 bag) that is copied as it is.
+
+    ``counts`` holds the number of messages of each sensor by its name.
+    """
+
+    path: Path
+    sensors: tuple[Sensor, ...]
+    counts: Mapping[str, int]
+    start_ns: int
+    end_ns: int
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedTruth:
+    """Ground truth: times (n,) in s, positions (n, 3) in m, unit quaternions (n, 4) x y z w, all of the body frame.
+
+    ``quats_xyzw`` is None where only positions are known.
+    """
+
+    times_s: Array
+    positions_m: Array
+    quats_xyzw: Array | None
+    gravity_aligned: bool
+    source: str
+    kitti_poses: str | None = None
+
+    @property
+    def definition(self) -> GroundTruth:
+        """As ``dataset.yaml`` describes it."""
+        return GroundTruth(
+            GROUND_TRUTH_FILE,
+            gravity_aligned=self.gravity_aligned,
+            positions_only=self.quats_xyzw is None,
+            kitti_poses=self.kitti_poses,
+            source=self.source,
+        )
+
+    def write(self, new: NewDataset) -> None:
+        """Write it to the new dataset."""
+        quats_xyzw = self.quats_xyzw
+        if quats_xyzw is None:
+            quats_xyzw = np.tile((0.0, 0.0, 0.0, 1.0), (len(self.times_s), 1))
+        new.write_ground_truth(self.times_s, self.positions_m, quats_xyzw)
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetText:
+    """What people read about a dataset, see :class:`~slamhive.domain.dataset.Dataset`."""
+
+    title: str
+    description: str = ""
+    licence: str = ""
+    citation: str = ""
+    source: str = ""
+    attributes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ImportPlan:
+    """What an import will make.
+
+    Attributes:
+        recording: The streams that are written, or the recording that is kept.
+        truth: The ground truth, None without.
+        text: Title, licence, citation and so on.
+        relations: The text of a file of relative poses, None without.
+        files: More small files of the dataset by plain name, for instance ``calib.txt``.
+        notes: What users should know, one sentence each: what is left out, assumed or unusual.
+    """
+
+    recording: tuple[Stream, ...] | KeptRecording
+    truth: PlannedTruth | None
+    text: DatasetText
+    relations: str | None = None
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """The sensors of the dataset, in the order of ``dataset.yaml``."""
+        if isinstance(self.recording, KeptRecording):
+            return self.recording.sensors
+        return tuple(stream.sensor for stream in self.recording)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The number of messages by name of sensor."""
+        if isinstance(self.recording, KeptRecording):
+            return dict(self.recording.counts)
+        return {stream.sensor.name: len(stream.times_ns) for stream in self.recording}
+
+    @property
+    def duration_s(self) -> float:
+        """From the first message to the last."""
+        if isinstance(self.recording, KeptRecording):
+            return (self.recording.end_ns - self.recording.start_ns) / NS_PER_S
+        times = [stream.order_ns for stream in self.recording if len(stream.times_ns)]
+        if not times:
+            return 0.0
+        return float(max(int(entry[-1]) for entry in times) - min(int(entry[0]) for entry in times)) / NS_PER_S
+
+    @property
+    def needed_bytes(self) -> int:
+        """The size of the recording, about."""
+        if isinstance(self.recording, KeptRecording):
+            return size_bytes(self.recording.path)
+        return sum(len(stream.times_ns) * stream.message_bytes for stream in self.recording)
+
+
+def rate_hz(times_ns: Array) -> float:
+    """The mean rate of the times (n,) in ns; raises InvalidInput for fewer than two, or equal ones."""
+    span_ns = int(times_ns[-1] - times_ns[0]) if len(times_ns) else 0
+    if span_ns <= 0:
+        raise InvalidInput(
+            f"{len(times_ns)} timestamps within {span_ns} ns make no recording", "two are needed at least"
+        )
+    return round((len(times_ns) - 1) * NS_PER_S / span_ns, 6)
+
+
+def perform(plan: ImportPlan, folder: Path, progress: Progress) -> Dataset:
+    """Make the dataset ``folder`` as planned, complete or not at all.
+
+    Raises:
+        InvalidInput: A frame is damaged; names the file and what was found.
+        Conflict: The dataset exists, or is being made.
+        Unavailable: Not enough disk space.
+    """
+    with new_dataset(folder, plan.needed_bytes) as new:
+        if isinstance(plan.recording, KeptRecording):
+            new.keep(plan.recording.path, _part(progress, 0.0, _RECORDED))
+        else:
+            _write_streams(new, plan.recording, _part(progress, 0.0, _RECORDED))
+        if plan.truth is not None:
+            plan.truth.write(new)
+        files = {**plan.files, **({} if plan.relations is None else {RELATIONS_FILE: plan.relations.encode()})}
+        for name, content in files.items():
+            (new.aside / name).write_bytes(content)
+        dataset = new.seal(
+            progress=_part(progress, _RECORDED, _HASHED),
+            **asdict(plan.text),
+            sensors=plan.sensors,
+            duration_s=plan.duration_s,
+            groundtruth=None if plan.truth is None else plan.truth.definition,
+            relations=None if plan.relations is None else RELATIONS_FILE,
+        )
+    _LOG.info("imported dataset %s", dataset.name)
+    progress(1.0, "done")
+    return dataset
+
+
+def _write_streams(new: NewDataset, streams: Sequence[Stream], progress: Progress) -> None:
+    total = sum(len(stream.times_ns) for stream in streams)
+    with new.recording() as bag:
+        for number, (stream, index) in enumerate(_in_order(streams), start=1):
+            stream.write(bag, index)
+            progress(number / total, f"writing message {number} of {total}")
+
+
+def _in_order(streams: Sequence[Stream]) -> Iterator[tuple[Stream, int]]:
+    """The messages of all streams as they are recorded; at equal times, in the order of the streams."""
+    queues = [
+        zip(stream.order_ns.tolist(), [position] * len(stream.order_ns), range(len(stream.order_ns)), strict=True)
+        for position, stream in enumerate(streams)
+    ]
+    for _, position, index in heapq.merge(*queues):
+        yield streams[position], index
+
+
+def _part(progress: Progress, start: float, end: float) -> Progress:
+    return lambda fraction, text: progress(start + (end - start) * fraction, text)

@@ -1,0 +1,158 @@
+"""Typed views of a sensor's calibration, which ``dataset.yaml`` holds as plain keys.
+
+:attr:`~slamhive.domain.sensors.Sensor.calibration` keeps keys that only some packages know. What several parts of SLAM
+Hive need has a name and a type here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from slamhive.domain.sensors import CalibrationValue, Sensor
+from slamhive.errors import InvalidInput
+
+
+class CameraModel(StrEnum):
+    """How a point in the camera's frame becomes a pixel.
+
+    ``PINHOLE`` is the pinhole camera with radial-tangential distortion if there are coefficients: the files of earlier
+    versions use it for both. ``FISHEYE_KB`` is the model of Kannala and Brandt, which ROS and Kalibr call equidistant.
+    """
+
+    PINHOLE = "pinhole"
+    PINHOLE_RADTAN = "pinhole-radtan"
+    PINHOLE_EQUIDISTANT = "pinhole-equidistant"
+    FISHEYE_KB = "fisheye-kb"
+    DOUBLE_SPHERE = "double-sphere"
+
+
+COEFFICIENTS: dict[CameraModel, tuple[int, ...]] = {
+    CameraModel.PINHOLE: (0, 4, 5, 8),
+    CameraModel.PINHOLE_RADTAN: (4, 5, 8),
+    CameraModel.PINHOLE_EQUIDISTANT: (4,),
+    CameraModel.FISHEYE_KB: (4,),
+    CameraModel.DOUBLE_SPHERE: (2,),
+}
+"""How many numbers ``distortion`` holds: k1 k2 p1 p2 (k3 (k4 k5 k6)); k1 k2 k3 k4; xi and alpha."""
+
+_ROS_MODELS = {
+    CameraModel.PINHOLE: "plumb_bob",
+    CameraModel.PINHOLE_RADTAN: "plumb_bob",
+    CameraModel.PINHOLE_EQUIDISTANT: "equidistant",
+    CameraModel.FISHEYE_KB: "equidistant",
+    CameraModel.DOUBLE_SPHERE: "double_sphere",
+}
+_RATIONAL_COEFFICIENTS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class CameraIntrinsics:
+    """The intrinsics of a camera or depth camera, in pixels.
+
+    Attributes:
+        width: Columns of an image.
+        height: Rows of an image.
+        fx: Focal length, horizontally.
+        fy: Focal length, vertically.
+        cx: Column of the principal point; the centre of the first pixel is 0.
+        cy: Row of the principal point.
+        model: How points become pixels.
+        distortion: The coefficients of the model, see :data:`COEFFICIENTS`.
+        rectified: Images are undistorted, and rows of a stereo pair match.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    model: CameraModel = CameraModel.PINHOLE
+    distortion: tuple[float, ...] = ()
+    rectified: bool = False
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> CameraIntrinsics:
+        """The intrinsics of ``sensor``; raises InvalidInput naming what is missing or makes no sense."""
+        values = sensor.calibration
+        try:
+            fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "cx", "cy"))  # type: ignore[arg-type]
+            width, height = int(values["width"]), int(values["height"])  # type: ignore[arg-type]
+        except KeyError as error:
+            raise InvalidInput(f"sensor {sensor.name} lacks calibration {error.args[0]}") from None
+        model = camera_model(values, f"sensor {sensor.name}")
+        rectified = bool(values.get("rectified", False))
+        return cls(width, height, fx, fy, cx, cy, model, distortion_of(values), rectified)
+
+    @property
+    def ros_model(self) -> str:
+        """``distortion_model`` of a ``sensor_msgs/CameraInfo``."""
+        if len(self.distortion) == _RATIONAL_COEFFICIENTS:
+            return "rational_polynomial"
+        return _ROS_MODELS[self.model]
+
+    def calibration(self, encoding: str, **more: CalibrationValue) -> dict[str, CalibrationValue]:
+        """The keys of ``dataset.yaml``; ``more`` follows them."""
+        return {
+            "width": self.width,
+            "height": self.height,
+            "fx": self.fx,
+            "fy": self.fy,
+            "cx": self.cx,
+            "cy": self.cy,
+            "encoding": encoding,
+            "model": self.model.value,
+            "distortion": self.distortion,
+            "rectified": self.rectified,
+            **more,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class ImuNoise:
+    """Noise of an IMU in continuous time; None is unknown.
+
+    Attributes:
+        gyroscope_noise_density: White noise in rad/s/√Hz.
+        accelerometer_noise_density: White noise in m/s²/√Hz.
+        gyroscope_random_walk: Drift of the bias in rad/s²/√Hz.
+        accelerometer_random_walk: Drift of the bias in m/s³/√Hz.
+    """
+
+    gyroscope_noise_density: float | None = None
+    accelerometer_noise_density: float | None = None
+    gyroscope_random_walk: float | None = None
+    accelerometer_random_walk: float | None = None
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> ImuNoise:
+        """What is known of the noise of ``sensor``."""
+        known = {key: sensor.calibration.get(key) for key in cls.__slots__}
+        return cls(**{key: None if value is None else float(value) for key, value in known.items()})  # type: ignore[arg-type]
+
+    def calibration(self) -> dict[str, CalibrationValue]:
+        """The keys of ``dataset.yaml``, without those that are unknown."""
+        return {key: value for key in self.__slots__ if (value := getattr(self, key)) is not None}
+
+
+def camera_model(values: dict[str, CalibrationValue], owner: str) -> CameraModel:
+    """The model that a calibration names; raises InvalidInput if the coefficients do not fit it."""
+    name = values.get("model", CameraModel.PINHOLE.value)
+    try:
+        model = CameraModel(str(name))
+    except ValueError:
+        raise InvalidInput(
+            f"{owner}: camera model {name!r} is unknown", f"use one of {', '.join(CameraModel)}"
+        ) from None
+    count = len(distortion_of(values))
+    if count not in COEFFICIENTS[model]:
+        allowed = " or ".join(str(number) for number in COEFFICIENTS[model])
+        raise InvalidInput(f"{owner}: model {model.value} takes {allowed} distortion coefficients, not {count}")
+    return model
+
+
+def distortion_of(values: dict[str, CalibrationValue]) -> tuple[float, ...]:
+    """The distortion coefficients of a calibration."""
+    found = values.get("distortion", ())
+    return tuple(float(number) for number in found) if isinstance(found, tuple | list) else ()
