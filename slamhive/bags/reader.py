@@ -71,15 +71,19 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
         reader.close()
 
 
-def messages(reader: AnyReader, path: Path, topics: list[str] | None = None) -> Iterator[tuple[Connection, int, bytes]]:
-    """Messages in order of time: connection, receive time in ns, raw bytes; only those of ``topics`` if given.
+def messages(
+    reader: AnyReader, path: Path, topics: list[str] | None = None, start_ns: int | None = None
+) -> Iterator[tuple[Connection, int, bytes]]:
+    """Messages in order of time: connection, receive time in ns, raw bytes.
+
+    Only those of ``topics`` and those received at ``start_ns`` or later, if these are given.
 
     Raises InvalidInput where the recording turns out to be damaged.
     """
     wanted = [entry for entry in reader.connections if topics is None or entry.topic in topics]
     if not wanted:
         return
-    source = reader.messages(connections=wanted)
+    source = reader.messages(connections=wanted, start=start_ns)
     while True:
         try:
             message = next(source, None)

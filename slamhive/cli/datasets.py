@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,13 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput
-from slamhive.services.datasets import PlannedImport, dataset_document
+from slamhive.services.datasets import (
+    MotionSummary,
+    PlannedImport,
+    dataset_document,
+    draw_ground_truth,
+    motion_summary,
+)
 
 
 @click.group()
@@ -145,15 +152,42 @@ def list_(cli: CliContext, as_json: bool) -> None:
 
 @dataset.command("show")
 @click.argument("name")
+@click.option(
+    "--plot",
+    "picture",
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Draw path, speed and angular rate of the ground truth (.png, .svg or .pdf).",
+)
 @json_option
 @pass_cli
-def show(cli: CliContext, name: str, as_json: bool) -> None:
-    """Show one dataset: sensors, calibration, ground truth."""
+def show(cli: CliContext, name: str, picture: Path | None, as_json: bool) -> None:
+    """Show one dataset: sensors, calibration, ground truth and its motion."""
     entry = cli.hive(indexed=False).catalogue.dataset(name)
-    _report(entry, as_json)
-    if not as_json:
+    exists = entry.groundtruth_path is not None and entry.groundtruth_path.is_file()
+    motion = motion_summary(entry) if exists else None
+    if as_json:
+        print_json({**_to_json(entry), "motion": None if motion is None else asdict(motion)})
+    else:
+        _report(entry, as_json)
+        if motion is not None:
+            click.echo(_motion_in_words(motion))
         click.echo()
         print_table(("sensor", "calibration", "value"), _calibration(entry))
+    if picture is not None:
+        draw_ground_truth(entry, picture)
+        tell(f"wrote {picture}")
+
+
+def _motion_in_words(motion: MotionSummary) -> str:
+    words = [f"path: {motion.length_m:.4g} m in {motion.span_s:.1f} s"]
+    if motion.mean_speed_mps is not None:
+        words.append(f"{motion.mean_speed_mps:.3g} m/s on average")
+    if motion.max_speed_mps is not None:
+        words.append(f"{motion.max_speed_mps:.3g} m/s at most")
+    if motion.max_angular_rate_radps is not None:
+        words.append(f"turning at {motion.max_angular_rate_radps:.3g} rad/s at most")
+    return ", ".join(words)
 
 
 @dataset.command("remove")

@@ -11,7 +11,9 @@ import numpy as np
 import plotly.graph_objects as go
 
 from slamhive.analysis.plotly_values import THEMED
-from slamhive.services.runs import Array, Places, RunSeries, Samples, Track
+from slamhive.bags.views import SweepView
+from slamhive.services.runs import Array, Places, RunSeries, Samples, Track, samples_of
+from slamhive.trajectory.motion import Motion
 from slamhive.web.formatting import plural, significant
 
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
@@ -71,6 +73,35 @@ def path_figures(groundtruth: Track | None, estimate: tuple[str, Track, str] | N
     figures = {f"path_{plane}": _plane_figure(plane, groundtruth, estimate) for plane in PLANES}
     figures["path_3d"] = _space_figure(groundtruth, estimate)
     return figures
+
+
+def motion_figures(motion: Motion, colour: str, *, positions_only: bool) -> dict[str, Figure]:
+    """``speed`` and, unless ``positions_only``, ``angular_rate`` of a ground truth over time."""
+    if len(motion.times_s) == 0:
+        return {}
+    curves = {"speed": (motion.speeds_mps, "speed [m/s]")}
+    if not positions_only:
+        curves["angular_rate"] = (motion.angular_rates_radps, "angular rate [rad/s]")
+    times_s = motion.times_s - motion.times_s[0]
+    return {
+        name: _over_time(samples_of(times_s, values), name, colour, "time since the first pose [s]", title)
+        for name, (values, title) in curves.items()
+    }
+
+
+def sweep_figure(sweep: SweepView) -> Figure:
+    """A LiDAR sweep in 3D, coloured by height."""
+    x, y, z = _short(sweep.positions_m).T
+    marker = {
+        "size": 1.5,
+        "color": z,
+        "colorscale": "Viridis",
+        "colorbar": {"title": {"text": "z [m]"}, "thickness": 12},
+    }
+    hover = "x %{x:.4g} m<br>y %{y:.4g} m<br>z %{z:.4g} m<extra></extra>"
+    points = go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, hovertemplate=hover, showlegend=False)
+    sensor = go.Scatter3d(x=[0], y=[0], z=[0], name="sensor", mode="markers", marker={"size": 5}, meta=THEMED)
+    return _plain(go.Figure([points, sensor], go.Layout(scene=_equal_scene([sweep]), showlegend=False)))
 
 
 def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
@@ -199,7 +230,7 @@ def _space_figure(groundtruth: Track | None, estimate: tuple[str, Track, str] | 
     return _plain(go.Figure(traces, go.Layout(scene=_equal_scene(tracks), legend=_LEGEND)))
 
 
-def _equal_scene(tracks: Sequence[Track]) -> dict[str, Any]:
+def _equal_scene(tracks: Sequence[Track | SweepView]) -> dict[str, Any]:
     """Equal-scale axes with a box that always fits the view. Plotly's own equal aspect clips long, flat paths."""
     positions_m = np.concatenate([track.positions_m for track in tracks])
     low, high = positions_m.min(axis=0), positions_m.max(axis=0)

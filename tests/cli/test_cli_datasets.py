@@ -72,3 +72,16 @@ def test_the_format_of_a_recording_is_found_out(slamhive, sequence, tmp_path):
     assert refused.exit_code == 1
     assert "is in no format that can be imported; known formats: kitti-odometry" in refused.stderr
     assert not (tmp_path / "data" / "datasets" / "other").exists()
+
+
+def test_show_tells_the_motion_and_draws_it(slamhive, tmp_path):
+    picture = tmp_path / "track.png"
+    shown = slamhive("dataset", "show", "track", "--plot", str(picture))
+    assert shown.exit_code == 0, shown.output
+    assert "m/s on average" in shown.stdout
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    motion = json.loads(slamhive("dataset", "show", "track", "--json").stdout)["motion"]
+    assert motion["length_m"] > 0
+    refused = slamhive("dataset", "show", "track", "--plot", str(tmp_path / "track.bmp"))
+    assert refused.exit_code == 1
+    assert "use .png, .svg or .pdf" in refused.stderr

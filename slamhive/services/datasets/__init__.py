@@ -5,10 +5,20 @@ from __future__ import annotations
 from slamhive.services.datasets.catalogue import Catalogue, PlannedImport, check_writable, dataset_document
 from slamhive.services.datasets.external import algorithm_here_or_elsewhere, choose_algorithm, imported_algorithms
 from slamhive.services.datasets.variants import IDENTITY, UsedVariant, Variants, variant_key
+from slamhive.services.datasets.views import (
+    DatasetViews,
+    MotionSummary,
+    draw_ground_truth,
+    ground_truth_motion,
+    motion_summary,
+    strip_times_s,
+)
 
 __all__ = [
     "IDENTITY",
     "Catalogue",
+    "DatasetViews",
+    "MotionSummary",
     "PlannedImport",
     "UsedVariant",
     "Variants",
@@ -16,6 +26,10 @@ __all__ = [
     "check_writable",
     "choose_algorithm",
     "dataset_document",
+    "draw_ground_truth",
+    "ground_truth_motion",
     "imported_algorithms",
+    "motion_summary",
+    "strip_times_s",
     "variant_key",
 ]

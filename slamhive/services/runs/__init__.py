@@ -36,6 +36,7 @@ from slamhive.services.runs.series import (
     read_dataset_path,
     read_track,
     run_series,
+    samples_of,
 )
 from slamhive.services.runs.service import Runs
 from slamhive.services.runs.specification import (
@@ -91,6 +92,7 @@ __all__ = [
     "retry_request",
     "run_series",
     "run_uid",
+    "samples_of",
     "snapshot_from_record",
     "spec_from_json",
     "spec_to_json",

@@ -99,9 +99,9 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
     found: dict[str, Any] = {
         "estimate": estimate or read_track(folder.trajectory, gap_s),
         "groundtruth": groundtruth,
-        "error": None if error is None else _samples(error[:, 0] - error[0, 0], error[:, 1], gap_s),
-        "cpu": None if usage is None else _samples(usage[:, 0], usage[:, 1]),
-        "memory": None if usage is None else _samples(usage[:, 0], usage[:, 2]),
+        "error": None if error is None else samples_of(error[:, 0] - error[0, 0], error[:, 1], gap_s),
+        "cpu": None if usage is None else samples_of(usage[:, 0], usage[:, 1]),
+        "memory": None if usage is None else samples_of(usage[:, 0], usage[:, 2]),
         "latency": _latency(folder.frames),
     }
     explanations = _explanations(run)
@@ -181,7 +181,8 @@ def thin_keeping_extremes(values: Array, most: int = MAX_POINTS) -> Places:
     return np.asarray(chosen)
 
 
-def _samples(times_s: Array, values: Array, gap_s: float = math.inf) -> Samples:
+def samples_of(times_s: Array, values: Array, gap_s: float = math.inf) -> Samples:
+    """Values over time, thinned for plotting; a gap longer than ``gap_s`` starts a new piece."""
     return Samples(times_s, values, len(values), _pieces(times_s, gap_s)).thinned(MAX_POINTS)
 
 
@@ -204,4 +205,4 @@ def _latency(path: Path) -> Samples | None:
     rows = rows[rows[:, 2] >= rows[:, 1]]
     if len(rows) == 0:
         return None
-    return _samples(rows[:, 0] - rows[0, 0], rows[:, 2] - rows[:, 1])
+    return samples_of(rows[:, 0] - rows[0, 0], rows[:, 2] - rows[:, 1])

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, url_for
 
+from slamhive.analysis.colours import OKABE_ITO
+from slamhive.domain.dataset import Dataset
 from slamhive.domain.variant import variant_from_json
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.search.build import matching
+from slamhive.services.datasets import MotionSummary, ground_truth_motion, motion_summary, strip_times_s
 from slamhive.services.runs import check_dataset_files, read_dataset_path
 from slamhive.store.records import RunSort
+from slamhive.trajectory.motion import WINDOW_S
 from slamhive.web.context import hive, variant_maker
-from slamhive.web.figures import best_plane, path_figures
+from slamhive.web.figures import best_plane, motion_figures, path_figures, sweep_figure
 from slamhive.web.formatting import plural
 from slamhive.web.presenters.catalogue import lacking, step_kinds
 from slamhive.web.run_form import read_steps
+
+_COLOUR = OKABE_ITO[0]
+_RUNS = 8
+"""How many runs the page of a dataset lists; a link leads to all."""
 
 blueprint = Blueprint("datasets", __name__, url_prefix="/datasets")
 
@@ -34,7 +42,7 @@ def show(name: str) -> str:
     """Show one dataset: sensors, calibration, ground truth, variants and compatible algorithms."""
     services = hive()
     dataset = services.catalogue.dataset(name)
-    runs = services.runs.page(matching(datasets=(name,)), RunSort(), None, 1)
+    runs = services.runs.page(matching(datasets=(name,)), RunSort(), None, _RUNS)
     return render_template(
         "datasets/show.html",
         dataset=dataset,
@@ -44,7 +52,19 @@ def show(name: str) -> str:
         cache_bytes=services.settings.variant_cache_bytes,
         making=variant_maker().latest(name),
         step_kinds=step_kinds(),
+        runs=runs.records,
+        strip_times_s=strip_times_s(dataset),
+        time_s=_time_s(dataset),
+        motion=_motion(dataset),
     )
+
+
+def _motion(dataset: Dataset) -> MotionSummary | None:
+    """The motion in the ground truth, None where there is no file that can be read; the page says so elsewhere."""
+    try:
+        return motion_summary(dataset)
+    except (InvalidInput, NotFound):
+        return None
 
 
 @blueprint.post("/<name>/variants")
@@ -78,18 +98,64 @@ def drop_variant(name: str, key: str) -> Response:
 
 @blueprint.get("/<name>/figures.json")
 def figures(name: str) -> Response:
-    """The ground-truth path in all planes and in 3D."""
-    track = read_dataset_path(hive().catalogue.dataset(name))
-    if track is None:
+    """The ground truth: its path in all planes and in 3D, speed and angular rate."""
+    dataset = hive().catalogue.dataset(name)
+    track, motion = read_dataset_path(dataset), ground_truth_motion(dataset)
+    if track is None or motion is None or dataset.groundtruth is None:
         raise NotFound(f"dataset {name} has no ground truth to draw")
+    positions_only = dataset.groundtruth.positions_only
+    unknown = "The ground truth has no orientations." if positions_only else "The poses are too far apart in time."
     return make_response(
         jsonify(
-            figures=path_figures(track, None),
-            captions={"path": f"Ground truth, {plural(track.poses, 'pose')}."},
-            reasons={},
+            figures=path_figures(track, None) | motion_figures(motion, _COLOUR, positions_only=positions_only),
+            captions={
+                "path": f"Ground truth, {plural(track.poses, 'pose')}.",
+                "speed": f"Mean over {WINDOW_S:g} s.",
+                "angular_rate": "" if positions_only else f"Mean over {WINDOW_S:g} s.",
+            },
+            reasons={"speed": "The poses are too far apart in time.", "angular_rate": unknown},
             best_plane=best_plane(track),
         )
     )
+
+
+@blueprint.get("/<name>/frames/<sensor>.jpg")
+def frame(name: str, sensor: str) -> Response:
+    """The frame of a camera at ``time`` in s from the start, or number ``overview`` of its overview."""
+    services = hive()
+    dataset = services.catalogue.dataset(name)
+    number = request.args.get("overview", type=int)
+    if number is None:
+        view = services.dataset_views.frame(dataset, sensor, _time_s(dataset))
+    else:
+        view = services.dataset_views.thumbnail(dataset, sensor, number)
+    response = make_response(view.jpeg)
+    response.mimetype = "image/jpeg"
+    response.headers["X-Frame-Time"] = f"{view.time_s:.6f}"
+    return response
+
+
+@blueprint.get("/<name>/sweeps/<sensor>.json")
+def sweep(name: str, sensor: str) -> Response:
+    """The sweep of a LiDAR at ``time`` in s from the start, as a plot."""
+    services = hive()
+    dataset = services.catalogue.dataset(name)
+    view = services.dataset_views.sweep(dataset, sensor, _time_s(dataset))
+    shown = "" if view.points == len(view.positions_m) else f", {len(view.positions_m)} of them shown"
+    return make_response(
+        jsonify(
+            figure=sweep_figure(view),
+            caption=f"{sensor} at {view.time_s:.3f} s: {plural(view.points, 'point')}{shown}, in the sensor's frame.",
+        )
+    )
+
+
+def _time_s(dataset: Dataset) -> float:
+    """``time`` of the request; the middle of the recording without it or if it is no number."""
+    time_s = request.args.get("time", type=float)
+    if time_s is None or not 0 <= time_s <= dataset.duration_s:
+        return dataset.duration_s / 2
+    return time_s
 
 
 def _to_variants(name: str) -> Response:

@@ -1,0 +1,202 @@
+"""What people look at in a dataset: overview, frames, sweeps and motion, on its page and by command."""
+
+from __future__ import annotations
+
+import json
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from slamhive.bags import views
+from slamhive.bags.bag_writer import BagWriter
+from slamhive.bags.reader import open_bag
+from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.services.datasets import DatasetViews, strip_times_s
+from slamhive.services.datasets.views import THUMBNAILS
+from slamhive.trajectory.model import Poses
+from slamhive.trajectory.motion import motion_of
+from tests.web.web_world import Web
+
+pytestmark = pytest.mark.integration
+
+CAMERA = Sensor("camera0", SensorKind.CAMERA, "/camera0", 10.0)
+DEPTH = Sensor("depth0", SensorKind.DEPTH, "/depth0", 10.0)
+LIDAR = Sensor("lidar0", SensorKind.LIDAR, "/lidar0", 10.0)
+START_NS = 1_000_000_000_000
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+
+
+def record(path: Path, frames: int = 40, points: int = 20_000) -> None:
+    """One frame, depth image and sweep a second; each frame is as bright as its number."""
+    sweep = np.zeros(points, POINT)
+    sweep["x"] = np.arange(points)
+    with BagWriter(path) as bag:
+        for number in range(frames):
+            stamp_ns = START_NS + number * 1_000_000_000
+            bag.image(CAMERA, stamp_ns, np.full((48, 2000), 5 * number, np.uint8), "mono8")
+            depth = np.tile(np.array([[0, 1000, 4000]], np.uint16), (30, 100))
+            bag.image(DEPTH, stamp_ns, depth, "16UC1")
+            bag.points(LIDAR, stamp_ns, stamp_ns, sweep)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "room.bag"
+    record(path)
+    return path
+
+
+@pytest.fixture
+def recorded(web: Web, bag: Path) -> Web:
+    """The web of a dataset ``room`` whose recording has images and sweeps."""
+    folder = web.hive.catalogue.dataset_folder("room")
+    (folder / "room.bag").write_bytes(bag.read_bytes())
+    text = (folder / "dataset.yaml").read_text()
+    camera = "{width: 300, height: 30, fx: 1.0, fy: 1.0, cx: 1.0, cy: 1.0, units_per_m: 1000.0}"
+    more = (
+        f"  - {{name: depth0, kind: depth, topic: /depth0, rate_hz: 1.0, calibration: {camera}}}\n"
+        "  - {name: lidar0, kind: lidar, topic: /lidar0, rate_hz: 1.0}\n"
+    )
+    (folder / "dataset.yaml").write_text(text.replace("groundtruth:", more + "groundtruth:"))
+    return web
+
+
+def pixels_of(data: bytes) -> np.ndarray:
+    found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert found is not None
+    return found
+
+
+def test_a_frame_is_the_first_at_or_after_the_time(recorded: Web):
+    answer = recorded.client.get("/datasets/room/frames/camera0.jpg?time=11.4")
+    assert (answer.status_code, answer.mimetype) == (200, "image/jpeg")
+    assert float(answer.headers["X-Frame-Time"]) == pytest.approx(12.0)
+    pixels = pixels_of(answer.data)
+    assert pixels.shape[:2] == (23, views.FRAME_WIDTH)
+    assert abs(int(pixels.mean()) - 60) <= 1
+
+
+@pytest.mark.parametrize("time", ["", "?time=abc", "?time=-1", "?time=1e9", "?time=nan"])
+def test_a_time_that_makes_no_sense_is_the_middle(recorded: Web, time: str):
+    answer = recorded.client.get(f"/datasets/room/frames/camera0.jpg{time}")
+    assert float(answer.headers["X-Frame-Time"]) == pytest.approx(20.0)
+
+
+def test_the_overview_spans_the_recording_and_is_read_once(recorded: Web, monkeypatch: pytest.MonkeyPatch):
+    opened = []
+
+    def counted(path: Path):
+        opened.append(path)
+        return open_bag(path)
+
+    monkeypatch.setattr("slamhive.bags.views.open_bag", counted)
+    times_s = []
+    for number in range(THUMBNAILS):
+        answer = recorded.client.get(f"/datasets/room/frames/camera0.jpg?overview={number}")
+        times_s.append(float(answer.headers["X-Frame-Time"]))
+        assert pixels_of(answer.data).shape[1] == views.THUMBNAIL_WIDTH
+    assert len(opened) == 1
+    wanted = strip_times_s(recorded.hive.catalogue.dataset("room"))
+    assert np.abs(np.subtract(times_s, wanted)).max() <= 1.0
+    assert recorded.client.get("/datasets/room/frames/camera0.jpg?overview=12").status_code == 404
+
+
+def test_depth_is_coloured_and_black_where_unknown(recorded: Web):
+    pixels = pixels_of(recorded.client.get("/datasets/room/frames/depth0.jpg?time=0").data)
+    assert pixels.ndim == 3
+    coloured = views._coloured(np.array([[0, 1000, 4000]], np.uint16))
+    assert coloured[0, 0].tolist() == [0, 0, 0]
+    near, far = coloured[0, 1].astype(int), coloured[0, 2].astype(int)
+    assert near[2] > near[0], "near is red"
+    assert far[0] > far[2], "far is blue"
+
+
+def test_a_sweep_is_thinned_and_says_so(recorded: Web):
+    content = json.loads(recorded.client.get("/datasets/room/sweeps/lidar0.json?time=3").text)
+    assert content["caption"].startswith("lidar0 at 3.000 s: 20,000 points, 12000 of them shown")
+    assert {trace["type"] for trace in content["figure"]["data"]} == {"scatter3d"}
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "text"),
+    [
+        ("/datasets/room/frames/imu2.jpg", 404, "sensor imu2 takes no images"),
+        ("/datasets/room/frames/none.jpg", 404, "no sensor"),
+        ("/datasets/room/sweeps/camera0.json", 404, "sensor camera0 is no LiDAR"),
+        ("/datasets/nope/frames/camera0.jpg", 404, "unknown dataset"),
+        ("/datasets/room/frames/camera1.jpg", 404, "has nothing at 20.000 s or later"),
+    ],
+)
+def test_what_cannot_be_shown_says_why(recorded: Web, path: str, status: int, text: str):
+    answer = recorded.client.get(path, headers={"Accept": "application/json"})
+    assert answer.status_code == status
+    assert text in answer.text
+
+
+def test_a_topic_of_another_type_and_a_damaged_recording_are_one_line(web: Web):
+    answer = web.client.get("/datasets/room/frames/camera0.jpg?time=0", headers={"Accept": "application/json"})
+    assert answer.status_code == 400
+    assert "holds std_msgs/msg/UInt8, which cannot be shown" in answer.text
+    (web.hive.catalogue.dataset_folder("room") / "room.bag").write_bytes(b"#ROSBAG V2.0\nrest")
+    answer = web.client.get("/datasets/room/frames/camera0.jpg?time=1", headers={"Accept": "application/json"})
+    assert answer.status_code == 400
+    assert "cannot be read as a recording" in answer.text
+
+
+def test_the_page_shows_motion_frames_and_works_without_scripts(recorded: Web):
+    page = recorded.client.get("/datasets/room?time=5").text
+    assert page.count("overview=") == 3 * THUMBNAILS
+    assert "/datasets/room/frames/camera0.jpg?time=5.0" in page
+    assert 'data-sweep="/datasets/room/sweeps/lidar0.json"' in page
+    assert "m/s on average" in page
+    assert "There are no runs on this dataset yet." not in page
+    figures = json.loads(recorded.client.get("/datasets/room/figures.json").text)["figures"]
+    assert {"speed", "angular_rate", "path_3d"} <= set(figures)
+
+
+def test_many_visitors_read_two_recordings_at_once(recorded: Web, monkeypatch: pytest.MonkeyPatch):
+    dataset = recorded.hive.catalogue.dataset("room")
+    shown, reading, most = DatasetViews(), [], []
+    really = views.frames_at
+
+    def slow(*arguments):
+        reading.append(1)
+        most.append(len(reading))
+        try:
+            yield from really(*arguments)
+        finally:
+            reading.pop()
+
+    monkeypatch.setattr("slamhive.services.datasets.views.frames_at", slow)
+    threads = [threading.Thread(target=shown.frame, args=(dataset, "camera0", float(at))) for at in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert len(most) == 8
+    assert max(most) <= 2
+
+
+def test_the_cache_forgets_another_recording_of_the_same_name(recorded: Web):
+    dataset = recorded.hive.catalogue.dataset("room")
+    shown = DatasetViews()
+    first = shown.frame(dataset, "camera0", 1.0)
+    assert shown.frame(dataset, "camera0", 1.0) is first
+    assert shown.frame(replace(dataset, checksum="sha256:" + "1" * 64), "camera0", 1.0) is not first
+
+
+def test_motion_is_that_of_a_known_path():
+    times_s = np.arange(0, 10, 0.01)
+    yaw = 0.5 * times_s
+    quats = np.column_stack([np.zeros_like(yaw), np.zeros_like(yaw), np.sin(yaw / 2), np.cos(yaw / 2)])
+    positions_m = np.column_stack([2.0 * times_s, np.zeros_like(yaw), np.zeros_like(yaw)])
+    gap = (times_s > 4) & (times_s < 6)
+    motion = motion_of(Poses(times_s[~gap], positions_m[~gap], quats[~gap]))
+    assert np.allclose(motion.speeds_mps, 2.0)
+    assert np.allclose(motion.angular_rates_radps, 0.5)
+    assert not ((motion.times_s > 4.2) & (motion.times_s < 5.8)).any()
+    assert len(motion_of(Poses(times_s[:1], positions_m[:1], quats[:1])).times_s) == 0
