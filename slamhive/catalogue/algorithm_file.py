@@ -9,11 +9,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from slamhive import strict_yaml
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input
+from slamhive.domain.calibration import PointOrder
+from slamhive.domain.lidar_needs import LidarNeeds, Need
 from slamhive.domain.numbers import plain
 from slamhive.domain.parameters import Parameter, ParameterType
 from slamhive.domain.sensors import SensorKind, SensorSetup
 from slamhive.errors import InvalidInput
 from slamhive.files import hash_files
+from slamhive.runtime.point_times import TimeReference, TimeUnit
 from slamhive.schema.validation import check_name_in, first_problem
 
 ALGORITHM_FILE = "algorithm.yaml"
@@ -65,6 +68,16 @@ class _ResourcesModel(BaseModel):
     memory_mb: int = Field(default=4096, gt=0)
 
 
+class _LidarModel(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    point_time: Need = Need.OPTIONAL
+    ring: Need = Need.IGNORED
+    organised: Need = Need.IGNORED
+    point_time_units: tuple[TimeUnit, ...] = ()
+    point_time_references: tuple[TimeReference, ...] = ()
+    point_orders: tuple[PointOrder, ...] = ()
+
+
 class _PackageModel(BaseModel):
     model_config = ConfigDict(extra="forbid")
     format: Literal[1]
@@ -78,6 +91,7 @@ class _PackageModel(BaseModel):
     system_libraries: list[str] = Field(default_factory=list)
     resources: _ResourcesModel = Field(default_factory=_ResourcesModel)
     reports_tracking: bool = False
+    lidar: _LidarModel = Field(default_factory=_LidarModel)
     modes: dict[str, _ModeModel] = Field(min_length=1)
     parameters: dict[str, _ParameterModel] = Field(default_factory=dict)
 
@@ -112,6 +126,7 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         cpu_cores=model.resources.cpu_cores,
         memory_mb=model.resources.memory_mb,
         reports_tracking=model.reports_tracking,
+        lidar=LidarNeeds(**model.lidar.model_dump()),
     )
     algorithms = tuple(_algorithm(path, package, name, mode, model) for name, mode in model.modes.items())
     names = [algorithm.name for algorithm in algorithms]

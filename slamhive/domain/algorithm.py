@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.lidar_needs import LidarNeeds
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
 from slamhive.errors import InvalidInput
@@ -23,7 +24,8 @@ class Input:
 class AlgorithmPackage:
     """One folder below ``algorithms/``: code, image and provenance shared by all modes of an upstream project.
 
-    ``reports_tracking``: while it runs it says for how long it has found no pose (``progress.json``).
+    ``reports_tracking``: while it runs it says for how long it has found no pose (``progress.json``). ``lidar``: what
+    its modes with a LiDAR need of the points.
     """
 
     name: str
@@ -38,6 +40,7 @@ class AlgorithmPackage:
     cpu_cores: float = 2.0
     memory_mb: int = 4096
     reports_tracking: bool = False
+    lidar: LidarNeeds = field(default_factory=LidarNeeds)
 
     @property
     def image(self) -> str:
@@ -64,7 +67,8 @@ class Algorithm:
     def assign(self, dataset: Dataset) -> dict[str, Sensor]:
         """Which sensor of ``dataset`` serves which role, in the dataset's order for each kind.
 
-        Raises InvalidInput, before anything starts, if the dataset lacks a sensor, or a recording.
+        Raises InvalidInput, before anything starts, if the dataset lacks a sensor, what the package needs of the points
+        of a LiDAR, or a recording.
         """
         dataset.check_recorded()
         assigned: dict[str, Sensor] = {}
@@ -79,4 +83,7 @@ class Algorithm:
                     "choose a dataset that has them, or an algorithm that needs less",
                 )
             assigned.update(zip(roles, available, strict=False))
+        for sensor in assigned.values():
+            if sensor.kind is SensorKind.LIDAR:
+                self.package.lidar.check(sensor, self.name, dataset.name)
         return assigned

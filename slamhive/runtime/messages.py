@@ -35,7 +35,6 @@ _IMAGE_LAYOUTS: dict[str, tuple[str, int]] = {
 _POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """``PointField.datatype`` to numpy."""
 
-TIME_UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 """Weights of red, green and blue in luma (ITU-R BT.601), as OpenCV uses them."""
 
@@ -52,16 +51,11 @@ class PointCloud:
     points_m: Array
     fields: dict[str, Array]
 
-    def offsets_s(self, field: str, unit: str) -> Array:
-        """Each point's time as (n,) float64 seconds, relative to whatever the sensor counts from.
-
-        Raises InvalidInput if the scan has no such field or the unit is none of s, ms, us, ns.
-        """
-        if unit not in TIME_UNITS_S:
-            raise InvalidInput(f"unit {unit!r} of the points' time is unknown", f"use one of {', '.join(TIME_UNITS_S)}")
-        if field not in self.fields:
-            raise InvalidInput(f"the scans have no field {field!r}", f"they have {', '.join(self.fields) or 'none'}")
-        return self.fields[field].astype(np.float64) * TIME_UNITS_S[unit]
+    def field(self, name: str) -> Array:
+        """The values (n,) of field ``name``; raises InvalidInput if the scan has no such field."""
+        if name not in self.fields:
+            raise InvalidInput(f"the scans have no field {name!r}", f"they have {', '.join(self.fields) or 'none'}")
+        return self.fields[name]
 
 
 def stamp_ns(message: Any) -> int:

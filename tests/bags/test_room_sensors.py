@@ -138,7 +138,7 @@ def test_scan_points_lie_on_surfaces_once_the_motion_is_undone():
     T_body_lidar = make_rig(64, 48, 10.0).T_body_lidar
     start_s, duration_s = 4.0, 15.0
     points = Lidar(NO_RANGE_NOISE, T_body_lidar, duration_s).scan(start_s, np.random.default_rng(0))
-    motion = motion_at(start_s + points["t"] * 1e-9, duration_s)
+    motion = motion_at(start_s + points["time"].astype(np.float64), duration_s)
     xyz = np.stack([points[axis] for axis in "xyz"], axis=1).astype(np.float64)
     body = xyz @ T_body_lidar[:3, :3].T + T_body_lidar[:3, 3]
     world = np.einsum("nij,nj->ni", motion.R_world_body, body) + motion.positions_m
@@ -146,7 +146,8 @@ def test_scan_points_lie_on_surfaces_once_the_motion_is_undone():
     still = motion_at(np.full(len(points), start_s), duration_s)
     distorted = np.einsum("nij,nj->ni", still.R_world_body, body) + still.positions_m
     assert np.linalg.norm(world - distorted, axis=1).max() > 0.05
-    assert np.all(np.diff(points["t"].astype(np.int64)) >= 0)
+    assert np.all(np.diff(points["time"]) >= 0)
+    assert points.dtype.names == ("x", "y", "z", "intensity", "ring", "time")
 
 
 def test_quaternions_match_their_rotations_and_do_not_flip():

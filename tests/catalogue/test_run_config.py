@@ -81,7 +81,7 @@ def test_a_variant_is_told_by_its_own_calibration_and_by_its_factors() -> None:
 def test_it_survives_being_written_and_read() -> None:
     entry = algorithm("rko-lio")
     sensors = (
-        Sensor("l", SensorKind.LIDAR, "/points", 10.0, calibration={"stamp": "start"}),
+        Sensor("l", SensorKind.LIDAR, "/points", 10.0, calibration={"stamp": "start", "point_time_field": "t"}),
         Sensor("i", SensorKind.IMU, "/imu", 200.0),
     )
     config = build_run_config(entry, dataset(*sensors), configuration(entry), run_id=1, seed=1)

@@ -62,11 +62,9 @@ def test_points_lose_what_is_not_finite_and_keep_their_times() -> None:
     )
     cloud = to_points(message)
     assert cloud.points_m.tolist() == [[1, 2, 3], [4, 5, 6]]
-    assert cloud.offsets_s("t", "ns") == pytest.approx([10e-9, 30e-9])
-    with pytest.raises(InvalidInput, match="no field 'time'"):
-        cloud.offsets_s("time", "ns")
-    with pytest.raises(InvalidInput, match="fortnight"):
-        cloud.offsets_s("t", "fortnight")
+    assert cloud.field("t").tolist() == [10, 30]
+    with pytest.raises(InvalidInput, match="the scans have no field 'time'; they have t"):
+        cloud.field("time")
 
 
 def test_quaternions_agree_with_the_rotations_they_come_from() -> None:

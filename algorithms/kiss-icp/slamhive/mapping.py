@@ -16,6 +16,7 @@ from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import Frame
 from slamhive.runtime.paths import run_paths
 from slamhive.runtime.pcd import write_pcd
+from slamhive.runtime.point_times import PointTimes
 from slamhive.runtime.trajectory import Poses
 
 
@@ -28,10 +29,7 @@ class KissIcpOdometry:
 
     def __init__(self, config: RunConfig) -> None:
         values = config.parameters
-        self._time_field = values.get("points_point_time_field")
-        self._time_unit = str(values.get("points_point_time_unit", "s"))
-        self._stamp = str(values.get("points_stamp", "start"))
-        self._duration_s = float(values.get("points_scan_duration_s", 1.0 / float(values["points_rate_hz"])))
+        self._times = PointTimes.of(values, float(values["points_rate_hz"]), "points", "points_")
         self._odometry = KissICP(configure(values))
         self._save_map = bool(values["save_map"])
         self._stamps_s: list[float] = []
@@ -43,9 +41,8 @@ class KissIcpOdometry:
         if len(cloud.points_m) == 0:
             return False
         normalised = np.empty(0)
-        if self._time_field:
-            offsets_s = cloud.offsets_s(str(self._time_field), self._time_unit)
-            normalised = (offsets_s - offsets_s.min()) / self._duration_s
+        if self._times.field:
+            normalised = self._times.since_start_s(cloud, frame.stamp_s) / self._times.scan_duration_s
         self._odometry.register_frame(cloud.points_m, np.clip(normalised, 0.0, 1.0))
         self._stamps_s.append(self._pose_stamp_s(frame.stamp_s))
         self._poses.append(self._odometry.last_pose.copy())
@@ -62,10 +59,9 @@ class KissIcpOdometry:
         return {"package": "kiss-icp", "version": version("kiss-icp")}
 
     def _pose_stamp_s(self, stamp_s: float) -> float:
-        deskewed = bool(self._time_field) and self._odometry.config.data.deskew
-        to_end_s = {"start": 1.0, "middle": 0.5, "end": 0.0}[self._stamp] * self._duration_s
+        deskewed = bool(self._times.field) and self._odometry.config.data.deskew
         # Without deskewing a scan stands for its middle.
-        return stamp_s + to_end_s - (0.0 if deskewed else 0.5 * self._duration_s)
+        return self._times.end_s(stamp_s) - (0.0 if deskewed else 0.5 * self._times.scan_duration_s)
 
 
 def configure(values: dict[str, Any]) -> KISSConfig:

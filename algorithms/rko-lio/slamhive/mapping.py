@@ -14,6 +14,7 @@ from rko_lio.rko_lio_pybind import InputError
 from slamhive.runtime.app import run
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import Frame
+from slamhive.runtime.point_times import PointTimes
 from slamhive.runtime.trajectory import Poses, transform_from
 
 SETTINGS = (
@@ -41,10 +42,7 @@ class RkoLioOdometry:
 
     def __init__(self, config: RunConfig) -> None:
         values = config.parameters
-        self._time_field = str(values.get("points_point_time_field", "t"))
-        self._time_unit = str(values.get("points_point_time_unit", "s"))
-        self._stamp = str(values.get("points_stamp", "start"))
-        self._duration_s = float(values.get("points_scan_duration_s", 1.0 / float(values["points_rate_hz"])))
+        self._times = PointTimes.of(values, float(values["points_rate_hz"]), "points", "points_")
         T_body_imu = np.array(values["imu_T_body_sensor"], dtype=np.float64).reshape(4, 4)
         T_body_lidar = np.array(values["points_T_body_sensor"], dtype=np.float64).reshape(4, 4)
         self._T_imu_lidar = np.linalg.inv(T_body_imu) @ T_body_lidar
@@ -59,12 +57,11 @@ class RkoLioOdometry:
         cloud = frame.points("points")
         if len(cloud.points_m) == 0:
             return False
-        offsets_s = cloud.offsets_s(self._time_field, self._time_unit)
-        offsets_s -= offsets_s.min()
-        start_s = frame.stamp_s - {"start": 0.0, "middle": 0.5, "end": 1.0}[self._stamp] * self._duration_s
-        start_ns = round(start_s * 1e9)
-        stamps_ns = start_ns + np.rint(offsets_s * 1e9).astype(np.int64)
-        end_ns = max(start_ns + round(self._duration_s * 1e9), int(stamps_ns.max()))
+        sweep_start_ns = round(self._times.start_s(frame.stamp_s) * 1e9)
+        offsets_s = self._times.since_start_s(cloud, frame.stamp_s)
+        stamps_ns = sweep_start_ns + np.rint(offsets_s * 1e9).astype(np.int64)
+        start_ns = min(sweep_start_ns, int(stamps_ns.min()))
+        end_ns = max(sweep_start_ns + round(self._times.scan_duration_s * 1e9), int(stamps_ns.max()))
         try:
             self._lio.register_scan(cloud.points_m, stamps_ns, self._T_imu_lidar, start_ns, end_ns)
         except InputError as error:

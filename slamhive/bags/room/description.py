@@ -9,8 +9,10 @@ from slamhive.bags.room.options import RoomOptions
 from slamhive.bags.room.reference_map import REFERENCE_MAP_FILE
 from slamhive.bags.room.rig import DEPTH_UNITS_PER_M, Rig
 from slamhive.bags.staging import GROUND_TRUTH_FILE
+from slamhive.domain.calibration import LidarLayout, PointOrder
 from slamhive.domain.dataset import GroundTruth
 from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
+from slamhive.runtime.point_times import PointTimes, TimeReference
 
 
 def sensors_of(options: RoomOptions, rig: Rig) -> tuple[Sensor, ...]:
@@ -77,22 +79,21 @@ def _imu(options: RoomOptions, rig: Rig) -> Sensor:
 
 def _lidar(options: RoomOptions, rig: Rig) -> Sensor:
     model = rig.lidar
+    layout = LidarLayout(
+        PointTimes(model.scan_duration_s, "time", reference=TimeReference.TIMESTAMP),
+        ring_field="ring",
+        point_order=PointOrder.COLUMNS,
+        beams=model.beams,
+        minimum_range_m=model.minimum_range_m,
+        maximum_range_m=model.maximum_range_m,
+    )
     return Sensor(
         "lidar0",
         SensorKind.LIDAR,
         "/points",
         options.lidar_rate_hz,
         _flat(rig.T_body_lidar),
-        {
-            "beams": model.beams,
-            "minimum_range_m": model.minimum_range_m,
-            "maximum_range_m": model.maximum_range_m,
-            "range_noise_m": model.range_noise_m,
-            "point_time_field": "t",
-            "point_time_unit": "ns",
-            "stamp": "start",
-            "scan_duration_s": model.scan_duration_s,
-        },
+        layout.calibration(range_noise_m=model.range_noise_m),
     )
 
 

@@ -14,9 +14,12 @@ from slamhive.bags.geometry import Array
 from slamhive.bags.room.motion import motion_at
 from slamhive.bags.room.world import Face, room_faces
 
-POINT_TYPE = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<u4"), ("ring", "<u2")])
-"""``x y z`` metres in the LiDAR frame at the point's own instant, ``t`` ns since the scan's start.
+POINT_TYPE = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
+)
+"""``x y z`` metres in the LiDAR frame at the point's own instant, ``time`` s since the scan's start, its timestamp.
 
+Names, types and order of the fields are those of Velodyne's ROS driver (``PointcloudXYZIRT`` of velodyne_pointcloud).
 Packed, as padding would carry whatever bytes memory held and two bags of one seed would differ.
 """
 
@@ -65,7 +68,7 @@ class Lidar:
         for axis, name in enumerate("xyz"):
             points[name] = directions[..., axis] * ranges
         points["intensity"] = 255.0 * reflectivity / np.maximum(ranges, 1.0)
-        points["t"] = offsets_ns[:, None]
+        points["time"] = offsets_ns[:, None] * 1e-9
         points["ring"] = np.arange(model.beams)[None, :]
         return points[(ranges >= model.minimum_range_m) & (ranges <= model.maximum_range_m)]
 
