@@ -6,8 +6,8 @@ import threading
 from collections.abc import Sequence
 
 from slamhive.cli.output import counting_bar
+from slamhive.executors.identity import worker_identity
 from slamhive.services.evaluations import Evaluations
-from slamhive.services.identity import worker_identity
 from slamhive.store import EvaluationRecord
 
 PAUSE_S = 0.5

@@ -19,6 +19,9 @@ from slamhive.executors.status import RunHandle, RunStatus, UsageSource
 ProgressCallback = Callable[[str], None]
 """Takes one line about what is going on, such as a build step."""
 
+LiveKeys = Callable[[], Collection[str]]
+"""Returns the keys of the runs that workers hold now."""
+
 
 class ImageMissing(SlamHiveError):
     """The image or environment of a package does not exist and cannot be made."""
@@ -185,8 +188,11 @@ class Executor(ABC):
         """Starts evaluations in the place that ``capabilities.evaluates_in`` names."""
         return ProcessStarter(self._context.project_root)
 
-    def sweep(self, live_keys: Collection[str]) -> list[str]:  # noqa: ARG002 - as above
-        """Remove what is left of runs of this installation other than ``live_keys``; returns names for the log."""
+    def sweep(self, live_keys: LiveKeys) -> list[str]:  # noqa: ARG002 - as above
+        """Remove what is left of runs of this installation that are over; returns names for the log.
+
+        Workers start runs meanwhile: first list what is there, then call ``live_keys`` for the keys that are in use.
+        """
         return []
 
     def close(self) -> None:  # noqa: B027 - many keep no connection

@@ -6,8 +6,8 @@ import logging
 import threading
 
 from slamhive.errors import SlamHiveError
+from slamhive.executors.identity import owner_is_dead, worker_identity
 from slamhive.services.hive import Hive
-from slamhive.services.identity import owner_is_dead, worker_identity
 
 logger = logging.getLogger(__name__)
 

@@ -136,7 +136,7 @@ def test_sweep_ends_the_groups_of_runs_that_nobody_knows(bench):
     for spec in (kept, lost):
         eventually((bench.result(spec) / "ready").exists, "the start")
     os.kill(int(lost_handle.data["pid"]), signal.SIGKILL)
-    removed = bench.again().sweep({kept.key})
+    removed = bench.again().sweep(lambda: {kept.key})
     if bench.containment == "cgroup":
         assert [name.endswith(lost.key) for name in removed] == [True]
         assert processes_of(lost_handle) == []

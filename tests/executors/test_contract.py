@@ -206,10 +206,15 @@ def test_evaluations_take_place_where_promised(bench):
     assert bench.executor.evaluation_starter().isolated == in_container
 
 
-def test_sweep_removes_what_no_run_knows_and_leaves_the_others(bench):
-    kept_spec, kept = bench.start(SLEEP)
-    bench.executor.sweep({kept_spec.key})
-    assert isinstance(bench.executor.poll(kept), Running)
+def test_sweep_leaves_active_runs_alone_and_those_that_start_meanwhile(bench):
+    kept, _ = bench.start(SLEEP)
+
+    def live_keys():
+        bench.start(SLEEP)
+        return {kept.key}
+
+    bench.executor.sweep(live_keys)
+    assert all(isinstance(bench.executor.poll(handle), Running) for handle in bench.handles)
 
 
 def test_polite_stop_lets_the_algorithm_clean_up(bench):

@@ -14,7 +14,7 @@ import docker.errors
 import pytest
 
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.executors.base import ImageMissing
+from slamhive.executors.base import ExecutorContext, ImageMissing
 from slamhive.executors.cgroup import cgroup_of
 from slamhive.executors.docker import build as docker_build
 from slamhive.executors.docker.build import choose_base, follow_build
@@ -89,13 +89,14 @@ def test_image_without_the_mapping_script_is_refused_every_time(engine, name, ba
     tag = name.partition(":")[2]
     package = AlgorithmPackage(tag, folder, "Empty", "1", "", "", "")
     monkeypatch.setattr(AlgorithmPackage, "image", name)
+    context = ExecutorContext(tmp_path, ROOT, installation=tag)
     for _ in range(2):
         with pytest.raises(ImageMissing, match=r"lacks /slamhive/mapping\.py"):
-            make_image(engine, package, ROOT, lambda line: None)
+            make_image(engine, package, context, lambda line: None)
         assert find_image(engine, package, ROOT) is None
     (folder / "mapping.py").touch()
     dockerfile.write_text("ARG BASE_IMAGE\nFROM ${BASE_IMAGE}\nCOPY package/mapping.py /slamhive/mapping.py\n")
-    digest = make_image(engine, package, ROOT, lambda line: None)
+    digest = make_image(engine, package, context, lambda line: None)
     assert find_image(engine, package, ROOT) == digest
 
 

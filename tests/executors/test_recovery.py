@@ -8,17 +8,19 @@ import signal
 import subprocess
 import sys
 import time
-import uuid
+from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 from pathlib import Path
 
+import docker
 import docker.errors
 import psutil
 import pytest
 
 from slamhive.executors.docker import executor as docker_executor
-from slamhive.executors.docker.engine import EVALUATION_KEY, INSTALLATION_LABEL, KEY_LABEL
+from slamhive.executors.docker.engine import OWNER_LABEL, labels_of_helper
 from slamhive.executors.docker.executor import DockerExecutor
+from slamhive.executors.identity import worker_identity
 from slamhive.executors.process.paths import KEY_VARIABLE
 from slamhive.executors.process.tree_usage import ProcessTreeSource
 from slamhive.executors.spec import Limits
@@ -125,33 +127,52 @@ def test_sweep_removes_what_no_run_knows(bench):
     assert isinstance(executor, DockerExecutor)
     kept, _ = bench.start(SLEEP)
     _, stale = bench.start(SLEEP)
-    assert len(executor.sweep({kept.key})) == 1
+    assert len(executor.sweep(lambda: {kept.key})) == 1
     assert isinstance(executor.poll(stale), Gone)
     assert isinstance(executor.poll(bench.handles[0]), Running)
 
 
 @docker_only
-def test_sweep_leaves_evaluations_alone_that_work_or_are_about_to(bench, monkeypatch):
+def test_sweep_removes_the_containers_of_dead_processes_alone(bench, monkeypatch):
     executor = bench.executor
     assert isinstance(executor, DockerExecutor)
+    engine = docker.from_env()
+    host, namespace, pid, boot_and_birth = worker_identity().split(":", 3)
 
-    def evaluation(command: str):
-        labels = {KEY_LABEL: f"{EVALUATION_KEY}{uuid.uuid4().hex}", INSTALLATION_LABEL: bench.context.installation}
-        containers = executor._engine().containers
-        return containers.create(bench.image, ["sh", "-c", command], labels=labels, network_mode="none")
+    def evaluation(command: str, *, owner: str):
+        labels = labels_of_helper("evaluation", bench.context.installation) | {OWNER_LABEL: owner}
+        return engine.containers.create(bench.image, ["sh", "-c", command], labels=labels, network_mode="none")
 
-    made, working, over = (evaluation(command) for command in ("true", "sleep 100", "true"))
+    dead = f"{host}:{namespace}:{pid}:{boot_and_birth}1"
+    of_the_dead = [evaluation("true", owner=dead), evaluation("sleep 100", owner=dead)]
+    kept = [evaluation(command, owner=worker_identity()) for command in ("true", "true", "sleep 100")]
+    made, over, working = kept
     try:
-        for container in (working, over):
+        for container in (of_the_dead[1], over, working):
             container.start()
         over.wait()
-        assert executor.sweep(set()) == [over.name]
-        monkeypatch.setattr(docker_executor, "_START_PATIENCE", timedelta(0))
-        assert executor.sweep(set()) == [made.name]
+        assert sorted(executor.sweep(list)) == sorted(container.name for container in of_the_dead)
+        monkeypatch.setattr(docker_executor, "OWNER_PATIENCE", timedelta(0))
+        assert sorted(executor.sweep(list)) == sorted((made.name, over.name))
     finally:
-        for container in (made, working, over):
+        for container in (*of_the_dead, *kept):
             with contextlib.suppress(docker.errors.NotFound):
                 container.remove(force=True)
+        engine.close()
+
+
+@docker_only
+def test_a_start_waits_for_the_container_that_the_engine_still_makes(bench):
+    """The engine takes the name of a container first: a second request is refused before the container can be found."""
+    spec = bench.spec(SLEEP)
+    starters = [bench.again() for _ in range(6)]
+    with ThreadPoolExecutor(len(starters)) as pool:
+        handles = list(pool.map(lambda starter: starter.start(spec), starters))
+    bench.handles.append(handles[0])
+    assert {handle.data["container"] for handle in handles} == {handles[0].data["container"]}
+    assert isinstance(bench.executor.poll(handles[0]), Running)
+    for starter in starters:
+        starter.close()
 
 
 @docker_only

@@ -78,7 +78,7 @@ def test_only_what_nobody_works_on_goes(hive: Hive, holding: subprocess.Popen[st
 
 def sweep(hive: Hive) -> None:
     sweep_leftovers(hive.settings, hive.store, hive.variants, hive.executors.get)
-    hive.executors.get("process").sweep(())
+    hive.executors.get("process").sweep(list)
 
 
 def left(hive: Hive, tmp_path: Path) -> list[str]:

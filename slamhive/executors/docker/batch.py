@@ -6,7 +6,6 @@ import contextlib
 import logging
 import os
 import threading
-import uuid
 from collections import deque
 from collections.abc import Iterator
 from typing import Any
@@ -24,12 +23,10 @@ from slamhive.evaluation.line_feed import LineFeed
 from slamhive.executors.base import EngineUnavailable, ExecutorContext
 from slamhive.executors.docker.build import build_image, content_of, get_image, name_image
 from slamhive.executors.docker.engine import (
-    EVALUATION_KEY,
     HARDENING,
-    INSTALLATION_LABEL,
-    KEY_LABEL,
     connect,
     engine_errors,
+    labels_of_helper,
 )
 from slamhive.files import temporary_folder
 
@@ -104,10 +101,7 @@ class DockerStarter:
                     image,
                     [batch.job],
                     mounts=mounts,
-                    labels={
-                        KEY_LABEL: f"{EVALUATION_KEY}{uuid.uuid4().hex}",
-                        INSTALLATION_LABEL: self._context.installation,
-                    },
+                    labels=labels_of_helper("evaluation", self._context.installation),
                     environment={"HOME": "/tmp"},  # noqa: S108 - the container's own; evo writes settings there
                     user=f"{os.getuid()}:{os.getgid()}",
                     pids_limit=_PIDS,

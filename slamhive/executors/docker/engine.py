@@ -6,6 +6,7 @@ import hashlib
 import os
 import re
 import socket
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -18,13 +19,14 @@ from docker.constants import DEFAULT_UNIX_SOCKET
 
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import EngineUnavailable
+from slamhive.executors.identity import worker_identity
 
 KEY_LABEL = "slamhive.key"
 RUN_LABEL = "slamhive.run"
 INSTALLATION_LABEL = "slamhive.installation"
 
-EVALUATION_KEY = "evaluation-"
-"""Keys that begin with this belong to evaluations, not to runs."""
+OWNER_LABEL = "slamhive.owner"
+"""The process that a container serves. Containers of runs do not have it: they outlive their worker."""
 
 _TIMEOUT_S = 60
 _SOCKET_TIMEOUT_S = 5
@@ -39,6 +41,15 @@ HARDENING: dict[str, Any] = {
     "shm_size": 256 * 1024 * 1024,
 }
 """What every container of ours is started with. ROS 2 moves images through /dev/shm; its default of 64 MB is short."""
+
+
+def labels_of_helper(purpose: str, installation: str) -> dict[str, str]:
+    """The labels of a container that serves this process, and is of no use after it."""
+    return {
+        KEY_LABEL: f"{purpose}-{uuid.uuid4().hex}",
+        OWNER_LABEL: worker_identity(),
+        INSTALLATION_LABEL: installation,
+    }
 
 
 @contextmanager

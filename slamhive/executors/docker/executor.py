@@ -7,6 +7,7 @@ and the installation. "No such container" (404) and "exists already" (409) are t
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Collection
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 import docker
 import docker.errors
 
-from slamhive.clock import utc_now
+from slamhive.clock import monotonic_s, utc_now
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import Unavailable
 from slamhive.evaluation.batch import BatchStarter
@@ -27,6 +28,7 @@ from slamhive.executors.base import (
     ExecutorContext,
     Finding,
     ImageMissing,
+    LiveKeys,
     PackageNeed,
     ProgressCallback,
     StartFailed,
@@ -35,9 +37,9 @@ from slamhive.executors.cgroup import cgroup_of
 from slamhive.executors.docker.batch import DockerStarter
 from slamhive.executors.docker.container import container_options, scratch_folder
 from slamhive.executors.docker.engine import (
-    EVALUATION_KEY,
     INSTALLATION_LABEL,
     KEY_LABEL,
+    OWNER_LABEL,
     connect,
     container_name,
     engine_errors,
@@ -45,24 +47,31 @@ from slamhive.executors.docker.engine import (
 from slamhive.executors.docker.image import find_image, make_image
 from slamhive.executors.docker.refusals import RefusedProcesses, engine_protections
 from slamhive.executors.docker.stats import DockerStatsSource
+from slamhive.executors.identity import owner_is_dead
 from slamhive.executors.local_files import make_own_copies
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
 from slamhive.files import remedy_of, write_aside
 
 _UNSET_TIME = "0001-"
-_START_PATIENCE = timedelta(minutes=5)
+OWNER_PATIENCE = timedelta(minutes=5)
+"""How long a container is kept that does not run, but whose process may live."""
+_CREATION_PATIENCE_S = 30.0
+_CREATION_STEP_S = 0.05
 
 
 def _is_live(container: Any, live_keys: Collection[str]) -> bool:
-    key = str(container.labels.get(KEY_LABEL))
-    if not key.startswith(EVALUATION_KEY):
-        return key in live_keys
-    if container.status != "created":
-        return bool(container.status == "running")
-    # Its worker is about to start it, unless the container is old.
-    created_at = _time(container.attrs.get("Created"))
-    return created_at is not None and utc_now() - created_at < _START_PATIENCE
+    """Whether somebody still needs a container: the run of its key, or the process that it serves."""
+    owner = container.labels.get(OWNER_LABEL)
+    if owner is None:
+        return container.labels.get(KEY_LABEL) in live_keys
+    if owner_is_dead(owner):
+        return False
+    if container.status == "running":
+        return True
+    # Its owner is about to start it, or reads how it ended.
+    since = _time(container.attrs["State"].get("FinishedAt")) or _time(container.attrs.get("Created"))
+    return since is not None and utc_now() - since < OWNER_PATIENCE
 
 
 class DockerExecutor(Executor):
@@ -102,7 +111,7 @@ class DockerExecutor(Executor):
 
     def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
         """Find, pull or build the image; returns its digest. Raises ImageMissing."""
-        return make_image(self._engine(), package, self._context.project_root, progress)
+        return make_image(self._engine(), package, self._context, progress)
 
     def start(self, spec: RunSpec) -> RunHandle:
         """Create and start the run's container, or find it in whatever state it is."""
@@ -181,12 +190,13 @@ class DockerExecutor(Executor):
             found = self._engine().api.containers(all=True, size=True, filters={"id": handle.data["container"]})
         return sum(int(entry.get("SizeRw") or 0) for entry in found)
 
-    def sweep(self, live_keys: Collection[str]) -> list[str]:
-        """Remove containers of this installation whose run is over, but no evaluation that is still running."""
+    def sweep(self, live_keys: LiveKeys) -> list[str]:
+        """Remove containers of this installation whose run is over, or whose process is dead."""
         label = f"{INSTALLATION_LABEL}={self._context.installation}"
         with engine_errors("listing containers", EngineUnavailable):
             containers = self._engine().containers.list(all=True, filters={"label": label}, ignore_removed=True)
-        stale = [entry for entry in containers if not _is_live(entry, live_keys)]
+        keys = live_keys()
+        stale = [entry for entry in containers if not _is_live(entry, keys)]
         for container in stale:
             self._remove(str(container.id))
         return [str(container.name) for container in stale]
@@ -226,6 +236,18 @@ class DockerExecutor(Executor):
         except OSError as error:
             raise Unavailable(f"{scratch} cannot be made: {error.strerror}", remedy_of(error)) from None
         make_own_copies(spec)
+        deadline_s = monotonic_s() + _CREATION_PATIENCE_S
+        while True:
+            container = self._try_create(spec) or self._find(container_name(spec.key))
+            if container is not None:
+                return container
+            # A worker that was killed asked for it too: the engine has taken the name, and still makes the container.
+            if monotonic_s() >= deadline_s:
+                raise StartFailed(f"the engine does not finish the container of run {spec.run_id}", "try again")
+            time.sleep(_CREATION_STEP_S)
+
+    def _try_create(self, spec: RunSpec) -> Any | None:
+        """Create the container; None if its name is taken."""
         with engine_errors(f"starting run {spec.run_id}", StartFailed):
             try:
                 return self._engine().containers.create(**container_options(spec, self._context))
@@ -234,10 +256,7 @@ class DockerExecutor(Executor):
             except docker.errors.APIError as error:
                 if error.status_code != 409:
                     raise
-        container = self._find(container_name(spec.key))
-        if container is None:
-            raise StartFailed(f"the container of run {spec.run_id} disappeared while it was made", "try again")
-        return container
+                return None
 
     def _start_created(self, container: Any, spec: RunSpec) -> None:
         try:

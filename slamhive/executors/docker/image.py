@@ -10,9 +10,9 @@ import docker.errors
 
 from slamhive.catalogue.image_context import context_hash, stage_context
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.executors.base import ImageMissing, ProgressCallback
+from slamhive.executors.base import ExecutorContext, ImageMissing, ProgressCallback
 from slamhive.executors.docker.build import build_image, content_of, get_image, name_image
-from slamhive.executors.docker.engine import engine_errors
+from slamhive.executors.docker.engine import engine_errors, labels_of_helper
 from slamhive.files import temporary_folder
 
 MAPPING_SCRIPT = "/slamhive/mapping.py"
@@ -32,9 +32,10 @@ def find_image(client: docker.DockerClient, package: AlgorithmPackage, project_r
 
 
 def make_image(
-    client: docker.DockerClient, package: AlgorithmPackage, project_root: Path, progress: ProgressCallback
+    client: docker.DockerClient, package: AlgorithmPackage, context: ExecutorContext, progress: ProgressCallback
 ) -> str:
     """Find, pull or build the image of ``package``; returns its digest. Raises ImageMissing."""
+    project_root = context.project_root
     found = find_image(client, package, project_root)
     if found is not None:
         return found
@@ -42,17 +43,18 @@ def make_image(
         return _pull(client, package, progress)
     content = context_hash(package.folder, project_root)
     with temporary_folder() as folder:
-        context = stage_context(package.folder, project_root, folder / "context")
-        digest = build_image(client, package.image, context, content, project_root, progress)
-    check_mapping_script(client, digest, package.image)
+        staged = stage_context(package.folder, project_root, folder / "context")
+        digest = build_image(client, package.image, staged, content, project_root, progress)
+    check_mapping_script(client, digest, package.image, context.installation)
     name_image(client, digest, package.image)
     return digest
 
 
-def check_mapping_script(client: docker.DockerClient, digest: str, name: str) -> None:
+def check_mapping_script(client: docker.DockerClient, digest: str, name: str, installation: str) -> None:
     """Raise ImageMissing if the image lacks ``/slamhive/mapping.py``. Nothing of the image is run for it."""
     with engine_errors(f"looking into {name}", ImageMissing):
-        container = client.containers.create(digest, command=["true"], network_mode="none")
+        labels = labels_of_helper("check", installation)
+        container = client.containers.create(digest, command=["true"], network_mode="none", labels=labels)
         try:
             stream: Any = container.get_archive(MAPPING_SCRIPT)[0]
             stream.close()

@@ -12,7 +12,6 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from slamhive.executors.base import (
     ExecutorContext,
     Finding,
     ImageMissing,
+    LiveKeys,
     PackageNeed,
     ProgressCallback,
 )
@@ -46,7 +46,7 @@ from slamhive.executors.process.supervisors import (
     supervisor_of,
     wait_until,
 )
-from slamhive.executors.process.survey import survey
+from slamhive.executors.process.survey import survey, survey_goes_on
 from slamhive.executors.process.tree_usage import ProcessTreeSource
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Gone, Protections, RunHandle, Running, RunStatus, UsageSource
@@ -171,13 +171,14 @@ class ProcessExecutor(Executor):
         finally:
             os.close(descriptor)
 
-    def sweep(self, live_keys: Collection[str]) -> list[str]:
+    def sweep(self, live_keys: LiveKeys) -> list[str]:
         """End and remove the control groups of runs that are over, and the remains of environments."""
         self._environments.sweep()
-        live = {group_name(self._context.installation, key) for key in live_keys}
+        found = list(left_over_groups(self._context.installation))
+        live = {group_name(self._context.installation, key) for key in live_keys()}
         removed = []
-        for name, group in left_over_groups(self._context.installation):
-            if name not in live:
+        for name, group in found:
+            if name not in live and not survey_goes_on(name):
                 group.end(KILL_WAIT_S)
                 group.remove()
                 removed.append(name)

@@ -9,6 +9,7 @@ import sys
 from slamhive.executors.process import priority
 from slamhive.executors.process.containment import choose_containment
 from slamhive.executors.process.containment_base import ContainmentRequest
+from slamhive.executors.process.table import read_process
 from slamhive.executors.status import Protections
 
 _ANY_TASKS = 16
@@ -28,6 +29,12 @@ def survey(installation: str, kind: str | None = None) -> Protections:
         )
     finally:
         chosen.containment.remove()
+
+
+def survey_goes_on(group: str) -> bool:
+    """Whether the control group ``group`` is that of a survey which another process makes now."""
+    pid = group.rpartition("-survey-")[2]
+    return pid.isdigit() and read_process(int(pid)) is not None
 
 
 def _priority_here(*, shares_processors: bool) -> str:

@@ -17,13 +17,13 @@ from slamhive.domain.sensors import IDENTITY4, Matrix4
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask, failed_result
 from slamhive.evaluation.runner import EvaluationRunner
+from slamhive.executors.identity import owner_is_dead
 from slamhive.files import write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.services.datasets import Catalogue, algorithm_here_or_elsewhere, check_writable
 from slamhive.services.evaluations.files import evaluation_files
 from slamhive.services.evaluations.protocols import Protocols, fitting_protocol, reference_path
 from slamhive.services.evaluations.scratch import scratch_folder
-from slamhive.services.identity import owner_is_dead
 from slamhive.settings import Settings
 from slamhive.store import Store
 from slamhive.store.records import EvaluationRecord, LeaseLost, RunRecord

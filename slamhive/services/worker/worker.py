@@ -15,16 +15,15 @@ from slamhive.clock import monotonic_s
 from slamhive.domain.run import RunEvent, RunState
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.executors.base import EngineUnavailable, Executor
-from slamhive.executors.registry import candidates
+from slamhive.executors.identity import owner_is_dead, worker_identity
 from slamhive.runs.folder import RunFolder
-from slamhive.search.build import matching
 from slamhive.services.analyses import AnalysisJobs
 from slamhive.services.datasets import Catalogue, Variants
 from slamhive.services.evaluations import Evaluations
-from slamhive.services.identity import owner_is_dead, worker_identity
 from slamhive.services.runs import RecordKeeper
 from slamhive.services.worker.context import DriverContext, WorkerStopping
 from slamhive.services.worker.driver import RunDriver
+from slamhive.services.worker.engine_sweep import EngineSweep
 from slamhive.services.worker.held_runs import HeldRuns
 from slamhive.services.worker.leftovers import sweep_leftovers
 from slamhive.services.worker.lock import WorkerLock
@@ -38,7 +37,6 @@ logger = logging.getLogger(__name__)
 
 IDLE_PAUSE_S = 0.25
 TROUBLE_PAUSE_S = 5.0
-MOST_ACTIVE = 1000
 CANCEL_CHECK_S = 0.5
 EVALUATION_INTERVAL_S = 30.0
 
@@ -76,6 +74,7 @@ class Worker:
         self.owner = worker_identity()
         self._absent = AbsentExecutors(executors, TROUBLE_PAUSE_S)
         self._one_at_a_time = OneAtATime(executors)
+        self._engine_sweep = EngineSweep(settings.executor, store, executors)
         self._context = DriverContext(
             settings=settings,
             store=store,
@@ -116,6 +115,7 @@ class Worker:
             try:
                 for thread in threads:
                     thread.join()
+                ended_by_itself = not self._stopping.is_set()
             finally:
                 self._stopping.set()
                 for thread in threads:
@@ -123,6 +123,8 @@ class Worker:
                 heartbeat_ends.set()
                 heartbeat.join()
                 self._let_go()
+            if ended_by_itself:
+                self._engine_sweep.sweep()
 
     def _slot(self, cores: tuple[int, ...] | None, until_idle: bool) -> None:
         if cores is not None:
@@ -149,6 +151,7 @@ class Worker:
 
     def _work_once(self, cores: tuple[int, ...] | None, turns: Turns, away: Collection[str]) -> bool:
         """Do one run whose executor is not ``away``, or one batch of evaluations; returns whether there was one."""
+        self._engine_sweep.sweep_if_due()
         near, lease_s = turns.near, self._settings.lease_s
         run = self._store.write(lambda t: t.queue.claim(t.lease(self.owner, lease_s), self._only, near, away))
         if run is not None:
@@ -283,26 +286,11 @@ class Worker:
 
     def _sweep(self) -> None:
         """Remove leftovers of killed workers."""
-        self._sweep_executors()
+        self._engine_sweep.sweep()
         try:
             sweep_leftovers(self._settings, self._store, self._context.variants, self._context.executors)
         except (SlamHiveError, OSError) as error:
             logger.warning("leftovers of killed workers may remain: %s", error)
-
-    def _sweep_executors(self) -> None:
-        """Remove what runs that have ended have left in their executors."""
-        active = matching(states=tuple(state for state in RunState if state.active))
-        records = self._store.read(lambda t: t.runs.page(active, limit=MOST_ACTIVE)).records
-        names = {record.executor for record in records}
-        names.update(executor.name for executor in candidates(self._settings.executor, self._context.executors))
-        for name in sorted(names):
-            try:
-                removed = self._context.executors(name).sweep({record.uid for record in records})
-            except SlamHiveError as error:
-                logger.info("what runs have left in %s is not removed now: %s", name, error)
-            else:
-                if removed:
-                    logger.info("removed %s, whose runs have ended", ", ".join(removed))
 
     def _let_go(self) -> None:
         try:

@@ -185,13 +185,17 @@ class Agent:
         peak_bytes = source.peak_memory_bytes()
         send_json(connection, {"cpu_s": reading[0], "memory_bytes": reading[1], "peak_bytes": peak_bytes})
 
+    def _do_keys(self, connection: Connection, asked: dict[str, Any]) -> None:
+        send_json(connection, self._keys(asked))
+
     def _do_sweep(self, connection: Connection, asked: dict[str, Any]) -> None:
-        folder = self._root / "runs" / asked["installation"]
-        over = sorted({path.name for path in folder.glob("*")} - set(asked["keys"]))
-        for key in over:
+        for key in asked["over"]:
             self._remove({**asked, "key": key})
-        self._executor(asked).sweep(asked["keys"])
-        send_json(connection, over)
+        self._executor(asked).sweep(lambda: self._keys(asked))
+        send_json(connection, None)
+
+    def _keys(self, asked: dict[str, Any]) -> list[str]:
+        return sorted(path.name for path in (self._root / "runs" / asked["installation"]).glob("*"))
 
     def _remove(self, asked: dict[str, Any]) -> None:
         folder = self._folder(asked)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tarfile
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from multiprocessing.connection import Connection
@@ -22,6 +22,7 @@ from slamhive.executors.base import (
     Executor,
     ExecutorContext,
     Finding,
+    LiveKeys,
     PackageNeed,
     ProgressCallback,
 )
@@ -142,10 +143,12 @@ class RemoteExecutor(Executor):
         """Everything that the run has written lies with the agent."""
         return int(self._ask("size", key=handle.data["key"]))
 
-    def sweep(self, live_keys: Collection[str]) -> list[str]:
+    def sweep(self, live_keys: LiveKeys) -> list[str]:
         """Let the agent remove the runs of this installation that are over."""
-        removed: list[str] = self._ask("sweep", keys=sorted(live_keys))
-        return removed
+        found: list[str] = self._ask("keys")
+        over = sorted(set(found) - set(live_keys()))
+        self._ask("sweep", over=over)
+        return over
 
     def _ask(self, what: str, **fields: Any) -> Any:
         with self._asked(what, **fields) as connection:

@@ -1,4 +1,4 @@
-"""The name under which a process holds runs; it lets others detect that the process is dead."""
+"""The name under which a process holds runs and containers; it lets others detect that the process is dead."""
 
 from __future__ import annotations
 

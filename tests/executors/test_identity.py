@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
+from slamhive.executors import identity
+from slamhive.executors.identity import owner_is_dead, worker_identity
 from slamhive.executors.process.table import process_birth
-from slamhive.services import identity
-from slamhive.services.identity import owner_is_dead, worker_identity
 
 
 def other_process() -> tuple[subprocess.Popen[bytes], str]:
