@@ -7,13 +7,18 @@ from __future__ import annotations
 
 import functools
 import itertools
+import os
 import re
+import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from _pytest.mark.expression import Expression
+
+from tests.shared_environments import SHARED_ENVIRONMENTS
 
 if TYPE_CHECKING:
     from tests.services.mariadb import DatabaseServer
@@ -45,6 +50,15 @@ def may_be_selected(path: Path, wanted: Expression) -> bool:
 def is_among(marks: set[str], name: str, /, **_: object) -> bool:
     """Whether a test with ``marks`` carries the one of that name."""
     return name in marks
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Make the folder where all tests of a session, in all processes, share the environments of test algorithms."""
+    if SHARED_ENVIRONMENTS not in os.environ:
+        folder = Path(tempfile.mkdtemp(prefix="slamhive-test-environments-"))
+        folder.chmod(0o755)  # a run may have a user of its own
+        os.environ[SHARED_ENVIRONMENTS] = str(folder)
+        config.add_cleanup(functools.partial(shutil.rmtree, folder))
 
 
 @pytest.fixture(scope="session")

@@ -20,6 +20,7 @@ from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.runs.folder import RunFolder
 from tests.executors.plugins import PLUGINS, Agent, distributions_in, install_plugins
+from tests.shared_environments import share_environments
 from tests.waiting import eventually
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
@@ -155,7 +156,9 @@ def test_package(tmp_path_factory: pytest.TempPathFactory) -> AlgorithmPackage:
 
 @pytest.fixture(scope="session")
 def environment_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("data")
+    data = tmp_path_factory.mktemp("data")
+    share_environments(data)
+    return data
 
 
 @pytest.fixture(scope="session")
@@ -176,7 +179,10 @@ def plugins(plugin_folder: Path) -> Iterator[dict[str, ExecutorFactory]]:
 @pytest.fixture
 def agent(tmp_path: Path, plugin_folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Agent]:
     """An agent with files of its own."""
-    with Agent(tmp_path / "another-machine", plugin_folder) as agent:
+    root = tmp_path / "another-machine"
+    root.mkdir()
+    share_environments(root)  # with other agents: the controller needs none of its own
+    with Agent(root, plugin_folder) as agent:
         for name, value in agent.variables.items():
             monkeypatch.setenv(name, value)
         yield agent

@@ -60,21 +60,15 @@ def installation(
     *,
     executor: str = "process",
     database: DatabaseServer | None = None,
-    environments: Path | None = None,
     **settings: str,
 ) -> Iterator[Installation]:
-    """An installation below ``folder``; what it runs ends with the block.
-
-    ``environments``: those of algorithms are made there, to be shared: each takes many seconds.
-    """
+    """An installation below ``folder``; what it runs ends with the block."""
     data = folder / "data"
     project, temporary = make_project(folder / "project"), folder / "temporary"
     if executor == "docker":
         # As images made for the published SLAM Hive: the scripts are not baked in.
         (project / "algorithms" / "tiny" / "Dockerfile").unlink()
     make_dataset(data)
-    if environments is not None:
-        (data / "environments").symlink_to(environments)
     temporary.mkdir()
     settings = {"executor": executor, "lease_s": str(LEASE_S), **settings}
     if database is not None:

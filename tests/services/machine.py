@@ -10,17 +10,29 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import psutil
 
+from slamhive.executors.process import shim
 from tests.services.mariadb import DatabaseServer
 from tests.waiting import PATIENCE_S, eventually
 
 NURSERY = Path(__file__).with_name("worker_nursery.py")
 CHECKOUT = NURSERY.parents[2]
 MOST_ROUNDS = 50
+SUPERVISOR = shim.__name__
+"""What the command lines of supervisors of runs have in common."""
+
+
+@dataclass(frozen=True)
+class Killed:
+    """The number of processes that died with the machine, and of containers and supervisors of runs among them."""
+
+    processes: int
+    executing: int
 
 
 class Machine:
@@ -64,11 +76,8 @@ class Machine:
         """Whether a worker lives."""
         return any(psutil.pid_exists(pid) for pid in self._workers)
 
-    def die(self) -> int:
-        """Kill everything at once; how many processes there were.
-
-        All are stopped before the first is killed, so that none sees another die.
-        """
+    def die(self) -> Killed:
+        """Kill everything at once. All are stopped before the first is killed, so that none sees another die."""
         known: set[int] = set()
         if self.database is not None:
             self.database.freeze(frozen=True)
@@ -80,6 +89,7 @@ class Machine:
             known |= new
             if not new:
                 break
+        executing = len(self._containers()) + sum(SUPERVISOR in line for line in self.processes())
         if self.database is not None:
             self.database.kill()
         for pid in known:
@@ -87,7 +97,7 @@ class Machine:
                 os.kill(pid, signal.SIGKILL)
         self._workers.clear()
         eventually(lambda: not set(self._own()) & known, "the end of all processes")
-        return len(known)
+        return Killed(len(known), executing)
 
     def kill_worker(self, pid: int) -> None:
         """Kill one worker; what it has started goes on."""

@@ -52,6 +52,7 @@ with (
 def holding(hive: Hive, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """A process in the middle of everything that leaves something when it is killed."""
     (tmp_path / "temporary").mkdir()
+    (hive.settings.data / "environments").unlink()  # others share it, and may sweep it
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     monkeypatch.setattr(tempfile, "tempdir", None)
     hive.runs.submit(Submission("tiny", "track"))

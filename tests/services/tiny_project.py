@@ -12,6 +12,7 @@ from rosbags.rosbag1 import Writer
 from slamhive.catalogue.dataset_file import dataset_to_yaml
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.sensors import Sensor, SensorKind
+from tests.shared_environments import share_environments
 
 ALGORITHM = """
 format: 1
@@ -119,7 +120,8 @@ def write_bag(path: Path, topics: Sequence[str] = ("/points",)) -> None:
 
 
 def environment(root: Path, data: Path, **settings: str) -> dict[str, str]:
-    """The environment of a process that works in this project."""
+    """The environment of a process that works in this project. A data root that exists shares environments."""
+    share_environments(data)
     checkout = Path(__file__).resolve().parents[2]
     return {
         **os.environ,
@@ -128,5 +130,6 @@ def environment(root: Path, data: Path, **settings: str) -> dict[str, str]:
         "SLAMHIVE_DATA": str(data),
         "SLAMHIVE_EXECUTOR": "process",
         "SLAMHIVE_MIN_FREE_DISK_MB": "1",
+        "SLAMHIVE_POLL_INTERVAL_S": "0.02",  # runs of tests are short
         **{f"SLAMHIVE_{key.upper()}": value for key, value in settings.items()},
     }
