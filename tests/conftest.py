@@ -62,18 +62,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture(scope="session")
-def database_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DatabaseServer]:
+def database_server() -> Iterator[DatabaseServer]:
     """A private MariaDB or MySQL server, started once when the first test asks for it."""
-    from tests.services.mariadb import DatabaseServer, find_server  # noqa: PLC0415
+    from tests.services.mariadb import running_server  # noqa: PLC0415
 
-    program = find_server()
-    if program is None:
-        pytest.skip("no MariaDB or MySQL server here; enable: apt-get install mariadb-server-core")
-    server = DatabaseServer(tmp_path_factory.mktemp("db"), program)
-    server.create()
-    server.start()
-    yield server
-    server.stop()
+    with running_server() as server:
+        yield server
 
 
 @pytest.fixture(scope="session")

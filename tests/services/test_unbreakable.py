@@ -35,7 +35,7 @@ from tests.services.installation import (
     marks_of,
 )
 from tests.services.machine import Killed, wait_s
-from tests.services.mariadb import DatabaseServer, find_server
+from tests.services.mariadb import DatabaseServer, running_server
 from tests.services.tiny_project import make_dataset
 from tests.waiting import PATIENCE_S, eventually
 
@@ -66,17 +66,10 @@ def told() -> Iterator[None]:
 
 
 @pytest.fixture
-def database(tmp_path: Path) -> Iterator[DatabaseServer]:
+def database() -> Iterator[DatabaseServer]:
     """A database server of this test alone: it dies with the machine."""
-    program = find_server()
-    if program is None:
-        pytest.skip("no MariaDB or MySQL server here; enable: apt-get install mariadb-server-core")
-    (tmp_path / "server").mkdir()
-    server = DatabaseServer(tmp_path / "server", program)
-    server.create()
-    server.start()
-    yield server
-    server.kill()
+    with running_server() as server:
+        yield server
 
 
 def settled(case: str, made: Installation, **more: object) -> None:

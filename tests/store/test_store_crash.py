@@ -18,7 +18,7 @@ from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.store import Store, open_store
 from slamhive.store.engine import make_engine
-from tests.services.mariadb import DatabaseServer, find_server
+from tests.services.mariadb import DatabaseServer, running_server
 from tests.store.store_samples import Samples
 
 pytestmark = pytest.mark.integration
@@ -67,16 +67,10 @@ def test_a_killed_writer_loses_nothing_committed(database_url: str, lines: int) 
 
 
 @pytest.fixture
-def own_server(tmp_path: Path) -> Iterator[DatabaseServer]:
+def own_server() -> Iterator[DatabaseServer]:
     """A server that the test may kill."""
-    program = find_server()
-    if program is None:
-        pytest.skip("no MariaDB or MySQL server here; enable: apt-get install mariadb-server-core")
-    server = DatabaseServer(tmp_path, program)
-    server.create()
-    server.start()
-    yield server
-    server.kill()
+    with running_server() as server:
+        yield server
 
 
 @pytest.mark.mysql
