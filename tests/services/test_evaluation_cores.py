@@ -3,28 +3,44 @@
 from __future__ import annotations
 
 import threading
-from pathlib import Path
-from unittest.mock import Mock
+from dataclasses import dataclass, field
 
 import pytest
 
-from slamhive.evaluation.job import EvaluationTask
-from slamhive.services.evaluations.service import Evaluations
-from slamhive.settings import Settings
-from slamhive.store.records import EvaluationRecord
+from slamhive.evaluation.batch import Batch, LineCallback
+from slamhive.schema.submission import Submission
+from slamhive.services.worker.slots import share_cores
+from tests.services.fake_executor import FakeExecutor, write_trajectory
+from tests.services.test_worker import hive
 
 pytestmark = pytest.mark.integration
 
+__all__ = ["hive"]
 
-def test_cores_reach_the_runner(tmp_path, monkeypatch):
-    runner = Mock()
-    store = Mock()
-    store.write.return_value = [Mock(spec=EvaluationRecord, id=1)]
-    evaluations = Evaluations(Settings(data=tmp_path), store, Mock(), Mock(), lambda: runner)
-    task = Mock(spec=EvaluationTask)
-    monkeypatch.setattr(evaluations, "_tasks", lambda claimed, refuse: [task])
-    assert evaluations.work_once("me", threading.Event(), cores=(2, 3)) == 1
-    tasks, scratch, *_, cores = runner.run.call_args.args
-    assert tasks == [task]
-    assert isinstance(scratch, Path)
-    assert cores == (2, 3)
+
+@dataclass
+class Starter:
+    """Notes the cores of each batch and evaluates nothing."""
+
+    isolated: bool = False
+    cores: list[tuple[int, ...] | None] = field(default_factory=list)
+
+    def prepare(self, progress: LineCallback) -> None:
+        pass
+
+    def run_batch(self, batch: Batch, on_line: LineCallback, stopping: threading.Event) -> str:
+        self.cores.append(batch.cores)
+        return "it is not evaluated here"
+
+
+@pytest.mark.parametrize("slots", [1, 2])
+def test_the_cores_of_the_slot_reach_the_batch(hive, monkeypatch, slots):
+    starter = Starter()
+    executor = FakeExecutor(on_start=write_trajectory(30))
+    monkeypatch.setattr(executor, "evaluation_starter", lambda: starter)
+    monkeypatch.setattr(hive, "settings", hive.settings.model_copy(update={"worker_slots": slots}))
+    hive.executors.opened["process"] = executor
+    hive.runs.submit(Submission("tiny", "track"))
+    hive.worker().run(until_idle=True)
+    assert len(starter.cores) == 1
+    assert starter.cores[0] in share_cores(slots)

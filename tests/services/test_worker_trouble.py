@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -14,7 +15,9 @@ from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.base import EngineUnavailable, ImageMissing
 from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.schema.submission import Submission
-from slamhive.store import EvaluationState, Lease
+from slamhive.services.worker.heartbeat import Heartbeat
+from slamhive.services.worker.held_runs import HeldRuns
+from slamhive.store import EvaluationState, Lease, Store, Transaction
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit
 from tests.waiting import PATIENCE_S, eventually
@@ -44,26 +47,36 @@ def test_a_fault_of_ours_ends_the_run_and_not_the_worker(hive):
     assert finish(hive, FakeExecutor([Exited(0)], write_trajectory())).state is RunState.SUCCEEDED
 
 
-def test_a_fault_of_the_heartbeat_does_not_end_it(hive, monkeypatch):
-    beats: list[set[int]] = []
-    enough, ends = threading.Event(), threading.Event()
+class FaultyOnce:
+    """A store whose first write fails with an error that nobody expects."""
 
-    def beat(held: set[int]) -> None:
-        beats.append(held)
-        if len(beats) == 1:
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self.writes = 0
+
+    def write(self, work: Callable[[Transaction], Any]) -> Any:
+        self.writes += 1
+        if self.writes == 1:
             raise ZeroDivisionError("oops")
-        enough.set()
+        return self._store.write(work)
 
-    worker = hive.worker()
-    worker._settings = worker._settings.model_copy(update={"lease_s": 0.01})
-    worker._held.add(7)
-    monkeypatch.setattr(worker, "_beat", beat)
-    thread = threading.Thread(target=worker._heartbeat, args=(ends,))
+    def read(self, work: Callable[[Transaction], Any]) -> Any:
+        return self._store.read(work)
+
+
+def test_a_fault_of_the_heartbeat_does_not_end_it(hive):
+    run_id = submit(hive, FakeExecutor())
+    hive.store.write(lambda t: t.queue.claim(t.lease("me", 0.3)))
+    (before,) = hive.store.read(lambda t: t.runs.get_many([run_id]))
+    held, store, ends = HeldRuns(), cast("Any", FaultyOnce(hive.store)), threading.Event()
+    held.add(run_id)
+    thread = threading.Thread(target=Heartbeat(held, store, "me", lease_s=0.3, interval_s=0.01).beat, args=(ends,))
     thread.start()
-    assert enough.wait(PATIENCE_S)
+    eventually(lambda: hive.runs.get(run_id).lease_expires_at > before.lease_expires_at, "a longer lease")
     ends.set()
     thread.join(PATIENCE_S)
-    assert beats[:2] == [{7}, {7}]
+    assert store.writes >= 2
+    assert held.snapshot() == {run_id}
 
 
 def test_a_disk_that_is_full_for_a_while_loses_nothing(hive):

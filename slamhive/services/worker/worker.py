@@ -24,6 +24,7 @@ from slamhive.services.runs import RecordKeeper
 from slamhive.services.worker.context import DriverContext, WorkerStopping
 from slamhive.services.worker.driver import RunDriver
 from slamhive.services.worker.engine_sweep import EngineSweep
+from slamhive.services.worker.heartbeat import Heartbeat
 from slamhive.services.worker.held_runs import HeldRuns
 from slamhive.services.worker.leftovers import sweep_leftovers
 from slamhive.services.worker.lock import WorkerLock
@@ -108,7 +109,8 @@ class Worker:
                 for slot in range(slots)
             ]
             heartbeat_ends = threading.Event()
-            heartbeat = threading.Thread(target=self._heartbeat, args=(heartbeat_ends,), name="heartbeat", daemon=True)
+            beating = Heartbeat(self._held, self._store, self.owner, self._settings.lease_s, CANCEL_CHECK_S)
+            heartbeat = threading.Thread(target=beating.beat, args=(heartbeat_ends,), name="heartbeat", daemon=True)
             heartbeat.start()
             for thread in threads:
                 thread.start()
@@ -247,34 +249,6 @@ class Worker:
         except Unavailable:
             return run
         return current
-
-    def _heartbeat(self, ends: threading.Event) -> None:
-        """Extend the leases, and note cancelled runs."""
-        next_beat = 0.0
-        while not ends.wait(CANCEL_CHECK_S):
-            held = self._held.snapshot()
-            if not held:
-                continue
-            try:
-                if monotonic_s() >= next_beat:
-                    next_beat = monotonic_s() + self._settings.lease_s / 3
-                    self._beat(held)
-                self._held.cancel |= self._store.read(lambda t, held=held: t.queue.cancel_requested(held))  # type: ignore[misc]
-            except SlamHiveError as error:
-                logger.warning("heartbeat: %s", str(error))
-            except Exception:
-                # Without heartbeats, another worker would take over the runs of this one.
-                logger.exception("internal error of the heartbeat; it continues")
-
-    def _beat(self, held: set[int]) -> None:
-        still = self._store.write(lambda t: t.queue.heartbeat(held, t.lease(self.owner, self._settings.lease_s)))
-        lost = held - still
-        if lost:
-            ended = {
-                run.id for run in self._store.read(lambda t: t.runs.get_many(lost)) if run.lease_owner != self.owner
-            }
-            for run_id in ended:
-                self._held.discard(run_id)
 
     def _take_over_from_the_dead(self) -> None:
         """Release the runs of killed workers on this machine, before their leases expire."""
