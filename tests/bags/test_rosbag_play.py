@@ -48,3 +48,26 @@ def test_it_runs_without_the_package():
     code = f"import runpy; runpy.run_path({str(script)!r}, run_name='copy')"
     subprocess.run([sys.executable, "-I", "-c", code], check=True, cwd="/", timeout=30)
     assert "slamhive" not in "".join(line for line in script.read_text().splitlines() if line.startswith("import"))
+
+
+def test_it_runs_in_the_pythons_of_old_images():
+    """ROS Kinetic has Python 2.7 and 3.5. An f-string is a syntax error there, and images go on without a player."""
+    check = [
+        str(Path(sys.executable).with_name("vermin")),
+        "--target=2.7",
+        "--target=3.5-",
+        "--no-tips",
+        "--violations",
+    ]
+    found = subprocess.run([*check, rosbag_play.__file__], check=False, capture_output=True, text=True, timeout=60)
+    assert found.returncode == 0, found.stdout + found.stderr
+
+
+def test_a_missing_rosbag_ends_with_a_message(folder, monkeypatch):
+    config = folder / "config.yaml"
+    config.write_text("dataset-remap: {}\n")
+    monkeypatch.setattr(rosbag_play, "CONFIG", str(config))
+    monkeypatch.setattr(rosbag_play, "__file__", str(folder / "rosbag_play.py"))
+    monkeypatch.setenv("PATH", str(folder))
+    with pytest.raises(SystemExit, match="rosbag cannot be started: No such file"):
+        rosbag_play.main()
