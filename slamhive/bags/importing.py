@@ -24,6 +24,7 @@ from slamhive.errors import InvalidInput
 from slamhive.files import size_bytes
 
 _LOG = logging.getLogger(__name__)
+HIGHEST_RATE_HZ = 100_000
 _RECORDED, _HASHED = 0.9, 0.98
 """The fractions of an import after which the recording is written, and its checksum known."""
 
@@ -200,13 +201,15 @@ class ImportPlan:
 
 
 def rate_hz(times_ns: Array) -> float:
-    """The mean rate of the times (n,) in ns; raises InvalidInput for fewer than two, or equal ones."""
+    """The mean rate of the times (n,) in ns; raises InvalidInput for fewer than two, or a rate that makes no sense."""
     span_ns = int(times_ns[-1] - times_ns[0]) if len(times_ns) else 0
-    if span_ns <= 0:
+    rate = round((len(times_ns) - 1) * NS_PER_S / span_ns, 6) if span_ns > 0 else 0.0
+    if not 0 < rate <= HIGHEST_RATE_HZ:
         raise InvalidInput(
-            f"{len(times_ns)} timestamps within {span_ns} ns make no recording", "two are needed at least"
+            f"{len(times_ns)} timestamps within {span_ns} ns make no recording",
+            "two are needed at least, in the unit that the format asks for",
         )
-    return round((len(times_ns) - 1) * NS_PER_S / span_ns, 6)
+    return rate
 
 
 def perform(plan: ImportPlan, folder: Path, progress: Progress) -> Dataset:

@@ -2,42 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from slamhive.bags.bag_writer import BagWriter, nanoseconds
 from slamhive.bags.detection import Detection
-from slamhive.bags.frame_files import read_png, read_velodyne
+from slamhive.bags.frame_files import read_image, read_velodyne
 from slamhive.bags.geometry import Array, quaternions_from_rotations, transform
+from slamhive.bags.image_stream import OVERHEAD_BYTES, image_stream
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream
 from slamhive.bags.kitti_sequence import KittiSequence, detect_kitti, read_sequence
 from slamhive.domain.calibration import CameraIntrinsics, LidarLayout
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.errors import InvalidInput
 from slamhive.runtime.point_times import PointTimes, SweepInstant
 
 _FIRST_COLOUR_CAMERA = 2
-_OVERHEAD_BYTES = 1000
-"""Of a message: header, camera info, index."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Camera:
-    """A camera of the sequence: its number, its sensor, how far it sits right of camera 0."""
-
-    number: int
-    sensor: Sensor
-    baseline_m: float
-
-    @property
-    def colour(self) -> bool:
-        return self.number >= _FIRST_COLOUR_CAMERA
-
-    @property
-    def encoding(self) -> str:
-        return str(self.sensor.calibration["encoding"])
 
 
 class KittiOdometryImporter:
@@ -58,56 +38,18 @@ class KittiOdometryImporter:
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:  # noqa: ARG002 - it takes no options
         """What the sequence becomes; raises InvalidInput naming the file, the line or frame, and the remedy."""
         sequence = read_sequence(source)
-        streams = [_camera_stream(sequence, _camera(sequence, number)) for number in sequence.images]
+        streams = [_camera_stream(sequence, number) for number in sequence.images]
         lidar = _lidar(sequence)
         if lidar is not None:
             streams.append(_lidar_stream(sequence, lidar))
         return ImportPlan(tuple(streams), _truth(sequence), _text(sequence))
 
 
-def _camera_stream(sequence: KittiSequence, camera: _Camera) -> Stream:
-    times_ns, paths, sensor = _times_ns(sequence), sequence.images[camera.number], camera.sensor
-
-    def write(bag: BagWriter, index: int) -> None:
-        pixels, stamp_ns = _pixels(paths[index], camera), int(times_ns[index])
-        bag.camera_info(sensor, f"/{sensor.name}/camera_info", stamp_ns, camera.baseline_m)
-        bag.image(sensor, stamp_ns, pixels, camera.encoding)
-
-    pixels = int(sensor.calibration["width"]) * int(sensor.calibration["height"])  # type: ignore[arg-type]
-    return Stream(sensor, times_ns, write, pixels * (3 if camera.colour else 1) + _OVERHEAD_BYTES)
-
-
-def _lidar_stream(sequence: KittiSequence, lidar: Sensor) -> Stream:
-    times_ns, scans = _times_ns(sequence), sequence.scans
-
-    def write(bag: BagWriter, index: int) -> None:
-        stamp_ns = int(times_ns[index])
-        bag.points(lidar, stamp_ns, stamp_ns, read_velodyne(scans[index]))
-
-    return Stream(lidar, times_ns, write, sum(path.stat().st_size for path in scans) // len(scans) + _OVERHEAD_BYTES)
-
-
-def _times_ns(sequence: KittiSequence) -> Array:
-    return np.array([nanoseconds(float(time_s)) for time_s in sequence.times_s], dtype=np.int64)
-
-
-def _pixels(path: Path, camera: _Camera) -> Array:
-    pixels = read_png(path, colour=camera.colour)
-    expected = (camera.sensor.calibration["height"], camera.sensor.calibration["width"])
-    if pixels.shape[:2] != expected:
-        raise InvalidInput(
-            f"frame {path} is {pixels.shape[1]}x{pixels.shape[0]} pixels, "
-            f"the first of its camera {expected[1]}x{expected[0]}",
-            "all frames of a camera must have one size: is this frame from another sequence?",
-        )
-    return pixels
-
-
-def _camera(sequence: KittiSequence, number: int) -> _Camera:
+def _camera_stream(sequence: KittiSequence, number: int) -> Stream:
     """Intrinsics from P = K [I | t]; camera 0 sees x + t where camera ``number`` sees x, so it sits at -t."""
-    P = sequence.projections[number]
-    colour = number >= _FIRST_COLOUR_CAMERA
-    height, width = read_png(sequence.images[number][0], colour=colour).shape[:2]
+    P, paths = sequence.projections[number], sequence.images[number]
+    encoding = "bgr8" if number >= _FIRST_COLOUR_CAMERA else "mono8"
+    height, width = read_image(paths[0], encoding).shape[:2]
     intrinsics = CameraIntrinsics(
         width=int(width),
         height=int(height),
@@ -125,9 +67,23 @@ def _camera(sequence: KittiSequence, number: int) -> _Camera:
         f"/cam{number}/image_raw",
         _rate_hz(sequence),
         tuple(float(value) for value in transform(np.eye(3), position_m).reshape(-1)),
-        intrinsics.calibration("bgr8" if colour else "mono8"),
+        intrinsics.calibration(encoding),
     )
-    return _Camera(number, sensor, float(position_m[0]))
+    return image_stream(sensor, _times_ns(sequence), paths, baseline_m=float(position_m[0]))
+
+
+def _lidar_stream(sequence: KittiSequence, lidar: Sensor) -> Stream:
+    times_ns, scans = _times_ns(sequence), sequence.scans
+
+    def write(bag: BagWriter, index: int) -> None:
+        stamp_ns = int(times_ns[index])
+        bag.points(lidar, stamp_ns, stamp_ns, read_velodyne(scans[index]))
+
+    return Stream(lidar, times_ns, write, sum(path.stat().st_size for path in scans) // len(scans) + OVERHEAD_BYTES)
+
+
+def _times_ns(sequence: KittiSequence) -> Array:
+    return np.array([nanoseconds(float(time_s)) for time_s in sequence.times_s], dtype=np.int64)
 
 
 def _lidar(sequence: KittiSequence) -> Sensor | None:

@@ -1,0 +1,64 @@
+"""What holds for every format of folders: it is detected, becomes a valid dataset, and equals itself."""
+
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from slamhive.bags.importers import detect_format, plan_import
+from slamhive.bags.importing import ImportOptions, perform
+from slamhive.catalogue.dataset_file import load_dataset
+from slamhive.errors import SlamHiveError
+from slamhive.trajectory.tum import read_tum
+from tests.bags.format_world import FORMATS, OPTIONS, convert, recorded, silent
+from tests.fuzzing import mutated
+
+pytestmark = pytest.mark.quick
+MUTATIONS = 40
+
+
+def made(name: str, folder: Path) -> tuple[Path, dict[str, Any]]:
+    source = FORMATS[name](folder)
+    return source, OPTIONS.get(name, lambda _source: {})(source)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_folder_is_detected_and_becomes_the_same_dataset_twice(tmp_path, name):
+    source, options = made(name, tmp_path / "source")
+    assert detect_format(source) == name
+    dataset = convert(source, tmp_path / "a" / "made", **options)
+    assert load_dataset(dataset.folder) == dataset
+    assert dataset.title
+    assert dataset.groundtruth is not None
+    truth = read_tum(dataset.folder / "groundtruth.txt")
+    seen = recorded(dataset)
+    for sensor in dataset.sensors:
+        stamps_s = [message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in seen[sensor.topic]]
+        assert stamps_s == sorted(stamps_s)
+        assert truth.stamps_s[0] <= stamps_s[-1]
+        assert truth.stamps_s[-1] >= stamps_s[0]
+    assert convert(source, tmp_path / "b" / "made", **options).checksum == dataset.checksum
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_damaged_folder_is_read_or_refused_in_one_line(tmp_path, name):
+    source, options = made(name, tmp_path / "source")
+    files = sorted(path for path in source.rglob("*") if path.is_file())
+    draw = random.Random(f"{name} 1")
+    refusals = []
+    for number in range(MUTATIONS):
+        path = files[draw.randrange(len(files))]
+        content = path.read_bytes()
+        path.write_bytes(mutated(content, draw))
+        folder = tmp_path / f"made{number}"
+        try:
+            perform(plan_import(source, ImportOptions(**options), name)[1], folder, silent)
+        except SlamHiveError as error:
+            refusals.append(str(error))
+            assert not folder.exists()
+        else:
+            assert load_dataset(folder).sensors
+        path.write_bytes(content)
+    assert len(refusals) > MUTATIONS // 10
+    assert not any("\n" in refusal for refusal in refusals)
