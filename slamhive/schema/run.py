@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import AliasChoices, Field, ValidatorFunctionWrapHandler, WrapValidator
@@ -27,9 +26,12 @@ class MetricValue(TypedDict):
     unit: Annotated[str | None, described("Unit of the value; null for a metric that is not in the catalogue.")]
 
 
+_NUMBERS = {float, int}
+
+
 def _metrics(raw: Any, read: ValidatorFunctionWrapHandler) -> Any:
     """``{key: value}`` of a record in the order of the catalogue, other keys last; or what JSON holds."""
-    if not raw or any(isinstance(value, Mapping) for value in raw.values()):
+    if not raw or not set(map(type, raw.values())) <= _NUMBERS:
         return read(raw or {})
     known = {key: {"value": raw[key], "unit": metric.unit} for key, metric in CATALOGUE.items() if key in raw}
     return known | {key: {"value": value, "unit": None} for key, value in raw.items() if key not in known}

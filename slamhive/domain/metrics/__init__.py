@@ -7,7 +7,7 @@ Metrics of other packages come in through the entry-point group ``slamhive.metri
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import ItemsView, Iterable, Iterator, Mapping
 from typing import Any
 
 from slamhive.domain.metrics.maps import MAP_METRICS
@@ -57,6 +57,10 @@ class _Catalogue(Mapping[str, Metric]):
 
     def __len__(self) -> int:
         return len(METRICS.entries)
+
+    def items(self) -> ItemsView[str, Metric]:
+        """What a ``Mapping`` offers, in one look-up: each run that is shown goes through it."""
+        return METRICS.entries.items()
 
 
 CATALOGUE: Mapping[str, Metric] = _Catalogue()
