@@ -20,10 +20,13 @@ from slamhive.catalogue.protocol_file import protocol_schema
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
 from slamhive.schema import catalogue, experiment
 from slamhive.schema.archive import RunLine
+from slamhive.schema.imports import Import
 from slamhive.schema.model import Document, json_schema
+from slamhive.schema.protocol import Protocols, ToolMetrics
 from slamhive.schema.record import RunFile
 from slamhive.schema.run import Evaluation, RunWith
 from slamhive.schema.submission import Submission
+from slamhive.schema.variant import CachedVariant, Step
 from slamhive.settings import describe
 from slamhive.sweep.experiment_file import experiment_schema
 
@@ -146,8 +149,13 @@ DOCUMENTS: dict[str, type[Document]] = {
     "experiment-grid": experiment.Grid,
     "experiment-preview": experiment.ExperimentPreview,
     "experiment-status": experiment.ExperimentStatus,
+    "import": Import,
+    "protocols": Protocols,
     "run": RunWith,
     "run-record": RunFile,
+    "tool-metrics": ToolMetrics,
+    "variant": CachedVariant,
+    "variant-step": Step,
 }
 """What commands, the web API, run folders and archives write."""
 

@@ -11,11 +11,11 @@ from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.hints import hints_of, print_hints
 from slamhive.cli.output import print_json, progress_bar, tell
-from slamhive.domain.hint import Hint, hints_to_json
 from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Duplicates
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import InvalidInput
+from slamhive.schema.imports import Import
 from slamhive.services.imports import (
     DEFAULT_GROUND_TRUTH,
     DEFAULT_PATTERN,
@@ -89,7 +89,7 @@ def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, 
     evaluated = len(ended) - len(failures)
     hints = hints_of(hive, ended)
     if as_json:
-        print_json({**_as_json(report, evaluated, failures), "hints": _hints_as_json(hints)})
+        print_json(Import.of(report, evaluated=evaluated, failed_evaluations=failures, hints=hints).content)
     else:
         _show(report, evaluated, failures)
         print_hints(hints)
@@ -151,30 +151,3 @@ def _reading_in_words(words: str, members: list[Reading]) -> str:
 
 
 _WHAT = {"time_unit": "Unit", "quaternion_order": "Order"}
-
-
-def _hints_as_json(found: dict[int, tuple[Hint, ...]]) -> dict[str, list[dict[str, str]]]:
-    return {str(run_id): hints_to_json(hints) for run_id, hints in found.items()}
-
-
-def _as_json(report: ImportReport, evaluated: int, failures: dict[int, str]) -> dict[str, Any]:
-    return {
-        "dry_run": report.dry_run,
-        "runs": report.run_ids,
-        "imported": report.imported,
-        "known": report.known,
-        "datasets": report.datasets,
-        "evaluated": evaluated,
-        "failed_evaluations": {str(run_id): reason for run_id, reason in failures.items()},
-        "readings": [
-            {
-                "name": reading.name,
-                "time_unit": reading.time_unit,
-                "quaternion_order": reading.quaternion_order,
-                "because": dict(reading.because),
-            }
-            for reading in report.readings
-        ],
-        "problems": [{"name": problem.name, "text": problem.text} for problem in report.problems],
-        "left_out": report.left_out,
-    }

@@ -12,6 +12,7 @@ from slamhive.cli.output import print_json, print_table
 from slamhive.domain.metrics import described
 from slamhive.domain.numbers import plural
 from slamhive.errors import Conflict
+from slamhive.schema import protocol as schema
 from slamhive.services.evaluations import ToolFigures, UsedProtocol, presets
 from slamhive.settings import Mode
 from slamhive.strict_yaml import dump
@@ -29,7 +30,7 @@ def list_protocols(cli: CliContext, as_json: bool) -> None:
     """List presets, and protocols in use by fingerprint."""
     used = cli.hive().protocols.used()
     if as_json:
-        print_json({"presets": [_preset_json(name) for name, _ in presets()], "used": [_used_json(e) for e in used]})
+        print_json(schema.Protocols(presets=tuple(_presets().values()), used=tuple(map(_used, used))).content)
         return
     runs = {entry.protocol.fingerprint: entry.runs for entry in used}
     rows: list[tuple[str | None, str, int, str]] = [
@@ -53,7 +54,7 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
     request = cli.hive().protocols.find(name)
     preset = dict(presets()).get(name)
     if as_json:
-        print_json({"name": name, "values": dict(request.values)} if preset is None else _preset_json(name))
+        print_json({"name": name, "values": dict(request.values)} if preset is None else _presets()[name].content)
         return
     if preset is not None:
         click.echo(f"# {preset.title}\n# {preset.differs}\n# {preset.source}")
@@ -92,7 +93,7 @@ def compare(cli: CliContext, run_id: int, as_json: bool) -> None:
             evaluate_to_end(hive.evaluations, evaluation_ids)
     rows = hive.comparisons.of(run_id)
     if as_json:
-        print_json([_tool_json(row) for row in rows])
+        print_json([_tool(row).content for row in rows])
         return
     print_table(("tool", "protocol", "metrics", "note"), [_tool_row(row) for row in rows])
     for row in rows:
@@ -108,41 +109,33 @@ def _tool_row(row: ToolFigures) -> tuple[Any, ...]:
     return (row.name, None if row.protocol is None else row.protocol.fingerprint, "\n".join(figures) or None, row.note)
 
 
-def _tool_json(row: ToolFigures) -> dict[str, Any]:
+def _tool(row: ToolFigures) -> schema.ToolMetrics:
+    return schema.ToolMetrics(
+        name=row.name,
+        title=row.preset.title,
+        protocol=row.protocol,
+        fingerprint=None if row.protocol is None else row.protocol.fingerprint,
+        figures=schema.with_units(row.figures, row.samples),
+        note=row.note,
+        differs=row.preset.differs,
+    )
+
+
+def _presets() -> dict[str, schema.Preset]:
     return {
-        "name": row.name,
-        "title": row.preset.title,
-        "protocol": None if row.protocol is None else row.protocol.content,
-        "fingerprint": None if row.protocol is None else row.protocol.fingerprint,
-        "figures": {
-            key: {"value": value, "unit": described(key).unit, "over": row.samples.get(key)}
-            for key, value in row.figures.items()
-        },
-        "note": row.note,
-        "differs": row.preset.differs,
+        name: schema.Preset.of(
+            preset,
+            name=name,
+            fingerprint=preset.protocol.fingerprint,
+            values=preset.protocol,
+            figures=preset.metrics,
+        )
+        for name, preset in presets()
     }
 
 
-def _preset_json(name: str) -> dict[str, Any]:
-    preset = dict(presets())[name]
-    return {
-        "name": name,
-        "title": preset.title,
-        "fingerprint": preset.protocol.fingerprint,
-        "values": preset.protocol.content,
-        "figures": list(preset.metrics),
-        "differs": preset.differs,
-        "source": preset.source,
-    }
-
-
-def _used_json(entry: UsedProtocol) -> dict[str, Any]:
-    return {
-        "fingerprint": entry.protocol.fingerprint,
-        "label": entry.protocol.label,
-        "values": entry.protocol.content,
-        "runs": entry.runs,
-    }
+def _used(entry: UsedProtocol) -> schema.UsedProtocol:
+    return schema.UsedProtocol.of(entry.protocol, values=entry.protocol, runs=entry.runs)
 
 
 COMMANDS = (protocol,)

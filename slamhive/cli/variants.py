@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
 
 from slamhive.bags.variants.cache import VariantEntry
@@ -11,9 +9,10 @@ from slamhive.bags.variants.rules import RegisteredSteps, describe_options, desc
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.cli.run_options import parse_steps, step_option
-from slamhive.domain.variant import variant_from_json
+from slamhive.domain.variant import Variant
 from slamhive.errors import Conflict, InvalidInput
-from slamhive.services.json_values import timestamp
+from slamhive.schema.model import load
+from slamhive.schema.variant import CachedVariant, Step, StepOption
 
 KEY_SHOWN = 12
 
@@ -30,7 +29,7 @@ def steps_(kind: str | None, as_json: bool) -> None:
     """List the steps, or the options of one."""
     kinds = RegisteredSteps().kinds() if kind is None else [kind]
     if as_json:
-        print_json([_step_to_json(name) for name in kinds])
+        print_json([_step(name).content for name in kinds])
     elif kind is None:
         rows = [(name, ", ".join(RegisteredSteps().options(name)), describe_step(name)) for name in kinds]
         print_table(("step", "options", "what it does"), rows)
@@ -52,7 +51,7 @@ def list_(cli: CliContext, dataset: str | None, as_json: bool) -> None:
     hive = cli.hive(indexed=False)
     found = hive.variants.entries(dataset)
     if as_json:
-        print_json([variant_to_json(entry) for entry in found])
+        print_json([CachedVariant.of(entry).content for entry in found])
         return
     if not found:
         tell("no variants; runs make those they need, `slamhive variants make` makes one")
@@ -64,7 +63,7 @@ def list_(cli: CliContext, dataset: str | None, as_json: bool) -> None:
             f"{entry.size_bytes / 1e6:.1f}",
             f"{entry.used_at:%Y-%m-%d %H:%M:%S}",
             "yes" if entry.in_use else "no",
-            "; ".join(str(step) for step in variant_from_json(entry.steps)),
+            "; ".join(str(step) for step in load(Variant, entry.steps)),
         )
         for entry in found
     ]
@@ -93,7 +92,7 @@ def make(cli: CliContext, dataset: str, variant: tuple[str, ...], as_json: bool)
         progress(1.0, "done")
     entry = hive.variants.find(used.key)
     if as_json:
-        print_json(variant_to_json(entry))
+        print_json(CachedVariant.of(entry).content)
     else:
         click.echo(f"{entry.key}: {entry.size_bytes / 1e6:.1f} MB, {used.dataset.bag_path}")
 
@@ -152,19 +151,6 @@ def verify(cli: CliContext, keys: tuple[str, ...], dataset: str | None, as_json:
         raise click.exceptions.Exit(1)
 
 
-def variant_to_json(entry: VariantEntry) -> dict[str, Any]:
-    """One entry of the cache as JSON."""
-    return {
-        "key": entry.key,
-        "dataset": entry.dataset,
-        "steps": [dict(step) for step in entry.steps],
-        "size_bytes": entry.size_bytes,
-        "made_at": timestamp(entry.made_at),
-        "used_at": timestamp(entry.used_at),
-        "in_use": entry.in_use,
-    }
-
-
 def _chosen(cli: CliContext, keys: tuple[str, ...], dataset: str | None, everything: bool) -> tuple[VariantEntry, ...]:
     service = cli.hive(indexed=False).variants
     if keys and (dataset is not None or everything):
@@ -176,9 +162,9 @@ def _chosen(cli: CliContext, keys: tuple[str, ...], dataset: str | None, everyth
     return service.entries(dataset)
 
 
-def _step_to_json(kind: str) -> dict[str, Any]:
-    options = [{name: getattr(entry, name) for name in entry.__slots__} for entry in describe_options(kind)]
-    return {"kind": kind, "help": describe_step(kind), "options": options}
+def _step(kind: str) -> Step:
+    options = tuple(map(StepOption.of, describe_options(kind)))
+    return Step(kind=kind, help=describe_step(kind), options=options)
 
 
 def _default(value: object, required: bool) -> str:

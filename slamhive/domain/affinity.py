@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 
-from slamhive.domain.variant import Variant, variant_to_json
+from slamhive.domain.variant import Variant
 
 _DATA_DIGITS = 16
 _PACKAGE_DIGITS = 8
@@ -18,7 +18,8 @@ def run_affinity(dataset: str, variant: Variant, package: str) -> str:
 
     The first part depends on dataset and variant only, so that runs of other packages on the same data sort next to it.
     """
-    data = _digest([dataset, variant_to_json(variant)])[:_DATA_DIGITS]
+    steps = [{"kind": step.kind, "sensors": step.sensors, "options": step.options} for step in variant]
+    data = _digest([dataset, steps])[:_DATA_DIGITS]
     return f"{data}{_BETWEEN}{_digest(package)[:_PACKAGE_DIGITS]}"
 
 

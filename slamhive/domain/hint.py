@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 
@@ -22,11 +22,6 @@ class Hint:
     remedy: str
 
 
-def hints_to_json(hints: Iterable[Hint]) -> list[dict[str, str]]:
-    """As results, the command line and the web API have them."""
-    return [asdict(hint) for hint in hints]
-
-
 def hints_from_json(content: Iterable[Mapping[str, Any]]) -> tuple[Hint, ...]:
-    """What :func:`hints_to_json` wrote; raises TypeError or KeyError for anything else."""
+    """The hints in a ``result.json``; raises TypeError or KeyError for anything else."""
     return tuple(Hint(str(entry["key"]), str(entry["sentence"]), str(entry["remedy"])) for entry in content)

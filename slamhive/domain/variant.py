@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from slamhive.domain.parameters import Scalar
 from slamhive.domain.sensors import Sensor
@@ -99,13 +99,3 @@ def step_text(step: VariantStep) -> str:
         f"{key}={str(value).lower() if isinstance(value, bool) else value}" for key, value in step.options.items()
     ]
     return " ".join([f"{step.kind}@{','.join(step.sensors)}" if step.sensors else step.kind, *options])
-
-
-def variant_to_json(variant: Variant) -> list[dict[str, Any]]:
-    """The steps as plain JSON; int, float, bool and text stay apart there."""
-    return [{"kind": step.kind, "sensors": list(step.sensors), "options": dict(step.options)} for step in variant]
-
-
-def variant_from_json(content: Sequence[Mapping[str, Any]]) -> Variant:
-    """The steps that :func:`variant_to_json` wrote; raises KeyError or TypeError for anything else."""
-    return tuple(VariantStep(step["kind"], tuple(step["sensors"]), dict(step["options"])) for step in content)

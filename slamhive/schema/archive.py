@@ -13,7 +13,8 @@ from slamhive.domain.names import check_name
 from slamhive.domain.parameters import Parameter, ParameterType
 from slamhive.schema.fields import described
 from slamhive.schema.model import Document
-from slamhive.schema.record import ConfigurationContent, StatedProtocol
+from slamhive.schema.protocol import StatedProtocol
+from slamhive.schema.record import ConfigurationContent
 from slamhive.schema.types import ContentHash, Moment, RowNumber, Uid, Values
 
 

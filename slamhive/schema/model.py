@@ -67,6 +67,15 @@ def parse(kind: type[T], content: Any) -> T:
     return found
 
 
+def load(kind: type[T], content: Any) -> T:
+    """The value that :func:`dump` wrote as ``content``; raises InvalidInput naming the key."""
+    try:
+        found: T = adapter(kind).validate_python(content)
+    except ValidationError as error:
+        raise InvalidInput(first_problem(error, kind)) from None
+    return found
+
+
 def dump(kind: Any, value: Any) -> Any:
     """A value of ``kind`` as JSON."""
     return adapter(kind).dump_python(value, mode="json", by_alias=True)

@@ -4,30 +4,23 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Self
 
-from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field, FiniteFloat, PlainSerializer, model_validator
+from pydantic import AliasChoices, ConfigDict, Field, FiniteFloat, model_validator
 from pydantic import StrictBool as Flag
 from pydantic import StrictFloat as Number
 from pydantic import StrictInt as Whole
 
 from slamhive.domain.configuration import Configuration, Playback
-from slamhive.domain.protocol import Protocol, protocol_from_content
 from slamhive.domain.run import FailureReason, RunEvent, RunState
 from slamhive.domain.variant import Variant
 from slamhive.schema.fields import described
+from slamhive.schema.imports import Origin
 from slamhive.schema.model import Document
+from slamhive.schema.protocol import StatedProtocol
 from slamhive.schema.run import Event
 from slamhive.schema.submission import NEVER
 from slamhive.schema.types import FoundDisturbance, Moment, Rules, Values
 
 FORMAT = 1
-
-
-def _protocol(raw: Any) -> Any:
-    return protocol_from_content(raw) if isinstance(raw, dict) else raw
-
-
-StatedProtocol = Annotated[Protocol, BeforeValidator(_protocol), PlainSerializer(lambda protocol: protocol.content)]
-"""A protocol: its first four fields, and all others that differ from the default."""
 
 
 class ConfigurationContent(Document):
@@ -137,6 +130,7 @@ class RunFile(Outcome, RunStart):
         default_factory=dict
     )
     events: tuple[Event, ...] = ()
+    imported: Annotated[Origin | None, described("Where the trajectory of an imported run comes from.")] = None
 
     @property
     def moves(self) -> tuple[RunEvent, ...]:

@@ -11,8 +11,9 @@ from sqlalchemy.orm import Session
 
 from slamhive.domain import configuration as domain
 from slamhive.domain.parameters import ParameterType
-from slamhive.domain.variant import variant_from_json
+from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput, unknown
+from slamhive.schema.model import load
 from slamhive.store.configuration_models import ConfigurationGroup, ConfigurationLabel
 from slamhive.store.configuration_records import (
     ConfigurationFilter,
@@ -97,7 +98,7 @@ def _records(session: Session, ids: Sequence[int]) -> list[ConfigurationRecord]:
                 row.dataset,
                 values[row.id],
                 domain.Playback(row.playback_mode, row.playback_rate),
-                variant_from_json(row.variant or ()),
+                load(Variant, row.variant) if row.variant else (),
             ),
             created_at=row.created_at,
             name=row.name,

@@ -12,8 +12,9 @@ from sqlalchemy.exc import IntegrityError
 from slamhive.domain import configuration as domain
 from slamhive.domain.parameters import Parameter as Definition
 from slamhive.domain.parameters import ParameterType, Value
-from slamhive.domain.variant import variant_from_json, variant_to_json
+from slamhive.domain.variant import Variant
 from slamhive.errors import NotFound
+from slamhive.schema.model import dump, load
 from slamhive.store.changes import NewRow, changes_of
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.models import (
@@ -97,7 +98,7 @@ class ConfigurationRepository(Repository):
             raise NotFound(f"unknown configuration {configuration_id}")
         playback = domain.Playback(row.playback_mode, row.playback_rate)
         parameters = self.parameters_of(configuration_id)
-        variant = variant_from_json(row.variant or ())
+        variant = load(Variant, row.variant or ())
         return domain.Configuration(row.algorithm, row.dataset, parameters, playback, variant)
 
     def parameters_of(self, configuration_id: int) -> dict[str, Value]:
@@ -216,7 +217,7 @@ def _row(entry: NewConfiguration) -> dict[str, Any]:
         "dataset_id": entry.dataset_id,
         "playback_mode": configuration.playback.mode,
         "playback_rate": configuration.playback.rate,
-        "variant": variant_to_json(configuration.variant) or None,
+        "variant": dump(Variant, configuration.variant) or None,
     }
 
 

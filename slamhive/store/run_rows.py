@@ -12,8 +12,9 @@ from slamhive.domain.configuration import Playback
 from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import protocol_from_content
-from slamhive.domain.variant import variant_from_json
+from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import VerdictKind
+from slamhive.schema.model import load
 from slamhive.schema.submission import StopWhen
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.metrics import VERDICT, MetricRepository
@@ -89,7 +90,7 @@ def _record(
         dataset=row.dataset,
         parameters=parameters,
         playback=Playback(row.playback_mode, row.playback_rate),
-        variant=variant_from_json(row.variant or ()),
+        variant=load(Variant, row.variant) if row.variant else (),
         protocol_override=None if override is None else protocol_from_content(override),
         protocol=None if fingerprint is None else ProtocolLabel(fingerprint, row.protocol_label),
         version=None if row.identity is None else VersionRecord(row.identity, row.package_hash, row.version),

@@ -15,8 +15,9 @@ from slamhive.bags.variants.streams import Treatment, treat
 from slamhive.catalogue.dataset_file import dataset_to_yaml
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.domain.variant import Variant, variant_to_json
+from slamhive.domain.variant import Variant
 from slamhive.files import size_bytes
+from slamhive.schema.model import dump
 
 ENGINE_VERSION = 1
 """Raise it when the same steps make other bytes; a step alone has ``Step.version``."""
@@ -38,7 +39,7 @@ def plan_variant(dataset: Dataset, variant: Variant) -> VariantPlan | None:
     return VariantPlan(
         key=_key(dataset, treatments),
         dataset=dataset.name,
-        steps=tuple(variant_to_json(variant)),
+        steps=tuple(dump(Variant, variant)),
         needed_bytes=_needed_bytes(dataset, treatments),
         source_bytes=size_bytes(dataset.bag_path),
     )

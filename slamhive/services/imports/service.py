@@ -20,6 +20,7 @@ from slamhive.domain.protocol import Duplicates, Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.runs.folder import RunFolder
+from slamhive.schema.imports import Origin
 from slamhive.services.datasets import Catalogue, check_writable, choose_algorithm
 from slamhive.services.evaluations import fitting_protocol
 from slamhive.services.imports.conventions import Partner, PoseFile
@@ -296,13 +297,6 @@ def _file(
 
 def _origin(entry: Loaded) -> dict[str, Any]:
     """The origin of a run: the file name relative to the source, never the full path."""
-    reading = entry.reading
-    return {
-        "source": entry.candidate.name,
-        "trial": entry.candidate.trial,
-        "format": entry.format.value,
-        "checksum": entry.checksum,
-        "time_unit": reading.time_unit.value,
-        "quaternion_order": None if reading.quaternion_order is None else reading.quaternion_order.value,
-        "because": dict(reading.because),
-    }
+    candidate = entry.candidate
+    more = {"trial": candidate.trial, "format": entry.format, "checksum": entry.checksum}
+    return Origin.of(entry.reading, source=candidate.name, **more).content

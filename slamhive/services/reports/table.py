@@ -13,9 +13,10 @@ from slamhive.analysis.table import UNDISTURBED, RunTable, make_table
 from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import RunState
-from slamhive.domain.variant import variant_from_json
+from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import EVIDENCE, FailureRule
 from slamhive.errors import InvalidInput
+from slamhive.schema.model import load
 from slamhive.search.fields import VARIANT_PREFIX
 from slamhive.store import Store
 from slamhive.store.records import EvaluationState
@@ -182,4 +183,4 @@ def _variant_columns(variants: Sequence[Any]) -> dict[str, list[Any]]:
 
 def _variant_words(variant: Any) -> str | None:
     """The steps in words; None for the original recording."""
-    return "; ".join(map(str, variant_from_json(variant))) if variant else None
+    return "; ".join(map(str, load(Variant, variant))) if variant else None

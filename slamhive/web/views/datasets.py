@@ -6,8 +6,9 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 
 from slamhive.analysis.colours import OKABE_ITO
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.variant import variant_from_json
+from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput, NotFound
+from slamhive.schema.model import load
 from slamhive.search.build import matching
 from slamhive.services.datasets import MotionSummary, ground_truth_motion, motion_summary, strip_times_s
 from slamhive.services.runs import check_dataset_files, read_dataset_path
@@ -48,7 +49,7 @@ def show(name: str) -> str:
         dataset=dataset,
         algorithms=[(algorithm, lacking(algorithm, dataset)) for algorithm in services.catalogue.algorithms()],
         run_count=runs.total,
-        variants=[(entry, variant_from_json(entry.steps)) for entry in services.variants.entries(name)],
+        variants=[(entry, load(Variant, entry.steps)) for entry in services.variants.entries(name)],
         cache_bytes=services.settings.variant_cache_bytes,
         making=variant_maker().latest(name),
         step_kinds=step_kinds(),
