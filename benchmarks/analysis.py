@@ -30,7 +30,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.search_data import fill, make
 from slamhive.analysis.plot_types import PLOT_TYPES
 from slamhive.analysis.plotly_chart import plotly_figure
-from slamhive.analysis.result_json import from_json
 from slamhive.project import project_root
 from slamhive.services.hive import open_hive
 from slamhive.services.reports.bundle import report_page
@@ -138,9 +137,9 @@ def measure(runs: int, forms: dict[str, str]) -> tuple[float, float, int, str]:
             wall, used = time.perf_counter() - began, time.process_time() - cpu
         finally:
             hive.close()
-    for form in report["forms"]:
-        print(f"  {form['form']:22} {form['error'] or 'made'}")
-    charts = [chart for form in report["forms"] if form["result"] for chart in from_json(form["result"]).charts]
+    for plot in report.forms:
+        print(f"  {plot.form:22} {plot.error or 'made'}")
+    charts = [chart for plot in report.forms for chart in plot.charts]
     figures = json.dumps([plotly_figure(chart) for chart in charts]).encode()
     print(f"  page {len(page) / 1e6:.1f} MB with the library; plots {len(figures) / 1e6:.2f} MB", end="")
     print(f", {len(gzip.compress(figures, 6)) / 1e6:.2f} MB compressed")

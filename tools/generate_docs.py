@@ -9,19 +9,23 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
 from slamhive import cli
 from slamhive.analysis.analysis_file import analysis_schema
 from slamhive.analysis.plot_types import PLOT_TYPES, PlotOptions
+from slamhive.analysis.report import Report, ReportBrief
 from slamhive.bags.variants.rules import RegisteredSteps, describe_options, explain_step
 from slamhive.catalogue.protocol_file import protocol_schema
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
 from slamhive.schema import catalogue, experiment
+from slamhive.schema.analysis import StoredAnalysis
 from slamhive.schema.archive import RunLine
 from slamhive.schema.imports import Import
-from slamhive.schema.model import Document, json_schema
+from slamhive.schema.ledger import LedgerLine
+from slamhive.schema.model import json_schema
 from slamhive.schema.protocol import Protocols, ToolMetrics
 from slamhive.schema.record import RunFile
 from slamhive.schema.run import Evaluation, RunWith
@@ -139,7 +143,7 @@ def cli_page() -> str:
     return NOTE + CLI_HEAD + "".join(sections)
 
 
-DOCUMENTS: dict[str, type[Document]] = {
+DOCUMENTS: dict[str, Any] = {
     "algorithm": catalogue.Algorithm,
     "archive-run": RunLine,
     "configuration": catalogue.Configuration,
@@ -150,9 +154,13 @@ DOCUMENTS: dict[str, type[Document]] = {
     "experiment-preview": experiment.ExperimentPreview,
     "experiment-status": experiment.ExperimentStatus,
     "import": Import,
+    "ledger-line": LedgerLine,
     "protocols": Protocols,
+    "report": Report,
+    "report-brief": ReportBrief,
     "run": RunWith,
     "run-record": RunFile,
+    "stored-analysis": StoredAnalysis,
     "tool-metrics": ToolMetrics,
     "variant": CachedVariant,
     "variant-step": Step,

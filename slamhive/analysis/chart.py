@@ -7,14 +7,16 @@ have one entry for each point, in the units of the axes.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
-import numpy as np
+from pydantic import Field
 
 from slamhive.analysis.colours import MARKERS, OKABE_ITO
+from slamhive.schema import arrays
+from slamhive.schema.arrays import Kind
 
-Array = np.ndarray[Any, np.dtype[Any]]
+Array = arrays.Array
 
 REFERENCE = "reference"
 """The colour of ground truth: dark grey on white, light grey on black."""
@@ -27,6 +29,7 @@ class Axis:
     ``numbered``: the categories have the positions 0, 1, 2 ..., and marks may lie between them.
     """
 
+    kind: Kind[Literal["Axis"]] = field(default="Axis", kw_only=True, repr=False)
     label: str
     unit: str = ""
     log: bool = False
@@ -48,6 +51,7 @@ class Points:
     hides and shows all marks of its ``group``; a mark without points is only a legend entry.
     """
 
+    kind: Kind[Literal["Points"]] = field(default="Points", kw_only=True, repr=False)
     name: str
     x: Array
     y: Array
@@ -76,6 +80,7 @@ class FailedRuns:
     cover each other are left out.
     """
 
+    kind: Kind[Literal["FailedRuns"]] = field(default="FailedRuns", kw_only=True, repr=False)
     x: Array
     runs: Array
     colour: str = OKABE_ITO[0]
@@ -93,6 +98,7 @@ class FailedRuns:
 class Line:
     """A line, with a band between ``low`` and ``high`` if given; ``group`` as in :class:`Points`."""
 
+    kind: Kind[Literal["Line"]] = field(default="Line", kw_only=True, repr=False)
     name: str
     x: Array
     y: Array
@@ -115,6 +121,7 @@ class Bars:
     ``colours`` apply to single bars.
     """
 
+    kind: Kind[Literal["Bars"]] = field(default="Bars", kw_only=True, repr=False)
     name: str
     heights: Array
     low: Array | None = None
@@ -130,6 +137,7 @@ class Bars:
 class Boxes:
     """A box with points for each of ``categories``: quartiles, whiskers up to 1.5 times the interquartile range."""
 
+    kind: Kind[Literal["Boxes"]] = field(default="Boxes", kw_only=True, repr=False)
     name: str
     categories: tuple[str, ...]
     values: Array
@@ -145,6 +153,7 @@ class Cells:
     colour scale, to compare several maps; None for the range of these values.
     """
 
+    kind: Kind[Literal["Cells"]] = field(default="Cells", kw_only=True, repr=False)
     values: Array
     texts: tuple[tuple[str, ...], ...]
     label: str
@@ -162,6 +171,7 @@ class Density:
     or their logarithms for logarithmic axes.
     """
 
+    kind: Kind[Literal["Density"]] = field(default="Density", kw_only=True, repr=False)
     name: str
     x_edges: Array
     y_edges: Array
@@ -175,6 +185,7 @@ class Density:
 class Segments:
     """Lines from (x0, y0) to (x1, y1), such as the bars of a critical-difference diagram."""
 
+    kind: Kind[Literal["Segments"]] = field(default="Segments", kw_only=True, repr=False)
     x0: Array
     y0: Array
     x1: Array
@@ -189,6 +200,7 @@ class Segments:
 class Labels:
     """Text at positions; ``anchor`` is the side of the text that is at the position."""
 
+    kind: Kind[Literal["Labels"]] = field(default="Labels", kw_only=True, repr=False)
     x: Array
     y: Array
     texts: tuple[str, ...]
@@ -199,6 +211,7 @@ class Labels:
 class Dimension:
     """One axis of parallel coordinates; values of categories are positions in ``axis.categories``."""
 
+    kind: Kind[Literal["Dimension"]] = field(default="Dimension", kw_only=True, repr=False)
     axis: Axis
     values: Array
 
@@ -207,6 +220,7 @@ class Dimension:
 class Parallel:
     """Parallel coordinates: one line per run through all dimensions, coloured by ``shades``."""
 
+    kind: Kind[Literal["Parallel"]] = field(default="Parallel", kw_only=True, repr=False)
     dimensions: tuple[Dimension, ...]
     shades: Array
     shade_axis: Axis
@@ -227,11 +241,12 @@ class Chart:
     scale, for trajectories. ``bare`` omits the axes.
     """
 
+    kind: Kind[Literal["Chart"]] = field(default="Chart", kw_only=True, repr=False)
     key: str
     title: str
     x: Axis
     y: Axis
-    marks: tuple[Mark, ...]
+    marks: tuple[Annotated[Mark, Field(discriminator="kind")], ...]
     caption: str
     z: Axis | None = None
     equal_aspect: bool = False

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 from slamhive.analysis.chart import Chart
+from slamhive.schema.arrays import Kind
 
-Cell = str | int | float | None
+Cell = str | bool | int | float | None
 
 
 @dataclass(frozen=True, slots=True)
 class TableColumn:
     """One column of a table. Pages link the runs of a column with ``links_run``."""
 
+    kind: Kind[Literal["TableColumn"]] = field(default="TableColumn", kw_only=True, repr=False)
     key: str
     label: str
     unit: str = ""
@@ -28,6 +31,7 @@ class TableColumn:
 class ResultTable:
     """Rows of values, None where a value is missing. Pages show a table unless it is ``raw``, for download only."""
 
+    kind: Kind[Literal["ResultTable"]] = field(default="ResultTable", kw_only=True, repr=False)
     key: str
     title: str
     columns: tuple[TableColumn, ...]
@@ -45,6 +49,7 @@ class ResultTable:
 class Exclusion:
     """Runs that a plot leaves out, and why."""
 
+    kind: Kind[Literal["Exclusion"]] = field(default="Exclusion", kw_only=True, repr=False)
     reason: str
     runs: tuple[int, ...]
 
@@ -62,6 +67,7 @@ class PlotResult:
         notes: Remarks for the reader, one sentence each.
     """
 
+    kind: Kind[Literal["FormResult"]] = field(default="FormResult", kw_only=True, repr=False)
     charts: tuple[Chart, ...]
     tables: tuple[ResultTable, ...]
     runs: int

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from slamhive.analysis.report import DisturbedRuns, PlotBrief, ReportBrief
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.errors import InvalidInput
@@ -26,7 +27,7 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
     """Compute the analysis in FILE: its plots, tables and report.
 
     FILE is an analysis file (docs/analysis.md), or one of the published SLAM Hive. Without --out only the counts and
-    what could not be shown are printed. Ends with exit code 1 if a form of the analysis does not fit the runs.
+    what could not be shown are printed. Ends with exit code 1 if a plot type does not fit the runs.
     """
     # matplotlib, pandas and scipy take two seconds to load, which no other command should wait for.
     from slamhive.services.reports import (  # noqa: PLC0415  # noqa: PLC0415
@@ -52,35 +53,28 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
     elif out is not None:
         with progress_bar("writing the report") as progress:
             write_folder(report, root, out, figures, progress)
-    refused = [form for form in report["forms"] if form["error"]]
+    refused = [plot.error for plot in report.forms if plot.error]
+    plots = tuple(PlotBrief.of(plot, charts=len(plot.charts)) for plot in report.forms)
     if as_json:
-        print_json({key: report[key] for key in report if key != "forms"} | {"forms": _brief(report)})
+        print_json(ReportBrief.of(report, forms=plots).content)
     else:
-        tell(f"{report['runs']} runs, {report['failed']} failed: {report['selection']}")
-        if report["unevaluated"]:
-            tell(f"left out: {report['unevaluated']} runs: not evaluated under this protocol, cancelled or not ended")
-        _tell_disturbance(report["disturbance"])
-        rows = [(entry["form"], entry["title"], entry["charts"], entry["error"] or "") for entry in _brief(report)]
+        tell(f"{report.runs} runs, {report.failed} failed: {report.selection}")
+        if report.unevaluated:
+            tell(f"left out: {report.unevaluated} runs: not evaluated under this protocol, cancelled or not ended")
+        _show_disturbance(report.disturbance)
+        rows = [(entry.form, entry.title, entry.charts, entry.error or "") for entry in plots]
         print_table(("form", "title", "plots", "not shown because"), rows)
         if out is not None:
             tell(f"written to {out}" + ("" if parquet_there() else f"; {WITHOUT_PARQUET}: {PARQUET_REMEDY}"))
     if refused:
-        raise InvalidInput(f"{len(refused)} of {len(report['forms'])} forms do not fit: {refused[0]['error']}")
+        raise InvalidInput(f"{len(refused)} of {len(plots)} plots do not fit: {refused[0]}")
 
 
-def _tell_disturbance(found: dict[str, int | None]) -> None:
-    if found["left_out"]:
-        tell(f"left out: {found['left_out']} runs that were measured on a disturbed machine")
-    if found["disturbed"]:
-        tell(f"{found['disturbed']} runs were measured on a disturbed machine")
-
-
-def _brief(report: dict[str, Any]) -> list[dict[str, Any]]:
-    return [
-        {key: form[key] for key in ("place", "form", "title", "error")}
-        | {"charts": 0 if form["result"] is None else len(form["result"]["charts"])}
-        for form in report["forms"]
-    ]
+def _show_disturbance(found: DisturbedRuns | None) -> None:
+    if found is not None and found.left_out:
+        tell(f"left out: {found.left_out} runs that were measured on a disturbed machine")
+    if found is not None and found.disturbed:
+        tell(f"{found.disturbed} runs were measured on a disturbed machine")
 
 
 def _formats(text: str) -> tuple[str, ...]:

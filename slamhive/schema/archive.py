@@ -10,21 +10,16 @@ from pydantic import StrictInt as Whole
 
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.names import check_name
-from slamhive.domain.parameters import Parameter, ParameterType
+from slamhive.domain.parameters import Parameter
 from slamhive.schema.fields import described
 from slamhive.schema.model import Document
 from slamhive.schema.protocol import StatedProtocol
 from slamhive.schema.record import ConfigurationContent
-from slamhive.schema.types import ContentHash, Moment, RowNumber, Uid, Values
+from slamhive.schema.types import ContentHash, Definitions, Moment, RowNumber, Uid, Values, cut, defined
 
 
 def _named(kind: str) -> Any:
     return AfterValidator(lambda name: check_name(kind, name))
-
-
-def _cut(length: int) -> Any:
-    """As much of a text as its column holds."""
-    return AfterValidator(lambda text: text if text is None else text[:length])
 
 
 ExperimentName = Annotated[str, _named("experiment")]
@@ -35,9 +30,9 @@ class EvaluationLine(Document):
 
     protocol: StatedProtocol
     state: str
-    reason: Annotated[str | None, _cut(10_000)]
+    reason: Annotated[str | None, cut(10_000)]
     artefacts: str
-    engine: Annotated[str | None, _cut(190)]
+    engine: Annotated[str | None, cut(190)]
     created_at: Moment
     started_at: Moment | None
     ended_at: Moment | None
@@ -57,14 +52,6 @@ class RunLine(Document):
     evaluations: tuple[EvaluationLine, ...]
 
 
-def _definitions(raw: Any) -> Any:
-    """``[type, unit, general name]`` by key, from definitions or as read."""
-    return {
-        key: entry if isinstance(entry, list | tuple) else (entry.type, entry.unit, entry.general)
-        for key, entry in raw.items()
-    }
-
-
 class ConfigurationLine(Document):
     """A configuration with what users say about it."""
 
@@ -74,11 +61,7 @@ class ConfigurationLine(Document):
     name: str | None
     note: str
     groups: tuple[str, ...]
-    parameters: Annotated[
-        dict[str, tuple[ParameterType, str, str | None]],
-        BeforeValidator(_definitions),
-        described("Type, unit and general name of each parameter."),
-    ]
+    parameters: Definitions
 
     @model_validator(mode="after")
     def _check_values(self) -> Self:
@@ -95,11 +78,7 @@ class ConfigurationLine(Document):
     @property
     def definitions(self) -> tuple[Parameter, ...]:
         """How the parameters are defined."""
-        values = self.request.parameters
-        return tuple(
-            Parameter(key, kind, values[key], "", unit, general=general)
-            for key, (kind, unit, general) in self.parameters.items()
-        )
+        return defined(self.parameters, self.request.parameters)
 
 
 class ExperimentLine(Document):
@@ -125,7 +104,7 @@ class CellLine(Document):
 
     experiment: ExperimentName
     number: RowNumber
-    name: Annotated[str, _cut(80)]
+    name: Annotated[str, cut(80)]
     configuration: Annotated[RowNumber, described("Number of the configuration.")] = Field(
         validation_alias=AliasChoices("configuration_id", "configuration")
     )
@@ -136,9 +115,9 @@ class DatasetLine(Document):
     """A dataset that runs are stored for."""
 
     name: Annotated[str, _named("dataset")]
-    checksum: Annotated[str, _cut(80)]
+    checksum: Annotated[str, cut(80)]
     duration_s: Annotated[FiniteFloat, described("Duration of the recording.", unit="s")]
-    title: Annotated[str, _cut(255)]
+    title: Annotated[str, cut(255)]
     sensors: tuple[dict[str, Any], ...]
     registered_at: Moment
 
@@ -158,7 +137,7 @@ class SearchLine(Document):
     filter: str = Field(validation_alias=AliasChoices("filter_text", "filter"))
     columns: tuple[str, ...]
     sort: Annotated[
-        tuple[Annotated[str, _cut(190)], bool],
+        tuple[Annotated[str, cut(190)], bool],
         BeforeValidator(lambda raw: raw if isinstance(raw, list | tuple) else (raw.key, raw.descending)),
         described("Key, and whether the largest value comes first."),
     ]
@@ -170,6 +149,6 @@ class AnalysisLine(Document):
     """An analysis as it is stated; results are computed again."""
 
     token: Uid
-    name: Annotated[str, _cut(200)]
+    name: Annotated[str, cut(200)]
     created_at: Moment
     source: Annotated[str, described("The analysis file.")]

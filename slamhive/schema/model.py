@@ -81,7 +81,7 @@ def dump(kind: Any, value: Any) -> Any:
     return adapter(kind).dump_python(value, mode="json", by_alias=True)
 
 
-def json_schema(kind: type[Any], mode: Literal["validation", "serialization"] = "validation") -> str:
+def json_schema(kind: Any, mode: Literal["validation", "serialization"] = "validation") -> str:
     """The JSON Schema of what is read, or written, as a ``kind``, as a file of ``docs/schemas`` holds it."""
     schema = adapter(kind).json_schema(mode=mode)
     return json.dumps({"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}, indent=2) + "\n"

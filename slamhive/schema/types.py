@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import datetime
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, PlainSerializer, StrictInt
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, StrictInt
 
 from slamhive.domain.disturbance import Disturbance
+from slamhive.domain.parameters import Parameter, ParameterType, Value
 from slamhive.schema.submission import StopWhen
 
 
@@ -29,6 +31,13 @@ Moment = Annotated[
 """A time that a row is rebuilt from: ISO 8601 with its UTC offset, to the microsecond."""
 Timestamp = Annotated[datetime, PlainSerializer(timestamp, when_used="json-unless-none")]
 """A time that is shown."""
+
+
+def cut(length: int) -> Any:
+    """Keeps as much of a text as its column holds."""
+    return AfterValidator(lambda text: text if text is None else text[:length])
+
+
 Values = dict[str, int | float | str | bool | tuple[int | float, ...]]
 """Values by name; a matrix is a list of numbers."""
 RowNumber = Annotated[StrictInt, Field(ge=0, lt=2**31)]
@@ -52,3 +61,27 @@ def _disturbance(raw: Any) -> Any:
 
 
 FoundDisturbance = Annotated[Disturbance, BeforeValidator(_disturbance), PlainSerializer(lambda found: found.content)]
+
+
+def _definitions(raw: Any) -> Any:
+    """``[type, unit, general name]`` by key, from definitions or as read."""
+    return {
+        key: entry if isinstance(entry, list | tuple) else (entry.type, entry.unit, entry.general)
+        for key, entry in raw.items()
+    }
+
+
+Definitions = Annotated[
+    dict[str, tuple[ParameterType, str, str | None]],
+    BeforeValidator(_definitions),
+    Field(description="Type, unit and general name of each parameter."),
+]
+
+
+def defined(definitions: Definitions, values: Mapping[str, Value]) -> tuple[Parameter, ...]:
+    """How the parameters with these values are defined."""
+    return tuple(
+        Parameter(key, kind, values[key], "", unit, general=general)
+        for key, (kind, unit, general) in definitions.items()
+        if key in values
+    )

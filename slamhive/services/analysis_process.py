@@ -78,7 +78,7 @@ def _compute(asked: dict[str, Any], root: Path) -> str:
         Analyses,
         AnalysisLimits,
         figures_json,
-        page_json,
+        page_of,
     )
     from slamhive.services.searches import Searches  # noqa: PLC0415
     from slamhive.settings import load_settings  # noqa: PLC0415
@@ -105,8 +105,8 @@ def _compute(asked: dict[str, Any], root: Path) -> str:
     tell(0.8, "drawing")
     folder.write_result(FIGURES, figures_json(report))
     tell(0.9, "storing")
-    folder.write_result(PAGE, page_json(report))
-    folder.write_result(REPORT, report)
+    folder.write_result(PAGE, page_of(report).content)
+    folder.write_result(REPORT, report.content)
     return content_hash
 
 

@@ -62,19 +62,19 @@ class AnalysisFiles:
     def _make(self, folder: AnalysisFolder, name: str, place: tuple[int, str] | None) -> bytes:
         # matplotlib, pandas and plotly take two seconds to load. No other page should wait for that.
         from slamhive.analysis.print_chart import FORMATS, print_chart  # noqa: PLC0415
-        from slamhive.analysis.result_json import from_json  # noqa: PLC0415
+        from slamhive.analysis.report import Report  # noqa: PLC0415
         from slamhive.services.reports import report_page, table_csv, table_latex, table_parquet, zipped  # noqa: PLC0415  # noqa: PLC0415
 
-        report = folder.read_result(REPORT)
+        report = Report.stored(folder.read_result(REPORT))
         root = self._hive.catalogue.project_root
         if place is None:
             return zipped(report, root) if name == ZIP_FILE else report_page(report, root).encode()
         number, wanted = place
-        result = from_json(report["forms"][number - 1]["result"])
+        plot = report.forms[number - 1]
         ending = name.rpartition(".")[2]
         if ending in FORMATS:
-            return print_chart(next(chart for chart in result.charts if chart.key == wanted), ending)
-        table = next(entry for entry in result.tables if entry.key == wanted)
+            return print_chart(next(chart for chart in plot.charts if chart.key == wanted), ending)
+        table = next(entry for entry in plot.tables if entry.key == wanted)
         if ending == "parquet":
             return table_parquet(table)
         return (table_csv(table) if ending == "csv" else table_latex(table)).encode()

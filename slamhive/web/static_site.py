@@ -13,6 +13,7 @@ from jinja2 import Template
 
 from slamhive import __version__
 from slamhive.analysis.colours import colour_of
+from slamhive.analysis.report import Report
 from slamhive.clock import utc_now
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.metrics import CATALOGUE
@@ -127,7 +128,8 @@ class StaticSite:
         listed = self._hive.store.read(lambda t: t.analyses.listed(_MOST_ANALYSES))
         done = [record for record in listed if record.state is AnalysisState.DONE]
         for record in done:
-            report = AnalysisFolder(self._hive.settings.analyses_folder / record.token).read_result(REPORT)
+            stored = AnalysisFolder(self._hive.settings.analyses_folder / record.token)
+            report = Report.stored(stored.read_result(REPORT))
             (folder / "analyses").mkdir(exist_ok=True)
             text = page.render(site=site, root="../", run_url=_RUN_PAGE.format, **report_content(report))
             (folder / "analyses" / f"{record.token}.html").write_text(text, encoding="utf-8")

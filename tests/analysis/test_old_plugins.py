@@ -7,8 +7,8 @@ import pytest
 from slamhive.analysis.chart import Axis, Chart
 from slamhive.analysis.forms import FORMS, Form, FormData, FormOptions
 from slamhive.analysis.forms.base import caption, raw_table, result_of, with_values
-from slamhive.analysis.result import FormResult
-from slamhive.analysis.result_json import from_json, to_json
+from slamhive.analysis.result import FormResult, PlotResult
+from slamhive.schema.model import dump, load
 from tests.analysis.analysis_world import data_of, sweep_table
 
 pytestmark = pytest.mark.integration
@@ -36,4 +36,4 @@ def test_plug_ins_of_version_0_1_find_the_names_they_import():
     assert "scatter" in FORMS.names()
     result = Old().build(data_of(sweep_table()), OldOptions())
     assert result.runs == len(sweep_table().frame)
-    assert from_json(to_json(result)).tables == result.tables
+    assert load(PlotResult, dump(PlotResult, result)).tables == result.tables

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import zipfile
 from io import BytesIO
-from typing import Any
 
 import pandas as pd
 import pytest
 
 from slamhive.analysis.colours import PALETTE
+from slamhive.analysis.report import DisturbedRuns, Report
 from slamhive.analysis.result import ResultTable, TableColumn
 from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.domain.verdict import FailureRule
@@ -52,20 +52,18 @@ def world(tmp_path):
     hive.close()
 
 
-def compute(
-    hive, select: str, form: str = "{form: distributions, metrics: [ate.rmse]}", use: str = ""
-) -> dict[str, Any]:
+def compute(hive, select: str, form: str = "{form: distributions, metrics: [ate.rmse]}", use: str = "") -> Report:
     head = "name: a <b>name</b>\ntext: 'see [x](javascript:alert(1)) <script>'"
     text = f"{head}\nselect: {select}\n{use}\nforms:\n- {form}\n"
-    report: dict[str, Any] = hive.analyses.compute(hive.analyses.read(text), LIMITS)
+    report: Report = hive.analyses.compute(hive.analyses.read(text), LIMITS)
     return report
 
 
 def test_a_report_counts_names_and_shows(world):
     report = compute(world, "{all: {where: 'id >= 1'}}")
-    assert (report["runs"], report["failed"]) == (5, 1)
-    assert report["selection"] == "runs where id >= 1"
-    assert report["forms"][0]["error"] is None
+    assert (report.runs, report.failed) == (5, 1)
+    assert report.selection == "runs where id >= 1"
+    assert report.forms[0].error is None
     page = report_page(report, world.catalogue.project_root)
     assert "<b>name" not in page.split("<script")[0]
     assert 'href="javascript:' not in page
@@ -77,12 +75,12 @@ def test_disturbed_runs_are_kept_and_told_or_left_out_on_request(world):
     busy = Disturbance(known=True, reasons=(DisturbanceReason(DisturbanceKind.STEAL, "the hypervisor took it"),))
     world.store.write(lambda t: t.runs.update(first, disturbance=busy))
     kept = compute(world, "{all: {where: 'id > 0'}}")
-    assert kept["runs"] == 5
-    assert kept["disturbance"] == {"disturbed": 1, "unknown": 4, "left_out": None}
+    assert kept.runs == 5
+    assert kept.disturbance == DisturbedRuns(disturbed=1, unknown=4, left_out=None)
     assert "1 of 5 runs measured on a disturbed machine" in " ".join(report_page(kept, project_root()).split())
     without = compute(world, "{all: {where: 'id > 0'}}", use="exclude_disturbed: true")
-    assert without["runs"] == 4
-    assert without["disturbance"] == {"disturbed": 0, "unknown": 4, "left_out": 1}
+    assert without.runs == 4
+    assert without.disturbance == DisturbedRuns(disturbed=0, unknown=4, left_out=1)
     page = " ".join(report_page(without, project_root()).split())
     assert "<strong>1 run left out</strong>: measured on a disturbed machine." in page
     assert "1 run measured on a disturbed machine left out." in page
@@ -92,14 +90,16 @@ def test_disturbed_runs_are_kept_and_told_or_left_out_on_request(world):
 
 def test_a_report_of_before_is_shown_without(world):
     report = compute(world, "{all: {where: 'id > 0'}}")
-    del report["disturbance"]
+    content = report.content
+    del content["disturbance"], content["unevaluated"]
+    report = Report.stored(content)
     assert "disturbed" not in report_page(report, project_root()).split("<script")[0]
 
 
 def test_sets_and_their_algebra(world):
     report = compute(world, "{a: {runs: [1, 2, 3]}, b: {where: 'algorithm = eye-slam-mono'}}", use="use: a - b")
-    assert report["runs"] == 2
-    assert report["selection"] == "(runs 1, 2, 3) but not (runs where algorithm = eye-slam-mono)"
+    assert report.runs == 2
+    assert report.selection == "(runs 1, 2, 3) but not (runs where algorithm = eye-slam-mono)"
 
 
 @pytest.mark.parametrize(
@@ -125,10 +125,10 @@ def test_a_protocol_that_nothing_was_evaluated_under_is_told_with_its_line(world
 
 def test_a_form_that_does_not_fit_leaves_the_others_alone(world):
     report = compute(world, "{all: {where: 'id >= 1'}}", "{form: heatmap, x: nothing, y: seed}\n- {form: by_algorithm}")
-    refused, made = report["forms"]
-    assert "unknown metric or parameter 'nothing'" in refused["error"]
-    assert refused["result"] is None
-    assert made["error"] is None
+    refused, made = report.forms
+    assert "unknown metric or parameter 'nothing'" in (refused.error or "")
+    assert refused.result is None
+    assert made.error is None
 
 
 def test_too_many_runs_and_too_little_time_are_refused(world):
@@ -136,12 +136,12 @@ def test_too_many_runs_and_too_little_time_are_refused(world):
     with pytest.raises(InvalidInput, match="has 5 runs, 4 are allowed"):
         world.analyses.compute(analysis, AnalysisLimits(4, 120))
     slow = world.analyses.compute(analysis, AnalysisLimits(5, 0))
-    assert "takes longer than 0 s" in slow["forms"][0]["error"]
+    assert "takes longer than 0 s" in (slow.forms[0].error or "")
 
 
 def test_trajectories_and_usage_come_from_the_run_folders(world):
     report = compute(world, "{all: {where: 'id >= 1'}}", "{form: trajectories}\n- {form: usage}")
-    assert [form["error"] for form in report["forms"]] == [None, None]
+    assert [form.error for form in report.forms] == [None, None]
 
 
 def test_the_files_of_a_report(world, tmp_path):
@@ -150,7 +150,7 @@ def test_the_files_of_a_report(world, tmp_path):
     names = {str(path.relative_to(folder)) for path in write_folder(report, root, folder, ["svg"])}
     assert {"analysis.yaml", "report.html"} <= names
     assert {"figures/01_distribution_ate.rmse.svg", "tables/01_distributions.tex"} <= names
-    again = json.loads(json.dumps(report))
+    again = Report.stored(json.loads(json.dumps(report.content)))
     with zipfile.ZipFile(BytesIO(zipped(again, root, []))) as archive:
         assert archive.testzip() is None
         assert "tables/01_distributions_raw.csv" in archive.namelist()

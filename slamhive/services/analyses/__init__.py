@@ -5,7 +5,6 @@ from __future__ import annotations
 from slamhive.services.analyses.folder import FIGURES, PAGE, REPORT, SOURCE, AnalysisFolder
 from slamhive.services.analyses.jobs import AnalysisJobs
 from slamhive.services.analyses.stored import MAX_TEXT_BYTES, StoredAnalyses, may_analyse
-from slamhive.services.analyses.stored_page import page_forms
 
 __all__ = [
     "FIGURES",
@@ -17,5 +16,4 @@ __all__ = [
     "AnalysisJobs",
     "StoredAnalyses",
     "may_analyse",
-    "page_forms",
 ]

@@ -7,16 +7,15 @@ import gzip
 import json
 import shutil
 import zlib
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from slamhive.errors import InvalidInput, NotFound, Unavailable
 from slamhive.files import held_folder, remedy_of, write_aside
 from slamhive.input_bounds import read_record
+from slamhive.schema.analysis import StoredAnalysis
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 
-FORMAT = 1
 SOURCE, STATE, PROGRESS = "analysis.yaml", "state.json", "progress.json"
 REPORT, FIGURES, PAGE = "report.json.gz", "figures.json.gz", "page.json.gz"
 RESULTS = (REPORT, FIGURES, PAGE)
@@ -59,17 +58,8 @@ class AnalysisFolder:
 
     def write_state(self, record: AnalysisRecord) -> None:
         """Write the state of the table row; a running analysis is written as waiting, so that a restart resumes it."""
-        content = {
-            "format": FORMAT,
-            "name": record.name,
-            "state": (record.state if record.state.ended else AnalysisState.QUEUED).value,
-            "listed": record.listed,
-            "visitor": record.visitor,
-            "created_at": record.created_at.isoformat(),
-            "ended_at": None if record.ended_at is None else record.ended_at.isoformat(),
-            "content_hash": record.content_hash,
-            "reason": record.reason,
-        }
+        state = record.state if record.state.ended else AnalysisState.QUEUED
+        content = StoredAnalysis.of(record, state=state).content
         write_aside(self.root / STATE, json.dumps(content, indent=2) + "\n")
 
     def read_state(self) -> AnalysisRecord:
@@ -77,24 +67,19 @@ class AnalysisFolder:
         path = self.root / STATE
         content = read_record(path)
         try:
-            ended_at = content["ended_at"]
-            state = AnalysisState(content["state"])
-            if state is AnalysisState.DONE and not self.whole:
-                state = AnalysisState.QUEUED
-            return AnalysisRecord(
-                token=self.root.name,
-                name=str(content["name"])[:200],
-                state=state,
-                listed=bool(content["listed"]),
-                visitor=bool(content["visitor"]),
-                created_at=_aware(content["created_at"]),
-                content_hash=content["content_hash"],
-                reason=content["reason"],
-                size_bytes=self.size_bytes,
-                ended_at=None if ended_at is None else _aware(ended_at),
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InvalidInput(f"{path} cannot be used: {error!r}", "restore it, or remove the folder") from None
+            stored = StoredAnalysis.read(content)
+            state = AnalysisState(stored.state)
+        except InvalidInput as error:
+            raise InvalidInput(f"{path} cannot be used: {error.message}", "restore it, or remove the folder") from None
+        except ValueError as error:
+            raise InvalidInput(f"{path} cannot be used: {error}", "restore it, or remove the folder") from None
+        if state is AnalysisState.DONE and not self.whole:
+            state = AnalysisState.QUEUED
+        return AnalysisRecord(
+            token=self.root.name,
+            size_bytes=self.size_bytes,
+            **{**stored.model_dump(exclude={"format"}), "state": state},
+        )
 
     @property
     def whole(self) -> bool:
@@ -158,10 +143,3 @@ class AnalysisFolder:
         with contextlib.suppress(FileNotFoundError):
             self.root.rename(aside)
         shutil.rmtree(aside, ignore_errors=True)
-
-
-def _aware(text: str) -> datetime:
-    moment = datetime.fromisoformat(text)
-    if moment.tzinfo is None:
-        raise ValueError(f"{text} has no time zone")
-    return moment

@@ -8,10 +8,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 
-from slamhive.domain.protocol import Protocol, protocol_from_content
+from slamhive.domain.protocol import Protocol
 from slamhive.evaluation.job import Artefacts
+from slamhive.schema.ledger import AskedLine, EndedLine
 from slamhive.services.ledger.book import Line
-from slamhive.services.ledger.lines import NOT_A_LINE, moment
+from slamhive.services.ledger.lines import NOT_A_LINE
 from slamhive.store.changes import AskedEvaluations
 from slamhive.store.filed_runs import EndedEvaluation
 from slamhive.store.records import EvaluationState
@@ -48,12 +49,7 @@ class LedgerEvaluations:
 
 def asked_line(asked: AskedEvaluations) -> Line:
     """One line for evaluations that were queued together."""
-    return {
-        "at": asked.at.isoformat(),
-        "protocol": asked.protocol.content,
-        "artefacts": asked.artefacts.value,
-        "asked": list(asked.run_ids),
-    }
+    return AskedLine.of(asked, asked=asked.run_ids).content
 
 
 def ended_lines(found: Mapping[int, Sequence[EndedEvaluation]]) -> Iterator[Line]:
@@ -61,16 +57,7 @@ def ended_lines(found: Mapping[int, Sequence[EndedEvaluation]]) -> Iterator[Line
     for run_id, entries in found.items():
         for entry in entries:
             times = (entry.created_at, entry.started_at, entry.ended_at)
-            yield {
-                "ended": run_id,
-                "protocol": entry.protocol.fingerprint,
-                "state": entry.state.value,
-                "reason": entry.reason,
-                "artefacts": entry.artefacts.value,
-                "engine": entry.engine,
-                "times": [None if at is None else at.isoformat() for at in times],
-                "attempt": entry.attempt,
-            }
+            yield EndedLine.of(entry, ended=run_id, protocol=entry.protocol.fingerprint, times=times).content
 
 
 def read_evaluations(lines: Iterable[Line]) -> LedgerEvaluations:
@@ -86,24 +73,21 @@ def read_evaluations(lines: Iterable[Line]) -> LedgerEvaluations:
 
 def _read(line: Line, found: LedgerEvaluations) -> None:
     if "asked" in line:
-        protocol = protocol_from_content(line["protocol"])
-        found.protocols[protocol.fingerprint] = protocol
-        at, artefacts = moment(line["at"]), Artefacts(line["artefacts"])
-        for run_id in line["asked"]:
-            found.asked[int(run_id), protocol.fingerprint, at] = artefacts
+        asked = AskedLine.read(line)
+        found.protocols[asked.protocol.fingerprint] = asked.protocol
+        for run_id in asked.asked:
+            found.asked[run_id, asked.protocol.fingerprint, asked.at] = Artefacts(asked.artefacts)
         return
-    run_id, fingerprint = int(line["ended"]), str(line["protocol"])
-    created_at, started_at, ended_at = (None if text is None else moment(text) for text in line["times"])
-    if created_at is None:
-        raise ValueError("an evaluation that nobody asked for")
-    found.ended[run_id][run_id, fingerprint, created_at] = EndedEvaluation(
-        protocol=found.protocols[fingerprint],
-        state=EvaluationState(line["state"]),
-        reason=line["reason"],
-        artefacts=Artefacts(line["artefacts"]),
-        engine=line["engine"],
+    ended = EndedLine.read(line)
+    created_at, started_at, ended_at = ended.times
+    found.ended[ended.ended][ended.ended, ended.protocol, created_at] = EndedEvaluation(
+        protocol=found.protocols[ended.protocol],
+        state=EvaluationState(ended.state),
+        reason=ended.reason,
+        artefacts=Artefacts(ended.artefacts),
+        engine=ended.engine,
         created_at=created_at,
         started_at=started_at,
         ended_at=ended_at,
-        attempt=int(line["attempt"]),
+        attempt=ended.attempt,
     )

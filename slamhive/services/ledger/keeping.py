@@ -12,6 +12,7 @@ from slamhive.services.ledger.evaluation_lines import asked_line, ended_lines
 from slamhive.services.ledger.files import LedgerFiles
 from slamhive.services.ledger.lines import (
     NOT_A_LINE,
+    cancelled_line,
     cell_line,
     configuration_lines,
     label_line,
@@ -113,7 +114,7 @@ class Ledger:
         yield from run_lines(rows, {number: self._uid(number) for number in named if number is not None})
         for members, at, why in changes.cancelled:
             if members:
-                yield {"cancelled": list(members), "at": at.isoformat(), "why": why}
+                yield cancelled_line(members, at, why)
         if changes.asked_to_end:
             yield {"asked_to_end": sorted(changes.asked_to_end)}
 

@@ -10,11 +10,12 @@ from datetime import datetime
 from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
 from slamhive.runs.folder import RunFolder
+from slamhive.schema.ledger import AlgorithmLine
 from slamhive.services.archive import dataset_to_line, search_to_line
 from slamhive.services.ledger.book import Line
 from slamhive.services.ledger.evaluation_lines import asked_line, ended_lines, read_evaluations
 from slamhive.services.ledger.files import LedgerFiles
-from slamhive.services.ledger.lines import cell_line, label_line, record_line, run_lines
+from slamhive.services.ledger.lines import cancelled_line, cell_line, label_line, record_line, run_lines
 from slamhive.settings import Settings
 from slamhive.store import Store, Transaction
 from slamhive.store.changes import AskedEvaluations
@@ -140,7 +141,7 @@ class Missing:
             for run_id, when in found.items():
                 together[when].append(run_id)
         for (at, why), members in together.items():
-            yield {"cancelled": members, "at": at.isoformat(), "why": why}
+            yield cancelled_line(members, at, why)
 
     def _ended(self) -> Iterator[tuple[int, EndedEvaluation]]:
         after = 0
@@ -165,16 +166,7 @@ def catalogue_lines(store: Store) -> Iterator[Line]:
     def work(t: Transaction) -> list[Line]:
         versions = t.ledger.versions()
         algorithms: list[Line] = [
-            {
-                "algorithm": entry.name,
-                "package": entry.package,
-                "mode": entry.mode,
-                "versions": [
-                    {**version, "created_at": version["created_at"].isoformat()}
-                    for version in versions.get(entry.name, ())
-                ],
-            }
-            for entry in t.catalogue.algorithms()
+            AlgorithmLine.of(entry, versions=versions.get(entry.name, ())).content for entry in t.catalogue.algorithms()
         ]
         datasets = [{"dataset": dataset_to_line(entry), "folder": entry.folder} for entry in t.catalogue.datasets()]
         return [*algorithms, *datasets]

@@ -13,6 +13,7 @@ from slamhive.clock import utc_now
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.run import RunEvent, RunState
 from slamhive.errors import SlamHiveError
+from slamhive.schema.ledger import AlgorithmLine, CancelledLine, LabelLine
 from slamhive.services.archive import dataset_from_line, search_from_line
 from slamhive.services.datasets import Catalogue
 from slamhive.services.ledger.book import Book, Line
@@ -25,7 +26,6 @@ from slamhive.services.ledger.lines import (
     cells_of,
     configurations_of,
     live_configurations,
-    moment,
     runs_of,
 )
 from slamhive.services.runs import dataset_of
@@ -121,16 +121,13 @@ class LedgerRestore:
             row = {**values, "folder": str(line["folder"])}
             self._store.write(lambda t: t.archive.dataset_if_absent(name, row))
             return
-        name = str(line["algorithm"])
-        versions = [
-            (AlgorithmVersion(entry["identity"], entry["package_hash"], entry["version"]), moment(entry["created_at"]))
-            for entry in line["versions"]
-        ]
+        stated = AlgorithmLine.read(line)
 
         def work(t: Transaction) -> None:
-            algorithm_id = t.archive.algorithm_if_absent(name, line["package"], line["mode"])
-            for version, at in versions:
-                t.catalogue.put_version(algorithm_id, version, at)
+            algorithm_id = t.archive.algorithm_if_absent(stated.algorithm, stated.package, stated.mode)
+            for entry in stated.versions:
+                version = AlgorithmVersion(entry.identity, entry.package_hash, entry.version)
+                t.catalogue.put_version(algorithm_id, version, entry.created_at)
 
         self._store.write(work)
 
@@ -219,8 +216,8 @@ class LedgerRestore:
         found = _Cancelled()
         for line in self._files.runs.read():
             if "cancelled" in line:
-                when = moment(line["at"]), str(line["why"])
-                found.waiting.update({int(run_id): when for run_id in line["cancelled"]})
+                stated = CancelledLine.read(line)
+                found.waiting.update(dict.fromkeys(stated.cancelled, (stated.at, stated.why)))
             found.active += line.get("asked_to_end", ())
         return found
 
@@ -270,12 +267,14 @@ class LedgerRestore:
                 self._guarded(self._files.configurations, lambda: self._label(self._numbers[number], line))  # noqa: B023
 
     def _label(self, number: int, line: Line) -> None:
+        stated = LabelLine.read(line)
+
         def work(t: Transaction) -> None:
             here = t.configuration_book.get(number)
-            name, note = here.name or line["name"], here.note or line["note"]
+            name, note = here.name or stated.name, here.note or stated.note
             if (name, note) != (here.name, here.note):
                 t.configuration_book.describe(number, name, note)
-            for group in line["groups"]:
+            for group in stated.groups:
                 t.configuration_book.add_to_group(group, [number])
 
         self._store.write(work)

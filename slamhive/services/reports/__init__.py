@@ -11,7 +11,7 @@ from slamhive.services.reports.bundle import (
     write_folder,
     zipped,
 )
-from slamhive.services.reports.page import page_json
+from slamhive.services.reports.page import page_of
 from slamhive.services.reports.run import AnalysisLimits
 from slamhive.services.reports.service import Analyses
 from slamhive.services.reports.tables import (
@@ -29,7 +29,7 @@ __all__ = [
     "Analyses",
     "AnalysisLimits",
     "figures_json",
-    "page_json",
+    "page_of",
     "parquet_there",
     "report_content",
     "report_environment",

@@ -6,6 +6,7 @@ import io
 import json
 import zipfile
 from collections.abc import Callable, Collection, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,11 @@ from markupsafe import Markup
 
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import FORMATS, print_chart
-from slamhive.analysis.result import PlotResult, ResultTable
-from slamhive.analysis.result_json import from_json
+from slamhive.analysis.report import Plot, RawData, Report, ShownPlot, ShownTable
+from slamhive.analysis.result import ResultTable
 from slamhive.files import write_aside
 from slamhive.services.markdown import markdown_html
-from slamhive.services.reports.report import SHOWN_ROWS, excluded_words, file_name
+from slamhive.services.reports.report import SHOWN_ROWS, file_name
 from slamhive.services.reports.tables import parquet_there, table_csv, table_latex, table_parquet
 
 PLOTLY_FILE = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
@@ -29,36 +30,32 @@ Progress = Callable[[float, str], None]
 
 
 def report_files(
-    report: dict[str, Any], project_root: Path, formats: Collection[str] = FORMATS, progress: Progress | None = None
+    report: Report, project_root: Path, formats: Collection[str] = FORMATS, progress: Progress | None = None
 ) -> Iterator[tuple[str, bytes]]:
     """The files of a report, one at a time, each with its path in the folder.
 
     Args:
-        report: From :func:`slamhive.services.reports.report.report_json`.
+        report: From :func:`slamhive.services.reports.report.make_report`.
         project_root: The folder that contains the templates.
         formats: Formats of plots for print, from :data:`slamhive.analysis.print_chart.FORMATS`.
         progress: Called with the fraction done and the title of the current plot.
     """
     tell = progress or (lambda _share, _what: None)
-    yield "analysis.yaml", report["source"].encode()
+    yield "analysis.yaml", report.source.encode()
     tell(0.0, PAGE)
     yield PAGE, report_page(report, project_root).encode()
-    plots = report["forms"]
-    for plot in plots:
-        tell(plot["place"] / (len(plots) + 1), plot["title"])
-        if plot["result"] is None:
-            continue
-        result: PlotResult = from_json(plot["result"])
-        for chart in result.charts:
+    for plot in report.forms:
+        tell(plot.place / (len(report.forms) + 1), plot.title)
+        for chart in plot.charts:
             for file_format in formats:
-                name = file_name(plot["place"], chart.key, file_format)
+                name = file_name(plot.place, chart.key, file_format)
                 yield f"figures/{name}", print_chart(chart, file_format)
-        for table in result.tables:
-            yield from _table_files(plot["place"], table)
+        for table in plot.tables:
+            yield from _table_files(plot.place, table)
 
 
 def write_folder(
-    report: dict[str, Any],
+    report: Report,
     project_root: Path,
     folder: Path,
     formats: Collection[str] = FORMATS,
@@ -74,7 +71,7 @@ def write_folder(
     return written
 
 
-def zipped(report: dict[str, Any], project_root: Path, formats: Collection[str] = FORMATS) -> bytes:
+def zipped(report: Report, project_root: Path, formats: Collection[str] = FORMATS) -> bytes:
     """The report as a zip file; the same report gives the same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -83,7 +80,7 @@ def zipped(report: dict[str, Any], project_root: Path, formats: Collection[str] 
     return buffer.getvalue()
 
 
-def report_page(report: dict[str, Any], project_root: Path) -> str:
+def report_page(report: Report, project_root: Path) -> str:
     """One HTML page with styles, plots and the plotting library; it needs no server and no network."""
     template = report_environment(project_root).get_template("analyses/report.html")
     return template.render(
@@ -103,52 +100,43 @@ def report_environment(project_root: Path) -> Environment:
     return environment
 
 
-def report_content(report: dict[str, Any]) -> dict[str, Any]:
+def report_content(report: Report) -> dict[str, Any]:
     """Template variables of every page of a report: ``report``, ``forms``, and ``figures`` for a script element."""
     return {
         "report": report,
-        "forms": [shown_plot(plot) for plot in report["forms"]],
+        "forms": [shown_plot(plot) for plot in report.forms],
         "figures": script_json(figures_json(report)),
     }
 
 
-def shown_plot(plot: dict[str, Any]) -> dict[str, Any]:
+def shown_plot(plot: Plot) -> ShownPlot:
     """The part of a plot that a page shows: its plots, and its tables with their first rows."""
-    result: PlotResult | None = None if plot["result"] is None else from_json(plot["result"])
-    tables = [] if result is None else [table for table in result.tables if not table.raw]
-    return {
-        **{key: plot[key] for key in ("place", "form", "title", "description", "text", "error")},
-        "charts": [] if result is None else result.charts,
-        "tables": [_shown_table(table) for table in tables],
-        "raw": [
-            {"key": table.key, "title": table.title, "rows": len(table.rows)}
-            for table in (() if result is None else result.tables)
-            if table.raw
-        ],
-        "notes": [*(() if result is None else result.notes), *excluded_words(plot)],
-        "runs": None if result is None else result.runs,
-        "failed": None if result is None else result.failed,
-    }
+    return ShownPlot.of(
+        plot,
+        charts=plot.charts,
+        tables=tuple(_shown_table(table) for table in plot.tables if not table.raw),
+        raw=tuple(
+            RawData(key=table.key, title=table.title, rows=len(table.rows)) for table in plot.tables if table.raw
+        ),
+        notes=(*(() if plot.result is None else plot.result.notes), *plot.exclusions),
+        runs=None if plot.result is None else plot.result.runs,
+        failed=None if plot.result is None else plot.result.failed,
+    )
 
 
-def _shown_table(table: ResultTable) -> dict[str, Any]:
+def _shown_table(table: ResultTable) -> ShownTable:
     rows = table.rows[:SHOWN_ROWS]
-    numeric = [
+    numeric = tuple(
         column.key
         for place, column in enumerate(table.columns)
         if all(isinstance(row[place], int | float | None) for row in rows)
-    ]
-    return {"table": table, "rows": rows, "more": len(table.rows) - SHOWN_ROWS, "numeric": numeric}
+    )
+    return ShownTable(table=replace(table, rows=rows), more=len(table.rows) - SHOWN_ROWS, numeric=numeric)
 
 
-def figures_json(report: dict[str, Any]) -> dict[str, Any]:
+def figures_json(report: Report) -> dict[str, Any]:
     """{place-key: JSON for Plotly} of all plots of a report."""
-    figures = {}
-    for plot in report["forms"]:
-        if plot["result"] is not None:
-            result: PlotResult = from_json(plot["result"])
-            figures.update({f"{plot['place']}-{chart.key}": plotly_figure(chart) for chart in result.charts})
-    return figures
+    return {f"{plot.place}-{chart.key}": plotly_figure(chart) for plot in report.forms for chart in plot.charts}
 
 
 def _table_files(place: int, table: ResultTable) -> Iterator[tuple[str, bytes]]:

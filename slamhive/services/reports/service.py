@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from slamhive.analysis.analysis_file import Analysis, parse_analysis
 from slamhive.analysis.paper_file import PaperNames
+from slamhive.analysis.report import Report
 from slamhive.clock import utc_now
 from slamhive.errors import InvalidInput
 from slamhive.services.datasets import Catalogue
-from slamhive.services.reports.report import report_json
+from slamhive.services.reports.report import make_report
 from slamhive.services.reports.run import AnalysisLimits, AnalysisSources, run_analysis
 from slamhive.services.reports.selection import select_runs
 from slamhive.services.searches import Searches
@@ -53,7 +53,7 @@ class Analyses:
         analysis: Analysis,
         limits: AnalysisLimits,
         progress: Callable[[float, str], None] = lambda _share, _doing: None,
-    ) -> dict[str, Any]:
+    ) -> Report:
         """Compute the report; raises InvalidInput or NotFound for an invalid selection."""
         sources = AnalysisSources(
             settings=self._settings,
@@ -62,7 +62,7 @@ class Analyses:
             saved_search=self._saved_search,
             sensors={entry.name: entry.setup.value for entry in self._catalogue.algorithms()},
         )
-        return report_json(run_analysis(analysis, sources, limits, progress), utc_now())
+        return make_report(run_analysis(analysis, sources, limits, progress), utc_now())
 
     def fingerprint(self, analysis: Analysis) -> str:
         """Identifies the selected runs and their metrics; raises as :meth:`compute`."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from typing import Any
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
 from flask import url_for as address
 
+from slamhive.analysis.report import ReportPage
 from slamhive.errors import Forbidden, InvalidInput, SlamHiveError
-from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, PAGE, may_analyse, page_forms
+from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, PAGE, may_analyse
 from slamhive.settings import Mode
 from slamhive.store.analysis_records import AnalysisState
 from slamhive.web import context
@@ -93,17 +93,15 @@ def show(token: str) -> Response:
     services = hive()
     record = services.stored_analyses.get(token)
     folder = services.stored_analyses.folder(token)
-    page: dict[str, Any] | None = None
+    page: ReportPage | None = None
     if record.state is AnalysisState.DONE:
-        page = folder.read_result(PAGE)
+        page = ReportPage.stored(folder.read_result(PAGE))
     response = make_response(
         render_template(
             "analyses/show.html",
             analysis=record,
             source=folder.source,
             page=page,
-            forms=[] if page is None else page_forms(page),
-            file_names=() if page is None else page["files"],
             progress=folder.read_progress(),
             waits_for_worker=services.settings.mode is Mode.WORKSTATION and not services.worker_alive(),
             kept=services.settings.analyses_max_stored,

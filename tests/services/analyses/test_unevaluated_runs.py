@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
+from slamhive.analysis.report import Report
 from slamhive.errors import InvalidInput
 from slamhive.services.reports.run import AnalysisLimits
 from tests.web.web_world import PROTOCOL, add_runs, evaluate_run, finish_run, make_hive
@@ -23,9 +22,9 @@ def world(tmp_path):
     hive.close()
 
 
-def report_of(hive, protocol: str = "") -> dict[str, Any]:
+def report_of(hive, protocol: str = "") -> Report:
     text = f"name: n\nselect: {{all: {{where: 'id >= 1'}}}}\n{protocol}\nforms: [{{form: by_algorithm}}]\n"
-    report: dict[str, Any] = hive.analyses.compute(hive.analyses.read(text), AnalysisLimits(runs=10, time_s=60))
+    report: Report = hive.analyses.compute(hive.analyses.read(text), AnalysisLimits(runs=10, time_s=60))
     return report
 
 
@@ -34,9 +33,9 @@ def test_an_evaluation_that_failed_is_a_failure_and_one_that_is_missing_is_not(w
     evaluate_run(world, 1)
     evaluate_run(world, 2, reason="alignment is not possible")
     report = report_of(world, protocol)
-    assert (report["runs"], report["failed"], report["unevaluated"]) == (2, 1, 1)
-    assert report["failed_because"] == {"could not be evaluated": 1}
-    assert [(entry["fingerprint"], entry["runs"]) for entry in report["protocols"]] == [(PROTOCOL.fingerprint, 1)]
+    assert (report.runs, report.failed, report.unevaluated) == (2, 1, 1)
+    assert report.failed_because == {"could not be evaluated": 1}
+    assert [(entry.fingerprint, entry.runs) for entry in report.protocols] == [(PROTOCOL.fingerprint, 1)]
 
 
 def test_nothing_evaluated_is_told(world):

@@ -1,0 +1,157 @@
+"""The report of an analysis: as it is stored, as its page shows it, and as ``slamhive analyse --json`` prints it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Self
+
+from slamhive.analysis.chart import Chart
+from slamhive.analysis.result import Cell, PlotResult, ResultTable
+from slamhive.errors import InvalidInput
+from slamhive.schema.fields import described
+from slamhive.schema.model import Document
+from slamhive.schema.types import Timestamp
+
+FORMAT = 1
+
+
+class ProtocolRuns(Document):
+    """How many runs were evaluated under a protocol."""
+
+    fingerprint: str
+    label: str
+    runs: int
+
+
+class DisturbedRuns(Document):
+    """Runs that were measured on a disturbed machine."""
+
+    disturbed: int
+    unknown: Annotated[int, described("Runs of which it is not known.")]
+    left_out: Annotated[int | None, described("Null unless the analysis leaves them out.")]
+
+
+class Summary(Document):
+    """What an analysis is about: its runs and how they were judged."""
+
+    format: int = FORMAT
+    name: str
+    text: Annotated[str, described("Introduction in Markdown.")]
+    made_at: Timestamp
+    selection: Annotated[str, described("The selection in words.")]
+    sets: Annotated[dict[str, str], described("Each set of runs in words.")]
+    runs: int
+    configurations: int
+    algorithms: tuple[str, ...]
+    datasets: tuple[str, ...]
+    failed: Annotated[int, described("Runs that count as failed.")]
+    failed_because: Annotated[dict[str, int], described("How many, by reason.")]
+    unevaluated: Annotated[int, described("Runs that were left out because they have no evaluation.")] = 0
+    disturbance: Annotated[DisturbedRuns | None, described("Null in reports of version 0.1.")] = None
+    rule: Annotated[str, described("When a run counts as failed.")]
+    protocols: tuple[ProtocolRuns, ...]
+
+    @classmethod
+    def stored(cls, content: Any) -> Self:
+        """The document that was stored; raises InvalidInput if it is damaged."""
+        try:
+            return cls.read(content)
+        except InvalidInput as error:
+            raise InvalidInput(f"the stored result is damaged: {error.message}", "run the analysis again") from None
+
+
+class PlotHead(Document):
+    """One plot type of an analysis file."""
+
+    place: Annotated[int, described("Its place in the file, from 1.")]
+    form: Annotated[str, described("The plot type.")]
+    title: str
+    description: str
+    text: Annotated[str, described("Markdown above the plot.")]
+    error: Annotated[str | None, described("Why there is no result.")]
+
+
+class Plot(PlotHead):
+    """A plot type with everything that it has found."""
+
+    result: PlotResult | None
+
+    @property
+    def charts(self) -> tuple[Chart, ...]:
+        """Its plots."""
+        return () if self.result is None else self.result.charts
+
+    @property
+    def tables(self) -> tuple[ResultTable, ...]:
+        """Its tables and raw data."""
+        return () if self.result is None else self.result.tables
+
+    @property
+    def exclusions(self) -> list[str]:
+        """The runs that it leaves out, one sentence for each reason."""
+        excluded = () if self.result is None else self.result.excluded
+        return [f"{len(entry.runs)} runs left out: {entry.reason}." for entry in excluded]
+
+
+class Report(Summary):
+    """A whole report."""
+
+    forms: tuple[Plot, ...]
+    source: Annotated[str, described("The analysis file.")]
+
+
+class ShownTable(Document):
+    """The first rows of a table."""
+
+    table: ResultTable
+    more: Annotated[int, described("Rows that are not shown; negative if there is room for more.")]
+    numeric: Annotated[tuple[str, ...], described("Columns of numbers.")] = ()
+
+    @property
+    def rows(self) -> Sequence[Sequence[Cell]]:
+        """The rows that are shown."""
+        return self.table.rows
+
+
+class RawData(Document):
+    """A table that can be downloaded only."""
+
+    key: str
+    title: str
+    rows: Annotated[int, described("How many it has.")]
+
+
+class ShownPlot(PlotHead):
+    """What a page shows of a plot type."""
+
+    charts: tuple[Chart, ...]
+    tables: tuple[ShownTable, ...]
+    raw: tuple[RawData, ...] = ()
+    notes: tuple[str, ...]
+    runs: int | None
+    failed: int | None
+
+
+class ReportPage(Summary):
+    """What the page of a report shows. Its plots have no marks: those are in a file of their own."""
+
+    source: str
+    forms: tuple[ShownPlot, ...]
+    files: Annotated[dict[str, tuple[int, str]], described("Place of the plot and key of plot or table, by file name.")]
+
+
+class PlotBrief(Document):
+    """Whether a plot could be made."""
+
+    place: int
+    form: str
+    title: str
+    error: str | None
+    charts: Annotated[int, described("How many plots it has.")]
+
+
+class ReportBrief(Summary):
+    """A report without its plots."""
+
+    source: str
+    forms: tuple[PlotBrief, ...]
