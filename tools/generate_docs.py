@@ -22,7 +22,7 @@ from slamhive.catalogue.protocol_file import protocol_schema
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
 from slamhive.schema import catalogue, experiment
 from slamhive.schema.analysis import StoredAnalysis
-from slamhive.schema.archive import RunLine
+from slamhive.schema.archive import Manifest, RunLine
 from slamhive.schema.imports import Import
 from slamhive.schema.ledger import LedgerLine
 from slamhive.schema.model import json_schema
@@ -145,6 +145,7 @@ def cli_page() -> str:
 
 DOCUMENTS: dict[str, Any] = {
     "algorithm": catalogue.Algorithm,
+    "archive": Manifest,
     "archive-run": RunLine,
     "configuration": catalogue.Configuration,
     "dataset": catalogue.Dataset,

@@ -22,6 +22,27 @@ def _named(kind: str) -> Any:
     return AfterValidator(lambda name: check_name(kind, name))
 
 
+KIND = "slamhive-archive"
+
+
+class Manifest(Document):
+    """How an archive describes itself."""
+
+    kind: str = KIND
+    format: int = 2
+    made_at: Annotated[str, described("Time of the export.")]
+    software: Annotated[str, described("Version of SLAM Hive that made it.")]
+    counts: Annotated[dict[str, int], described("Rows of each kind.")]
+    without: Annotated[tuple[str, ...], described("Kinds of files that were left out on request.")] = ()
+    left_out: Annotated[dict[str, int], described("Runs that were left out, by reason.")] = Field(default_factory=dict)
+    files_left_out: Annotated[dict[str, int], described("Files that were left out, by reason.")] = Field(
+        default_factory=dict
+    )
+    checksums: Annotated[str | None, described("SHA-256 of the list of checksums in the first format.")] = Field(
+        default=None, exclude=True
+    )
+
+
 ExperimentName = Annotated[str, _named("experiment")]
 
 

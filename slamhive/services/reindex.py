@@ -113,7 +113,7 @@ def _read(hive: Hive, folder: RunFolder, ledger: LedgerRestore) -> FolderRun:
     filed = read_filed(hive.catalogue, record, str(folder.record))
     found = found_evaluations(folder)
     history = ledger.evaluations.of(int(record["id"]))
-    return FolderRun(record, filed, found, current_protocol(folder, found), history, int(record.get("attempt", 1)))
+    return FolderRun(filed, found, current_protocol(folder, found), history, int(record.get("attempt", 1)))
 
 
 def _number(path: Path) -> int:

@@ -15,7 +15,7 @@ from slamhive.clock import utc_now
 from slamhive.domain.run import RunEvent
 from slamhive.errors import Conflict, InvalidInput, SlamHiveError
 from slamhive.runs.folder import RunFolder
-from slamhive.schema.archive import AlgorithmLine, AnalysisLine, ExperimentLine
+from slamhive.schema.archive import AlgorithmLine, AnalysisLine, ExperimentLine, Manifest
 from slamhive.services.analyses import AnalysisFolder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.writing import ArchiveWriter, archive_writer
@@ -103,7 +103,7 @@ def export_archive(settings: Settings, store: Store, request: ExportRequest, pro
                 progress(report.counts["runs"], len(run_ids))
         export.rest(run_ids)
         archive.finish(
-            layout.Manifest(
+            Manifest(
                 made_at=utc_now().isoformat(timespec="seconds"),
                 software=__version__,
                 counts=dict(report.counts),

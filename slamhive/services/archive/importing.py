@@ -34,7 +34,7 @@ from slamhive.services.runs import (
     found_evaluations,
     put_configurations,
     read_filed,
-    snapshot_from_record,
+    snapshot_of,
 )
 from slamhive.settings import Settings
 from slamhive.store import Store, Transaction
@@ -59,11 +59,12 @@ class ArchiveReport:
 
 @dataclass(frozen=True, slots=True)
 class _Unpacked:
-    """A run of the archive, unpacked aside (``folder`` None if it has no folder)."""
+    """A run of the archive, unpacked aside (``folder`` None if it has no folder), with its ``run.json``."""
 
     line: RunLine
     run: FolderRun
     folder: RunFolder | None
+    record: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,13 +198,14 @@ class ArchiveImport:
         experiment = ready.around.experiment_name(line.experiment)
         record = {**record, "request": {**record["request"], "experiment": experiment}}
         filed = read_filed(self._catalogue, record, f"the record of run {line.id}")
-        run = FolderRun(record, filed, found, _current(line, folder, found), lines.evaluations_of(line), line.attempt)
-        return _Unpacked(line, run, folder)
+        run = FolderRun(filed, found, _current(line, folder, found), lines.evaluations_of(line), line.attempt)
+        return _Unpacked(line, run, folder, record)
 
     def _put_in_place(self, entry: _Unpacked, folder: RunFolder, numbers: dict[str, int]) -> None:
         """Give the record its numbers here, and rename the folder."""
         target = self._folder(numbers[entry.line.uid]).root
-        record = _renumbered(entry, numbers)
+        request = {**entry.record["request"], "retry_of": _original(entry, numbers)}
+        record = {**entry.record, "id": numbers[entry.line.uid], "request": request}
         try:
             if record != folder.read_record():
                 # Nobody sees the folder before it is renamed: no need to replace the file in one step.
@@ -224,11 +226,17 @@ def _current(line: RunLine, folder: RunFolder | None, found: list[FoundEvaluatio
     return line.current_protocol if line.current_protocol in done else current_protocol(folder, found)
 
 
-def _renumbered(entry: _Unpacked, numbers: dict[str, int]) -> dict[str, Any]:
-    """The record with the numbers that runs have here; a run that repeats one that is not here repeats none."""
-    original = None if entry.line.retry_of is None else numbers.get(entry.line.retry_of)
-    record = entry.run.record
-    return {**record, "id": numbers[entry.line.uid], "request": {**record["request"], "retry_of": original}}
+def _original(entry: _Unpacked, numbers: dict[str, int]) -> int | None:
+    """The number here of the run that this one repeats; None if it repeats none, or one that is not here."""
+    return None if entry.line.retry_of is None else numbers.get(entry.line.retry_of)
+
+
+def _renumbered(entry: _Unpacked, numbers: dict[str, int]) -> FolderRun:
+    """The run with the numbers that runs have here."""
+    filed = entry.run.filed
+    request = filed.file.request.model_copy(update={"retry_of": _original(entry, numbers)})
+    file = filed.file.model_copy(update={"id": numbers[entry.line.uid], "request": request})
+    return replace(entry.run, filed=replace(filed, file=file))
 
 
 def _file(
@@ -240,11 +248,7 @@ def _file(
     else:
         given = {entry.line.uid: entry.line.id for entry in entries}
     numbers = {**known, **given}
-    file_runs(
-        t,
-        catalogue,
-        [replace(entry.run, record=_renumbered(entry, numbers)) for entry in entries],
-    )
+    file_runs(t, catalogue, [_renumbered(entry, numbers) for entry in entries])
     return given
 
 
@@ -253,7 +257,7 @@ def _new_numbers(t: Transaction, catalogue: Catalogue, entries: list[_Unpacked])
     places = put_configurations(t, catalogue, [entry.run.filed for entry in entries])
     requests = []
     for entry, (_, configuration_id) in zip(entries, places, strict=True):
-        request = snapshot_from_record(entry.run.record, configuration_id).request
+        request = snapshot_of(entry.run.filed.file, configuration_id).request
         requests.append(replace(request, retry_of=None))
     numbers = t.runs.add_runs(requests, utc_now())
     return {entry.line.uid: number for entry, number in zip(entries, numbers, strict=True)}

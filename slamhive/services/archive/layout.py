@@ -8,16 +8,12 @@ Other modules use the names of the first format for both: ``runs/1/run.json``, a
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 from slamhive.errors import InvalidInput
 from slamhive.input_bounds import parse_json_object
-
-KIND = "slamhive-archive"
+from slamhive.schema.archive import KIND, Manifest
 
 ABOUT = "archive.json"
 CHECKSUMS = "manifest-sha256.txt"
@@ -105,17 +101,12 @@ class Format:
                 "import it with the version that made it, or a later one",
             )
         try:
-            return Manifest(
-                made_at=str(content["made_at"]),
-                software=str(content["software"]),
-                counts=_numbers(content["counts"]),
-                without=tuple(map(str, content["without"])),
-                left_out=_numbers(content["left_out"]),
-                files_left_out=_numbers(content.get("files_left_out", {})),
-                checksums=str(content["checksums"]) if self.number == 1 else None,
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InvalidInput(f"{self.about} is incomplete: {error!r}", "export the archive again") from None
+            manifest = Manifest.read(content)
+        except InvalidInput as error:
+            raise InvalidInput(f"{self.about} is incomplete: {error.message}", "export the archive again") from None
+        if self.number == 1 and manifest.checksums is None:
+            raise InvalidInput(f"{self.about} is incomplete: checksums is missing", "export the archive again")
+        return manifest
 
 
 FIRST = Format(1, "manifest.json", "SHA256SUMS", frozenset(("manifest.json", "SHA256SUMS")))
@@ -140,34 +131,6 @@ def format_of(names: list[str]) -> Format:
         if slash and rest == BAGIT and _safe_part(folder):
             return bag_format(folder)
     return FIRST
-
-
-@dataclass(frozen=True, slots=True)
-class Manifest:
-    """How an archive describes itself.
-
-    Attributes:
-        made_at: Time of the export.
-        software: Version of SLAM Hive that made it.
-        counts: Rows of each kind.
-        without: Kinds of files that were left out on request.
-        left_out: {reason: number} of runs.
-        files_left_out: {reason: number} of files that runs had left.
-        checksums: SHA-256 (hex) of the list of checksums in the first format; in a bag, the tag manifest has it.
-    """
-
-    made_at: str
-    software: str
-    counts: dict[str, int]
-    without: tuple[str, ...] = ()
-    left_out: dict[str, int] = field(default_factory=dict)
-    files_left_out: dict[str, int] = field(default_factory=dict)
-    checksums: str | None = None
-
-    def to_json(self) -> str:
-        """The content of :data:`ABOUT`."""
-        content = {name: getattr(self, name) for name in self.__slots__ if name != "checksums"}
-        return json.dumps({"kind": KIND, "format": 2, **content}, indent=1) + "\n"
 
 
 def _is_payload(name: str) -> bool:
@@ -203,7 +166,3 @@ def _safe_part(part: str) -> bool:
         return False
     plain = part.isprintable() and "\\" not in part
     return plain and part not in ("", ".", "..") and length <= _LONGEST_PART_BYTES
-
-
-def _numbers(content: Mapping[str, Any]) -> dict[str, int]:
-    return {str(key): int(value) for key, value in content.items()}

@@ -17,6 +17,7 @@ from typing import IO, Any
 
 from slamhive.errors import InvalidInput, NotFound, Unavailable
 from slamhive.input_bounds import parse_json_object
+from slamhive.schema.archive import Manifest
 from slamhive.services.archive.layout import (
     FIRST,
     LARGEST_DIRECTORY_BYTES,
@@ -25,7 +26,6 @@ from slamhive.services.archive.layout import (
     ROWS,
     TAG_CHECKSUMS,
     Format,
-    Manifest,
     format_of,
     shown,
 )

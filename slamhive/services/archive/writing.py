@@ -18,6 +18,7 @@ from typing import IO, Any
 from slamhive.clock import utc_now
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.runs.untrusted import open_regular_file
+from slamhive.schema.archive import KIND, Manifest
 from slamhive.services.archive import layout
 
 _BLOCK_BYTES = 1 << 20
@@ -67,14 +68,14 @@ class ArchiveWriter:
         """Add one JSON line to a member of :data:`layout.ROWS`."""
         self._spool[name].write(json.dumps(content, allow_nan=False, separators=(",", ":")).encode() + b"\n")
 
-    def finish(self, manifest: layout.Manifest) -> None:
+    def finish(self, manifest: Manifest) -> None:
         """Add the lines and the tag files of the bag."""
         for name, spool in self._spool.items():
             length = spool.tell()
             spool.seek(0)
             self._add_payload(name, spool, length, utc_now().timestamp())
         self._add_tag(layout.BAGIT, layout.BAGIT_TEXT)
-        self._add_tag(layout.ABOUT, manifest.to_json())
+        self._add_tag(layout.ABOUT, json.dumps(manifest.content, indent=1) + "\n")
         self._add_tag(
             layout.BAG_INFO,
             f"Bag-Software-Agent: SLAM Hive {manifest.software}\n"
@@ -130,7 +131,7 @@ def archive_writer(path: Path) -> Iterator[ArchiveWriter]:
     removes.
     """
     aside = path.with_name(f".{path.name}.partial")
-    folder = path.stem if layout.is_safe(path.stem) else layout.KIND
+    folder = path.stem if layout.is_safe(path.stem) else KIND
     try:
         with ExitStack() as stack:
             spool = {name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for name in layout.ROWS}

@@ -19,7 +19,7 @@ from slamhive.services.runs.record import (
     events_to_json,
     handle_from_json,
     handle_to_json,
-    snapshot_from_record,
+    snapshot_of,
     spec_from_json,
     spec_to_json,
 )
@@ -93,7 +93,7 @@ __all__ = [
     "run_series",
     "run_uid",
     "samples_of",
-    "snapshot_from_record",
+    "snapshot_of",
     "spec_from_json",
     "spec_to_json",
     "untracked_s",

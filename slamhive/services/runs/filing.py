@@ -23,7 +23,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.schema.record import RunFile
 from slamhive.services.datasets import Catalogue
 from slamhive.services.evaluations import PROTOCOL_FILE
-from slamhive.services.runs.record import snapshot_from_record
+from slamhive.services.runs.record import snapshot_of
 from slamhive.store import Transaction
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import EndedEvaluation, FiledRun
@@ -40,15 +40,33 @@ FoundEvaluation = tuple[Protocol, EvaluationResult, datetime]
 
 @dataclass(frozen=True, slots=True)
 class Filed:
-    """What is filed of a run besides its row, from its record."""
+    """What the record of a run says, and the dataset that it names."""
 
-    configuration: Configuration
+    file: RunFile
     dataset: Dataset
-    package: str
-    mode: str
-    version: AlgorithmVersion | None
-    host: Host | None
-    metrics: dict[str, float]
+
+    @property
+    def configuration(self) -> Configuration:
+        """What exactly was run."""
+        return self.file.request.configuration
+
+    @property
+    def package(self) -> str:
+        """The package of the algorithm; the name of the algorithm if the record does not say."""
+        return self.file.algorithm.package or self.file.request.algorithm
+
+    @property
+    def version(self) -> AlgorithmVersion | None:
+        """What exactly ran; None if the run never started."""
+        known = self.file.algorithm
+        if known.identity is None:
+            return None
+        return AlgorithmVersion(known.identity, known.package_hash or "", known.version or "")
+
+    @property
+    def host(self) -> Host | None:
+        """The machine that ran it; None if the run never started."""
+        return None if self.file.host is None else Host(**dict(self.file.host))
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +77,6 @@ class FolderRun:
     ``current``: the protocol whose metrics are shown.
     """
 
-    record: dict[str, Any]
     filed: Filed
     found: Sequence[FoundEvaluation] = ()
     current: str | None = None
@@ -70,9 +87,10 @@ class FolderRun:
 def read_filed(catalogue: Catalogue, record: dict[str, Any], source: str) -> Filed:
     """Read a record; raises InvalidInput, naming ``source``, if it is incomplete or malformed."""
     try:
-        return _read(catalogue, record)
+        file = RunFile.read(record)
     except InvalidInput as error:
         raise InvalidInput(f"{source} is not complete: {error.message}", "restore it, or remove the folder") from None
+    return Filed(file, dataset_of(catalogue, file.request.dataset, record))
 
 
 def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -> dict[int, int]:
@@ -82,15 +100,15 @@ def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -
     """
     now = utc_now()
     places = put_configurations(t, catalogue, [run.filed for run in runs])
-    named = {run.record["request"].get("experiment") for run in runs} - {None}
-    experiments = {name: found.id for name in named if (found := t.experiments.find(str(name))) is not None}
+    named = {run.filed.file.request.experiment for run in runs}
+    experiments = {name: found.id for name in named if name and (found := t.experiments.find(name)) is not None}
     machines = {run.filed.host for run in runs if run.filed.host is not None}
     hosts = {host: t.catalogue.put_host(host) for host in machines}
     versions: dict[tuple[int, AlgorithmVersion], int] = {}
     rows = []
     for run, (algorithm_id, configuration_id) in zip(runs, places, strict=True):
-        experiment_id = experiments.get(run.record["request"].get("experiment"))
-        snapshot = snapshot_from_record(run.record, configuration_id, experiment_id)
+        experiment_id = experiments.get(run.filed.file.request.experiment or "")
+        snapshot = snapshot_of(run.filed.file, configuration_id, experiment_id)
         fields = snapshot.fields.copy()
         version = run.filed.version
         if version is not None:
@@ -112,7 +130,7 @@ def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -
 def put_configurations(t: Transaction, catalogue: Catalogue, entries: Sequence[Filed]) -> list[tuple[int, int]]:
     """Store the algorithm and configuration of each run if they are new; returns their ids."""
     now = utc_now()
-    modes = {entry.configuration.algorithm: (entry.package, entry.mode) for entry in entries}
+    modes = {entry.configuration.algorithm: (entry.package, entry.file.algorithm.mode) for entry in entries}
     algorithms = {name: t.catalogue.put_algorithm_named(name, *mode) for name, mode in modes.items()}
     known = {entry.dataset.name: entry.dataset for entry in entries}
     gone = {name: not dataset.folder.is_dir() for name, dataset in known.items()}
@@ -169,7 +187,7 @@ def _filed_run(run: FolderRun, snapshot: RunSnapshot) -> FiledRun:
     found = [_ended(protocol, result, at) for protocol, result, at in run.found]
     return FiledRun(
         snapshot,
-        measured=run.filed.metrics,
+        measured=run.filed.file.metrics,
         evaluations=[*run.history, *(e for e in found if (e.protocol.fingerprint, e.state) not in known)],
         figures={result.fingerprint: result.metrics for _, result, _ in run.found if result.succeeded},
         current=run.current,
@@ -179,22 +197,6 @@ def _filed_run(run: FolderRun, snapshot: RunSnapshot) -> FiledRun:
 def _ended(protocol: Protocol, result: EvaluationResult, at: datetime) -> EndedEvaluation:
     state = EvaluationState.SUCCEEDED if result.succeeded else EvaluationState.FAILED
     return EndedEvaluation(protocol, state, result.reason, Artefacts.FILES, result.engine, at, None, at, attempt=1)
-
-
-def _read(catalogue: Catalogue, record: dict[str, Any]) -> Filed:
-    file = RunFile.read(record)
-    configuration, version = file.request.configuration, file.algorithm
-    return Filed(
-        configuration=configuration,
-        dataset=dataset_of(catalogue, configuration.dataset, record),
-        package=version.package or configuration.algorithm,
-        mode=version.mode,
-        version=None
-        if version.identity is None
-        else AlgorithmVersion(version.identity, version.package_hash or "", version.version or ""),
-        host=None if file.host is None else Host(**dict(file.host)),
-        metrics=file.metrics,
-    )
 
 
 def dataset_of(catalogue: Catalogue, name: str, record: Mapping[str, Any]) -> Dataset:

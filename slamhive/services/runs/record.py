@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.domain.run import RunEvent
-from slamhive.errors import InvalidInput
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import RunHandle
 from slamhive.runs.folder import RunFolder
@@ -62,17 +61,11 @@ def handle_from_json(content: Mapping[str, Any]) -> RunHandle:
     return RunHandle(content["executor"], dict(content["data"]))
 
 
-def snapshot_from_record(
-    record: Mapping[str, Any], configuration_id: int, experiment_id: int | None = None
-) -> RunSnapshot:
-    """The row for a record; raises InvalidInput if the record is inconsistent.
+def snapshot_of(file: RunFile, configuration_id: int, experiment_id: int | None = None) -> RunSnapshot:
+    """The row for a record.
 
     ``experiment_id`` is the row of the experiment that the record names, None if there is none.
     """
-    try:
-        file = RunFile.read(record)
-    except InvalidInput as error:
-        raise InvalidInput(f"run record {record.get('id')!r} is not complete: {error.message}") from None
     request = file.request
     return RunSnapshot(
         id=file.id,
