@@ -26,6 +26,7 @@ from slamhive.schema.archive import Manifest, RunLine
 from slamhive.schema.imports import Import
 from slamhive.schema.ledger import LedgerLine
 from slamhive.schema.model import json_schema
+from slamhive.schema.plugin import PlugIn
 from slamhive.schema.protocol import Protocols, ToolMetrics
 from slamhive.schema.record import RunFile
 from slamhive.schema.run import Evaluation, RunWith
@@ -156,6 +157,7 @@ DOCUMENTS: dict[str, Any] = {
     "experiment-status": experiment.ExperimentStatus,
     "import": Import,
     "ledger-line": LedgerLine,
+    "plug-in": PlugIn,
     "protocols": Protocols,
     "report": Report,
     "report-brief": ReportBrief,

@@ -9,6 +9,7 @@ import click
 from slamhive.cli.context import json_option
 from slamhive.cli.output import print_json, print_table
 from slamhive.registry import Origin, Registry
+from slamhive.schema.plugin import PlugIn
 
 
 @click.command("plugins")
@@ -18,7 +19,7 @@ def plugins(with_shipped: bool, as_json: bool) -> None:
     """List installed plug-ins: the seam that each one fills, its package, and whether it can be used."""
     shown = [origin for origin in all_origins() if with_shipped or origin.is_plugin]
     if as_json:
-        print_json([_to_json(origin) for origin in shown])
+        print_json([_document(origin).content for origin in shown])
         return
     if not shown:
         click.echo("no plug-ins installed; docs/extend/index.md shows how to write one")
@@ -52,17 +53,8 @@ def _registries() -> tuple[Registry[Any], ...]:
     return ALGORITHM_FOLDERS, IMPORTERS, STEPS, METRICS, EVALUATORS, PLOT_TYPES, PRESETS, EXECUTORS, PAGES
 
 
-def _to_json(origin: Origin) -> dict[str, Any]:
-    return {
-        "seam": origin.seam,
-        "name": origin.name,
-        "package": origin.package,
-        "version": origin.version,
-        "entry_point": origin.entry_point or None,
-        "state": "loaded" if origin.problem is None else "broken",
-        "problem": origin.problem,
-        "remedy": origin.remedy,
-    }
+def _document(origin: Origin) -> PlugIn:
+    return PlugIn.of(origin, state="loaded" if origin.problem is None else "broken")
 
 
 COMMANDS = (plugins,)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from slamhive.services.archive.checking import check_archive
 from slamhive.services.archive.exporting import ExportRequest, Part, export_archive
 from slamhive.services.archive.importing import ArchiveImport
-from slamhive.services.archive.lines import dataset_from_line, dataset_to_line, search_from_line, search_to_line
+from slamhive.services.archive.lines import dataset_from_line, search_from_line
 from slamhive.services.archive.reading import open_archive
 
 __all__ = [
@@ -14,9 +14,7 @@ __all__ = [
     "Part",
     "check_archive",
     "dataset_from_line",
-    "dataset_to_line",
     "export_archive",
     "open_archive",
     "search_from_line",
-    "search_to_line",
 ]

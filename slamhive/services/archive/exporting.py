@@ -15,7 +15,16 @@ from slamhive.clock import utc_now
 from slamhive.domain.run import RunEvent
 from slamhive.errors import Conflict, InvalidInput, SlamHiveError
 from slamhive.runs.folder import RunFolder
-from slamhive.schema.archive import AlgorithmLine, AnalysisLine, ExperimentLine, Manifest
+from slamhive.schema.archive import (
+    AlgorithmLine,
+    AnalysisLine,
+    CellLine,
+    ConfigurationLine,
+    DatasetLine,
+    ExperimentLine,
+    Manifest,
+    SearchLine,
+)
 from slamhive.services.analyses import AnalysisFolder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.writing import ArchiveWriter, archive_writer
@@ -158,7 +167,7 @@ class _Export:
             configurations = self._store.read(lambda t: t.archive.all_configurations())
             searches = self._store.read(lambda t: t.archive.saved_searches())
             for search, at in searches:
-                self._line(layout.SEARCHES, lines.search_to_line(search, at))
+                self._line(layout.SEARCHES, SearchLine.of(search, created_at=at).content)
             self._analyses()
         else:
             configurations = self._store.read(lambda t: t.archive.configurations_of(run_ids, ids))
@@ -170,7 +179,7 @@ class _Export:
                 self._line(layout.ALGORITHMS, AlgorithmLine.of(algorithm).content)
         for dataset in self._store.read(lambda t: t.catalogue.datasets()):
             if dataset.name in self._datasets:
-                self._line(layout.DATASETS, lines.dataset_to_line(dataset))
+                self._line(layout.DATASETS, DatasetLine.of(dataset).content)
                 self._dataset_folder(dataset.name)
 
     def _analyses(self) -> None:
@@ -244,14 +253,14 @@ class _Export:
         after = -1
         while cells := self._store.read(lambda t: t.experiments.cells(record.id, after, BATCH)):  # noqa: B023
             for cell in cells:
-                self._line(layout.CELLS, lines.cell_to_line(record.name, cell))
+                self._line(layout.CELLS, CellLine.of(cell, experiment=record.name).content)
             after = cells[-1].number
 
     def _configurations(self, ids: Sequence[int]) -> None:
         for start in range(0, len(ids), BATCH):
             part = ids[start : start + BATCH]
             for record in self._store.read(lambda t: t.configuration_book.records(part)):  # noqa: B023
-                self._line(layout.CONFIGURATIONS, lines.configuration_to_line(record))
+                self._line(layout.CONFIGURATIONS, ConfigurationLine.of(record).content)
                 self._algorithms.add(record.configuration.algorithm)
                 self._datasets.add(record.configuration.dataset)
 

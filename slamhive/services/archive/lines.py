@@ -1,4 +1,4 @@
-"""The rows of an archive as JSON lines, and back: what the folders do not tell."""
+"""The rows of an archive as JSON lines, and back: what the folders do not contain."""
 
 from __future__ import annotations
 
@@ -26,10 +26,9 @@ from slamhive.schema.record import Outcome, RunFile
 from slamhive.services.configurations import check_label
 from slamhive.services.runs import begin_record, events_to_json
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
-from slamhive.store.configuration_records import ConfigurationRecord
-from slamhive.store.experiment_records import CellRecord, ExperimentRecord, ExperimentState, NewCell
+from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell
 from slamhive.store.filed_runs import EndedEvaluation
-from slamhive.store.records import DatasetRecord, EvaluationState, RunRecord, RunSort, SavedSearchRecord
+from slamhive.store.records import EvaluationState, RunRecord, RunSort, SavedSearchRecord
 
 T = TypeVar("T")
 Line = TypeVar("Line", bound=Document)
@@ -92,13 +91,8 @@ def check_record(record: Mapping[str, Any], line: RunLine) -> None:
     evaluations_of(line)
 
 
-def configuration_to_line(record: ConfigurationRecord) -> dict[str, Any]:
-    """One line of :data:`slamhive.services.archive.layout.CONFIGURATIONS`."""
-    return ConfigurationLine.of(record).content
-
-
 def configuration_from_line(content: Mapping[str, Any]) -> ConfigurationLine:
-    """The configuration that :func:`configuration_to_line` wrote; raises InvalidInput for anything else."""
+    """The configuration of a line; raises InvalidInput for anything else."""
     line = read_line(ConfigurationLine, content)
     for name in (line.request.algorithm, line.request.dataset):
         check_name("algorithm or dataset", name)
@@ -115,35 +109,20 @@ def experiment_from_line(content: Mapping[str, Any]) -> ExperimentRecord:
     )
 
 
-def cell_to_line(experiment: str, cell: CellRecord) -> dict[str, Any]:
-    """One line of :data:`slamhive.services.archive.layout.CELLS`."""
-    return CellLine.of(cell, experiment=experiment).content
-
-
 def cell_from_line(content: Mapping[str, Any]) -> tuple[str, NewCell]:
-    """Experiment and cell that :func:`cell_to_line` wrote; raises InvalidInput for anything else."""
+    """Experiment and cell of a line; raises InvalidInput for anything else."""
     line = read_line(CellLine, content)
     return line.experiment, NewCell(line.number, line.name, line.configuration, line.values)
 
 
-def dataset_to_line(record: DatasetRecord) -> dict[str, Any]:
-    """One line of :data:`slamhive.services.archive.layout.DATASETS`."""
-    return DatasetLine.of(record).content
-
-
 def dataset_from_line(content: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Name and columns of the dataset that :func:`dataset_to_line` wrote; raises InvalidInput for anything else."""
+    """Name and columns of the dataset of a line; raises InvalidInput for anything else."""
     columns = dict(read_line(DatasetLine, content))
     return columns.pop("name"), {**columns, "sensors": list(columns["sensors"])}
 
 
-def search_to_line(record: SavedSearchRecord, created_at: datetime) -> dict[str, Any]:
-    """One line of :data:`slamhive.services.archive.layout.SEARCHES`."""
-    return SearchLine.of(record, created_at=created_at).content
-
-
 def search_from_line(content: Mapping[str, Any]) -> tuple[SavedSearchRecord, datetime]:
-    """The saved search that :func:`search_to_line` wrote; raises InvalidInput for anything else."""
+    """The saved search of a line, and when it was saved; raises InvalidInput for anything else."""
     line = read_line(SearchLine, content)
     record = SavedSearchRecord(line.name, line.filter, line.columns, RunSort(*line.sort), line.grouped)
     return record, line.created_at

@@ -1,4 +1,4 @@
-"""Keeping the ledger: what a transaction has stored is written down right after it was committed."""
+"""Keeping the ledger: what a transaction has stored is written to it right after the commit."""
 
 from __future__ import annotations
 
@@ -42,21 +42,19 @@ class Ledger:
         self._experiments: dict[int, str] = {}
 
     def note(self, changes: Changes) -> None:
-        """Write down what was stored. It is stored whether or not this succeeds: :meth:`check` makes up for it."""
+        """Write what was stored. If this fails, :meth:`check` completes the ledger later."""
         try:
             if changes.uncertain:
                 self.check()
             else:
                 self._note(changes)
         except NOT_A_LINE:
-            logger.exception(
-                "%s holds a line that is none of ours and keeps it from being completed", self.files.folder
-            )
+            logger.exception("a damaged line in %s prevents its completion", self.files.folder)
         except SlamHiveError as error:
             logger.warning("%s; the ledger is completed when a worker starts", error)
 
     def check(self) -> None:
-        """Write what is missing: a kill or a full disk may have come between a transaction and its lines."""
+        """Write what is missing, because a kill or a full disk can prevent the lines of a transaction."""
         files, missing = self.files, self._missing
         for book, lines in (
             (files.configurations, missing.configurations()),
@@ -85,7 +83,7 @@ class Ledger:
         self.files.evaluations.append(self._evaluations(changes))
 
     def _replace(self, book: Book, wanted: Callable[[Store], Iterator[Line]]) -> None:
-        """Make a small book what the database says."""
+        """Make a small book equal to the database."""
         if list(book.read()) != list(wanted(self._store)):
             with book.replaced() as lines:
                 lines.extend(wanted(self._store))

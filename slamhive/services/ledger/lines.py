@@ -1,4 +1,4 @@
-"""The lines of the ledger, out of what was stored, and back. Many rows of a kind share a line."""
+"""Writing what was stored as lines of the ledger, and reading it again. Rows that were stored together share a line."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from slamhive.store.experiment_records import NewCell, NewConfiguration
 from slamhive.store.records import RunRequest
 
 NOT_A_LINE = (InvalidInput, KeyError, TypeError, ValueError, AttributeError, IndexError)
-"""What reading a line raises that is none of ours."""
+"""What reading a damaged line may raise."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What the ledger lacks of what the database has. Lines are added, never taken away: the database may be the older."""
+"""Finds what the database has and the ledger lacks. Lines are only added, since the database may be the older one."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from datetime import datetime
 from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
 from slamhive.runs.folder import RunFolder
+from slamhive.schema.archive import DatasetLine, SearchLine
 from slamhive.schema.ledger import AlgorithmLine
-from slamhive.services.archive import dataset_to_line, search_to_line
 from slamhive.services.ledger.book import Line
 from slamhive.services.ledger.evaluation_lines import asked_line, ended_lines, read_evaluations
 from slamhive.services.ledger.files import LedgerFiles
@@ -168,7 +168,9 @@ def catalogue_lines(store: Store) -> Iterator[Line]:
         algorithms: list[Line] = [
             AlgorithmLine.of(entry, versions=versions.get(entry.name, ())).content for entry in t.catalogue.algorithms()
         ]
-        datasets = [{"dataset": dataset_to_line(entry), "folder": entry.folder} for entry in t.catalogue.datasets()]
+        datasets = [
+            {"dataset": DatasetLine.of(entry).content, "folder": entry.folder} for entry in t.catalogue.datasets()
+        ]
         return [*algorithms, *datasets]
 
     yield from store.read(work)
@@ -177,7 +179,7 @@ def catalogue_lines(store: Store) -> Iterator[Line]:
 def search_lines(store: Store) -> Iterator[Line]:
     """Saved searches."""
     for record, at in store.read(lambda t: t.archive.saved_searches()):
-        yield search_to_line(record, at)
+        yield SearchLine.of(record, created_at=at).content
 
 
 def _parts(ids: Iterable[int]) -> Iterator[list[int]]:

@@ -1,4 +1,4 @@
-"""Rows out of the ledger, under the numbers that they had. What is here already stays as it is."""
+"""Restores rows from the ledger under their old numbers. Rows that the database already has do not change."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ _AT_ONCE = 500
 
 @dataclass
 class _Cancelled:
-    """Runs that were cancelled while they waited, with when and why; and active ones that are to end."""
+    """Runs that were cancelled while they waited, with time and reason; and active runs that have to end."""
 
     waiting: dict[int, tuple[datetime, str]] = field(default_factory=dict)
     active: list[int] = field(default_factory=list)
 
 
 class LedgerRestore:
-    """Restores the content of the ledger; the caller files the folders of experiments and runs in between.
+    """Restores the content of the ledger. Between its steps, the caller files the folders of experiments and runs.
 
     Args:
         store: To be filled.
@@ -185,7 +185,7 @@ class LedgerRestore:
         self._store.write(lambda t: t.archive.add_cells(experiment, cells))
 
     def _sizes(self) -> None:
-        """An experiment of which everything is back needs not be looked through again."""
+        """Mark experiments as complete if all their cells and runs are restored."""
         told = {str(line.get("experiment")): line["size"] for line in self._files.cells.read() if "size" in line}
 
         def work(t: Transaction) -> None:
@@ -284,7 +284,7 @@ class LedgerRestore:
         self._store.write(lambda t: t.archive.saved_search_if_absent(record, at))
 
     def _guarded(self, book: Book, work: Callable[[], Any]) -> None:
-        """One line that is none of ours, or clashes with what is here, keeps nothing else from being restored."""
+        """Note the problem of a line that is damaged or contradicts the database, and go on with the others."""
         try:
             work()
         except (SlamHiveError, *NOT_A_LINE) as error:
