@@ -25,6 +25,7 @@ VALUES = {
     "figure": "path",
     "key": "log.txt",
     "version": "1",
+    "sensor": "camera",
     "filename": "theme.js",
     "token": "0" * 32,
 }
