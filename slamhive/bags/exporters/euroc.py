@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from slamhive.bags.exporters.frames import (
     ImageSink,
@@ -20,6 +19,7 @@ from slamhive.bags.exporters.plan import ExportPlan
 from slamhive.bags.exporters.truth import Truth, read_truth, truth_left_out
 from slamhive.bags.exporters.yaml_text import number, numbers
 from slamhive.bags.staging import Progress
+from slamhive.domain.calibration import CameraIntrinsics, CameraModel, ImuNoise
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import IDENTITY4, Matrix4, Sensor, SensorKind
 from slamhive.errors import InvalidInput
@@ -30,17 +30,11 @@ _IMU_HEADER = (
 )
 _TRUTH_HEADER = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
 _DISTORTION_MODELS = {
-    "pinhole": "radial-tangential",
-    "pinhole-radtan": "radial-tangential",
-    "pinhole-equidistant": "equidistant",
-    "fisheye-kb": "equidistant",
+    CameraModel.PINHOLE: "radial-tangential",
+    CameraModel.PINHOLE_RADTAN: "radial-tangential",
+    CameraModel.PINHOLE_EQUIDISTANT: "equidistant",
+    CameraModel.FISHEYE_KB: "equidistant",
 }
-_NOISE_KEYS = (
-    "gyroscope_noise_density",
-    "gyroscope_random_walk",
-    "accelerometer_noise_density",
-    "accelerometer_random_walk",
-)
 _SAMPLE_BYTES = 160
 
 
@@ -102,22 +96,22 @@ def _write_truth(folder: Path, truth: Truth) -> None:
 
 
 def _camera_yaml(camera: Sensor) -> str:
-    c: dict[str, Any] = camera.calibration
+    seen = CameraIntrinsics.of(camera)
     lines = [
         *_sensor_lines("camera", camera.name, camera.T_body_sensor),
         f"rate_hz: {number(camera.rate_hz)}",
-        f"resolution: [{c['width']}, {c['height']}]",
+        f"resolution: [{seen.width}, {seen.height}]",
         "camera_model: pinhole",
-        f"intrinsics: {numbers(c[key] for key in ('fx', 'fy', 'cx', 'cy'))} #fu, fv, cu, cv",
+        f"intrinsics: {numbers((seen.fx, seen.fy, seen.cx, seen.cy))} #fu, fv, cu, cv",
         f"distortion_model: {_distortion_model(camera)}",
-        f"distortion_coefficients: {numbers(c.get('distortion') or (0.0, 0.0, 0.0, 0.0))}",
+        f"distortion_coefficients: {numbers(seen.distortion or (0.0, 0.0, 0.0, 0.0))}",
     ]
-    lines += ["rectified: true"] if c.get("rectified") else []
+    lines += ["rectified: true"] if seen.rectified else []
     return "\n".join(lines) + "\n"
 
 
 def _imu_yaml(imu: Sensor) -> str:
-    noise = [f"{key}: {number(imu.calibration[key])}" for key in _NOISE_KEYS if key in imu.calibration]
+    noise = [f"{key}: {number(value)}" for key, value in ImuNoise.of(imu).calibration().items()]
     lines = [*_sensor_lines("imu", imu.name, imu.T_body_sensor), f"rate_hz: {number(imu.rate_hz)}", *noise]
     return "\n".join(lines) + "\n"
 
@@ -135,7 +129,7 @@ def _sensor_lines(kind: str, comment: str, T_body_sensor: Matrix4) -> list[str]:
 
 
 def _distortion_model(camera: Sensor) -> str:
-    model = str(camera.calibration.get("model", "pinhole"))
+    model = CameraIntrinsics.of(camera).model
     if model not in _DISTORTION_MODELS:
         raise InvalidInput(
             f"{camera.name} has the camera model {model}, which euroc has no name for", "export to ros1, ros2 or mcap"

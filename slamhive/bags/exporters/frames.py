@@ -15,6 +15,7 @@ from slamhive.bags.in_order import Pending, Ready, in_order, one_thread_in_openc
 from slamhive.bags.reader import decode, inspect_bag, messages, open_bag
 from slamhive.bags.staging import Progress
 from slamhive.bags.variants.payloads import CODECS, COMPRESSED_IMAGE, IMAGE, IMU, POINTS
+from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput
@@ -141,8 +142,8 @@ def left_out(dataset: Dataset, kept: Iterable[Sensor]) -> tuple[str, ...]:
 
 def image_bytes(sensor: Sensor) -> int:
     """The size of one image without compression."""
-    width, height = int(sensor.calibration["width"]), int(sensor.calibration["height"])  # type: ignore[arg-type]
-    return width * height * _PIXEL_BYTES.get(str(sensor.calibration.get("encoding")), _COLOUR_BYTES)
+    seen = CameraIntrinsics.of(sensor)
+    return seen.width * seen.height * _PIXEL_BYTES.get(str(sensor.calibration.get("encoding")), _COLOUR_BYTES)
 
 
 def _write_png(path: Path, message: Any, topic: str) -> None:

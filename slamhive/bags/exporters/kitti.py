@@ -22,8 +22,9 @@ from slamhive.bags.geometry import Array
 from slamhive.bags.reader import decode, messages, open_bag
 from slamhive.bags.staging import Progress
 from slamhive.bags.variants.payloads import CODECS, POINTS
+from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.domain.sensors import IDENTITY4, Matrix4, Sensor, SensorKind
 from slamhive.errors import InvalidInput
 from slamhive.trajectory.transforms import rotations_from_quats
 
@@ -51,8 +52,13 @@ class _Chosen:
 
     @property
     def reference(self) -> Sensor:
-        """The sensor whose timestamps are those of the frames, and whose frame is that of the poses."""
+        """The sensor whose timestamps are those of the frames."""
         return self.all[0]
+
+    @property
+    def T_body_camera0(self) -> Matrix4:
+        """Where the frame of the poses is: camera 0, or the body where there is no camera."""
+        return self.reference.T_body_sensor if self.cameras else IDENTITY4
 
 
 class KittiExporter:
@@ -64,7 +70,7 @@ class KittiExporter:
         chosen = _choose(dataset, counts)
         times_ns = _times_ns(dataset, chosen.reference)
         truth = read_truth(dataset)
-        poses = None if truth is None else _poses(truth.of_sensor(chosen.reference.T_body_sensor), times_ns)
+        poses = None if truth is None else _poses(truth.of_sensor(chosen.T_body_camera0), times_ns)
         missing = left_out(dataset, chosen.all) + truth_left_out(dataset)
         if truth is not None and poses is None:
             missing += ("the ground truth (not a pose for every frame)",)
@@ -101,20 +107,20 @@ def _numbers(camera: Sensor) -> tuple[int, ...]:
 
 
 def _check_rectified(camera: Sensor, first: Sensor) -> None:
-    distortion: Any = camera.calibration.get("distortion") or ()
-    if not camera.calibration.get("rectified") or any(distortion):
+    seen = CameraIntrinsics.of(camera)
+    if not seen.rectified or any(seen.distortion):
         raise InvalidInput(f"the images of {camera.name} are not rectified, and those of kitti are", _ELSEWHERE)
-    turn = _between(first, camera)[:3, :3]
+    turn = _between(first.T_body_sensor, camera)[:3, :3]
     if np.abs(turn - np.eye(3)).max() > _PARALLEL_TOLERANCE:
         raise InvalidInput(
             f"{camera.name} looks in another direction than {first.name}; those of kitti do not", _ELSEWHERE
         )
 
 
-def _between(first: Sensor, second: Sensor) -> Array:
+def _between(T_body_first: Matrix4, second: Sensor) -> Array:
     """``T_first_second`` (4, 4)."""
-    T_body_first, T_body_second = (np.array(sensor.T_body_sensor).reshape(4, 4) for sensor in (first, second))
-    return np.linalg.solve(T_body_first, T_body_second)
+    first, other = (np.array(T).reshape(4, 4) for T in (T_body_first, second.T_body_sensor))
+    return np.linalg.solve(first, other)
 
 
 def _times_ns(dataset: Dataset, sensor: Sensor) -> Array:
@@ -190,12 +196,12 @@ def _calibration(chosen: _Chosen) -> list[str]:
     """``P0`` to ``P3`` = K [I | t], where camera 0 sees x + t where the camera sees x; ``Tr`` = ``T_cam0_lidar``."""
     lines = []
     for number, camera in chosen.cameras.items():
-        c: dict[str, Any] = camera.calibration
-        K = np.array([[c["fx"], 0.0, c["cx"]], [0.0, c["fy"], c["cy"]], [0.0, 0.0, 1.0]])
-        offset_m = 0.0 - _between(chosen.reference, camera)[:3, 3]
+        seen = CameraIntrinsics.of(camera)
+        K = np.array([[seen.fx, 0.0, seen.cx], [0.0, seen.fy, seen.cy], [0.0, 0.0, 1.0]])
+        offset_m = 0.0 - _between(chosen.T_body_camera0, camera)[:3, 3]
         lines.append(f"P{number}: {_row(np.column_stack((K, K @ offset_m)))}")
     if chosen.lidar is not None:
-        lines.append(f"Tr: {_row(_between(chosen.reference, chosen.lidar)[:3])}")
+        lines.append(f"Tr: {_row(_between(chosen.T_body_camera0, chosen.lidar)[:3])}")
     return lines
 
 

@@ -24,7 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 from slamhive.bags.exporters.plan import ExportPlan
 from slamhive.bags.reader import messages, open_bag
 from slamhive.bags.rosbag2_output import PLAIN_MCAP, SQLITE_FOLDER, Rosbag2Storage, copy_connection, rosbag2_writer
-from slamhive.bags.staging import Progress, checksum
+from slamhive.bags.staging import Progress, checksum, copy_recording
 from slamhive.catalogue.dataset_file import DATASET_FILE, dataset_to_yaml
 from slamhive.domain.dataset import Dataset
 from slamhive.files import size_bytes
@@ -67,15 +67,18 @@ _WriteBag = Callable[[Path, Path, Progress], None]
 
 def _plan(dataset: Dataset, bag: str, write_bag: _WriteBag, *, keep: bool) -> ExportPlan:
     def write(folder: Path, progress: Progress) -> None:
-        part: Progress = lambda fraction, text: progress(_RECORDED * fraction, text)  # noqa: E731 - one line, once
-        (_copy if keep else write_bag)(dataset.bag_path, folder / bag, part)
+        write_recording = copy_recording if keep else write_bag
+        write_recording(dataset.bag_path, folder / bag, _part(progress, 0.0, _RECORDED))
         for file in _side_files(dataset):
             shutil.copyfile(dataset.folder / file, folder / file)
-        progress(_RECORDED, "computing the checksum")
-        made = replace(dataset, bag=bag, checksum=checksum(folder / bag))
+        made = replace(dataset, bag=bag, checksum=checksum(folder / bag, _part(progress, _RECORDED, 1.0)))
         (folder / DATASET_FILE).write_text(dataset_to_yaml(made), encoding="utf-8")
 
     return ExportPlan(write, round(_MARGIN * size_bytes(dataset.bag_path)))
+
+
+def _part(progress: Progress, start: float, end: float) -> Progress:
+    return lambda fraction, text: progress(start + (end - start) * fraction, text)
 
 
 def _side_files(dataset: Dataset) -> list[str]:
@@ -83,14 +86,6 @@ def _side_files(dataset: Dataset) -> list[str]:
     named = [dataset.reference_map, dataset.relations]
     named += [] if truth is None else [truth.file, truth.kitti_poses]
     return [file for file in named if file is not None and (dataset.folder / file).is_file()]
-
-
-def _copy(source: Path, target: Path, progress: Progress) -> None:
-    progress(0.0, "copying the recording")
-    if source.is_dir():
-        shutil.copytree(source, target)
-    else:
-        shutil.copyfile(source, target)
 
 
 def _write_ros1(source: Path, target: Path, progress: Progress) -> None:

@@ -6,7 +6,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from slamhive.bags.exporters.frames import (
     ImageSink,
@@ -21,6 +20,7 @@ from slamhive.bags.exporters.plan import ExportPlan
 from slamhive.bags.exporters.truth import read_truth, truth_left_out
 from slamhive.bags.exporters.yaml_text import number, numbers
 from slamhive.bags.staging import Progress
+from slamhive.domain.calibration import CameraIntrinsics, CameraModel
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput
@@ -28,10 +28,10 @@ from slamhive.errors import InvalidInput
 _IMU_HEADER = "ts (ns),wx (rad s^-1),wy (rad s^-1),wz (rad s^-1),ax (m s^-2),ay (m s^-2),az (m s^-2)"
 _TRUTH_HEADER = "ts (ns),tx (m),ty (m),tz (m),qx,qy,qz,qw"
 _DISTORTION_TYPES = {
-    "pinhole": "radtan",
-    "pinhole-radtan": "radtan",
-    "pinhole-equidistant": "equid",
-    "fisheye-kb": "equid",
+    CameraModel.PINHOLE: "radtan",
+    CameraModel.PINHOLE_RADTAN: "radtan",
+    CameraModel.PINHOLE_EQUIDISTANT: "equid",
+    CameraModel.FISHEYE_KB: "equid",
 }
 _NOISE_KEYS = {
     "sigma_g_c": "gyroscope_noise_density",
@@ -130,18 +130,18 @@ def _calibration(chosen: _Chosen) -> str:
 
 
 def _camera(name: str, sensor: Sensor, chosen: _Chosen) -> str:
-    c: dict[str, Any] = sensor.calibration
-    kind = "gray" if str(c.get("encoding", "")).startswith("mono") else "rgb"
-    distortion = c.get("distortion") or (0.0, 0.0, 0.0, 0.0)
+    seen = CameraIntrinsics.of(sensor)
+    kind = "gray" if str(sensor.calibration.get("encoding", "")).startswith("mono") else "rgb"
+    distortion = seen.distortion or (0.0, 0.0, 0.0, 0.0)
     values = {
         "cam_name": name,
         "cam_type": kind,
         "cam_model": "pinhole",
         "distortion_type": f"{_distortion_type(sensor)}{len(distortion)}",
-        "focal_length": numbers((c["fx"], c["fy"])),
-        "principal_point": numbers((c["cx"], c["cy"])),
+        "focal_length": numbers((seen.fx, seen.fy)),
+        "principal_point": numbers((seen.cx, seen.cy)),
         "distortion_coefficients": numbers(distortion),
-        "image_dimension": f"[{c['width']}, {c['height']}]",
+        "image_dimension": f"[{seen.width}, {seen.height}]",
         "fps": number(sensor.rate_hz),
         "T_BS": numbers(sensor.T_body_sensor),
     }
@@ -162,7 +162,7 @@ def _entry(values: dict[str, str]) -> str:
 
 
 def _distortion_type(camera: Sensor) -> str:
-    model = str(camera.calibration.get("model", "pinhole"))
+    model = CameraIntrinsics.of(camera).model
     if model not in _DISTORTION_TYPES:
         raise InvalidInput(
             f"{camera.name} has the camera model {model}, which vslam-lab has no name for",
