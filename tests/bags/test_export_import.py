@@ -45,6 +45,7 @@ class Pair:
 
 
 PAIRS = [
+    Pair("euroc", "euroc", {"cam0": "cam0", "cam1": "cam1", "imu0": "imu0"}),
     Pair("kitti", "kitti-odometry", {"cam0": "cam0", "cam1": "cam1"}, body="cam0", from_start=True),
 ]
 

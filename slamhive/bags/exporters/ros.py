@@ -18,13 +18,23 @@ from rosbags.convert.converter import create_connections_converters
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import CompressionMode
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
 from slamhive.bags.exporters.plan import ExportPlan
 from slamhive.bags.reader import messages, open_bag
-from slamhive.bags.rosbag2_output import PLAIN_MCAP, SQLITE_FOLDER, Rosbag2Storage, copy_connection, rosbag2_writer
+from slamhive.bags.rosbag2_output import (
+    PLAIN_MCAP,
+    SQLITE_FOLDER,
+    Rosbag2Storage,
+    copy_connection,
+    mcap_files,
+    rosbag2_writer,
+    storage_of,
+)
 from slamhive.bags.staging import Progress, checksum, copy_recording
+from slamhive.bags.variants.ros1_index import Ros1File, read_index
 from slamhive.catalogue.dataset_file import DATASET_FILE, dataset_to_yaml
 from slamhive.domain.dataset import Dataset
 from slamhive.files import size_bytes
@@ -33,6 +43,8 @@ from slamhive.runtime.recording import DAMAGE, damaged
 _RECORDED = 0.95
 """The fraction of an export after which the recording is written."""
 _MARGIN = 1.2
+_PACKED = 4
+"""How many times smaller Zstandard makes recordings, at most as a rule."""
 _Convert = Callable[[bytes], Any]
 
 
@@ -74,7 +86,20 @@ def _plan(dataset: Dataset, bag: str, write_bag: _WriteBag, *, keep: bool) -> Ex
         made = replace(dataset, bag=bag, checksum=checksum(folder / bag, _part(progress, _RECORDED, 1.0)))
         (folder / DATASET_FILE).write_text(dataset_to_yaml(made), encoding="utf-8")
 
-    return ExportPlan(write, round(_MARGIN * size_bytes(dataset.bag_path)))
+    path = dataset.bag_path
+    return ExportPlan(write, size_bytes(path) if keep else round(_MARGIN * _expanded_bytes(path)))
+
+
+def _expanded_bytes(path: Path) -> int:
+    """The size of a recording without compression; where only reading it would tell, a multiple of its size."""
+    if path.suffix == ".bag":
+        with Ros1File(path) as file:
+            return sum(chunk.size_bytes for chunk in read_index(file).chunks)
+    with open_bag(path) as reader:
+        compression = storage_of(path, reader).compression
+        if compression is CompressionMode.STORAGE:
+            return sum(chunk.uncompressed_size for file in mcap_files(reader) for chunk in file.chunks)
+    return size_bytes(path) * (1 if compression is CompressionMode.NONE else _PACKED)
 
 
 def _part(progress: Progress, start: float, end: float) -> Progress:
