@@ -23,6 +23,7 @@ from slamhive.domain.metrics import CATALOGUE, Group, Metric
 from slamhive.schema import catalogue, experiment
 from slamhive.schema.analysis import StoredAnalysis
 from slamhive.schema.archive import Manifest, RunLine
+from slamhive.schema.checks import DatasetCheck
 from slamhive.schema.imports import Import
 from slamhive.schema.ledger import LedgerLine
 from slamhive.schema.model import json_schema
@@ -150,6 +151,7 @@ DOCUMENTS: dict[str, Any] = {
     "archive-run": RunLine,
     "configuration": catalogue.Configuration,
     "dataset": catalogue.Dataset,
+    "dataset-check": DatasetCheck,
     "evaluation": Evaluation,
     "experiment-cell": experiment.Cell,
     "experiment-grid": experiment.Grid,

@@ -1,4 +1,4 @@
-"""``slamhive dataset``: import, render, list, show, remove; ``export`` has a module of its own."""
+"""``slamhive dataset``: import, render, list, show, check, remove."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import click
 from slamhive.bags.importing import ImportOptions
 from slamhive.bags.room import RoomOptions
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.dataset_export import export
+from slamhive.cli.dataset_check import check
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput
@@ -26,7 +26,7 @@ from slamhive.services.datasets import (
 
 @click.group()
 def dataset() -> None:
-    """Import, export, render and show datasets."""
+    """Import, render and show datasets."""
 
 
 @dataset.command("import")
@@ -252,6 +252,6 @@ def _ground_truth_in_words(entry: Dataset) -> str:
     return f"{truth.file}, {', '.join(trait for trait in traits if trait)}"
 
 
-dataset.add_command(export)
+dataset.add_command(check)
 
 COMMANDS = (dataset,)

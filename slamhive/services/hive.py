@@ -11,7 +11,7 @@ from slamhive.project import project_root
 from slamhive.services.analyses import AnalysisJobs, StoredAnalyses
 from slamhive.services.configurations import Configurations
 from slamhive.services.data_root import DataRoot, open_data_root
-from slamhive.services.datasets import Catalogue, DatasetViews, Variants, check_writable
+from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, Variants, check_writable
 from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, Protocols
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentContext, Experiments
@@ -46,6 +46,7 @@ class Hive:
         self.executors = Executors(settings, catalogue.project_root, self.worker_alive)
         self.variants = Variants(settings, store)
         self.dataset_views = DatasetViews()
+        self.dataset_checks = DatasetChecks(settings)
         self.searches = Searches(settings, store, catalogue)
         self.configurations = Configurations(settings, store, catalogue, self.variants)
         self.runs = Runs(settings, store, self.configurations, self.executors)

@@ -24,13 +24,13 @@ from slamhive.web.analysis_computer import AnalysisComputer
 from slamhive.web.analysis_files import AnalysisFiles
 from slamhive.web.caching import PageCache, add_caching, keep_pages
 from slamhive.web.columns import Kind
+from slamhive.web.dataset_work import DatasetChecker, VariantMaker
 from slamhive.web.errors import handle_errors
 from slamhive.web.live import LiveHub
 from slamhive.web.pages import register_pages
 from slamhive.web.presenters import catalogue as catalogue_presenter
 from slamhive.web.rates import visitor_limits
 from slamhive.web.security import protect, secret_key
-from slamhive.web.variant_maker import VariantMaker
 from slamhive.web.views import (
     algorithms,
     analyses,
@@ -91,6 +91,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     app.extensions[context.EXTENSION] = hive
     app.extensions[context.LIVE_EXTENSION] = LiveHub(hive, MOST_STREAMS)
     app.extensions[context.VARIANTS_EXTENSION] = VariantMaker(hive)
+    app.extensions[context.CHECKS_EXTENSION] = DatasetChecker(hive)
     app.extensions[context.COMPUTER_EXTENSION] = _analysis_computer(hive)
     app.extensions[context.FILES_EXTENSION] = AnalysisFiles(hive)
     app.extensions[context.RATES_EXTENSION] = visitor_limits(hive.settings.analyses_per_hour_per_address)

@@ -10,13 +10,14 @@ if TYPE_CHECKING:
     from slamhive.services.hive import Hive
     from slamhive.web.analysis_computer import AnalysisComputer
     from slamhive.web.analysis_files import AnalysisFiles
+    from slamhive.web.dataset_work import DatasetChecker, VariantMaker
     from slamhive.web.live import LiveHub
     from slamhive.web.rates import RateLimit
-    from slamhive.web.variant_maker import VariantMaker
 
 EXTENSION = "slamhive"
 LIVE_EXTENSION = "slamhive-live"
 VARIANTS_EXTENSION = "slamhive-variants"
+CHECKS_EXTENSION = "slamhive-dataset-checks"
 COMPUTER_EXTENSION = "slamhive-analyses"
 FILES_EXTENSION = "slamhive-analysis-files"
 RATES_EXTENSION = "slamhive-rates"
@@ -35,6 +36,11 @@ def live_hub() -> LiveHub:
 def variant_maker() -> VariantMaker:
     """The background creator of variants."""
     return cast("VariantMaker", current_app.extensions[VARIANTS_EXTENSION])
+
+
+def dataset_checker() -> DatasetChecker:
+    """The background checker of datasets."""
+    return cast("DatasetChecker", current_app.extensions[CHECKS_EXTENSION])
 
 
 def analysis_computer() -> AnalysisComputer | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from slamhive.services.datasets.catalogue import Catalogue, PlannedImport, check_writable, dataset_document
+from slamhive.services.datasets.checking import DatasetChecks
 from slamhive.services.datasets.external import algorithm_here_or_elsewhere, choose_algorithm, imported_algorithms
 from slamhive.services.datasets.variants import IDENTITY, UsedVariant, Variants, variant_key
 from slamhive.services.datasets.views import (
@@ -17,6 +18,7 @@ from slamhive.services.datasets.views import (
 __all__ = [
     "IDENTITY",
     "Catalogue",
+    "DatasetChecks",
     "DatasetViews",
     "MotionSummary",
     "PlannedImport",

@@ -7,7 +7,7 @@ from typing import Annotated
 from flask import Blueprint, Response, request, url_for
 from pydantic import BaseModel, ConfigDict, Field
 
-from slamhive.errors import InvalidInput
+from slamhive.errors import InvalidInput, NotFound
 from slamhive.schema.catalogue import Algorithm
 from slamhive.schema.run import Run
 from slamhive.schema.submission import OPTIONS, Submission
@@ -115,6 +115,15 @@ def configuration(configuration_id: int) -> Response:
 def datasets() -> Response:
     """All datasets."""
     return answer({"datasets": [dataset_document(entry).content for entry in hive().catalogue.datasets()]})
+
+
+@blueprint.get("/datasets/<name>/check")
+def dataset_check(name: str) -> Response:
+    """The last report of the checks of one dataset."""
+    report = hive().dataset_checks.stored(hive().catalogue.dataset(name))
+    if report is None:
+        raise NotFound(f"dataset {name} has not been checked, or has changed since", f"slamhive dataset check {name}")
+    return answer(report.content)
 
 
 @blueprint.get("/datasets/<name>")

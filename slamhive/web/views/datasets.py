@@ -14,7 +14,7 @@ from slamhive.services.datasets import MotionSummary, ground_truth_motion, motio
 from slamhive.services.runs import check_dataset_files, read_dataset_path
 from slamhive.store.records import RunSort
 from slamhive.trajectory.motion import WINDOW_S
-from slamhive.web.context import hive, variant_maker
+from slamhive.web.context import dataset_checker, hive, variant_maker
 from slamhive.web.figures import best_plane, motion_figures, path_figures, sweep_figure
 from slamhive.web.formatting import plural
 from slamhive.web.presenters.catalogue import lacking, step_kinds
@@ -52,6 +52,8 @@ def show(name: str) -> str:
         variants=[(entry, load(Variant, entry.steps)) for entry in services.variants.entries(name)],
         cache_bytes=services.settings.variant_cache_bytes,
         making=variant_maker().latest(name),
+        report=services.dataset_checks.stored(dataset),
+        checking=dataset_checker().latest(name),
         step_kinds=step_kinds(),
         runs=runs.records,
         strip_times_s=strip_times_s(dataset),
@@ -66,6 +68,18 @@ def _motion(dataset: Dataset) -> MotionSummary | None:
         return motion_summary(dataset)
     except (InvalidInput, NotFound):
         return None
+
+
+@blueprint.post("/<name>/check")
+def check(name: str) -> Response:
+    """Start checking the dataset."""
+    services = hive()
+    services.check_writable()
+    dataset = services.catalogue.dataset(name)
+    check_dataset_files(dataset)
+    dataset_checker().start(dataset)
+    flash("The dataset is being checked. The findings appear when the check is finished.", "info")
+    return make_response(redirect(url_for("datasets.show", name=name, _anchor="checks"), 303))
 
 
 @blueprint.post("/<name>/variants")

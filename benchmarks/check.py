@@ -1,0 +1,116 @@
+"""How long ``slamhive dataset check`` takes against a plain pass over the same recording, and its peak memory.
+
+The plain pass reads and deserialises every message and does nothing with it. Both run in pairs, in alternating order,
+in one process that has warmed up; the medians of the CPU times and their ratio are printed. The goal is a ratio of 2.0.
+
+    python benchmarks/check.py [--dataset FOLDER] [--seconds 15] [--pairs 7] [--json]
+
+Without ``--dataset`` the room is rendered, which takes about three times its duration. Memory is what a check adds to
+the peak of the resident set of a process that has imported everything.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from slamhive.bags.reader import decode, messages, open_bag
+from slamhive.bags.room import RoomOptions, render_room
+from slamhive.catalogue.dataset_file import load_dataset
+from slamhive.checks.run import check_dataset
+from slamhive.domain.dataset import Dataset
+
+GOAL = 2.0
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--dataset", type=Path, help="folder of a dataset; the room without it")
+    parser.add_argument("--seconds", type=float, default=15.0, help="duration of the room")
+    parser.add_argument("--pairs", type=int, default=7)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="slamhive-check-") as scratch:
+        folder = arguments.dataset or rendered(Path(scratch) / "room", arguments.seconds)
+        result = measure(load_dataset(folder), max(1, arguments.pairs))
+    if arguments.json:
+        print(json.dumps(result, indent=1))
+        return
+    print(f"recording {result['megabytes']:.0f} MB, {result['findings']} findings")
+    print(f"plain pass {result['plain_s']:.3f} s, check {result['check_s']:.3f} s of CPU time")
+    verdict = "held" if result["ratio"] <= GOAL else "NOT held"
+    print(f"ratio {result['ratio']:.2f}, goal {GOAL} {verdict}")
+    print(f"memory of a check {result['peak_mb']:.0f} MB")
+
+
+def rendered(folder: Path, seconds: float) -> Path:
+    """The room in ``folder``."""
+    render_room(folder, RoomOptions("room", seconds), lambda _fraction, _text: None)
+    return folder
+
+
+def measure(dataset: Dataset, pairs: int) -> dict[str, Any]:
+    """Medians of both over ``pairs``, after one round to warm up."""
+    both: tuple[Callable[[Dataset], int], ...] = (plain_pass, check)
+    for work in both:
+        work(dataset)
+    times: dict[str, list[float]] = {work.__name__: [] for work in both}
+    for pair in range(pairs):
+        for work in both if pair % 2 else reversed(both):
+            begun = time.process_time()
+            work(dataset)
+            times[work.__name__].append(time.process_time() - begun)
+    plain_s, check_s = (statistics.median(times[work.__name__]) for work in both)
+    ratios = [ours / plain for plain, ours in zip(*times.values(), strict=True)]
+    return {
+        "megabytes": size_bytes(dataset.bag_path) / 1e6,
+        "findings": check(dataset),
+        "plain_s": plain_s,
+        "check_s": check_s,
+        "ratio": statistics.median(ratios),
+        "peak_mb": peak_mb(dataset),
+    }
+
+
+def plain_pass(dataset: Dataset) -> int:
+    """Read and deserialise everything; the number of messages."""
+    count = 0
+    with open_bag(dataset.bag_path) as reader:
+        for connection, _, raw in messages(reader, dataset.bag_path):
+            decode(reader, dataset.bag_path, connection, raw)
+            count += 1
+    return count
+
+
+def check(dataset: Dataset) -> int:
+    """The number of findings."""
+    return len(check_dataset(dataset, lambda _fraction, _text: None).findings)
+
+
+def size_bytes(path: Path) -> int:
+    """Of a file, or of all files in a folder."""
+    return sum(file.stat().st_size for file in ([path] if path.is_file() else path.rglob("*")) if file.is_file())
+
+
+def peak_mb(dataset: Dataset) -> float:
+    """What a check adds to the resident set of this process at its peak."""
+    before_mb = _resident_mb("VmRSS")
+    Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
+    check(dataset)
+    return _resident_mb("VmHWM") - before_mb
+
+
+def _resident_mb(key: str) -> float:
+    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    return next(float(line.split()[1]) for line in lines if line.startswith(f"{key}:")) / 1e3
+
+
+if __name__ == "__main__":
+    main()
