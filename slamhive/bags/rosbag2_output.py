@@ -45,13 +45,19 @@ def storage_of(path: Path, reader: AnyReader) -> Rosbag2Storage:
     """How the open recording at ``path`` is stored."""
     (recording,) = reader.readers
     assert isinstance(recording, Reader)
-    files = getattr(recording.storage, "storages", [recording.storage])
-    is_mcap = any(isinstance(file, McapReader) for file in files)
-    plugin = StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
+    files = mcap_files(reader)
     mode = CompressionMode[(recording.compression_mode or "none").upper()]
-    if mode is CompressionMode.NONE and is_mcap and any(chunk.compression for file in files for chunk in file.chunks):
+    if mode is CompressionMode.NONE and any(chunk.compression for file in files for chunk in file.chunks):
         mode = CompressionMode.STORAGE
-    return Rosbag2Storage(plugin, mode, plain=not path.is_dir())
+    return Rosbag2Storage(StoragePlugin.MCAP if files else StoragePlugin.SQLITE3, mode, plain=not path.is_dir())
+
+
+def mcap_files(reader: AnyReader) -> list[McapReader]:
+    """The open MCAP files of a recording."""
+    (recording,) = reader.readers
+    assert isinstance(recording, Reader)
+    files = getattr(recording.storage, "storages", [recording.storage])
+    return [file for file in files if isinstance(file, McapReader)]
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""``slamhive dataset``: import, render, list, show, check, remove."""
+"""``slamhive dataset``: import, render, list, show, remove; ``check`` and ``export`` have modules of their own."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from slamhive.bags.importing import ImportOptions
 from slamhive.bags.room import RoomOptions
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.dataset_check import check
+from slamhive.cli.dataset_export import export
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput
@@ -26,7 +27,7 @@ from slamhive.services.datasets import (
 
 @click.group()
 def dataset() -> None:
-    """Import, render and show datasets."""
+    """Import, export, render and show datasets."""
 
 
 @dataset.command("import")
@@ -252,6 +253,7 @@ def _ground_truth_in_words(entry: Dataset) -> str:
     return f"{truth.file}, {', '.join(trait for trait in traits if trait)}"
 
 
+dataset.add_command(export)
 dataset.add_command(check)
 
 COMMANDS = (dataset,)

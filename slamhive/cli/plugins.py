@@ -39,6 +39,7 @@ def all_origins() -> list[Origin]:
 def _registries() -> tuple[Registry[Any], ...]:
     """Every seam, with its plug-ins put to use. Loading them all takes seconds, so it is not done at the top."""
     from slamhive.analysis.plot_types import PLOT_TYPES  # noqa: PLC0415
+    from slamhive.bags.exporters import EXPORTERS  # noqa: PLC0415
     from slamhive.bags.importers import IMPORTERS  # noqa: PLC0415
     from slamhive.bags.variants.steps import STEPS  # noqa: PLC0415
     from slamhive.catalogue.algorithm_folders import ALGORITHM_FOLDERS  # noqa: PLC0415
@@ -50,7 +51,18 @@ def _registries() -> tuple[Registry[Any], ...]:
     from slamhive.web.pages import PAGES  # noqa: PLC0415
 
     check_plugin_pages()
-    return ALGORITHM_FOLDERS, IMPORTERS, STEPS, METRICS, EVALUATORS, PLOT_TYPES, PRESETS, EXECUTORS, PAGES
+    return (
+        ALGORITHM_FOLDERS,
+        IMPORTERS,
+        EXPORTERS,
+        STEPS,
+        METRICS,
+        EVALUATORS,
+        PLOT_TYPES,
+        PRESETS,
+        EXECUTORS,
+        PAGES,
+    )
 
 
 def _document(origin: Origin) -> PlugIn:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
+from slamhive.bags.exporters import export_dataset, plan_export
 from slamhive.bags.room import RoomOptions
+from slamhive.catalogue.dataset_file import DATASET_FILE, dataset_to_yaml, load_dataset
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import RunState
+from slamhive.domain.variant import VariantStep
 from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 
@@ -42,6 +46,32 @@ def test_each_system_follows_the_room_within_ten_centimetres(hive: Hive, algorit
     assert about["version"] == run.version.version if run.version else False
     if algorithm.startswith("orb"):
         assert about["vocabulary"]["words"] > 5000
+
+
+def test_the_storage_of_the_recording_does_not_change_the_trajectory(hive: Hive) -> None:
+    """A ROS 1 bag, ROS 2 with SQLite and MCAP, each thinned by a step first."""
+    trajectories = set()
+    for name in ("room", export_room(hive, "ros2"), export_room(hive, "mcap")):
+        variant = (VariantStep("point_stride", ("lidar0",), {"every": 3}),)
+        asked = Submission("kiss-icp", name, playback_mode=PlaybackMode.SEQUENTIAL, variant=variant)
+        (queued,) = hive.runs.submit(asked)
+        hive.worker(only=[queued.id]).run(until_idle=True)
+        run = hive.runs.get(queued.id)
+        assert run.state is RunState.SUCCEEDED, f"{run.detail}: {hive.runs.log(run.id)[-2000:]}"
+        assert run.metrics is not None
+        assert run.metrics["ate.rmse"] < 0.10
+        trajectories.add(hive.runs.folder(run.id).trajectory.read_text())
+    assert len(trajectories) == 1
+
+
+def export_room(hive: Hive, format_name: str) -> str:
+    """The room with a recording of another format, as a dataset of its own."""
+    room = hive.catalogue.dataset("room")
+    folder = room.folder.with_name(f"room-{format_name}")
+    export_dataset(plan_export(room, format_name, partial=False), folder, lambda _fraction, _text: None)
+    made = replace(load_dataset(folder), name=folder.name)
+    (folder / DATASET_FILE).write_text(dataset_to_yaml(made))
+    return made.name
 
 
 def test_kiss_icp_leaves_its_map_if_asked(hive: Hive) -> None:

@@ -70,7 +70,8 @@ def test_the_format_of_a_recording_is_found_out(slamhive, sequence, tmp_path):
     (tmp_path / "empty").mkdir()
     refused = slamhive("dataset", "import", str(tmp_path / "empty"), "--name", "other")
     assert refused.exit_code == 1
-    assert "is in no format that can be imported; known formats: kitti-odometry" in refused.stderr
+    assert "is in no format that can be imported; known formats: " in refused.stderr
+    assert "kitti-odometry" in refused.stderr
     assert not (tmp_path / "data" / "datasets" / "other").exists()
 
 
@@ -85,3 +86,21 @@ def test_show_tells_the_motion_and_draws_it(slamhive, tmp_path):
     refused = slamhive("dataset", "show", "track", "--plot", str(tmp_path / "track.bmp"))
     assert refused.exit_code == 1
     assert "use .png, .svg or .pdf" in refused.stderr
+
+
+def test_export_lists_what_it_leaves_out_and_prints_the_folder(slamhive, sequence, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert slamhive("dataset", "import", str(sequence), "--name", "kitti").exit_code == 0
+    refused = slamhive("dataset", "export", "kitti", "--format", "tum-rgbd")
+    assert refused.exit_code == 1
+    assert "dataset kitti has no depth, which tum-rgbd is about" in refused.stderr
+    whole = slamhive("dataset", "export", "kitti", "--format", "mcap")
+    assert whole.stdout.strip() == str(tmp_path / "kitti-mcap")
+    assert (tmp_path / "kitti-mcap" / "kitti.mcap").is_file()
+    again = slamhive("dataset", "export", "kitti", "--format", "mcap")
+    assert "kitti-mcap exists already" in again.stderr
+    shown = slamhive(
+        "dataset", "export", "kitti", "--format", "euroc", "--partial", "--to", str(tmp_path / "e"), "--json"
+    )
+    assert json.loads(shown.stdout)["left_out"] == ["lidar0 (lidar)"]
+    assert (tmp_path / "e" / "mav0" / "cam0" / "data.csv").is_file()

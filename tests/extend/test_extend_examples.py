@@ -90,6 +90,7 @@ def test_plugins_are_listed(evaluated: Command):
         ("metric", KEY),
         ("evaluator", "jerk"),
         ("dataset importer", "tum-depth"),
+        ("dataset exporter", "imu-csv"),
         ("pre-processing step", "imu_scale"),
         ("protocol", "strict"),
         ("web page", "failures"),
@@ -180,8 +181,11 @@ def test_an_importer_imports(evaluated: Command, tmp_path: Path):
     assert "depth.txt:2: 'nonsense' is no 'timestamp file'; correct the line" in told
 
 
-def test_a_step_makes_a_variant_and_an_algorithm_runs_on_it(evaluated: Command):
+def test_an_exporter_exports_a_step_makes_a_variant_and_an_algorithm_runs_on_it(evaluated: Command):
     evaluated.run("dataset", "room", "--seconds", "2")
+    folder = Path(evaluated.environment["SLAMHIVE_DATA"]) / "imu-csv"
+    evaluated.run("dataset", "export", "room", "--format", "imu-csv", "--partial", "--to", str(folder))
+    assert len((folder / "imu0.csv").read_text().splitlines()) == 402
     assert "gyroscope" in evaluated.run("variants", "steps", "imu_scale").stdout
     made = evaluated.json("variants", "make", "room", "--step", "imu_scale gyroscope=1.02")
     assert made["dataset"] == "room"

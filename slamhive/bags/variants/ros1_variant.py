@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
+from slamhive.bags.in_order import Pending, Ready, in_order, one_thread_in_opencv
 from slamhive.bags.staging import Progress
 from slamhive.bags.variants.allocator import freed_memory_kept
 from slamhive.bags.variants.decisions import decide
-from slamhive.bags.variants.in_order import Pending, Ready, in_order, one_thread_in_opencv
 from slamhive.bags.variants.ros1_chunk import NewChunks
 from slamhive.bags.variants.ros1_index import Ros1File, Ros1Index, read_index
 from slamhive.bags.variants.ros1_output import BagExtent, Ros1Output

@@ -17,13 +17,13 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from slamhive.bags.in_order import Pending, Ready, in_order, one_thread_in_opencv
 from slamhive.bags.reader import decode, messages, open_bag
 from slamhive.bags.rosbag2_output import copy_connection, rosbag2_writer, storage_of
 from slamhive.bags.staging import Progress, checksum
 from slamhive.bags.variants.allocator import freed_memory_kept
 from slamhive.bags.variants.decisions import check_timestamp, one_type
 from slamhive.bags.variants.editing import make_edit
-from slamhive.bags.variants.in_order import Pending, Ready, in_order, one_thread_in_opencv
 from slamhive.bags.variants.ros1_output import BagExtent
 from slamhive.bags.variants.ros1_variant import TopicChoice
 from slamhive.bags.variants.streams import TopicStream, Treatment

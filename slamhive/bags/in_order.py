@@ -38,7 +38,7 @@ def in_order(tasks: Iterable[Ready[T] | Pending[T]]) -> Iterator[T]:
     """The results of ``tasks`` in their order; what a task raises is raised here."""
     waiting: deque[tuple[Ready[T] | Future[T], int]] = deque()
     held_bytes = 0
-    with ThreadPoolExecutor(_workers(), "variant") as pool:
+    with ThreadPoolExecutor(_workers(), "in-order") as pool:
         try:
             for task in tasks:
                 waiting.append((task if isinstance(task, Ready) else pool.submit(task.make), task.held_bytes))

@@ -1,0 +1,166 @@
+"""Reads the messages of sensors for exports to folders of images and text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from slamhive.bags.in_order import Pending, Ready, in_order, one_thread_in_opencv
+from slamhive.bags.reader import decode, inspect_bag, messages, open_bag
+from slamhive.bags.staging import Progress
+from slamhive.bags.variants.payloads import CODECS, COMPRESSED_IMAGE, IMAGE, IMU, POINTS
+from slamhive.domain.calibration import CameraIntrinsics
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.errors import InvalidInput
+
+__all__ = [
+    "IMAGE_KINDS",
+    "ImageSink",
+    "ImuSink",
+    "Sink",
+    "Work",
+    "export_frames",
+    "image_bytes",
+    "left_out",
+    "message_counts",
+]
+
+IMAGE_KINDS = (SensorKind.CAMERA, SensorKind.DEPTH)
+_FROM_RGB = {"rgb8": cv2.COLOR_RGB2BGR, "rgb16": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGRA}
+_FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+_TYPES = {IMAGE, COMPRESSED_IMAGE, IMU, POINTS}
+_PIXEL_BYTES = {"mono8": 1, "mono16": 2, "16UC1": 2, "32FC1": 4}
+_COLOUR_BYTES = 3
+
+Work = Callable[[], None]
+
+
+class Sink(Protocol):
+    """Takes the messages of one sensor."""
+
+    def take(self, timestamp_ns: int, message: Any) -> Work | None:
+        """Write the next message; what may wait for a thread is returned."""
+        ...
+
+
+@dataclass(eq=False)
+class ImageSink:
+    """Images as PNG files, pixel for pixel; ``entries`` are their timestamps (ns) and file names, in order.
+
+    ``name`` makes the file name from the timestamp and the number of the image, from 0.
+    """
+
+    sensor: Sensor
+    folder: Path
+    name: Callable[[int, int], str]
+
+    def __post_init__(self) -> None:
+        self.entries: list[tuple[int, str]] = []
+        self.folder.mkdir(parents=True)
+
+    def take(self, timestamp_ns: int, message: Any) -> Work:
+        """Write an image, in a thread."""
+        file = self.name(timestamp_ns, len(self.entries))
+        self.entries.append((timestamp_ns, file))
+        return partial(_write_png, self.folder / file, message, self.sensor.topic)
+
+
+@dataclass(eq=False)
+class ImuSink:
+    """IMU samples as lines ``timestamp [ns], angular rate (3) [rad/s], specific force (3) [m/s²]``."""
+
+    path: Path
+    header: str
+
+    def __post_init__(self) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._stream = self.path.open("w", encoding="ascii")
+        self._stream.write(self.header + "\n")
+
+    def take(self, timestamp_ns: int, message: Any) -> None:
+        """Write a line."""
+        rate, force = message.angular_velocity, message.linear_acceleration
+        values = (rate.x, rate.y, rate.z, force.x, force.y, force.z)
+        self._stream.write(",".join([str(timestamp_ns), *(repr(float(value)) for value in values)]) + "\n")
+
+    def close(self) -> None:
+        """Write what is left."""
+        self._stream.close()
+
+
+def message_counts(dataset: Dataset) -> dict[str, int]:
+    """The number of messages by name of sensor; raises InvalidInput if a sensor has none in the recording."""
+    present = {topic.topic: topic for topic in inspect_bag(dataset.bag_path).topics}
+    counts = {}
+    for sensor in dataset.sensors:
+        if sensor.topic not in present:
+            raise InvalidInput(
+                f"{dataset.bag} holds no topic {sensor.topic}, where {dataset.name} has its sensor {sensor.name}",
+                f"it holds: {', '.join(sorted(present))}",
+            )
+        counts[sensor.name] = present[sensor.topic].count
+    return counts
+
+
+def export_frames(dataset: Dataset, sinks: Mapping[str, Sink], progress: Progress) -> None:
+    """Give all messages of the sensors in ``sinks`` to them, in order of time; raises InvalidInput."""
+    topics = {dataset.sensor(name).topic: sink for name, sink in sinks.items()}
+    with open_bag(dataset.bag_path) as reader, one_thread_in_opencv():
+        total = sum(entry.msgcount for entry in reader.connections if entry.topic in topics)
+
+        def tasks() -> Iterator[Ready[None] | Pending[None]]:
+            source = messages(reader, dataset.bag_path, list(topics))
+            for number, (connection, _, raw) in enumerate(source, start=1):
+                if connection.msgtype not in _TYPES:
+                    raise InvalidInput(f"{connection.topic} carries {connection.msgtype}, which cannot be exported")
+                message = decode(reader, dataset.bag_path, connection, raw)
+                stamp = message.header.stamp
+                work = topics[connection.topic].take(stamp.sec * 1_000_000_000 + stamp.nanosec, message)
+                if work is not None:
+                    yield Pending(work, len(raw))
+                progress(number / total, f"writing message {number} of {total}")
+
+        for _ in in_order(tasks()):
+            pass
+
+
+def left_out(dataset: Dataset, kept: Iterable[Sensor]) -> tuple[str, ...]:
+    """The sensors of ``dataset`` that are not ``kept`` and its other content that only recordings hold, in words."""
+    names = {sensor.name for sensor in kept}
+    found = [f"{sensor.name} ({sensor.kind.value})" for sensor in dataset.sensors if sensor.name not in names]
+    found += ["the reference map"] if dataset.reference_map is not None else []
+    found += ["the relations"] if dataset.relations is not None else []
+    return tuple(found)
+
+
+def image_bytes(sensor: Sensor) -> int:
+    """The size of one image without compression."""
+    seen = CameraIntrinsics.of(sensor)
+    return seen.width * seen.height * _PIXEL_BYTES.get(str(sensor.calibration.get("encoding")), _COLOUR_BYTES)
+
+
+def _write_png(path: Path, message: Any, topic: str) -> None:
+    kind = message.__msgtype__
+    pixels = CODECS[kind].decode(message, topic)
+    code = _FROM_RGB.get(getattr(message, "encoding", ""))
+    if code is not None:
+        pixels = cv2.cvtColor(pixels, code)
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise InvalidInput(
+            f"{topic}: images of {pixels.dtype} cannot be written as PNG", "export to ros1, ros2 or mcap"
+        )
+    _, data = cv2.imencode(".png", pixels, _FAST_PNG)
+    try:
+        with path.open("xb") as stream:
+            stream.write(data.tobytes())
+    except FileExistsError:
+        raise InvalidInput(
+            f"{topic}: two images have the timestamp of {path.name}", "export to ros1, ros2 or mcap"
+        ) from None
