@@ -1,5 +1,7 @@
 """``make test``: everything this machine can test, fast things first; what did not run is named with its remedy.
 
+Tiers that do not disturb each other run together, because single ones leave the processors idle most of the time.
+
 As root on Debian or Ubuntu it installs and starts what is missing (Docker engine, MariaDB, libraries), and stops
 what it started. Under ``CI=true`` nothing may be left out: a tier or a test that could not run is a failure.
 Standard library only; runs with the interpreter of ``.venv``.
@@ -7,16 +9,20 @@ Standard library only; runs with the interpreter of ``.venv``.
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO
 
 import machine
 from steps import StepFailed
@@ -63,7 +69,7 @@ class Tier:
 
     ``limit_s`` is the time it may take if each of its workers has a core. It fails if it uses more CPU time than that,
     and warns if it only takes longer. Tests of a tier without ``engine`` see no Docker engine, so that they behave the
-    same on every machine.
+    same on every machine. Tiers that follow each other in the list and name the same ``group`` run together.
     """
 
     name: str
@@ -73,6 +79,7 @@ class Tier:
     limit_s: float | None = None
     engine: bool = False
     prepare: Callable[[], str] = lambda: ""
+    group: str = ""
 
 
 def main(names: Sequence[str]) -> int:
@@ -87,8 +94,8 @@ def main(names: Sequence[str]) -> int:
     started = time.monotonic()
     outcomes: dict[str, Outcome] = {}
     try:
-        for tier in chosen:
-            outcomes[tier.name] = run_tier(tier)
+        for _, group in itertools.groupby(chosen, key=lambda tier: tier.group or tier.name):
+            outcomes.update(run_group(list(group)))
     except KeyboardInterrupt:
         print("\ninterrupted")
     finally:
@@ -100,48 +107,87 @@ def main(names: Sequence[str]) -> int:
 
 def all_tiers(engine: machine.Engine) -> list[Tier]:
     """Every tier, fast ones first."""
+
+    def with_engine() -> str:
+        return prepare_database() + prepare_engine(engine)
+
     with_site = (str(BIN / "mkdocs"), "build", "--strict", "--quiet", "--site-dir", str(ROOT / "site"))
     return [
-        Tier("lint", (*((str(BIN / "ruff"), *rest) for rest in RUFF), (sys.executable, "tools/prose.py"))),
-        Tier("types", ((str(BIN / "mypy"),),)),
-        Tier("imports", ((str(BIN / "lint-imports"),),)),
+        Tier("types", ((str(BIN / "mypy"),),), group="static"),
+        Tier(
+            "lint", (*((str(BIN / "ruff"), *rest) for rest in RUFF), (sys.executable, "tools/prose.py")), group="static"
+        ),
+        Tier("imports", ((str(BIN / "lint-imports"),),), group="static"),
+        Tier("docs", (with_site,), group="static"),
         Tier("unit", marks=f"not quick and {PLAIN}", workers=2, limit_s=UNIT_LIMIT_S),
         Tier("quick", marks=f"quick and {PLAIN}", workers=2, limit_s=QUICK_LIMIT_S),
-        Tier("docs", (with_site,)),
-        Tier("mysql", marks="mysql and not docker", workers=2, prepare=prepare_database),
-        Tier("integration", marks="integration and not docker and not mysql", workers=2, prepare=prepare_libraries),
-        Tier("docker", marks="docker", engine=True, prepare=lambda: prepare_database() + prepare_engine(engine)),
+        Tier(
+            "integration",
+            marks="integration and not docker and not mysql",
+            workers=2,
+            prepare=prepare_libraries,
+            group="processes",
+        ),
+        Tier("mysql", marks="mysql and not docker", prepare=prepare_database, group="processes"),
+        Tier("docker", marks="docker and not alone", engine=True, prepare=with_engine, group="processes"),
+        Tier("systems", marks="docker and alone", engine=True, prepare=with_engine),
     ]
 
 
-def run_tier(tier: Tier) -> Outcome:
-    """Prepare and run one tier."""
-    print(f"\n=== {tier.name} ".ljust(100, "="), flush=True)
-    try:
-        note = tier.prepare()
-    except (CannotRun, StepFailed) as reason:
-        print(reason)
-        return Outcome("not run", str(reason).splitlines()[0])
-    outcome = run_timed(tier)
-    if tier.limit_s is not None and outcome.state == "passed":
-        check_time(tier, outcome, tier.limit_s)
-    outcome.note = outcome.note or note
-    return outcome
+def run_group(tiers: Sequence[Tier]) -> dict[str, Outcome]:
+    """Prepare the tiers one after the other, then run them together."""
+    outcomes: dict[str, Outcome] = {}
+    notes: dict[str, str] = {}
+    print("\n" + "=== " + " + ".join(tier.name for tier in tiers) + " ", flush=True)
+    for tier in tiers:
+        try:
+            notes[tier.name] = tier.prepare()
+        except (CannotRun, StepFailed) as reason:
+            print(reason, flush=True)
+            outcomes[tier.name] = Outcome("not run", str(reason).splitlines()[0])
+    outcomes |= run_together([tier for tier in tiers if tier.name in notes])
+    for tier in tiers:
+        outcome = outcomes[tier.name]
+        if tier.limit_s is not None and outcome.state == "passed":
+            check_time(tier, outcome, tier.limit_s)
+        outcome.note = outcome.note or notes.get(tier.name, "")
+    return outcomes
 
 
-def run_timed(tier: Tier) -> Outcome:
-    """Run a tier for which everything is there."""
-    started, cpu_before_s = time.monotonic(), children_cpu_s()
-    outcome = run_pytest(tier) if tier.marks else run_commands(tier)
+def run_together(tiers: Sequence[Tier]) -> dict[str, Outcome]:
+    """Run tiers for which everything is there. Each of several prints its output when it has ended."""
+    if len(tiers) == 1:
+        return {tiers[0].name: run_timed(tiers[0])}
+    printing = threading.Lock()
+
+    def run_aside(tier: Tier) -> Outcome:
+        with tempfile.TemporaryFile() as output:
+            outcome = run_timed(tier, output)
+            output.seek(0)
+            with printing:
+                print(f"\n--- {tier.name} ".ljust(100, "-"))
+                print(output.read().decode(errors="replace"), flush=True)
+        return outcome
+
+    with ThreadPoolExecutor(max(1, len(tiers))) as pool:
+        return dict(zip([tier.name for tier in tiers], pool.map(run_aside, tiers), strict=True))
+
+
+def run_timed(tier: Tier, output: IO[bytes] | None = None) -> Outcome:
+    """Run a tier for which everything is there; what it prints goes to ``output``, by default to the terminal."""
+    started = time.monotonic()
+    outcome = run_pytest(tier, output) if tier.marks else run_commands(tier, output)
     outcome.seconds = time.monotonic() - started
-    outcome.cpu_s = children_cpu_s() - cpu_before_s
     return outcome
 
 
-def children_cpu_s() -> float:
-    """CPU time of all ended child processes, in seconds."""
-    spent = os.times()
-    return spent.children_user + spent.children_system
+def run_measured(command: Sequence[str], environment: Mapping[str, str], output: IO[bytes] | None) -> tuple[int, float]:
+    """Exit code and CPU time (s) of a command, with all that it started and waited for."""
+    stderr = None if output is None else subprocess.STDOUT
+    process = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=output, stderr=stderr)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return process.returncode, usage.ru_utime + usage.ru_stime
 
 
 def check_time(tier: Tier, outcome: Outcome, limit_s: float) -> None:
@@ -154,28 +200,30 @@ def check_time(tier: Tier, outcome: Outcome, limit_s: float) -> None:
         outcome.note = f"WARNING: took longer than {limit_s:g} s with {outcome.cpu_s:.1f} s of CPU time"
 
 
-def run_commands(tier: Tier) -> Outcome:
+def run_commands(tier: Tier, output: IO[bytes] | None) -> Outcome:
     """Run the commands of a tier, all of them even if one fails."""
     outcome = Outcome()
     for command in tier.commands:
-        environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
-        if subprocess.run(command, cwd=ROOT, check=False, env=environment).returncode != 0:
+        code, cpu_s = run_measured(command, {**os.environ, "NO_MKDOCS_2_WARNING": "1"}, output)
+        outcome.cpu_s += cpu_s
+        if code != 0:
             outcome.state = "failed"
             outcome.note = outcome.note or f"{Path(command[0]).name} found problems, see above"
     return outcome
 
 
-def run_pytest(tier: Tier) -> Outcome:
+def run_pytest(tier: Tier, output: IO[bytes] | None) -> Outcome:
     """Run the tests that carry the marks of a tier and read pytest's own report."""
     with tempfile.TemporaryDirectory() as folder:
         report_path = Path(folder) / "report.xml"
         command = [sys.executable, "-m", "pytest", "-q", "--durations=8", "-m", tier.marks]
         command.append(f"--junitxml={report_path}")
         if tier.workers > 1 and (os.cpu_count() or 1) > 1:
-            command += ["-n", str(tier.workers)]
+            command += ["-n", str(tier.workers), "--dist", "loadfile"]
         environment = os.environ if tier.engine else {**os.environ, "DOCKER_HOST": NO_ENGINE}
-        code = subprocess.run(command, cwd=ROOT, check=False, env=environment).returncode
+        code, cpu_s = run_measured(command, environment, output)
         outcome = read_report(report_path)
+        outcome.cpu_s = cpu_s
     if code != 0:
         outcome.state = "failed"
         outcome.note = "no test carries its marks" if code == 5 else f"pytest ended with {code}, see above"

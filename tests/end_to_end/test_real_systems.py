@@ -55,6 +55,7 @@ def figure(entry: RunRecord, key: str) -> float:
     return entry.metrics[key]
 
 
+@pytest.mark.alone
 @pytest.mark.shared_data
 def test_orb_slam3_stereo_on_kitti_06(hive, kitti_06):
     for entry in run(hive, Submission("orb-slam3-stereo", kitti_06, {"nFeatures": 2000}, repeat=3)):
@@ -67,6 +68,7 @@ def test_orb_slam3_stereo_on_kitti_06(hive, kitti_06):
         assert vocabulary["words"] > 5000
 
 
+@pytest.mark.alone
 @pytest.mark.shared_data
 def test_orb_slam3_mono_on_kitti_06(hive, kitti_06):
     for entry in run(hive, Submission("orb-slam3-mono", kitti_06, {"nFeatures": 2000}, repeat=3)):

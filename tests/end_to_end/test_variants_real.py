@@ -64,6 +64,7 @@ def ate_m(entry: RunRecord) -> float:
     return entry.metrics["ate.rmse"]
 
 
+@pytest.mark.alone
 @pytest.mark.shared_data
 def test_half_size_images_are_tracked_with_their_own_calibration(hive, half_size_run):
     assert half_size_run.poses is not None
@@ -78,6 +79,7 @@ def test_half_size_images_are_tracked_with_their_own_calibration(hive, half_size
     assert seen["left_cx"] == pytest.approx((source["cx"] + 0.5) * 613 / 1226 - 0.5)
 
 
+@pytest.mark.alone
 @pytest.mark.shared_data
 def test_the_run_is_measured_against_the_original_ground_truth(hive, half_size_run):
     (entry,) = hive.variants.entries("kitti_06")
@@ -88,6 +90,7 @@ def test_the_run_is_measured_against_the_original_ground_truth(hive, half_size_r
     assert half_size_run.metrics["tracked_fraction"] > 0.9
 
 
+@pytest.mark.alone
 @pytest.mark.shared_data
 def test_it_is_wrong_where_the_calibration_was_left_as_it_was(hive, half_size_run):
     unscaled = with_old_calibration(hive, "kitti_06_unscaled")

@@ -69,7 +69,7 @@ def test_ci_allows_only_absent_recordings_to_be_skipped(runner, reason, code):
 )
 def test_a_busy_machine_fails_no_tier_but_slow_tests_do(runner, monkeypatch, seconds, cpu_s, state, note):
     monkeypatch.setattr(runner, "run_timed", lambda tier: runner.Outcome(passed=1, seconds=seconds, cpu_s=cpu_s))
-    outcome = runner.run_tier(runner.Tier("unit", marks="x", workers=2, limit_s=10.0))
+    outcome = runner.run_group([runner.Tier("unit", marks="x", workers=2, limit_s=10.0)])["unit"]
     assert (outcome.state, outcome.note) == (state, note)
 
 
@@ -80,11 +80,35 @@ def test_processor_time_of_the_tests_is_measured(runner):
     assert outcome.cpu_s >= 0.4
 
 
+def test_tiers_of_a_group_run_together_and_each_keeps_its_output(runner, tmp_path, capfd):
+    """Each command waits for the other: one after the other, both would wait for ever."""
+
+    def command(own: str, other: str, code: int) -> tuple[str, ...]:
+        script = (
+            "import pathlib, sys, time\n"
+            f"pathlib.Path({str(tmp_path / own)!r}).touch()\nprint('{own} begins', flush=True)\n"
+            f"while not pathlib.Path({str(tmp_path / other)!r}).exists(): time.sleep(0.01)\n"
+            f"print('{own} ends')\nsys.exit({code})"
+        )
+        return sys.executable, "-c", script
+
+    tiers = [
+        runner.Tier("one", (command("one", "two", 0),), group="both"),
+        runner.Tier("two", (command("two", "one", 3),), group="both"),
+    ]
+    outcomes = runner.run_group(tiers)
+    assert {name: outcome.state for name, outcome in outcomes.items()} == {"one": "passed", "two": "failed"}
+    said = capfd.readouterr().out
+    assert "one begins\none ends" in said
+    assert "two begins\ntwo ends" in said
+
+
 def test_without_rights_the_engine_tier_names_the_command(runner, monkeypatch):
     monkeypatch.setattr(runner.machine, "engine_answers", lambda: False)
     monkeypatch.setattr(runner.machine, "can_install", lambda: False)
     monkeypatch.setattr(runner.shutil, "which", lambda name, path=None: f"/usr/sbin/{name}")
-    outcome = runner.run_tier(next(tier for tier in runner.all_tiers(runner.machine.Engine()) if tier.name == "docker"))
+    tier = next(tier for tier in runner.all_tiers(runner.machine.Engine()) if tier.name == "docker")
+    outcome = runner.run_group([tier])["docker"]
     assert outcome.state == "not run"
     assert "sudo apt-get install docker.io" in outcome.note
 
@@ -95,10 +119,11 @@ def test_every_test_belongs_to_exactly_one_tier(runner):
         for mysql in (False, True):
             for integration in (False, True):
                 for quick in (False, True):
-                    marks = {"docker": docker, "mysql": mysql, "integration": integration, "quick": quick}
-                    assert sum(eval(tier.marks, {}, marks) for tier in tiers) == 1
+                    for alone in (False, docker):
+                        marks = {"docker": docker, "mysql": mysql, "integration": integration, "quick": quick}
+                        assert sum(eval(tier.marks, {}, {**marks, "alone": alone}) for tier in tiers) == 1
 
 
 def test_unknown_tier_lists_the_known_ones(runner, capsys):
     assert runner.main(["units"]) == 2
-    assert "known: lint, types" in capsys.readouterr().err
+    assert "known: types, lint" in capsys.readouterr().err
