@@ -8,6 +8,8 @@ import click
 
 from slamhive.cli.context import json_option
 from slamhive.cli.output import print_json, print_table
+from slamhive.files import temporary_folder
+from slamhive.project import project_root
 from slamhive.registry import Origin, Registry
 from slamhive.schema.plugin import PlugIn
 
@@ -46,11 +48,15 @@ def _registries() -> tuple[Registry[Any], ...]:
     from slamhive.domain.metrics import METRICS  # noqa: PLC0415
     from slamhive.evaluation.evaluators.builtin import EVALUATORS  # noqa: PLC0415
     from slamhive.evaluation.presets import PRESETS  # noqa: PLC0415
-    from slamhive.executors.registry import EXECUTORS  # noqa: PLC0415
+    from slamhive.executors.base import ExecutorContext  # noqa: PLC0415
+    from slamhive.executors.registry import EXECUTORS, check_plugin_executors  # noqa: PLC0415
+    from slamhive.services.executors import NO_INSTALLATION  # noqa: PLC0415
     from slamhive.web.app import check_plugin_pages  # noqa: PLC0415
     from slamhive.web.pages import PAGES  # noqa: PLC0415
 
     check_plugin_pages()
+    with temporary_folder() as nowhere:
+        check_plugin_executors(ExecutorContext(nowhere, project_root(), NO_INSTALLATION))
     return (
         ALGORITHM_FOLDERS,
         IMPORTERS,

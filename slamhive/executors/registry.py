@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import uuid
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,14 @@ def open_executor(name: str, context: ExecutorContext) -> Executor:
             raise
         EXECUTORS.drop(name, error)
     return EXECUTORS.get(name)(context)
+
+
+def check_plugin_executors(context: ExecutorContext) -> None:
+    """Make the executor of each plug-in once: one that cannot be made counts as broken from then on."""
+    for name in EXECUTORS.names():
+        if EXECUTORS.is_plugin(name):
+            with suppress(SlamHiveError):
+                open_executor(name, context).close()
 
 
 def open_all(find: ExecutorFinder) -> list[Executor]:

@@ -79,6 +79,7 @@ def test_orb_slam3_mono_on_kitti_06(hive, kitti_06):
         assert entry.protocol.label.startswith("Sim(3)")
 
 
+@pytest.mark.alone
 def test_lidar_systems_on_the_room(hive, room):
     for entry in run(hive, Submission("kiss-icp", room), Submission("rko-lio", room)):
         assert figure(entry, "ate.rmse") < 0.10

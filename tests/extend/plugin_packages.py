@@ -8,8 +8,12 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
+import zipfile
 from pathlib import Path
 from typing import Any
+
+from tests.shared_environments import share_environments
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 EXTEND = CHECKOUT / "docs" / "extend"
@@ -37,6 +41,28 @@ def write_package(folder: Path, module: str, code: str, tables: str) -> Path:
     (folder / "pyproject.toml").write_text(f"{HEAD.format(name=name)}{modules}{tables}")
     (folder / f"{module}.py").write_text(code)
     return folder
+
+
+def write_wheel(folder: Path, module: str, code: str, tables: str) -> Path:
+    """The package that :func:`write_package` writes, built: pip needs a second for each that it builds."""
+    folder.mkdir(parents=True, exist_ok=True)
+    groups = tomllib.loads(tables)["project"]["entry-points"].items()
+    points = "".join(
+        f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in entries.items()) for group, entries in groups
+    )
+    info = f"{module}-1.0.0.dist-info"
+    files = {
+        f"{module}.py": code,
+        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {module.replace('_', '-')}\nVersion: 1.0.0\n",
+        f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: tests\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+        f"{info}/entry_points.txt": points,
+    }
+    path = folder / f"{module}-1.0.0-py3-none-any.whl"
+    with zipfile.ZipFile(path, "w") as wheel:
+        for name, text in files.items():
+            wheel.writestr(name, text)
+        wheel.writestr(f"{info}/RECORD", "".join(f"{name},,\n" for name in (*files, f"{info}/RECORD")))
+    return path
 
 
 def write_examples(folder: Path) -> list[Path]:
@@ -80,6 +106,7 @@ class Command:
 
     def __init__(self, root: Path, data: Path, plugins: Path | None, **settings: str) -> None:
         paths = [str(CHECKOUT), *([] if plugins is None else [str(plugins)])]
+        share_environments(data)
         own = {f"SLAMHIVE_{key.upper()}": value for key, value in settings.items()}
         self.environment = {
             **os.environ,
@@ -88,6 +115,7 @@ class Command:
             "SLAMHIVE_DATA": str(data),
             "SLAMHIVE_EXECUTOR": "process",
             "SLAMHIVE_MIN_FREE_DISK_MB": "1",
+            "SLAMHIVE_POLL_INTERVAL_S": "0.02",
             **own,
         }
 
