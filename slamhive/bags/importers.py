@@ -12,6 +12,7 @@ from typing import Protocol, runtime_checkable
 
 from slamhive.bags.detection import Detection
 from slamhive.bags.formats.euroc import EurocImporter
+from slamhive.bags.formats.tum_rgbd import TumRgbdImporter
 from slamhive.bags.importing import ImportOptions, ImportPlan
 from slamhive.bags.kitti_odometry import KittiOdometryImporter
 from slamhive.errors import InvalidInput
@@ -47,6 +48,7 @@ class Importer(Protocol):
 IMPORTERS: Registry[Importer] = Registry("dataset importer", "slamhive.dataset_importers", instances_of(Importer))
 IMPORTERS.register("kitti-odometry", KittiOdometryImporter())
 IMPORTERS.register("euroc", EurocImporter())
+IMPORTERS.register("tum-rgbd", TumRgbdImporter())
 
 
 def plan_import(source: Path, options: ImportOptions, format_name: str | None = None) -> tuple[str, ImportPlan]:

@@ -123,7 +123,38 @@ def make_euroc(folder: Path, *, distortion_model: str = "radial-tangential") -> 
     return folder
 
 
-FORMATS: dict[str, Callable[[Path], Path]] = {"euroc": make_euroc}
+CALIBRATION = f"""\
+sensors:
+- kind: camera
+  calibration: {{width: {WIDTH}, height: {HEIGHT}, fx: 20.5, fy: 20.25, cx: 15.5, cy: 11.5}}
+"""
+TUM_START_S = 1305031102.175304
+
+
+def with_calibration(source: Path) -> dict[str, Any]:
+    """The option with the intrinsics of a small camera, in a file beside ``source``."""
+    path = source.with_name("camera.yaml")
+    path.write_text(CALIBRATION)
+    return {"calibration": (path,)}
+
+
+def tum_pose(time_s: float, number: float) -> str:
+    return f"{time_s:.6f} {number} 2 3 0 0 0.6 0.8"
+
+
+def make_tum_rgbd(folder: Path) -> Path:
+    """A folder as the benchmark publishes them: depth images are taken 10 ms after those with colour."""
+    for kind, pixels, late_s in (("rgb", colour, 0.0), ("depth", depth, 0.01)):
+        times = [f"{TUM_START_S + late_s + frame / 30:.6f}" for frame in range(FRAMES)]
+        write(folder / f"{kind}.txt", "# color images", "# timestamp filename", *(f"{t} {kind}/{t}.png" for t in times))
+        for frame, time in enumerate(times):
+            draw(folder / f"{kind}/{time}.png", pixels(frame))
+    poses = [tum_pose(TUM_START_S - 0.01 + n / 100, n) for n in range(14)]
+    write(folder / "groundtruth.txt", "# ground truth trajectory", *poses)
+    return folder
+
+
+FORMATS: dict[str, Callable[[Path], Path]] = {"euroc": make_euroc, "tum-rgbd": make_tum_rgbd}
 """Makes a folder of each format."""
-OPTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {}
+OPTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {"tum-rgbd": with_calibration}
 """What users have to say of such a folder."""
