@@ -13,7 +13,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from slamhive.domain.calibration import CameraIntrinsics
+from slamhive.domain.calibration import CameraIntrinsics, LaserLayout
 from slamhive.domain.sensors import Sensor
 
 Array = NDArray[Any]
@@ -22,6 +22,11 @@ IMAGE = "sensor_msgs/msg/Image"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 IMU = "sensor_msgs/msg/Imu"
 POINTS = "sensor_msgs/msg/PointCloud2"
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
+ODOMETRY = "nav_msgs/msg/Odometry"
+NAV_SAT_FIX = "sensor_msgs/msg/NavSatFix"
+_UNKNOWN_COVARIANCE, _DIAGONAL_COVARIANCE = 0, 2
+"""``position_covariance_type`` of ``NavSatFix``."""
 _FIELD_CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 """PointField's datatype constants by numpy kind and size."""
 
@@ -138,6 +143,69 @@ class BagWriter:
             is_dense=True,
         )
         self._write(sensor.topic, POINTS, received_ns, message)
+
+    def laser_scan(self, sensor: Sensor, stamp_ns: int, ranges_m: Array) -> None:
+        """A ``sensor_msgs/LaserScan`` of ranges (n,), with the geometry that the calibration of ``sensor`` states."""
+        layout, count = LaserLayout.of(sensor), len(ranges_m)
+        message = self._message(
+            LASER_SCAN,
+            header=self._header(sensor.topic, stamp_ns, sensor.name),
+            angle_min=layout.angle_min_rad,
+            angle_max=layout.angle_min_rad + layout.angle_increment_rad * (count - 1),
+            angle_increment=layout.angle_increment_rad,
+            time_increment=layout.scan_duration_s / max(count - 1, 1),
+            scan_time=1.0 / sensor.rate_hz,
+            range_min=layout.minimum_range_m,
+            range_max=layout.maximum_range_m,
+            ranges=np.ascontiguousarray(ranges_m, dtype=np.float32),
+            intensities=np.zeros(0, dtype=np.float32),
+        )
+        self._write(sensor.topic, LASER_SCAN, stamp_ns, message)
+
+    def odometry(self, sensor: Sensor, stamp_ns: int, pose: Array, twist: Array) -> None:
+        """A ``nav_msgs/Odometry`` of ``sensor`` in the frame ``odom``.
+
+        Args:
+            sensor: Where it comes from; its name is the child frame.
+            stamp_ns: When it was measured.
+            pose: Position and unit quaternion (7,): x y z in m, x y z w.
+            twist: Velocity and angular rate in the child frame (6,), m/s and rad/s; NaN is unknown and becomes 0.
+        """
+        x, y, z, qx, qy, qz, qw = (float(number) for number in pose)
+        known = np.nan_to_num(twist)
+        pose_message = self._message(
+            "geometry_msgs/msg/Pose",
+            position=self._message("geometry_msgs/msg/Point", x=x, y=y, z=z),
+            orientation=self._message("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
+        )
+        twist_message = self._message(
+            "geometry_msgs/msg/Twist", linear=self._vector(known[:3]), angular=self._vector(known[3:])
+        )
+        none = np.zeros(36)
+        message = self._message(
+            ODOMETRY,
+            header=self._header(sensor.topic, stamp_ns, "odom"),
+            child_frame_id=sensor.name,
+            pose=self._message("geometry_msgs/msg/PoseWithCovariance", pose=pose_message, covariance=none),
+            twist=self._message("geometry_msgs/msg/TwistWithCovariance", twist=twist_message, covariance=none),
+        )
+        self._write(sensor.topic, ODOMETRY, stamp_ns, message)
+
+    def nav_sat_fix(self, sensor: Sensor, stamp_ns: int, position: Array, variances_m2: Array | None = None) -> None:
+        """A ``sensor_msgs/NavSatFix``: latitude and longitude in degrees, altitude in m; variances east, north, up."""
+        status = self._message("sensor_msgs/msg/NavSatStatus", status=0, service=1)
+        covariance = np.zeros(9) if variances_m2 is None else np.diag(np.asarray(variances_m2, dtype=np.float64))
+        message = self._message(
+            NAV_SAT_FIX,
+            header=self._header(sensor.topic, stamp_ns, sensor.name),
+            status=status,
+            latitude=float(position[0]),
+            longitude=float(position[1]),
+            altitude=float(position[2]),
+            position_covariance=np.ascontiguousarray(covariance).reshape(-1),
+            position_covariance_type=_UNKNOWN_COVARIANCE if variances_m2 is None else _DIAGONAL_COVARIANCE,
+        )
+        self._write(sensor.topic, NAV_SAT_FIX, stamp_ns, message)
 
     def _message(self, kind: str, **fields: Any) -> Any:
         return self._store.types[kind](**fields)

@@ -51,7 +51,7 @@ def frames_at(dataset: Dataset, sensor: Sensor, times_s: Iterable[float], width:
         raise NotFound(f"sensor {sensor.name} takes no images", "choose a camera")
     for time_s, message, kind in _messages_at(dataset, sensor, times_s):
         pixels = convert(message, kind)
-        if isinstance(pixels, PointCloud):
+        if not isinstance(pixels, np.ndarray):
             raise InvalidInput(f"topic {sensor.topic} of sensor {sensor.name} holds {kind}, no images")
         yield FrameView(time_s, _jpeg(_shrunk(_visible(pixels, sensor), width)))
 

@@ -201,6 +201,39 @@ class LidarLayout:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class LaserLayout:
+    """The geometry of a laser scanner that measures in one plane, counter-clockwise around its z axis.
+
+    Attributes:
+        angle_min_rad: The direction of the first range; 0 is the sensor's x axis.
+        angle_increment_rad: From one range to the next.
+        minimum_range_m: Nearer ranges mean "nothing".
+        maximum_range_m: Further ranges mean "nothing".
+        scan_duration_s: From the first range to the last; 0 if it is not known.
+    """
+
+    angle_min_rad: float
+    angle_increment_rad: float
+    minimum_range_m: float
+    maximum_range_m: float
+    scan_duration_s: float = 0.0
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> LaserLayout:
+        """The geometry of ``sensor``; raises InvalidInput naming what is missing or no number."""
+        found = {key: _number(sensor.calibration, key, f"sensor {sensor.name}") for key in cls.__slots__}
+        known = {key: float(value) for key, value in found.items() if value is not None}
+        missing = [key for key in cls.__slots__ if key not in known and key != "scan_duration_s"]
+        if missing:
+            raise InvalidInput(f"sensor {sensor.name} lacks calibration {', '.join(missing)}")
+        return cls(**known)
+
+    def calibration(self) -> dict[str, CalibrationValue]:
+        """The keys of ``dataset.yaml``."""
+        return {key: getattr(self, key) for key in self.__slots__}
+
+
 def camera_model(values: dict[str, CalibrationValue], owner: str) -> CameraModel:
     """The model that a calibration names; raises InvalidInput if the coefficients do not fit it."""
     name = values.get("model", CameraModel.PINHOLE.value)

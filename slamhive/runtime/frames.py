@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slamhive.files import write_aside
-from slamhive.runtime.messages import PointCloud
+from slamhive.runtime.messages import LaserScan, PointCloud
 
 Array = NDArray[Any]
+Entry = TypeVar("Entry")
+
+ODOMETRY_COLUMNS = 14
+_IMU_COLUMNS = 7
+_ENTRY_WORDS: dict[type, str] = {np.ndarray: "an image", PointCloud: "points", LaserScan: "a laser scan"}
 
 _MOST_WAITING = 100
 """The most messages of one stream that wait for partners, so that a missing partner does not fill the memory."""
@@ -28,30 +33,38 @@ class Frame:
         stamp_s: The timestamp in the header of the first stream's message.
         received_s: When it came in, seconds of the monotonic clock since playback began.
         fraction: How far in the recording it lies, 0..1.
-        data: For each role an image array (``messages.to_image``) or a :class:`~slamhive.runtime.messages.PointCloud`.
+        data: For each role an image array (``messages.to_image``), a
+            :class:`~slamhive.runtime.messages.PointCloud` or a :class:`~slamhive.runtime.messages.LaserScan`.
         imu: (n, 7) float64 ``t, gyro xyz, acc xyz`` (s, rad/s, m/s²): all samples recorded before this frame and not
             delivered yet, those of dropped frames included.
+        odometry: (m, 14) float64 ``t, position xyz, quaternion xyzw, velocity xyz, angular rate xyz`` (s, m, m/s,
+            rad/s), collected as ``imu`` is.
     """
 
     number: int
     stamp_s: float
     received_s: float
     fraction: float
-    data: dict[str, Array | PointCloud]
+    data: dict[str, Array | PointCloud | LaserScan]
     imu: Array
+    odometry: Array = field(default_factory=lambda: np.empty((0, ODOMETRY_COLUMNS)))
 
     def image(self, role: str) -> Array:
         """The image in ``role``."""
-        entry = self.data[role]
-        if isinstance(entry, PointCloud):
-            raise TypeError(f"{role} holds points, not an image")
-        return entry
+        return self._entry(role, np.ndarray)
 
     def points(self, role: str) -> PointCloud:
         """The point cloud in ``role``."""
+        return self._entry(role, PointCloud)
+
+    def laser_scan(self, role: str) -> LaserScan:
+        """The laser scan in ``role``."""
+        return self._entry(role, LaserScan)
+
+    def _entry(self, role: str, kind: type[Entry]) -> Entry:
         entry = self.data[role]
-        if not isinstance(entry, PointCloud):
-            raise TypeError(f"{role} holds an image, not points")
+        if not isinstance(entry, kind):
+            raise TypeError(f"{role} holds {_ENTRY_WORDS[type(entry)]}, not {_ENTRY_WORDS[kind]}")
         return entry
 
 
@@ -128,4 +141,9 @@ def write_frames_csv(path: Path, frames: list[FrameTimes]) -> None:
 
 def imu_array(rows: list[tuple[float, ...]]) -> Array:
     """``rows`` as an array (n, 7), even if there are none."""
-    return np.array(rows, dtype=np.float64).reshape(-1, 7)
+    return np.array(rows, dtype=np.float64).reshape(-1, _IMU_COLUMNS)
+
+
+def odometry_array(rows: list[tuple[float, ...]]) -> Array:
+    """``rows`` as an array (n, 14), even if there are none."""
+    return np.array(rows, dtype=np.float64).reshape(-1, ODOMETRY_COLUMNS)

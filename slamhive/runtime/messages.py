@@ -1,4 +1,4 @@
-"""Converts ROS messages to numpy: images, point clouds, IMU samples."""
+"""Converts ROS messages to numpy: images, point clouds, laser scans, IMU samples, odometry."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 IMU = "sensor_msgs/msg/Imu"
 POINTS = "sensor_msgs/msg/PointCloud2"
-SUPPORTED = (IMAGE, COMPRESSED_IMAGE, IMU, POINTS)
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
+ODOMETRY = "nav_msgs/msg/Odometry"
+SUPPORTED = (IMAGE, COMPRESSED_IMAGE, IMU, POINTS, LASER_SCAN, ODOMETRY)
+BETWEEN_FRAMES = (IMU, ODOMETRY)
+"""Messages that make no frame of their own: each frame has those that came since the frame before."""
 
 _IMAGE_LAYOUTS: dict[str, tuple[str, int]] = {
     "mono8": ("u1", 1),
@@ -58,6 +62,21 @@ class PointCloud:
         return self.fields[name]
 
 
+@dataclass(frozen=True, eq=False)
+class LaserScan:
+    """One scan in the x-y plane of a laser scanner.
+
+    Attributes:
+        ranges_m: (n,) float64; NaN where nothing was measured: outside of the sensor's limits, or no number.
+        angles_rad: (n,) float64, the direction of each range, counter-clockwise from the sensor's x axis.
+        offsets_s: (n,) float64, when each range was measured after the timestamp of the message.
+    """
+
+    ranges_m: Array
+    angles_rad: Array
+    offsets_s: Array
+
+
 def stamp_ns(message: Any) -> int:
     """The header's timestamp in nanoseconds."""
     stamp = message.header.stamp
@@ -70,8 +89,17 @@ def imu_row(message: Any) -> tuple[float, ...]:
     return (stamp_ns(message) * 1e-9, rate.x, rate.y, rate.z, force.x, force.y, force.z)
 
 
-def convert(message: Any, kind: str) -> Array | PointCloud:
-    """An image as an array, a point cloud as :class:`PointCloud`; raises InvalidInput for what cannot be read."""
+def odometry_row(message: Any) -> tuple[float, ...]:
+    """Odometry as ``t, position xyz, quaternion xyzw, velocity xyz, angular rate xyz``: s, m, m/s, rad/s."""
+    pose, twist = message.pose.pose, message.twist.twist
+    p, q, v, w = pose.position, pose.orientation, twist.linear, twist.angular
+    return (stamp_ns(message) * 1e-9, p.x, p.y, p.z, q.x, q.y, q.z, q.w, v.x, v.y, v.z, w.x, w.y, w.z)
+
+
+def convert(message: Any, kind: str) -> Array | PointCloud | LaserScan:
+    """An image as an array, points and laser scans as their classes; raises InvalidInput for what cannot be read."""
+    if kind == LASER_SCAN:
+        return to_laser_scan(message)
     if kind == IMAGE:
         return to_image(message)
     if kind == COMPRESSED_IMAGE:
@@ -110,6 +138,16 @@ def to_grey(image: Array) -> Array:
         return np.asarray(np.rint(image.astype(np.float32) @ _LUMA).astype(np.uint8))
     grey: Array = (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else image
     return grey
+
+
+def to_laser_scan(message: Any) -> LaserScan:
+    """The ranges and directions of a ``sensor_msgs/LaserScan``."""
+    ranges_m = np.asarray(message.ranges, dtype=np.float64)
+    numbers = np.arange(len(ranges_m))
+    with np.errstate(invalid="ignore"):
+        measured = (ranges_m >= message.range_min) & (ranges_m <= message.range_max)
+    angles_rad = message.angle_min + numbers * message.angle_increment
+    return LaserScan(np.where(measured, ranges_m, np.nan), angles_rad, numbers * float(message.time_increment))
 
 
 def to_points(message: Any) -> PointCloud:

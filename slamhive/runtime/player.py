@@ -19,9 +19,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from slamhive.errors import SlamHiveError
-from slamhive.runtime.frames import Frame, FrameTimes, Received, Synchroniser, imu_array
-from slamhive.runtime.messages import IMU, convert, imu_row, stamp_ns
+from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.runtime.frames import Frame, FrameTimes, Received, Synchroniser, imu_array, odometry_array
+from slamhive.runtime.messages import BETWEEN_FRAMES, IMU, ODOMETRY, convert, imu_row, odometry_row, stamp_ns
 from slamhive.runtime.recording import Incoming, Recording, forget_pages
 
 NEXT = "next"
@@ -29,7 +29,10 @@ NEXT = "next"
 
 @dataclass(frozen=True, slots=True)
 class PlayerOptions:
-    """What to play and how; ``topics`` maps role to topic, the first that is no IMU gives a frame its timestamp."""
+    """What to play and how.
+
+    ``topics`` maps role to topic; the first that is neither IMU nor odometry gives a frame its timestamp.
+    """
 
     recording: str
     topics: dict[str, str]
@@ -60,13 +63,14 @@ class PlaybackSummary:
 
 @dataclass(eq=False)
 class _Group:
-    """A frame before its messages are converted; ``imu`` are the samples since the group before."""
+    """A frame before its messages are converted; ``imu`` and ``odometry`` came since the group before."""
 
     number: int
     received_s: float
     fraction: float
     messages: dict[str, Received]
     imu: list[tuple[float, ...]]
+    odometry: list[tuple[float, ...]]
 
 
 @dataclass(eq=False)
@@ -85,10 +89,13 @@ class _Playback:
         self._options = options
         self._recording = recording
         self._connection = connection
-        self._roles = [role for role in options.topics if recording.kinds[role] != IMU]
+        self._roles = [role for role in options.topics if recording.kinds[role] not in BETWEEN_FRAMES]
+        if not self._roles:
+            raise InvalidInput("the algorithm has no input that makes frames", "a camera, a LiDAR or a laser is needed")
         self._synchroniser = Synchroniser(self._roles, round(options.tolerance_s * 1e9))
         self._queue: deque[_Group] = deque()
         self._imu: list[tuple[float, ...]] = []
+        self._odometry: list[tuple[float, ...]] = []
         self._counts = _Counts()
         self._asked = False
         self._start_s = 0.0
@@ -137,14 +144,17 @@ class _Playback:
             self._imu.append(imu_row(incoming.message))
             self._counts.imu += 1
             return None
+        if incoming.kind == ODOMETRY:
+            self._odometry.append(odometry_row(incoming.message))
+            return None
         received = Received(stamp_ns(incoming.message), incoming.recorded_ns, incoming.message)
         messages = self._synchroniser.add(incoming.role, received)
         if messages is None:
             return None
         span_ns = max(self._recording.end_ns - self._recording.start_ns, 1)
         fraction = (incoming.recorded_ns - self._recording.start_ns) / span_ns
-        group = _Group(self._counts.frames, received_s, fraction, messages, self._imu)
-        self._imu = []
+        group = _Group(self._counts.frames, received_s, fraction, messages, self._imu, self._odometry)
+        self._imu, self._odometry = [], []
         self._counts.frames += 1
         return group
 
@@ -154,6 +164,7 @@ class _Playback:
             return
         lost = self._queue.popleft()
         self._queue[0].imu = lost.imu + self._queue[0].imu
+        self._queue[0].odometry = lost.odometry + self._queue[0].odometry
         self._counts.dropped.append(FrameTimes(lost.number, self._stamp_s(lost), lost.received_s, None))
 
     def _serve_until(self, moment_s: float) -> None:
@@ -192,6 +203,7 @@ class _Playback:
             fraction=group.fraction,
             data=data,
             imu=imu_array(group.imu),
+            odometry=odometry_array(group.odometry),
         )
         self._connection.send(("frame", frame, len(self._counts.dropped)))
         self._asked = False

@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
+from slamhive.bags.bag_writer import BagWriter
+from slamhive.domain.calibration import LaserLayout
+from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.runtime.playback import Player, PlayerDied
 from slamhive.runtime.recording import Recording
-from tests.runtime.runtime_samples import LEFT, options, write_bag
+from tests.runtime.runtime_samples import LEFT, START_NS, options, write_bag
 
 pytestmark = pytest.mark.integration
 
@@ -73,6 +76,36 @@ def test_imu_samples_of_dropped_frames_come_with_the_next(bag: Path) -> None:
     assert len(samples) == 5 * (FRAMES - 1)
     assert np.all(np.diff(samples[:, 0]) > 0)
     assert samples[-1, 1] == FRAMES - 2
+
+
+def test_odometry_comes_with_the_laser_scan_after_it(tmp_path: Path) -> None:
+    geometry = LaserLayout(-0.5, 0.25, 0.1, 10.0, scan_duration_s=0.02)
+    laser = Sensor("laser0", SensorKind.LASER, "/scan", 10.0, calibration=geometry.calibration())
+    wheels = Sensor("odom0", SensorKind.ODOMETRY, "/odom", 20.0)
+    with BagWriter(tmp_path / "flat.bag") as writer:
+        for number in range(4):
+            now_ns = START_NS + number * 50_000_000
+            pose = np.array([number, 2.0, 0.0, 0.0, 0.0, 0.6, 0.8])
+            writer.odometry(wheels, now_ns, pose, np.array([0.5, 0.0, 0.0, 0.0, 0.0, np.nan]))
+            if number % 2:
+                writer.laser_scan(laser, now_ns + 1, np.array([1.0, 0.05, np.inf, 10.0, 11.0]))
+    with Player(options(tmp_path / "flat.bag", {"scan": "/scan", "odom": "/odom"}, "sequential")) as player:
+        frames = list(player.frames())
+    assert [frame.odometry[:, 1].tolist() for frame in frames] == [[0, 1], [2, 3]]
+    assert frames[0].odometry[1].tolist() == pytest.approx(
+        [(START_NS + 50_000_000) * 1e-9, 1, 2, 0, 0, 0, 0.6, 0.8, 0.5, 0, 0, 0, 0, 0]
+    )
+    scan = frames[0].laser_scan("scan")
+    assert scan.ranges_m == pytest.approx([1.0, np.nan, np.nan, 10.0, np.nan], nan_ok=True)
+    assert scan.angles_rad == pytest.approx([-0.5, -0.25, 0.0, 0.25, 0.5])
+    assert scan.offsets_s == pytest.approx([0.0, 0.005, 0.01, 0.015, 0.02])
+    with pytest.raises(TypeError, match="scan holds a laser scan, not points"):
+        frames[0].points("scan")
+
+
+def test_an_algorithm_needs_an_input_that_makes_frames(bag: Path) -> None:
+    with pytest.raises(InvalidInput, match="no input that makes frames"):
+        Player(options(bag, {"imu": "/imu"}))
 
 
 def test_stamps_within_the_tolerance_make_a_pair_and_the_rest_is_counted(tmp_path: Path) -> None:
