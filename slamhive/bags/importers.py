@@ -11,7 +11,11 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from slamhive.bags.detection import Detection
+from slamhive.bags.formats.carmen import CarmenImporter
 from slamhive.bags.formats.euroc import EurocImporter
+from slamhive.bags.formats.mulran import MulranImporter
+from slamhive.bags.formats.nclt import NcltImporter
+from slamhive.bags.formats.rawseeds import RawseedsImporter
 from slamhive.bags.formats.tum_rgbd import TumRgbdImporter
 from slamhive.bags.importing import ImportOptions, ImportPlan
 from slamhive.bags.kitti_odometry import KittiOdometryImporter
@@ -49,6 +53,10 @@ IMPORTERS: Registry[Importer] = Registry("dataset importer", "slamhive.dataset_i
 IMPORTERS.register("kitti-odometry", KittiOdometryImporter())
 IMPORTERS.register("euroc", EurocImporter())
 IMPORTERS.register("tum-rgbd", TumRgbdImporter())
+IMPORTERS.register("carmen", CarmenImporter())
+IMPORTERS.register("rawseeds", RawseedsImporter())
+IMPORTERS.register("nclt", NcltImporter())
+IMPORTERS.register("mulran", MulranImporter())
 
 
 def plan_import(source: Path, options: ImportOptions, format_name: str | None = None) -> tuple[str, ImportPlan]:
