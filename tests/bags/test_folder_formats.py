@@ -12,18 +12,20 @@ from slamhive.catalogue.dataset_file import load_dataset
 from slamhive.errors import SlamHiveError
 from slamhive.trajectory.tum import read_tum
 from tests.bags.format_world import FORMATS, OPTIONS, convert, recorded, silent
+from tests.bags.range_formats import RANGE_FORMATS
 from tests.fuzzing import mutated
 
 pytestmark = pytest.mark.quick
 MUTATIONS = 40
+ALL = {**FORMATS, **RANGE_FORMATS}
 
 
 def made(name: str, folder: Path) -> tuple[Path, dict[str, Any]]:
-    source = FORMATS[name](folder)
+    source = ALL[name](folder)
     return source, OPTIONS.get(name, lambda _source: {})(source)
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", ALL)
 def test_a_folder_is_detected_and_becomes_the_same_dataset_twice(tmp_path, name):
     source, options = made(name, tmp_path / "source")
     assert detect_format(source) == name
@@ -41,7 +43,7 @@ def test_a_folder_is_detected_and_becomes_the_same_dataset_twice(tmp_path, name)
     assert convert(source, tmp_path / "b" / "made", **options).checksum == dataset.checksum
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", ALL)
 def test_a_damaged_folder_is_read_or_refused_in_one_line(tmp_path, name):
     source, options = made(name, tmp_path / "source")
     files = sorted(path for path in source.rglob("*") if path.is_file())
