@@ -10,6 +10,7 @@ import pytest
 from slamhive.bags.importers import plan_import
 from slamhive.bags.importing import ImportOptions
 from slamhive.domain.calibration import LaserLayout
+from slamhive.domain.dataset import RELATIONS_FILE
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.relations import read_relations, relation_errors
 from slamhive.trajectory.model import Trajectory
@@ -46,8 +47,9 @@ def test_a_carmen_log_becomes_scans_odometry_truth_and_relations(tmp_path):
     last = seen[wheels.topic][-1]
     assert pose_of(last) == pytest.approx((0.3, 0.0, 0.03))
     assert (last.twist.twist.linear.x, last.twist.twist.angular.z) == (0.5, 0.05)
+    assert dataset.groundtruth is not None
     assert dataset.groundtruth.source == "simulator"
-    assert len(read_relations(dataset.folder / dataset.relations).from_s) == 2
+    assert len(read_relations(dataset.folder / RELATIONS_FILE).from_s) == 2
 
 
 @pytest.mark.parametrize(("suffix", "pack"), [(".bz2", bz2.compress), (".gz", gzip.compress)])
@@ -125,6 +127,7 @@ def test_rawseeds_odometry_points_to_the_front_as_the_truth_does(tmp_path):
     assert np.isnan(scan.ranges[180])
     assert not np.isnan(seen[rear.topic][0].ranges[180])
     assert scan.angle_min == pytest.approx(-math.pi / 2)
+    assert dataset.groundtruth is not None
     assert dataset.groundtruth.gravity_aligned
 
 
@@ -168,6 +171,6 @@ def test_the_odometry_of_aces_has_the_relation_error_that_mrpt_finds(tmp_path):
     zeros = np.zeros(len(poses))
     quats_xyzw = np.column_stack([zeros, zeros, np.sin(poses[:, 2] / 2), np.cos(poses[:, 2] / 2)])
     errors = relation_errors(
-        read_relations(dataset.folder / dataset.relations), Trajectory(stamps_s, positions_m, quats_xyzw), 1.0
+        read_relations(dataset.folder / RELATIONS_FILE), Trajectory(stamps_s, positions_m, quats_xyzw), 1.0
     )
     assert errors["relations.translation.mean"] == pytest.approx(0.549, abs=0.02)

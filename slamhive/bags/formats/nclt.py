@@ -2,7 +2,7 @@
 
 Columns and units are those of the dataset's own readers (``read_vel_sync.py``, ``read_ms25.py``, ``read_gps.py``),
 extrinsics those of its paper as ``ethz-asl/nclt_tools`` lists them. The body of NCLT has x to the front, y to the right
-and z down; here it is turned so that y points to the left and z up, as well as the world.
+and z down. Here both body and world are turned: y points to the left and z up.
 """
 
 from __future__ import annotations
