@@ -3,7 +3,7 @@
 The columns are those of the project's description of its files, as ``procgraph_rawseeds`` quotes it:
 
 - ``SICK_*``: timestamp in s, number of ranges, angular offset in quarters of a degree, 181 ranges in m;
-- ``ODOMETRY_XYT``: timestamp in s, counter, right and left wheel counts, x and y in m, theta in rad, y pointing to the front;
+- ``ODOMETRY_XYT``: timestamp in s, counter, counts of both wheels, x and y in m, theta in rad, y pointing to the front;
 - ``GROUNDTRUTH`` and ``GT-extended``: timestamp in s, x and y in m, theta in rad, x pointing to the front.
 """
 
