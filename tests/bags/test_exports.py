@@ -225,6 +225,7 @@ def test_content_that_a_format_is_not_for_is_refused(room):
         ("tum-rgbd", without(room, SensorKind.DEPTH), "has no depth"),
         ("tum-rgbd", without(room, SensorKind.CAMERA), "has no camera"),
         ("tum-rgbd", calibrated(room, "depth0", encoding="32FC1"), "pixels of 32FC1"),
+        ("tum-rgbd", calibrated(room, "depth0", fx=30.0), "does not see what cam0 sees"),
         ("euroc", without(room, SensorKind.CAMERA), "has no camera"),
         ("vslam-lab", without(room, SensorKind.CAMERA), "has no camera"),
         ("kitti", without(room, SensorKind.CAMERA, SensorKind.LIDAR), "neither camera nor LiDAR"),

@@ -38,6 +38,7 @@ _FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 _TYPES = {IMAGE, COMPRESSED_IMAGE, IMU, POINTS}
 _PIXEL_BYTES = {"mono8": 1, "mono16": 2, "16UC1": 2, "32FC1": 4}
 _COLOUR_BYTES = 3
+_GEOMETRY_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
 
 Work = Callable[[], None]
 
@@ -144,6 +145,12 @@ def image_bytes(sensor: Sensor) -> int:
     """The size of one image without compression."""
     seen = CameraIntrinsics.of(sensor)
     return seen.width * seen.height * _PIXEL_BYTES.get(str(sensor.calibration.get("encoding")), _COLOUR_BYTES)
+
+
+def share_pixels(depth: Sensor, camera: Sensor) -> bool:
+    """Whether the images of both have the same geometry, as formats with one calibration for both require."""
+    values = [[sensor.calibration[key] for key in _GEOMETRY_KEYS] for sensor in (depth, camera)]
+    return values[0] == values[1] and depth.T_body_sensor == camera.T_body_sensor
 
 
 def _write_png(path: Path, message: Any, topic: str) -> None:

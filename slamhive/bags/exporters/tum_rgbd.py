@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamhive.bags.exporters.frames import ImageSink, export_frames, image_bytes, left_out, message_counts
+from slamhive.bags.exporters.frames import ImageSink, export_frames, image_bytes, left_out, message_counts, share_pixels
 from slamhive.bags.exporters.plan import ExportPlan
 from slamhive.bags.exporters.truth import read_truth, truth_left_out
 from slamhive.bags.staging import GROUND_TRUTH_FILE, Progress
@@ -61,6 +61,11 @@ def _pair(dataset: Dataset) -> tuple[Sensor, Sensor]:
         )
     partner = depth.calibration.get("registered_to")
     camera = next((sensor for sensor in cameras if sensor.name == partner), cameras[0])
+    if not share_pixels(depth, camera):
+        raise InvalidInput(
+            f"{depth.name} does not see what {camera.name} sees pixel by pixel, as tum-rgbd requires",
+            "export to ros1, ros2 or mcap",
+        )
     return camera, depth
 
 
@@ -85,18 +90,14 @@ def _write(dataset: Dataset, camera: Sensor, depth: Sensor, folder: Path, progre
     (folder / DATASET_FILE).write_text(_description(dataset, camera, depth), encoding="utf-8")
 
 
-def _description(dataset: Dataset, camera: Sensor, depth: Sensor) -> str:
+def _description(dataset: Dataset, *sensors: Sensor) -> str:
     """``dataset.yaml`` of the two sensors with the camera as the body: this format has no file for the calibration."""
-    T_camera_depth = np.linalg.solve(_matrix(camera), _matrix(depth))
-    sensors = (
-        replace(camera, T_body_sensor=IDENTITY4),
-        replace(depth, T_body_sensor=tuple(float(value) for value in T_camera_depth.reshape(-1))),
-    )
-    return dataset_to_yaml(replace(dataset, sensors=sensors, reference_map=None, relations=None))
-
-
-def _matrix(sensor: Sensor) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    return np.array(sensor.T_body_sensor).reshape(4, 4)
+    described = tuple(replace(sensor, T_body_sensor=IDENTITY4) for sensor in sensors)
+    truth = dataset.groundtruth
+    if truth is not None:
+        truth = None if truth.positions_only else replace(truth, file=GROUND_TRUTH_FILE, kitti_poses=None)
+    made = replace(dataset, bag="", sensors=described, groundtruth=truth, reference_map=None, relations=None)
+    return dataset_to_yaml(made)
 
 
 def _seconds(stamp_ns: int) -> str:

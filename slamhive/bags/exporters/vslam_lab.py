@@ -15,6 +15,7 @@ from slamhive.bags.exporters.frames import (
     image_bytes,
     left_out,
     message_counts,
+    share_pixels,
 )
 from slamhive.bags.exporters.plan import ExportPlan
 from slamhive.bags.exporters.truth import read_truth, truth_left_out
@@ -39,7 +40,6 @@ _NOISE_KEYS = {
     "sigma_gw_c": "gyroscope_random_walk",
     "sigma_aw_c": "accelerometer_random_walk",
 }
-_GEOMETRY_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
 _MOST_CAMERAS = 2
 _SAMPLE_BYTES = 160
 
@@ -88,14 +88,8 @@ def _choose(dataset: Dataset, counts: dict[str, int]) -> _Chosen:
     frames = counts[cameras[0].name]
     paired = tuple(camera for camera in cameras if counts[camera.name] == frames)[:_MOST_CAMERAS]
     depths = (sensor for sensor in dataset.of_kind(SensorKind.DEPTH) if counts[sensor.name] == frames)
-    depth = next((sensor for sensor in depths if _same_pixels(sensor, cameras[0])), None)
+    depth = next((sensor for sensor in depths if share_pixels(sensor, cameras[0])), None)
     return _Chosen(paired, depth, next(iter(dataset.of_kind(SensorKind.IMU)), None))
-
-
-def _same_pixels(depth: Sensor, camera: Sensor) -> bool:
-    """Whether the images of both have the same geometry: the format has one calibration for them."""
-    values = [[sensor.calibration[key] for key in _GEOMETRY_KEYS] for sensor in (depth, camera)]
-    return values[0] == values[1] and depth.T_body_sensor == camera.T_body_sensor
 
 
 def _write(dataset: Dataset, chosen: _Chosen, folder: Path, progress: Progress) -> None:
