@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from slamhive.bags.exporters.frames import (
+    ELSEWHERE,
     ImageSink,
     ImuSink,
     Sink,
@@ -131,7 +132,5 @@ def _sensor_lines(kind: str, comment: str, T_body_sensor: Matrix4) -> list[str]:
 def _distortion_model(camera: Sensor) -> str:
     model = CameraIntrinsics.of(camera).model
     if model not in _DISTORTION_MODELS:
-        raise InvalidInput(
-            f"{camera.name} has the camera model {model}, which euroc has no name for", "export to ros1, ros2 or mcap"
-        )
+        raise InvalidInput(f"{camera.name} has the camera model {model}, which euroc has no name for", ELSEWHERE)
     return _DISTORTION_MODELS[model]

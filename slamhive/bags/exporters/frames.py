@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import cv2
 import numpy as np
+from rosbags.highlevel import AnyReader
 
 from slamhive.bags.in_order import Pending, Ready, in_order, one_thread_in_opencv
 from slamhive.bags.reader import decode, inspect_bag, messages, open_bag
@@ -17,22 +18,11 @@ from slamhive.bags.staging import Progress
 from slamhive.bags.variants.payloads import CODECS, COMPRESSED_IMAGE, IMAGE, IMU, POINTS
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.domain.sensors import Sensor
 from slamhive.errors import InvalidInput
 
-__all__ = [
-    "IMAGE_KINDS",
-    "ImageSink",
-    "ImuSink",
-    "Sink",
-    "Work",
-    "export_frames",
-    "image_bytes",
-    "left_out",
-    "message_counts",
-]
-
-IMAGE_KINDS = (SensorKind.CAMERA, SensorKind.DEPTH)
+ELSEWHERE = "export to ros1, ros2 or mcap"
+"""The remedy where another format cannot hold something."""
 _FROM_RGB = {"rgb8": cv2.COLOR_RGB2BGR, "rgb16": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGRA}
 _FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 _TYPES = {IMAGE, COMPRESSED_IMAGE, IMU, POINTS}
@@ -53,7 +43,7 @@ class Sink(Protocol):
 
 @dataclass(eq=False)
 class ImageSink:
-    """Images as PNG files, pixel for pixel; ``entries`` are their timestamps (ns) and file names, in order.
+    """Images as PNG files, pixel for pixel.
 
     ``name`` makes the file name from the timestamp and the number of the image, from 0.
     """
@@ -63,14 +53,19 @@ class ImageSink:
     name: Callable[[int, int], str]
 
     def __post_init__(self) -> None:
-        self.entries: list[tuple[int, str]] = []
+        self._entries: list[tuple[int, str]] = []
         self.folder.mkdir(parents=True)
 
     def take(self, timestamp_ns: int, message: Any) -> Work:
         """Write an image, in a thread."""
-        file = self.name(timestamp_ns, len(self.entries))
-        self.entries.append((timestamp_ns, file))
+        file = self.name(timestamp_ns, len(self._entries))
+        self._entries.append((timestamp_ns, file))
         return partial(_write_png, self.folder / file, message, self.sensor.topic)
+
+    @property
+    def entries(self) -> list[tuple[int, str]]:
+        """Timestamps (ns) and file names, by timestamp: messages need not arrive in that order."""
+        return sorted(self._entries)
 
 
 @dataclass(eq=False)
@@ -114,22 +109,23 @@ def export_frames(dataset: Dataset, sinks: Mapping[str, Sink], progress: Progres
     """Give all messages of the sensors in ``sinks`` to them, in order of time; raises InvalidInput."""
     topics = {dataset.sensor(name).topic: sink for name, sink in sinks.items()}
     with open_bag(dataset.bag_path) as reader, one_thread_in_opencv():
-        total = sum(entry.msgcount for entry in reader.connections if entry.topic in topics)
-
-        def tasks() -> Iterator[Ready[None] | Pending[None]]:
-            source = messages(reader, dataset.bag_path, list(topics))
-            for number, (connection, _, raw) in enumerate(source, start=1):
-                if connection.msgtype not in _TYPES:
-                    raise InvalidInput(f"{connection.topic} carries {connection.msgtype}, which cannot be exported")
-                message = decode(reader, dataset.bag_path, connection, raw)
-                stamp = message.header.stamp
-                work = topics[connection.topic].take(stamp.sec * 1_000_000_000 + stamp.nanosec, message)
-                if work is not None:
-                    yield Pending(work, len(raw))
-                progress(number / total, f"writing message {number} of {total}")
-
-        for _ in in_order(tasks()):
+        for _ in in_order(_tasks(dataset.bag_path, reader, topics, progress)):
             pass
+
+
+def _tasks(
+    path: Path, reader: AnyReader, topics: Mapping[str, Sink], progress: Progress
+) -> Iterator[Ready[None] | Pending[None]]:
+    total = sum(entry.msgcount for entry in reader.connections if entry.topic in topics)
+    for number, (connection, _, raw) in enumerate(messages(reader, path, list(topics)), start=1):
+        if connection.msgtype not in _TYPES:
+            raise InvalidInput(f"{connection.topic} carries {connection.msgtype}, which cannot be exported", ELSEWHERE)
+        message = decode(reader, path, connection, raw)
+        stamp = message.header.stamp
+        work = topics[connection.topic].take(stamp.sec * 1_000_000_000 + stamp.nanosec, message)
+        if work is not None:
+            yield Pending(work, len(raw))
+        progress(number / total, f"writing message {number} of {total}")
 
 
 def left_out(dataset: Dataset, kept: Iterable[Sensor]) -> tuple[str, ...]:
@@ -160,14 +156,10 @@ def _write_png(path: Path, message: Any, topic: str) -> None:
     if code is not None:
         pixels = cv2.cvtColor(pixels, code)
     if pixels.dtype not in (np.uint8, np.uint16):
-        raise InvalidInput(
-            f"{topic}: images of {pixels.dtype} cannot be written as PNG", "export to ros1, ros2 or mcap"
-        )
+        raise InvalidInput(f"{topic}: images of {pixels.dtype} cannot be written as PNG", ELSEWHERE)
     _, data = cv2.imencode(".png", pixels, _FAST_PNG)
     try:
         with path.open("xb") as stream:
             stream.write(data.tobytes())
     except FileExistsError:
-        raise InvalidInput(
-            f"{topic}: two images have the timestamp of {path.name}", "export to ros1, ros2 or mcap"
-        ) from None
+        raise InvalidInput(f"{topic}: two images have the timestamp of {path.name}", ELSEWHERE) from None

@@ -14,7 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from slamhive.bags.exporters.frames import ImageSink, Sink, Work, export_frames, image_bytes, left_out, message_counts
+from slamhive.bags.exporters.frames import (
+    ELSEWHERE,
+    ImageSink,
+    Sink,
+    Work,
+    export_frames,
+    image_bytes,
+    left_out,
+    message_counts,
+)
 from slamhive.bags.exporters.plan import ExportPlan
 from slamhive.bags.exporters.truth import Truth, read_truth, truth_left_out
 from slamhive.bags.frame_files import POINT_TYPE
@@ -35,7 +44,6 @@ _SAME_TIME_NS = 1_000
 """Poses belong to a frame if their times agree within a microsecond: nothing is interpolated."""
 _SCAN_BYTES = 2_500_000
 _AXES = ("x", "y", "z")
-_ELSEWHERE = "export to ros1, ros2 or mcap"
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +117,11 @@ def _numbers(camera: Sensor) -> tuple[int, ...]:
 def _check_rectified(camera: Sensor, first: Sensor) -> None:
     seen = CameraIntrinsics.of(camera)
     if not seen.rectified or any(seen.distortion):
-        raise InvalidInput(f"the images of {camera.name} are not rectified, and those of kitti are", _ELSEWHERE)
+        raise InvalidInput(f"the images of {camera.name} are not rectified, and those of kitti are", ELSEWHERE)
     turn = _between(first.T_body_sensor, camera)[:3, :3]
     if np.abs(turn - np.eye(3)).max() > _PARALLEL_TOLERANCE:
         raise InvalidInput(
-            f"{camera.name} looks in another direction than {first.name}; those of kitti do not", _ELSEWHERE
+            f"{camera.name} looks in another direction than {first.name}; those of kitti do not", ELSEWHERE
         )
 
 
@@ -167,7 +175,7 @@ def _write_scan(path: Path, message: Any, topic: str) -> None:
     names = points.dtype.names or ()
     missing = [name for name in (*_AXES, "intensity") if name not in names]
     if missing:
-        raise InvalidInput(f"{topic}: its points have no {', '.join(missing)}, which kitti needs", _ELSEWHERE)
+        raise InvalidInput(f"{topic}: its points have no {', '.join(missing)}, which kitti needs", ELSEWHERE)
     scan = np.empty(len(points), POINT_TYPE)
     for name in (*_AXES, "intensity"):
         scan[name] = points[name]

@@ -8,7 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from slamhive.bags.exporters.frames import ImageSink, export_frames, image_bytes, left_out, message_counts, share_pixels
+from slamhive.bags.exporters.frames import (
+    ELSEWHERE,
+    ImageSink,
+    export_frames,
+    image_bytes,
+    left_out,
+    message_counts,
+    share_pixels,
+)
 from slamhive.bags.exporters.plan import ExportPlan
 from slamhive.bags.exporters.truth import read_truth, truth_left_out
 from slamhive.bags.staging import GROUND_TRUTH_FILE, Progress
@@ -57,14 +65,14 @@ def _pair(dataset: Dataset) -> tuple[Sensor, Sensor]:
     if encoding not in _INTEGER_ENCODINGS:
         raise InvalidInput(
             f"{depth.name} has pixels of {encoding}, and tum-rgbd holds integers of 16 bits",
-            "export to ros1, ros2 or mcap",
+            ELSEWHERE,
         )
     partner = depth.calibration.get("registered_to")
     camera = next((sensor for sensor in cameras if sensor.name == partner), cameras[0])
     if not share_pixels(depth, camera):
         raise InvalidInput(
             f"{depth.name} does not see what {camera.name} sees pixel by pixel, as tum-rgbd requires",
-            "export to ros1, ros2 or mcap",
+            ELSEWHERE,
         )
     return camera, depth
 

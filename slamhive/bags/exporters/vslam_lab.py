@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from slamhive.bags.exporters.frames import (
+    ELSEWHERE,
     ImageSink,
     ImuSink,
     Sink,
@@ -160,6 +161,6 @@ def _distortion_type(camera: Sensor) -> str:
     if model not in _DISTORTION_TYPES:
         raise InvalidInput(
             f"{camera.name} has the camera model {model}, which vslam-lab has no name for",
-            "export to ros1, ros2 or mcap",
+            ELSEWHERE,
         )
     return _DISTORTION_TYPES[model]
