@@ -34,6 +34,7 @@ class Pair:
     """An exporter, the importer of its format, and what the format keeps of the room: new names by old ones.
 
     ``body`` is the sensor that becomes the body; None if it stays. ``from_start`` says that times start at 0 s.
+    ``options`` and ``source`` are what users give to the importer, and what of the folder they import.
     """
 
     exporter: str
@@ -42,10 +43,23 @@ class Pair:
     body: str | None = None
     from_start: bool = False
     options: Callable[[Path], ImportOptions] = lambda _folder: ImportOptions()
+    source: str = ""
 
 
+def described(folder: Path) -> ImportOptions:
+    """What lies beside a recording."""
+    return ImportOptions(calibration=(folder / "dataset.yaml",), groundtruth=folder / "groundtruth.txt")
+
+
+def calibrated(folder: Path) -> ImportOptions:
+    """The calibration, for which TUM RGB-D has no file."""
+    return ImportOptions(calibration=(folder / "dataset.yaml",), depth_units_per_m=1000.0)
+
+
+SENSORS = {name: name for name in ("cam0", "cam1", "depth0", "imu0", "lidar0")}
 PAIRS = [
     Pair("euroc", "euroc", {"cam0": "cam0", "cam1": "cam1", "imu0": "imu0"}),
+    Pair("tum-rgbd", "tum-rgbd", {"cam0": "cam0", "depth0": "depth0"}, body="cam0", options=calibrated),
     Pair("kitti", "kitti-odometry", {"cam0": "cam0", "cam1": "cam1"}, body="cam0", from_start=True),
 ]
 
@@ -63,8 +77,9 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 def export_import(dataset: Dataset, pair: Pair, folder: Path) -> Dataset:
     target = folder / "exported" / dataset.name
     export_dataset(plan_export(dataset, pair.exporter, partial=True), target, silent)
-    assert detect_format(target) == pair.importer
-    return perform(IMPORTERS.get(pair.importer).plan(target, pair.options(target)), folder / dataset.name, silent)
+    source = target / pair.source
+    assert detect_format(source) == pair.importer
+    return perform(IMPORTERS.get(pair.importer).plan(source, pair.options(target)), folder / dataset.name, silent)
 
 
 def start_ns(dataset: Dataset, sensor: str) -> int:

@@ -20,8 +20,10 @@ from slamhive.bags.staging import checksum
 from slamhive.bags.variants.steps import STEPS
 from slamhive.catalogue.dataset_file import load_dataset
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.domain.variant import VariantStep
 from slamhive.errors import InvalidInput
+from slamhive.project import project_root
 from tests.bags.storages import (
     FRAMES,
     SENSORS,
@@ -220,3 +222,26 @@ def test_a_timestamp_out_of_range_is_refused(tmp_path):
     source = Dataset("d", tmp_path, "d", 1.0, sensors, None, checksum(humble))
     with pytest.raises(InvalidInput, match="this recording knows times from 0 s to 2147483648 s"):
         build(source, tmp_path / "v", VariantStep("time_offset", ("imu0",), {"offset_s": 5.0}))
+
+
+@pytest.mark.shared_data
+def test_a_recording_that_ros2_made_is_thinned_and_the_rest_is_copied(tmp_path):
+    recorded = project_root().parent / "shared" / "data" / "evo_trajectories" / "nav2_turtlebot.mcap"
+    if not recorded.is_file():
+        pytest.skip(f"{recorded} is not here (shared/data)")
+    shutil.copyfile(recorded, tmp_path / "d.mcap")
+    sensors = (Sensor("odometry", SensorKind.IMU, "/odom", 20.0),)
+    source = Dataset("d", tmp_path, "d.mcap", 97.0, sensors, None, checksum(recorded))
+    made = build(source, tmp_path / "v", VariantStep("rate", ("odometry",), {"every": 2}))
+    before, after = raw_of(recorded), raw_of(made.bag_path)
+    assert after["/odom"] == before["/odom"][::2]
+    assert after == {**before, "/odom": after["/odom"]}
+    assert len(before["/tf"]) == 5422
+
+
+def raw_of(path: Path) -> dict[str, list[tuple[int, bytes]]]:
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    with AnyReader([path]) as reader:
+        for entry, time_ns, data in reader.messages():
+            found.setdefault(entry.topic, []).append((time_ns, data))
+    return found
