@@ -97,14 +97,17 @@ class _DatasetModel(BaseModel):
         return value
 
 
+def load_sensors(path: Path) -> tuple[Sensor, ...]:
+    """The sensors of the ``dataset.yaml`` at ``path``, wherever it lies; raises as :func:`load_dataset`."""
+    model = _read(path)
+    _check_sensors(path, model.sensors)
+    return tuple(_sensor(sensor) for sensor in model.sensors)
+
+
 def load_dataset(folder: Path) -> Dataset:
     """Read ``folder/dataset.yaml``; raises InvalidInput naming the file and the place."""
     path = folder / DATASET_FILE
-    content = strict_yaml.load(path)
-    try:
-        model = _DatasetModel.model_validate(content)
-    except ValidationError as error:
-        raise InvalidInput(f"{path}: {first_problem(error, _DatasetModel)}") from None
+    model = _read(path)
     check_name_in(path, "dataset", model.name)
     files = {
         "ground truth": None if model.groundtruth is None else model.groundtruth.file,
@@ -135,6 +138,14 @@ def load_dataset(folder: Path) -> Dataset:
         reference_map=model.reference_map,
         relations=model.relations,
     )
+
+
+def _read(path: Path) -> _DatasetModel:
+    content = strict_yaml.load(path)
+    try:
+        return _DatasetModel.model_validate(content)
+    except ValidationError as error:
+        raise InvalidInput(f"{path}: {first_problem(error, _DatasetModel)}") from None
 
 
 def dataset_to_yaml(dataset: Dataset) -> str:

@@ -35,6 +35,7 @@ _IMAGE_LAYOUTS: dict[str, tuple[str, int]] = {
     "bgra8": ("u1", 4),
 }
 """Scalar type and channels of each encoding of ``sensor_msgs/image_encodings.hpp`` that is read."""
+IMAGE_ENCODINGS = frozenset(_IMAGE_LAYOUTS)
 
 _POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """``PointField.datatype`` to numpy."""

@@ -37,11 +37,12 @@ from slamhive.services.executors import Executors
 from slamhive.services.experiments.folder import ExperimentFolder
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.imports.request import ImportRequest, TrajectoryFormat
+from slamhive.services.imports.request import ImportRequest
 from slamhive.services.reindex import reindex
 from slamhive.services.runs.series import run_series
 from slamhive.settings import describe, load_settings
 from slamhive.trajectory.kitti import read_kitti
+from slamhive.trajectory.pose_file import TrajectoryFormat
 from slamhive.trajectory.tum import read_tum
 from tests.analysis.test_paper_file import NAMES, PAPER
 from tests.fuzzing import NASTY_TEXTS, mutated

@@ -1,1 +1,1 @@
-"""The importers of folder formats: one module a format, registered in :mod:`slamhive.bags.importers`."""
+"""Importers: one module a format, registered in :mod:`slamhive.bags.importers`, and what those of ROS share."""

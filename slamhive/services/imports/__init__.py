@@ -11,10 +11,10 @@ from slamhive.services.imports.request import (
     ImportReport,
     ImportRequest,
     Reading,
-    TrajectoryFormat,
 )
 from slamhive.services.imports.service import Imports
 from slamhive.services.imports.sources import parse_setup
+from slamhive.trajectory.pose_file import TrajectoryFormat
 
 __all__ = [
     "DEFAULT_GROUND_TRUTH",

@@ -2,41 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 from slamhive.domain.protocol import Duplicates
-from slamhive.errors import InvalidInput
-from slamhive.services.imports.request import Reading, TrajectoryFormat
+from slamhive.services.imports.request import Reading
 from slamhive.trajectory.agreement import orientation_spread_deg, reordered, thinned_pair
-from slamhive.trajectory.evidence import Finding, Span, find_order, find_unit, span_of
-from slamhive.trajectory.layout import Convention, QuaternionOrder, RawPoses, TimeUnit
+from slamhive.trajectory.evidence import Finding, Span, span_of
+from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat, decided
 
 _Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
 
-_TOLD = "as specified"
-_HEADER = "by its header"
 _PARTNERS = 5
 """At most this many estimates are compared with a ground truth to detect its conventions."""
-
-
-@dataclass(frozen=True, slots=True)
-class PoseFile:
-    """A file of poses that was read, with its conventions not yet known.
-
-    Attributes:
-        data: Its bytes.
-        format: The layout of its rows: TUM for eight columns or four, EUROC for more, KITTI for matrices.
-        raw: Its numbers.
-        named: The user has specified the format.
-    """
-
-    data: bytes
-    format: TrajectoryFormat
-    raw: RawPoses
-    named: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,11 +43,11 @@ class Partner:
 
 def settle(file: PoseFile, name: str, told: Convention, truth: Truth | None) -> Reading:
     """Determine the conventions of an estimate; raises InvalidInput with the evidence if in doubt."""
-    unit = _unit(file, told, None if truth is None else truth.span)
+    unit = file.unit(told, None if truth is None else truth.span)
     time_unit = _decided(unit, "time unit", "--time-unit", TimeUnit)
-    if not _has_order(file):
+    if not file.has_order:
         return _reading(file, name, time_unit, unit.because, None)
-    order = _order(file, told, time_unit, {} if truth is None else _spreads_deg(file, time_unit, truth))
+    order = file.order(told, time_unit, {} if truth is None else _spreads_deg(file, time_unit, truth))
     _decided(order, "quaternion order", "--quaternion-order", QuaternionOrder)
     return _reading(file, name, time_unit, unit.because, order)
 
@@ -77,12 +58,12 @@ def settle_truth(file: PoseFile, name: str, told: Convention, partners: Sequence
     Raises as :func:`settle`.
     """
     asked = partners[:_PARTNERS]
-    unit = _unit(file, told, None)
+    unit = file.unit(told, None)
     spans = (_own_span(partner) for partner in asked if unit.value is None)
-    found = (_unit(file, told, span) for span in spans if span is not None)
+    found = (file.unit(told, span) for span in spans if span is not None)
     unit = next((entry for entry in found if entry.value is not None), unit)
     time_unit = _decided(unit, "time unit", "--groundtruth-time-unit", TimeUnit)
-    if not _has_order(file):
+    if not file.has_order:
         return _reading(file, name, time_unit, unit.because, None)
     order = _truth_order(file, told, time_unit, asked)
     _decided(order, "quaternion order", "--groundtruth-quaternion-order", QuaternionOrder)
@@ -93,59 +74,19 @@ def _truth_order(
     file: PoseFile, told: Convention, unit: TimeUnit, partners: Sequence[Partner]
 ) -> Finding[QuaternionOrder]:
     """The quaternion order of a ground truth; estimates may contradict its header or replace a missing one."""
-    by_itself = _order(file, told, unit, {})
+    by_itself = file.order(told, unit, {})
     if told.quaternion_order is not None:
         return by_itself
     spreads_deg = (_partner_spreads_deg(file, unit, partner) for partner in partners)
-    found = (_order(file, told, unit, entry) for entry in spreads_deg if entry)
+    found = (file.order(told, unit, entry) for entry in spreads_deg if entry)
     if by_itself.value is not None:
         return next(found, by_itself)
     return next((entry for entry in found if entry.value is not None), by_itself)
 
 
-def _unit(file: PoseFile, told: Convention, truth: Span | None) -> Finding[TimeUnit]:
-    if told.time_unit is not None:
-        return Finding(told.time_unit, _TOLD)
-    stated = None
-    if file.named and file.format in _UNITS:
-        stated = Finding(_UNITS[file.format], f"by --format {file.format}")
-    elif file.raw.stated.time_unit is not None:
-        stated = Finding(file.raw.stated.time_unit, _HEADER)
-    return find_unit(file.raw.times, stated, truth)
-
-
-def _order(
-    file: PoseFile, told: Convention, unit: TimeUnit, spreads_deg: Mapping[QuaternionOrder, float]
-) -> Finding[QuaternionOrder]:
-    if told.quaternion_order is not None:
-        return Finding(told.quaternion_order, _TOLD)
-    return find_order(file.raw.quats, _stated_order(file, unit), spreads_deg)
-
-
-def _stated_order(file: PoseFile, unit: TimeUnit) -> Finding[QuaternionOrder] | None:
-    """The quaternion order as specified by the user, the header, or a format that has only one."""
-    if file.named:
-        return Finding(_ORDERS[file.format], f"by --format {file.format}")
-    if file.raw.stated.quaternion_order is not None:
-        return Finding(file.raw.stated.quaternion_order, _HEADER)
-    if file.format is TrajectoryFormat.EUROC:
-        return Finding(QuaternionOrder.WXYZ, "as in EuRoC's own files")
-    # Eight columns with seconds are a TUM file; with another unit they could be anything.
-    return Finding(QuaternionOrder.XYZW, "as in TUM files") if unit is TimeUnit.S else None
-
-
-_UNITS = {TrajectoryFormat.TUM: TimeUnit.S, TrajectoryFormat.EUROC: TimeUnit.NS}
-_ORDERS = {TrajectoryFormat.TUM: QuaternionOrder.XYZW, TrajectoryFormat.EUROC: QuaternionOrder.WXYZ}
-
-
-def _has_order(file: PoseFile) -> bool:
-    """Whether the file has quaternions: files of positions or matrices have none."""
-    return file.raw.orientations and file.format is not TrajectoryFormat.KITTI
-
-
 def _own_span(partner: Partner) -> Span | None:
     """First and last timestamp of an estimate, if its time unit is clear without a ground truth."""
-    unit = _unit(partner.file, partner.told, None).value
+    unit = partner.file.unit(partner.told, None).value
     return None if unit is None else span_of(partner.file.raw.times, unit)
 
 
@@ -166,15 +107,15 @@ def _partner_spreads_deg(file: PoseFile, unit: TimeUnit, partner: Partner) -> di
 
     An order that the ground truth states is contradicted only by an estimate whose order is certain.
     """
-    stated = _stated_order(file, unit) is not None
+    stated = file.stated_order(unit) is not None
     best: dict[QuaternionOrder, float] = {}
     for order in QuaternionOrder:
         truth = Truth(file.raw.trajectory(unit, order, Duplicates.KEEP), rotations_known=True)
-        own_unit = _unit(partner.file, partner.told, truth.span).value
-        if own_unit is None or not _has_order(partner.file):
+        own_unit = partner.file.unit(partner.told, truth.span).value
+        if own_unit is None or not partner.file.has_order:
             return {}
         spreads = _spreads_deg(partner.file, own_unit, truth)
-        told = partner.told.quaternion_order if stated else _order(partner.file, partner.told, own_unit, {}).value
+        told = partner.told.quaternion_order if stated else partner.file.order(partner.told, own_unit, {}).value
         likely = [spread for own, spread in spreads.items() if told in (None, own)]
         if likely:
             best[order] = min(likely)
@@ -182,11 +123,7 @@ def _partner_spreads_deg(file: PoseFile, unit: TimeUnit, partner: Partner) -> di
 
 
 def _decided(finding: Finding[_Choice], what: str, option: str, choices: type[_Choice]) -> _Choice:
-    if finding.value is None:
-        raise InvalidInput(
-            f"the {what} is in doubt: {finding.because}", f"say which it is with {option} ({', '.join(choices)})"
-        )
-    return finding.value
+    return decided(finding, f"the {what}", f"say which it is with {option} ({', '.join(choices)})")
 
 
 def _reading(

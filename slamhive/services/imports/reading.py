@@ -9,19 +9,15 @@ from pathlib import Path
 
 from slamhive.domain.protocol import Duplicates
 from slamhive.errors import InvalidInput
-from slamhive.services.imports.conventions import Partner, PoseFile, Truth, settle, settle_truth
-from slamhive.services.imports.request import Candidate, Reading, TrajectoryFormat
-from slamhive.trajectory.kitti import read_kitti_rows
-from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit, parse_position_rows, parse_rows
+from slamhive.services.imports.conventions import Partner, Truth, settle, settle_truth
+from slamhive.services.imports.request import Candidate, Reading
+from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.table import count_columns, read_bounded
+from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat, read_pose_file
 from slamhive.trajectory.tum import format_tum
 
 _HALF = 16
 _FEWEST_POSES = 2
-_POSITION_COLUMNS, _TUM_COLUMNS, _KITTI_COLUMNS, _EUROC_COLUMNS = 4, 8, 12, 17
-_FIRST_NANOSECONDS = 1e11
-"""100 s; as seconds it would be three thousand years. Such rows may go on behind the pose, as those of EuRoC do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +73,7 @@ def trial_digits(candidate: Candidate) -> str:
 
 def read_candidate(candidate: Candidate) -> PoseFile:
     """Read the numbers of a candidate; raises NotFound or InvalidInput naming file, line and value."""
-    found = _read(candidate.path, candidate.format, candidate.times)
+    found = read_pose_file(candidate.path, candidate.format, candidate.times)
     _check_length(found, "trajectory")
     return found
 
@@ -108,7 +104,7 @@ def load_truth(
 
     ``partners`` may tell its unit and order where it does not by itself. ``name`` is what its reading is called.
     """
-    file = _read(path, TrajectoryFormat.AUTO, times, positions=True)
+    file = read_pose_file(path, TrajectoryFormat.AUTO, times, positions=True)
     _check_length(file, "ground truth")
     reading = settle_truth(file, name, told, partners)
     trajectory = _trajectory(file, reading, duplicates)
@@ -119,51 +115,11 @@ def load_truth(
 def read_truth_here(path: Path, *, positions_only: bool) -> Truth | None:
     """The ground truth of a dataset that is here; None if it cannot be read, which an evaluation will tell."""
     try:
-        file = _read(path, TrajectoryFormat.TUM, None, positions=True)
+        file = read_pose_file(path, TrajectoryFormat.TUM, None, positions=True)
         trajectory = file.raw.trajectory(TimeUnit.S, QuaternionOrder.XYZW, Duplicates.KEEP)
     except InvalidInput:
         return None
     return Truth(trajectory, file.raw.orientations and not positions_only)
-
-
-def _read(path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions: bool = False) -> PoseFile:
-    file = _rows(path, wanted, times, positions=positions)
-    # Damage is reported before any doubt about units.
-    file.raw.trajectory(TimeUnit.S, QuaternionOrder.XYZW, Duplicates.KEEP)
-    return file
-
-
-def _rows(path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions: bool) -> PoseFile:
-    data = read_bounded(path)
-    columns = count_columns(data)
-    if positions and columns == _POSITION_COLUMNS:
-        return PoseFile(data, TrajectoryFormat.TUM, parse_position_rows(data, str(path)))
-    found = wanted if wanted is not TrajectoryFormat.AUTO else _detect(data, columns)
-    if found is TrajectoryFormat.KITTI:
-        if times is None:
-            raise InvalidInput(
-                f"{path} holds KITTI poses, which have no timestamps", "give the file of the timestamps (--times)"
-            )
-        return PoseFile(data, found, read_kitti_rows(path, times))
-    raw = parse_rows(data, str(path), more_columns=found is TrajectoryFormat.EUROC)
-    return PoseFile(data, found, raw, named=wanted is found)
-
-
-def _detect(data: bytes, columns: int) -> TrajectoryFormat:
-    """The layout of the rows, without their conventions."""
-    if columns == _KITTI_COLUMNS:
-        return TrajectoryFormat.KITTI
-    if columns == _EUROC_COLUMNS or (columns > _TUM_COLUMNS and _first_number(data) >= _FIRST_NANOSECONDS):
-        return TrajectoryFormat.EUROC
-    return TrajectoryFormat.TUM
-
-
-def _first_number(data: bytes) -> float:
-    row = next(line for line in data.splitlines() if line.strip() and not line.lstrip().startswith(b"#"))
-    try:
-        return float(row.replace(b",", b" ").split()[0])
-    except ValueError:
-        return 0.0
 
 
 def _check_length(file: PoseFile, kind: str) -> None:

@@ -4,26 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 
 from slamhive.domain.protocol import Duplicates
 from slamhive.domain.sensors import SensorSetup
 from slamhive.trajectory.layout import UNKNOWN, Convention, QuaternionOrder, TimeUnit
+from slamhive.trajectory.pose_file import TrajectoryFormat
 
 DEFAULT_PATTERN = "<algorithm>/<dataset>/<trial>.txt"
 DEFAULT_GROUND_TRUTH = "<dataset>/groundtruth.txt"
 DEFAULT_TIMES = "<dataset>/times.txt"
 DEFAULT_RELATIONS = "<dataset>/relations.txt"
-
-
-class TrajectoryFormat(StrEnum):
-    """The format of a trajectory; ``auto`` detects it from the number of columns."""
-
-    AUTO = "auto"
-    TUM = "tum"
-    KITTI = "kitti"
-    EUROC = "euroc"
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.schema.imports import Origin
 from slamhive.services.datasets import Catalogue, check_writable, choose_algorithm
 from slamhive.services.evaluations import fitting_protocol
-from slamhive.services.imports.conventions import Partner, PoseFile
+from slamhive.services.imports.conventions import Partner
 from slamhive.services.imports.exclusive import ASIDE, one_import
 from slamhive.services.imports.reading import Loaded, load, read_candidate, trial_digits
 from slamhive.services.imports.request import Candidate, Found, ImportReport, ImportRequest, Problem
@@ -35,6 +35,7 @@ from slamhive.store import Store, Transaction
 from slamhive.store.imports import ImportedRun
 from slamhive.store.records import RunRecord
 from slamhive.trajectory.layout import UNKNOWN
+from slamhive.trajectory.pose_file import PoseFile
 
 BATCH = 50
 

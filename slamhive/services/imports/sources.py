@@ -14,8 +14,9 @@ from slamhive.domain.names import check_name
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import InvalidInput, SlamHiveError, nearest
 from slamhive.services.imports.pattern import FIELDS, PathPattern
-from slamhive.services.imports.request import Candidate, Found, ImportRequest, Problem, TrajectoryFormat
+from slamhive.services.imports.request import Candidate, Found, ImportRequest, Problem
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
+from slamhive.trajectory.pose_file import TrajectoryFormat
 from slamhive.trajectory.table import read_bounded
 
 _NEEDED = ("algorithm", "dataset", "file")

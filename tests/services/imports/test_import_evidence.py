@@ -8,10 +8,10 @@ import pytest
 
 from slamhive.errors import InvalidInput
 from slamhive.project import project_root
-from slamhive.services.imports.conventions import Partner, PoseFile, Truth, settle, settle_truth
-from slamhive.services.imports.request import TrajectoryFormat
+from slamhive.services.imports.conventions import Partner, Truth, settle, settle_truth
 from slamhive.trajectory.layout import UNKNOWN, QuaternionOrder, RawPoses, TimeUnit
 from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat
 from slamhive.trajectory.table import NumberTable
 from slamhive.trajectory.tum import read_tum
 

@@ -6,8 +6,9 @@ import pytest
 
 from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import InvalidInput
-from slamhive.services.imports.request import ImportRequest, TrajectoryFormat
+from slamhive.services.imports.request import ImportRequest
 from slamhive.services.imports.sources import find
+from slamhive.trajectory.pose_file import TrajectoryFormat
 from tests.services.imports.world import make_source, trajectory, write
 
 

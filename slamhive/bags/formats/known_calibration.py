@@ -1,0 +1,38 @@
+"""What is known of the sensors of a recording before their messages are read: from files and from topics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from slamhive.bags.geometry import Array
+from slamhive.domain.calibration import CameraIntrinsics, ImuNoise
+from slamhive.domain.sensors import CalibrationValue, SensorKind
+
+
+@dataclass(frozen=True, eq=False)
+class KnownSensor:
+    """One sensor of a calibration.
+
+    Attributes:
+        name: What the calibration calls it.
+        kind: What it measures.
+        topic: Where its messages are, empty if the calibration does not say.
+        intrinsics: Of a camera.
+        noise: Of an IMU.
+        more: Further keys of ``dataset.yaml``.
+    """
+
+    name: str
+    kind: SensorKind
+    topic: str
+    intrinsics: CameraIntrinsics | None = None
+    noise: ImuNoise | None = None
+    more: dict[str, CalibrationValue] = field(default_factory=dict)
+
+
+@dataclass(eq=False)
+class KnownCalibration:
+    """Sensors, and transforms ``(parent, child, T_parent_child)`` between them by name; ``body`` is the body frame."""
+
+    sensors: list[KnownSensor] = field(default_factory=list)
+    transforms: list[tuple[str, str, Array]] = field(default_factory=list)

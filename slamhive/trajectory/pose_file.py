@@ -1,0 +1,178 @@
+"""Files of poses in any of the common formats: the layout of rows, unit of times and order of quaternions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TypeVar
+
+from slamhive.domain.protocol import Duplicates
+from slamhive.errors import InvalidInput
+from slamhive.trajectory.evidence import Finding, Span, find_order, find_unit
+from slamhive.trajectory.kitti import read_kitti_rows
+from slamhive.trajectory.layout import (
+    UNKNOWN,
+    Convention,
+    QuaternionOrder,
+    RawPoses,
+    TimeUnit,
+    parse_position_rows,
+    parse_rows,
+)
+from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.table import count_columns, read_bounded
+
+_POSITION_COLUMNS, _TUM_COLUMNS, _KITTI_COLUMNS, _EUROC_COLUMNS = 4, 8, 12, 17
+_FIRST_NANOSECONDS = 1e11
+"""100 s; as seconds it would be three thousand years. Such rows may go on behind the pose, as those of EuRoC do."""
+
+_TOLD = "as specified"
+_HEADER = "by its header"
+
+_Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
+
+
+class TrajectoryFormat(StrEnum):
+    """The format of a trajectory; ``auto`` detects it from the number of columns."""
+
+    AUTO = "auto"
+    TUM = "tum"
+    KITTI = "kitti"
+    EUROC = "euroc"
+
+
+_UNITS = {TrajectoryFormat.TUM: TimeUnit.S, TrajectoryFormat.EUROC: TimeUnit.NS}
+_ORDERS = {TrajectoryFormat.TUM: QuaternionOrder.XYZW, TrajectoryFormat.EUROC: QuaternionOrder.WXYZ}
+
+
+@dataclass(frozen=True, slots=True)
+class PoseFile:
+    """A file of poses that was read, with its conventions not yet known.
+
+    Attributes:
+        data: Its bytes.
+        format: The layout of its rows: TUM for eight columns or four, EUROC for more, KITTI for matrices.
+        raw: Its numbers.
+        named: The user has specified the format.
+    """
+
+    data: bytes
+    format: TrajectoryFormat
+    raw: RawPoses
+    named: bool = False
+
+    @property
+    def has_order(self) -> bool:
+        """Whether the file has quaternions: files of positions or matrices have none."""
+        return self.raw.orientations and self.format is not TrajectoryFormat.KITTI
+
+    def unit(self, told: Convention, other: Span | None) -> Finding[TimeUnit]:
+        """The unit of its times: as told, stated or found; ``other`` is the time that it should share, in s."""
+        if told.time_unit is not None:
+            return Finding(told.time_unit, _TOLD)
+        stated = None
+        if self.named and self.format in _UNITS:
+            stated = Finding(_UNITS[self.format], f"by --format {self.format}")
+        elif self.raw.stated.time_unit is not None:
+            stated = Finding(self.raw.stated.time_unit, _HEADER)
+        return find_unit(self.raw.times, stated, other)
+
+    def order(
+        self, told: Convention, unit: TimeUnit, spreads_deg: Mapping[QuaternionOrder, float]
+    ) -> Finding[QuaternionOrder]:
+        """The order of its quaternions: as told, stated or found; see :func:`.evidence.find_order`."""
+        if told.quaternion_order is not None:
+            return Finding(told.quaternion_order, _TOLD)
+        return find_order(self.raw.quats, self.stated_order(unit), spreads_deg)
+
+    def stated_order(self, unit: TimeUnit) -> Finding[QuaternionOrder] | None:
+        """The quaternion order as specified by the user, the header, or a format that has only one."""
+        if self.named:
+            return Finding(_ORDERS[self.format], f"by --format {self.format}")
+        if self.raw.stated.quaternion_order is not None:
+            return Finding(self.raw.stated.quaternion_order, _HEADER)
+        if self.format is TrajectoryFormat.EUROC:
+            return Finding(QuaternionOrder.WXYZ, "as in EuRoC's own files")
+        # Eight columns with seconds are a TUM file; with another unit they could be anything.
+        return Finding(QuaternionOrder.XYZW, "as in TUM files") if unit is TimeUnit.S else None
+
+
+def read_pose_file(path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions: bool = False) -> PoseFile:
+    """Read the numbers of a file of poses.
+
+    Args:
+        path: The file.
+        wanted: Its format; AUTO detects it.
+        times: The file of the timestamps, for KITTI poses.
+        positions: Four columns are a timestamp and a position.
+
+    Raises:
+        NotFound: There is no such file.
+        InvalidInput: It is damaged; names file, line and value.
+    """
+    file = _rows(path, wanted, times, positions=positions)
+    # Damage is reported before any doubt about units.
+    file.raw.trajectory(TimeUnit.S, QuaternionOrder.XYZW, Duplicates.KEEP)
+    return file
+
+
+def read_ground_truth(path: Path, recorded: Span) -> tuple[Trajectory, bool]:
+    """The ground truth of a recording, and whether its orientations are known; of equal timestamps, the first counts.
+
+    Args:
+        path: A file in TUM or EuRoC format, or of timestamps and positions.
+        recorded: When the recording begins and ends, in s: it shows the unit of the timestamps.
+
+    Raises:
+        NotFound: There is no such file.
+        InvalidInput: It is damaged, or its conventions are in doubt.
+    """
+    file = read_pose_file(path, TrajectoryFormat.AUTO, None, positions=True)
+    unit = decided(file.unit(UNKNOWN, recorded), f"{path}: the time unit", "write it in seconds, in TUM format")
+    order = QuaternionOrder.XYZW
+    if file.has_order:
+        found = file.order(UNKNOWN, unit, {})
+        order = decided(found, f"{path}: the quaternion order", "write it as x y z w with seconds, in TUM format")
+    return file.raw.trajectory(unit, order, Duplicates.FIRST), file.raw.orientations
+
+
+def decided(finding: Finding[_Choice], what: str, remedy: str) -> _Choice:
+    """The value of a finding; raises InvalidInput with its evidence if it is in doubt."""
+    if finding.value is None:
+        raise InvalidInput(f"{what} is in doubt: {finding.because}", remedy)
+    return finding.value
+
+
+def _rows(path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions: bool) -> PoseFile:
+    data = read_bounded(path)
+    columns = count_columns(data)
+    if positions and columns == _POSITION_COLUMNS:
+        return PoseFile(data, TrajectoryFormat.TUM, parse_position_rows(data, str(path)))
+    found = wanted if wanted is not TrajectoryFormat.AUTO else _detect(data, columns)
+    if found is TrajectoryFormat.KITTI:
+        if times is None:
+            raise InvalidInput(
+                f"{path} holds KITTI poses, which have no timestamps", "give the file of the timestamps (--times)"
+            )
+        return PoseFile(data, found, read_kitti_rows(path, times))
+    raw = parse_rows(data, str(path), more_columns=found is TrajectoryFormat.EUROC)
+    return PoseFile(data, found, raw, named=wanted is found)
+
+
+def _detect(data: bytes, columns: int) -> TrajectoryFormat:
+    """The layout of the rows, without their conventions."""
+    if columns == _KITTI_COLUMNS:
+        return TrajectoryFormat.KITTI
+    if columns == _EUROC_COLUMNS or (columns > _TUM_COLUMNS and _first_number(data) >= _FIRST_NANOSECONDS):
+        return TrajectoryFormat.EUROC
+    return TrajectoryFormat.TUM
+
+
+def _first_number(data: bytes) -> float:
+    row = next(line for line in data.splitlines() if line.strip() and not line.lstrip().startswith(b"#"))
+    try:
+        return float(row.replace(b",", b" ").split()[0])
+    except ValueError:
+        return 0.0
