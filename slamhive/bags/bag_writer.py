@@ -207,6 +207,17 @@ class BagWriter:
         )
         self._write(sensor.topic, NAV_SAT_FIX, stamp_ns, message)
 
+    def copy(self, connection: Connection, received_ns: int, raw: bytes, *, cdr: bool) -> None:
+        """A message of another recording as it stands there; ``cdr``: serialised by ROS 2, so it is converted."""
+        topic, kind = connection.topic, connection.msgtype
+        if topic not in self._connections:
+            self._connections[topic] = (
+                self._writer.add_connection(topic, kind, typestore=self._store)
+                if cdr
+                else self._writer.add_connection(topic, kind, msgdef=connection.msgdef.data, md5sum=connection.digest)
+            )
+        self._writer.write(self._connections[topic], received_ns, self._store.cdr_to_ros1(raw, kind) if cdr else raw)
+
     def _message(self, kind: str, **fields: Any) -> Any:
         return self._store.types[kind](**fields)
 

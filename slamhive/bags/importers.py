@@ -17,6 +17,9 @@ from slamhive.bags.formats.mulran import MulranImporter
 from slamhive.bags.formats.nclt import NcltImporter
 from slamhive.bags.formats.rawseeds import RawseedsImporter
 from slamhive.bags.formats.tum_rgbd import TumRgbdImporter
+from slamhive.bags.formats.mcap import McapImporter
+from slamhive.bags.formats.ros1 import Ros1Importer
+from slamhive.bags.formats.ros2 import Ros2Importer
 from slamhive.bags.importing import ImportOptions, ImportPlan
 from slamhive.bags.kitti_odometry import KittiOdometryImporter
 from slamhive.errors import InvalidInput
@@ -57,6 +60,9 @@ IMPORTERS.register("carmen", CarmenImporter())
 IMPORTERS.register("rawseeds", RawseedsImporter())
 IMPORTERS.register("nclt", NcltImporter())
 IMPORTERS.register("mulran", MulranImporter())
+IMPORTERS.register("ros1", Ros1Importer())
+IMPORTERS.register("ros2", Ros2Importer())
+IMPORTERS.register("mcap", McapImporter())
 
 
 def plan_import(source: Path, options: ImportOptions, format_name: str | None = None) -> tuple[str, ImportPlan]:

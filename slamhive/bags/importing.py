@@ -27,6 +27,8 @@ _LOG = logging.getLogger(__name__)
 HIGHEST_RATE_HZ = 100_000
 _RECORDED, _HASHED = 0.9, 0.98
 """The fractions of an import after which the recording is written, and its checksum known."""
+_COPIED = 0.5
+"""The part of the first one after which a kept recording is copied, and its messages are checked."""
 
 OPTION_HELP: dict[str, str] = {
     "groundtruth": "ground truth file in TUM format",
@@ -93,7 +95,8 @@ class Stream:
 class KeptRecording:
     """A ROS recording (a file, or the folder of a ROS 2 bag) that is copied as it is.
 
-    ``counts`` holds the number of messages of each sensor by its name.
+    ``counts`` holds the number of messages of each sensor by its name. ``check`` reads the copy and raises InvalidInput
+    where it is damaged.
     """
 
     path: Path
@@ -101,6 +104,27 @@ class KeptRecording:
     counts: Mapping[str, int]
     start_ns: int
     end_ns: int
+    check: Callable[[Path, Progress], None] | None = None
+
+    @property
+    def needed_bytes(self) -> int:
+        """The size of the recording."""
+        return size_bytes(self.path)
+
+
+@dataclass(frozen=True, eq=False)
+class RewrittenRecording:
+    """A ROS recording whose messages are written anew: parts become one bag, or messages another type.
+
+    ``write`` writes all messages, in order of time. Everything else is as in :class:`KeptRecording`.
+    """
+
+    write: Callable[[BagWriter, Progress], None]
+    sensors: tuple[Sensor, ...]
+    counts: Mapping[str, int]
+    start_ns: int
+    end_ns: int
+    needed_bytes: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +177,7 @@ class ImportPlan:
     """What an import will make.
 
     Attributes:
-        recording: The streams that are written, or the recording that is kept.
+        recording: The streams that are written, or the recording that is kept or rewritten.
         truth: The ground truth, None without.
         text: Title, licence, citation and so on.
         relations: The text of a file of relative poses, None without.
@@ -161,7 +185,7 @@ class ImportPlan:
         notes: What users should know, one sentence each: what is left out, assumed or unusual.
     """
 
-    recording: tuple[Stream, ...] | KeptRecording
+    recording: tuple[Stream, ...] | KeptRecording | RewrittenRecording
     truth: PlannedTruth | None
     text: DatasetText
     relations: str | None = None
@@ -171,21 +195,21 @@ class ImportPlan:
     @property
     def sensors(self) -> tuple[Sensor, ...]:
         """The sensors of the dataset, in the order of ``dataset.yaml``."""
-        if isinstance(self.recording, KeptRecording):
-            return self.recording.sensors
-        return tuple(stream.sensor for stream in self.recording)
+        if isinstance(self.recording, tuple):
+            return tuple(stream.sensor for stream in self.recording)
+        return self.recording.sensors
 
     @property
     def counts(self) -> dict[str, int]:
         """The number of messages by name of sensor."""
-        if isinstance(self.recording, KeptRecording):
-            return dict(self.recording.counts)
-        return {stream.sensor.name: len(stream.times_ns) for stream in self.recording}
+        if isinstance(self.recording, tuple):
+            return {stream.sensor.name: len(stream.times_ns) for stream in self.recording}
+        return dict(self.recording.counts)
 
     @property
     def duration_s(self) -> float:
         """From the first message to the last."""
-        if isinstance(self.recording, KeptRecording):
+        if not isinstance(self.recording, tuple):
             return (self.recording.end_ns - self.recording.start_ns) / NS_PER_S
         times = [stream.order_ns for stream in self.recording if len(stream.times_ns)]
         if not times:
@@ -195,9 +219,9 @@ class ImportPlan:
     @property
     def needed_bytes(self) -> int:
         """The size of the recording, about."""
-        if isinstance(self.recording, KeptRecording):
-            return size_bytes(self.recording.path)
-        return sum(len(stream.times_ns) * stream.message_bytes for stream in self.recording)
+        if isinstance(self.recording, tuple):
+            return sum(len(stream.times_ns) * stream.message_bytes for stream in self.recording)
+        return self.recording.needed_bytes
 
 
 def rate_hz(times_ns: Array) -> float:
@@ -221,10 +245,7 @@ def perform(plan: ImportPlan, folder: Path, progress: Progress) -> Dataset:
         Unavailable: Not enough disk space.
     """
     with new_dataset(folder, plan.needed_bytes) as new:
-        if isinstance(plan.recording, KeptRecording):
-            new.keep(plan.recording.path, _part(progress, 0.0, _RECORDED))
-        else:
-            _write_streams(new, plan.recording, _part(progress, 0.0, _RECORDED))
+        _record(new, plan.recording, _part(progress, 0.0, _RECORDED))
         if plan.truth is not None:
             plan.truth.write(new)
         files = {**plan.files, **({} if plan.relations is None else {RELATIONS_FILE: plan.relations.encode()})}
@@ -241,6 +262,20 @@ def perform(plan: ImportPlan, folder: Path, progress: Progress) -> Dataset:
     _LOG.info("imported dataset %s", dataset.name)
     progress(1.0, "done")
     return dataset
+
+
+def _record(
+    new: NewDataset, recording: tuple[Stream, ...] | KeptRecording | RewrittenRecording, progress: Progress
+) -> None:
+    if isinstance(recording, tuple):
+        _write_streams(new, recording, progress)
+    elif isinstance(recording, KeptRecording):
+        copy = new.keep(recording.path, _part(progress, 0.0, _COPIED))
+        if recording.check is not None:
+            recording.check(copy, _part(progress, _COPIED, 1.0))
+    else:
+        with new.recording() as bag:
+            recording.write(bag, progress)
 
 
 def _write_streams(new: NewDataset, streams: Sequence[Stream], progress: Progress) -> None:

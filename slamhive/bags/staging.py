@@ -47,10 +47,11 @@ class NewDataset:
         self._folder = folder
         self._bag = f"{folder.name}.bag"
 
-    def keep(self, recording: Path, progress: Progress) -> None:
-        """Copy a finished recording, a file or the folder of a ROS 2 bag, in place of writing one."""
+    def keep(self, recording: Path, progress: Progress) -> Path:
+        """Copy a finished recording, a file or the folder of a ROS 2 bag, in place of writing one; the copy."""
         self._bag = f"{self._folder.name}{recording.suffix if recording.is_file() else ''}"
         copy_recording(recording, self.aside / self._bag, progress)
+        return self.aside / self._bag
 
     def recording(self) -> BagWriter:
         """The writer of the dataset's bag; use as a context manager."""

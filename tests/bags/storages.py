@@ -64,6 +64,7 @@ def write_ros1(path: Path) -> None:
             for number, sensor in enumerate((cam0, cam1)):
                 bag.camera_info(sensor, f"/{sensor.name}/camera_info", stamp_ns, 0.1 * number)
                 bag.image(sensor, stamp_ns, pixels_of(2 * frame + number), "mono8")
+            bag.camera_info(depth, "/depth0/camera_info", stamp_ns)
             bag.image(depth, stamp_ns, random.integers(0, 8000, (48, 64), dtype=np.uint16), "16UC1")
             points = np.zeros(40, POINT)
             for axis in ("x", "y", "z"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -20,6 +21,12 @@ class FrameGraph:
         if child not in self._neighbours.get(parent, {}):
             self._neighbours.setdefault(parent, {})[child] = T_parent_child
             self._neighbours.setdefault(child, {})[parent] = inverse(T_parent_child)
+
+    def edges(self) -> Iterator[tuple[str, str, Array]]:
+        """All transforms: parent, child, ``T_parent_child`` (4, 4); each pair in both directions."""
+        for parent, children in self._neighbours.items():
+            for child, T_parent_child in children.items():
+                yield parent, child, T_parent_child
 
     def __contains__(self, frame: str) -> bool:
         return frame in self._neighbours

@@ -88,7 +88,7 @@ class SourceBag:
             try:
                 entry = next(source, None)
             except DAMAGE as error:
-                raise self.damaged(error, f"message {number + 1} of {', '.join(topics)}") from None
+                raise self.damaged(error, f"message {number + 1} of {', '.join(topics)}{self._near()}") from None
             if entry is None:
                 return
             number += 1
@@ -106,6 +106,13 @@ class SourceBag:
         """What rosbags found wrong at ``place``, in one line."""
         found = damaged(self.path, error)
         return InvalidInput(f"{found.message} ({place})", found.remedy)
+
+    def _near(self) -> str:
+        """Where reading stopped, for files of which that is known."""
+        storages = [getattr(reader, "storage", reader) for reader in self.reader.readers]
+        files = [getattr(part, "bio", None) for storage in storages for part in getattr(storage, "storages", [storage])]
+        places = [file.tell() for file in files if file is not None]
+        return f", before byte {places[0]}" if len(places) == 1 else ""
 
     def _last(self, topic: str) -> Any:
         for window_s in _WINDOWS_S:

@@ -17,7 +17,8 @@ from slamhive.trajectory.pose_file import read_ground_truth
 class FoundTruth:
     """Poses of a frame: times (n,) in s, positions (n, 3) in m, unit quaternions (n, 4) x y z w.
 
-    ``quats_xyzw`` is None where only positions are known. ``frame`` is what the recording calls the frame that moves, empty if it does not say.
+    ``quats_xyzw`` is None where only positions are known. ``frame`` is what the recording calls the frame that moves,
+    empty if it does not say.
     """
 
     times_s: Array

@@ -58,7 +58,9 @@ def read_truth_topic(bag: SourceBag, wanted: str) -> FoundTruth:
             frames.setdefault(plain_frame(child), []).append((time_ns * 1e-9, p.x, p.y, p.z, q.x, q.y, q.z, q.w))
     child = _one_frame(name, frame, list(frames))
     rows = np.array(frames[child], dtype=np.float64)
-    found = FoundTruth(rows[:, 0], rows[:, 1:4], rows[:, 4:8], gravity_aligned=False, source=f"topic {wanted}", frame=child)
+    found = FoundTruth(
+        rows[:, 0], rows[:, 1:4], rows[:, 4:8], gravity_aligned=False, source=f"topic {wanted}", frame=child
+    )
     return _checked(bag, found)
 
 
