@@ -114,7 +114,7 @@ class KeptRecording:
 
 @dataclass(frozen=True, eq=False)
 class RewrittenRecording:
-    """A ROS recording whose messages are written anew: parts become one bag, or messages another type.
+    """A ROS recording whose messages are written again: parts become one bag, or messages another type.
 
     ``write`` writes all messages, in order of time. Everything else is as in :class:`KeptRecording`.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -34,8 +35,8 @@ def dataset() -> None:
 @click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
 @click.option("--name", help="Name of the new dataset.  [default: that of PATH]")
 @click.option("--format", "format_name", help="Format of PATH.  [default: detected]")
-@click.option("--groundtruth", type=click.Path(path_type=Path), help="Ground truth in TUM format.")
-@click.option("--groundtruth-topic", help="Topic that holds the ground truth.")
+@click.option("--groundtruth", type=click.Path(path_type=Path), help="Ground truth: a TUM or EuRoC file.")
+@click.option("--groundtruth-topic", help="Topic that holds the ground truth; TOPIC:FRAME of a transform.")
 @click.option(
     "--calibration",
     type=click.Path(path_type=Path),
@@ -43,7 +44,11 @@ def dataset() -> None:
     help="Calibration: Kalibr's camchain.yaml or imu.yaml, or a dataset.yaml. Can be given several times.",
 )
 @click.option(
-    "--topic", "topics", metavar="SENSOR=TOPIC", multiple=True, help="Topic of a sensor, for instance cam0=/left."
+    "--topic",
+    "topics",
+    metavar="SENSOR=TOPIC",
+    multiple=True,
+    help="Topic of a sensor, for instance cam0=/left; none leaves it out.",
 )
 @click.option("--typestore", help="Message types of a recording that does not contain them, for instance ros2_humble.")
 @click.option(
@@ -69,7 +74,7 @@ def import_(
 ) -> None:
     """Make a dataset of the recording at PATH: a file or a folder, its format is detected."""
     catalogue = cli.hive(indexed=False).catalogue
-    given["topics"] = dict(_sensor_and_topic(text) for text in given["topics"])
+    given["topics"] = _topics(given["topics"])
     planned = catalogue.plan_import(source, ImportOptions(**given), format_name=format_name, name=name)
     if preview and as_json:
         print_json(planned.content)
@@ -84,6 +89,16 @@ def import_(
         _report(made, as_json)
     else:
         tell(f"dataset {made.name} is ready: slamhive run ALGORITHM {made.name} --evaluate")
+
+
+def _topics(texts: Iterable[str]) -> dict[str, str]:
+    topics: dict[str, str] = {}
+    for text in texts:
+        sensor, topic = _sensor_and_topic(text)
+        if sensor in topics:
+            raise InvalidInput(f"--topic names two topics for {sensor}: {topics[sensor]} and {topic}", "name one")
+        topics[sensor] = topic
+    return topics
 
 
 def _sensor_and_topic(text: str) -> tuple[str, str]:

@@ -69,7 +69,7 @@ class PoseFile:
         return self.raw.orientations and self.format is not TrajectoryFormat.KITTI
 
     def unit(self, told: Convention, other: Span | None) -> Finding[TimeUnit]:
-        """The unit of its times: as told, stated or found; ``other`` is the time that it should share, in s."""
+        """The unit of its times: as specified, stated or found; ``other`` is the time that it should share, in s."""
         if told.time_unit is not None:
             return Finding(told.time_unit, _TOLD)
         stated = None
@@ -82,7 +82,7 @@ class PoseFile:
     def order(
         self, told: Convention, unit: TimeUnit, spreads_deg: Mapping[QuaternionOrder, float]
     ) -> Finding[QuaternionOrder]:
-        """The order of its quaternions: as told, stated or found; see :func:`.evidence.find_order`."""
+        """The order of its quaternions: as specified, stated or found; see :func:`.evidence.find_order`."""
         if told.quaternion_order is not None:
             return Finding(told.quaternion_order, _TOLD)
         return find_order(self.raw.quats, self.stated_order(unit), spreads_deg)

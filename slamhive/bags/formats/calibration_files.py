@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamhive import strict_yaml
+from slamhive.bags.calibration_file import read_calibration_file
 from slamhive.bags.formats.kalibr import is_kalibr, read_kalibr
 from slamhive.bags.formats.known_calibration import KnownCalibration, KnownSensor
 from slamhive.catalogue.dataset_file import load_sensors
@@ -36,7 +36,7 @@ def read_calibrations(paths: Sequence[Path]) -> KnownCalibration:
 
 def read_calibration(path: Path) -> KnownCalibration:
     """What one file says; raises InvalidInput, or NotFound if there is no such file."""
-    content = strict_yaml.load(path)
+    content = read_calibration_file(path).content
     if isinstance(content.get("sensors"), list):
         return _of_sensors(load_sensors(path))
     if is_kalibr(content):

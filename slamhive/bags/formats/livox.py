@@ -1,6 +1,6 @@
 """Livox's ``CustomMsg`` as ``PointCloud2``.
 
-A recording with it is written anew, so that the player, the pre-processing steps and all algorithms read one type of
+A recording with it is converted, so that the player, the pre-processing steps and all algorithms read one type of
 point cloud. Decoding each point as an object would also be too slow for playback: a scan has 20,000 of them.
 """
 
