@@ -17,9 +17,12 @@ from slamhive.bags.formats.mulran import MulranImporter
 from slamhive.bags.formats.nclt import NcltImporter
 from slamhive.bags.formats.rawseeds import RawseedsImporter
 from slamhive.bags.formats.tum_rgbd import TumRgbdImporter
+from slamhive.bags.formats.hilti_2022 import Hilti2022Importer
 from slamhive.bags.formats.mcap import McapImporter
+from slamhive.bags.formats.newer_college import NewerCollegeImporter
 from slamhive.bags.formats.ros1 import Ros1Importer
 from slamhive.bags.formats.ros2 import Ros2Importer
+from slamhive.bags.formats.tum_vi import TumViImporter
 from slamhive.bags.importing import ImportOptions, ImportPlan
 from slamhive.bags.kitti_odometry import KittiOdometryImporter
 from slamhive.errors import InvalidInput
@@ -63,6 +66,9 @@ IMPORTERS.register("mulran", MulranImporter())
 IMPORTERS.register("ros1", Ros1Importer())
 IMPORTERS.register("ros2", Ros2Importer())
 IMPORTERS.register("mcap", McapImporter())
+IMPORTERS.register("tum-vi", TumViImporter())
+IMPORTERS.register("newer-college", NewerCollegeImporter())
+IMPORTERS.register("hilti-2022", Hilti2022Importer())
 
 
 def plan_import(source: Path, options: ImportOptions, format_name: str | None = None) -> tuple[str, ImportPlan]:

@@ -88,7 +88,7 @@ def import_(
     if as_json:
         _report(made, as_json)
     else:
-        tell(f"dataset {made.name} is ready: slamhive run ALGORITHM {made.name} --evaluate")
+        tell(f"dataset {made.name} is ready: slamhive run ALGORITHM {made.name} --evaluate --wait")
 
 
 def _topics(texts: Iterable[str]) -> dict[str, str]:

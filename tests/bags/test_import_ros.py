@@ -290,10 +290,10 @@ def pose_messages(kind: str, number: int) -> Any:
     return message(kind, **made[kind]())
 
 
-def write_with_truth(path: Path, kind: str) -> None:
-    """A bag with an IMU and ground truth on /truth, and the IMU's place on the body in /tf_static."""
+def write_with_truth(path: Path, kind: str, topic: str = "/truth") -> None:
+    """A bag with an IMU, ground truth on a topic, and the IMU's place on the body in /tf_static."""
     with Ros1Writer(path) as writer:
-        truth = writer.add_connection("/truth", kind, typestore=STORE)
+        truth = writer.add_connection(topic, kind, typestore=STORE)
         imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=STORE)
         static = writer.add_connection("/tf_static", "tf2_msgs/msg/TFMessage", typestore=STORE)
         q = message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
