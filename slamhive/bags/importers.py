@@ -13,15 +13,15 @@ from typing import Protocol, runtime_checkable
 from slamhive.bags.detection import Detection
 from slamhive.bags.formats.carmen import CarmenImporter
 from slamhive.bags.formats.euroc import EurocImporter
-from slamhive.bags.formats.mulran import MulranImporter
-from slamhive.bags.formats.nclt import NcltImporter
-from slamhive.bags.formats.rawseeds import RawseedsImporter
-from slamhive.bags.formats.tum_rgbd import TumRgbdImporter
 from slamhive.bags.formats.hilti_2022 import Hilti2022Importer
 from slamhive.bags.formats.mcap import McapImporter
+from slamhive.bags.formats.mulran import MulranImporter
+from slamhive.bags.formats.nclt import NcltImporter
 from slamhive.bags.formats.newer_college import NewerCollegeImporter
+from slamhive.bags.formats.rawseeds import RawseedsImporter
 from slamhive.bags.formats.ros1 import Ros1Importer
 from slamhive.bags.formats.ros2 import Ros2Importer
+from slamhive.bags.formats.tum_rgbd import TumRgbdImporter
 from slamhive.bags.formats.tum_vi import TumViImporter
 from slamhive.bags.importing import ImportOptions, ImportPlan
 from slamhive.bags.kitti_odometry import KittiOdometryImporter
