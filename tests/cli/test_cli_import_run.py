@@ -94,7 +94,7 @@ def test_two_commands_give_an_ate(world, monkeypatch, name):
     ran = command(world, monkeypatch, "run", "tiny", name, "--evaluate", "--wait", "--json")
     (run,) = json.loads(ran)
     # every other pose is 5 cm too high, so after alignment all are 2.5 cm off
-    assert run["metrics"]["ate.rmse"] == pytest.approx(0.025, abs=1e-3)
+    assert run["metrics"]["ate.rmse"]["value"] == pytest.approx(0.025, abs=1e-3)
 
 
 SLOW_IMPORT = """
