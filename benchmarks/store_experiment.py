@@ -26,7 +26,7 @@ from slamhive.services.datasets.variants import Variants
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import status as statuses
 from slamhive.services.experiments.context import ExperimentContext
-from slamhive.services.experiments.folder import ExperimentStamp
+from slamhive.services.experiments.folder import StoredExperiment
 from slamhive.services.experiments.service import Experiments
 from slamhive.services.experiments.storing import fill, put_experiment
 from slamhive.services.ledger.keeping import Ledger
@@ -78,13 +78,19 @@ def measure(store: Store, text: str, folder: Path) -> dict[str, float]:
     expanding = _timed(lambda: sum(1 for _ in expand(experiment, catalogue())))
     expansion = expand(experiment, catalogue())
     now = datetime.now(UTC)
-    stamp = ExperimentStamp(
-        "0" * 32, experiment.name, experiment.content_hash, ExperimentState.ACTIVE, "docker", 1, now
+    identity = StoredExperiment(
+        uid="0" * 32,
+        name=experiment.name,
+        content_hash=experiment.content_hash,
+        state=ExperimentState.ACTIVE,
+        executor="docker",
+        repeats=1,
+        created_at=now,
     )
 
     def storing() -> int:
         size = expansion.size
-        record = put_experiment(context, stamp, text, experiment, cells=size.configurations, runs=size.runs)
+        record = put_experiment(context, identity, text, experiment, cells=size.configurations, runs=size.runs)
         fill(context, record, experiment, expansion, lambda _done, _total: None)
         return store.read(lambda t: t.experiments.get(experiment.name)).runs
 

@@ -18,7 +18,7 @@ from slamhive.services.archive import layout, lines
 from slamhive.services.archive.checking import Contents
 from slamhive.services.archive.reading import ArchiveReader
 from slamhive.services.datasets import Catalogue
-from slamhive.services.experiments import ExperimentFolder, ExperimentStamp
+from slamhive.services.experiments import ExperimentFolder, StoredExperiment
 from slamhive.settings import Settings
 from slamhive.store import Store, Transaction
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
@@ -202,12 +202,9 @@ class Surroundings:
         values = asdict(settled)
         for key in ("id", "uid", "name"):
             del values[key]
-        stamp = ExperimentStamp(
-            record.uid, name, record.content_hash, settled.state, record.executor, record.repeats, record.created_at
-        )
         folder = ExperimentFolder(self._settings.experiments_folder / name)
         with folder.locked():
-            folder.write(stamp, record.source)
+            folder.write(StoredExperiment.of(settled), record.source)
             self._store.write(lambda t: t.archive.put_experiment(record.uid, name, values))
         counts["experiments"] += 1
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from slamhive.services.experiments.context import ExperimentContext, Progress
-from slamhive.services.experiments.folder import RECORD, SOURCE, ExperimentFolder, ExperimentStamp
+from slamhive.services.experiments.folder import RECORD, SOURCE, ExperimentFolder, StoredExperiment
 from slamhive.services.experiments.reporting import NO_FIGURES, csv_text, failures_text, varying
 from slamhive.services.experiments.restoring import Restored
 from slamhive.services.experiments.service import Experiments
@@ -36,7 +36,6 @@ __all__ = [
     "ExperimentFolder",
     "ExperimentPreview",
     "ExperimentSource",
-    "ExperimentStamp",
     "ExperimentStatus",
     "Experiments",
     "Failure",
@@ -47,6 +46,7 @@ __all__ = [
     "Restored",
     "Spread",
     "Standing",
+    "StoredExperiment",
     "csv_text",
     "failure_words",
     "failures_text",

@@ -10,7 +10,7 @@ from datetime import datetime
 from slamhive.clock import utc_now
 from slamhive.errors import Conflict
 from slamhive.services.experiments.context import ExperimentContext
-from slamhive.services.experiments.folder import ExperimentStamp
+from slamhive.services.experiments.folder import StoredExperiment
 from slamhive.services.runs import retry_request, run_uid
 from slamhive.store import Transaction
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
@@ -30,22 +30,17 @@ def changing(context: ExperimentContext, name: str) -> Iterator[ExperimentRecord
         yield record
 
 
-def stamp_of(record: ExperimentRecord) -> ExperimentStamp:
-    """The :class:`ExperimentStamp` of a row, for the folder."""
-    return ExperimentStamp(**{name: getattr(record, name) for name in ExperimentStamp.__dataclass_fields__})
-
-
-def write_stamp(context: ExperimentContext, record: ExperimentRecord) -> None:
+def write_record(context: ExperimentContext, record: ExperimentRecord) -> None:
     """Write the requested state to the folder, which is the truth; the database is its index."""
     folder = context.folder(record.name)
     known = folder.read() is not None
-    folder.write(stamp_of(record), None if known else record.source)
+    folder.write(StoredExperiment.of(record), None if known else record.source)
 
 
 def put_state(context: ExperimentContext, name: str, state: ExperimentState) -> None:
     """Pause, resume or cancel; setting the same state again has no effect."""
     with changing(context, name) as record:
-        write_stamp(context, replace(record, state=state))
+        write_record(context, replace(record, state=state))
         now = utc_now()
 
         def work(t: Transaction) -> None:

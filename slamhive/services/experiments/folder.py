@@ -7,25 +7,23 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
-from datetime import datetime
 from pathlib import Path
 
 from slamhive import strict_yaml
 from slamhive.errors import Conflict, InvalidInput, Unavailable
 from slamhive.files import make_shared_folder, remedy_of, write_aside
 from slamhive.input_bounds import read_record
+from slamhive.schema.model import Document
+from slamhive.schema.types import Moment
 from slamhive.store.experiment_records import ExperimentState
 
 SOURCE = "experiment.yaml"
 RECORD = "experiment.json"
 LOCK = ".lock"
-FORMAT = 1
 
 
-@dataclass(frozen=True, slots=True)
-class ExperimentStamp:
-    """What is stored of an experiment besides its source: its identity and its requested state."""
+class StoredExperiment(Document):
+    """``experiment.json``: what is stored of an experiment besides its source."""
 
     uid: str
     name: str
@@ -33,7 +31,8 @@ class ExperimentStamp:
     state: ExperimentState
     executor: str
     repeats: int
-    created_at: datetime
+    created_at: Moment
+    format: int = 1
 
 
 class ExperimentFolder:
@@ -70,31 +69,22 @@ class ExperimentFolder:
         finally:
             os.close(descriptor)
 
-    def write(self, stamp: ExperimentStamp, source: str | None = None) -> None:
-        """Write ``stamp``, and for a new experiment first its source: ``stamp`` without a source is of no use."""
+    def write(self, stored: StoredExperiment, source: str | None = None) -> None:
+        """Write ``stored``, and for a new experiment first its source, without which it is of no use."""
         if source is not None:
             write_aside(self.root / SOURCE, source)
-        content = {**asdict(stamp), "format": FORMAT, "created_at": stamp.created_at.isoformat()}
-        write_aside(self.root / RECORD, json.dumps(content, indent=1) + "\n")
+        write_aside(self.root / RECORD, json.dumps(stored.content, indent=1) + "\n")
 
-    def read(self) -> ExperimentStamp | None:
+    def read(self) -> StoredExperiment | None:
         """What :meth:`write` stored; None if there is nothing; raises InvalidInput if it cannot be read."""
         path = self.root / RECORD
         if not path.exists():
             return None
         content = read_record(path)
         try:
-            return ExperimentStamp(
-                uid=str(content["uid"]),
-                name=str(content["name"]),
-                content_hash=str(content["content_hash"]),
-                state=ExperimentState(content["state"]),
-                executor=str(content["executor"]),
-                repeats=int(content["repeats"]),
-                created_at=datetime.fromisoformat(content["created_at"]),
-            )
-        except (ValueError, KeyError, TypeError, OverflowError) as error:
-            raise InvalidInput(f"{path} is not complete: {error!r}", "restore it, or remove the folder") from None
+            return StoredExperiment.read(content)
+        except InvalidInput as error:
+            raise InvalidInput(f"{path} is not complete: {error.message}", "restore it, or remove the folder") from None
 
     def source(self) -> str:
         """The original experiment file; raises InvalidInput."""

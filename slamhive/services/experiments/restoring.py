@@ -30,12 +30,14 @@ def restore_rows(context: ExperimentContext) -> Iterator[Restored]:
     """Add or update the row of each experiment from its folder."""
     for folder in sorted(experiment_folders(context.settings.experiments_folder), key=_first_stored):
         try:
-            stamp, source = folder.read(), folder.source()
-            if stamp is None:
+            stored, source = folder.read(), folder.source()
+            if stored is None:
                 continue
-            record = put_experiment(context, stamp, source, parse_experiment(source, str(folder.root)), cells=0, runs=0)
-            if (record.state, record.repeats) != (stamp.state, stamp.repeats):
-                values = {"state": stamp.state, "repeats": stamp.repeats, "complete": False}
+            record = put_experiment(
+                context, stored, source, parse_experiment(source, str(folder.root)), cells=0, runs=0
+            )
+            if (record.state, record.repeats) != (stored.state, stored.repeats):
+                values = {"state": stored.state, "repeats": stored.repeats, "complete": False}
                 context.store.write(lambda t, i=record.id, v=values: t.experiments.change(i, **v))  # type: ignore[misc]
         except SlamHiveError as error:
             yield Restored(folder, problem=str(error))
@@ -88,10 +90,10 @@ def _follow(context: ExperimentContext, record: ExperimentRecord) -> None:
 def _first_stored(folder: ExperimentFolder) -> tuple[str, str]:
     """The sort key: experiments are listed in the order in which they were stored."""
     try:
-        stamp = folder.read()
+        stored = folder.read()
     except SlamHiveError:
-        stamp = None
-    return "" if stamp is None else stamp.created_at.isoformat(), folder.root.name
+        stored = None
+    return "" if stored is None else stored.created_at.isoformat(), folder.root.name
 
 
 def _run_count(context: ExperimentContext, record: ExperimentRecord) -> int:

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 from slamhive.clock import utc_now
 from slamhive.errors import Conflict, InvalidInput
-from slamhive.services.experiments.changing import changing, stamp_of, write_stamp
+from slamhive.services.experiments.changing import changing, write_record
 from slamhive.services.experiments.checks import disk_space_problems, find_disk_space, pair_problems
 from slamhive.services.experiments.context import ExperimentContext, Progress
-from slamhive.services.experiments.folder import ExperimentFolder, ExperimentStamp
+from slamhive.services.experiments.folder import ExperimentFolder, StoredExperiment
 from slamhive.services.experiments.storing import fill, put_experiment
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
@@ -29,21 +29,21 @@ def start(context: ExperimentContext, source: ExperimentSource, executor: str | 
         if record.complete:
             return record.name
     folder = context.folder(experiment.name)
-    stamp = folder.read() if record is None else stamp_of(record)
-    if stamp is None:
+    known = folder.read() if record is None else StoredExperiment.of(record)
+    if known is None:
         chosen = context.executors.choose(executor or experiment.executor)
-        stamp = _new_stamp(experiment, chosen)
-    elif not experiment.has_hash(stamp.content_hash):
+        known = _new(experiment, chosen)
+    elif not experiment.has_hash(known.content_hash):
         raise Conflict(
             f"{folder.root} holds another experiment of this name, which the database does not know",
             "slamhive reindex files it; or choose another name",
         )
-    repeated = replace(experiment, repeats=stamp.repeats)
-    expansion = _checked(context, repeated, stamp.executor)
+    repeated = replace(experiment, repeats=known.repeats)
+    expansion = _checked(context, repeated, known.executor)
     with folder.locked():
-        stamp = _settled(folder, stamp, source)
+        known = _settled(folder, known, source)
         size = expansion.size
-        stored = put_experiment(context, stamp, source.text, repeated, cells=size.configurations, runs=size.runs)
+        stored = put_experiment(context, known, source.text, repeated, cells=size.configurations, runs=size.runs)
         fill(context, stored, repeated, expansion, progress)
     return experiment.name
 
@@ -79,7 +79,7 @@ def add_repeats(context: ExperimentContext, name: str, count: int, progress: Pro
         experiment = replace(experiment, repeats=record.repeats + count)
         expansion = _checked(context, experiment, record.executor)
         grown = replace(record, repeats=experiment.repeats, runs=expansion.size.runs, complete=False)
-        write_stamp(context, grown)
+        write_record(context, grown)
         values = {"repeats": grown.repeats, "runs": grown.runs, "complete": False}
         context.store.write(lambda t: t.experiments.change(record.id, **values))
         fill(context, grown, experiment, expansion, progress)
@@ -95,8 +95,8 @@ def _checked(context: ExperimentContext, experiment: Experiment, executor: str) 
     return expansion
 
 
-def _new_stamp(experiment: Experiment, executor: str) -> ExperimentStamp:
-    return ExperimentStamp(
+def _new(experiment: Experiment, executor: str) -> StoredExperiment:
+    return StoredExperiment(
         uid=uuid.uuid4().hex,
         name=experiment.name,
         content_hash=experiment.content_hash,
@@ -107,10 +107,10 @@ def _new_stamp(experiment: Experiment, executor: str) -> ExperimentStamp:
     )
 
 
-def _settled(folder: ExperimentFolder, stamp: ExperimentStamp, source: ExperimentSource) -> ExperimentStamp:
-    """What is on disk, if another process has stored the same experiment first; else stores ``stamp``."""
+def _settled(folder: ExperimentFolder, known: StoredExperiment, source: ExperimentSource) -> StoredExperiment:
+    """What is on disk, if another process has stored the same experiment first; else stores ``known``."""
     found = folder.read()
-    if found is not None and found.content_hash == stamp.content_hash:
+    if found is not None and found.content_hash == known.content_hash:
         return found
-    folder.write(stamp, source.text)
-    return stamp
+    folder.write(known, source.text)
+    return known

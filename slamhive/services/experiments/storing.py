@@ -14,7 +14,7 @@ from slamhive.domain.protocol import Protocol
 from slamhive.errors import Conflict
 from slamhive.services.experiments.checks import Pair, protocol_of_pair
 from slamhive.services.experiments.context import ExperimentContext, Progress
-from slamhive.services.experiments.folder import ExperimentStamp
+from slamhive.services.experiments.folder import StoredExperiment
 from slamhive.services.experiments.previewing import chunks_of
 from slamhive.services.runs import run_uid
 from slamhive.store import Transaction
@@ -30,23 +30,23 @@ CHUNK = 2000
 
 
 def put_experiment(
-    context: ExperimentContext, stamp: ExperimentStamp, source: str, experiment: Experiment, *, cells: int, runs: int
+    context: ExperimentContext, stored: StoredExperiment, source: str, experiment: Experiment, *, cells: int, runs: int
 ) -> ExperimentRecord:
     """Add the row of an experiment, or return the existing one."""
     values = {
         "description": experiment.description,
-        "content_hash": stamp.content_hash,
+        "content_hash": stored.content_hash,
         "source": source,
-        "state": stamp.state,
-        "executor": stamp.executor,
+        "state": stored.state,
+        "executor": stored.executor,
         "priority": experiment.priority,
-        "repeats": stamp.repeats,
+        "repeats": stored.repeats,
         "cells": cells,
         "runs": runs,
         "complete": False,
-        "created_at": stamp.created_at,
+        "created_at": stored.created_at,
     }
-    return context.store.write(lambda t: t.experiments.get_or_create(stamp.uid, stamp.name, **values))
+    return context.store.write(lambda t: t.experiments.get_or_create(stored.uid, stored.name, **values))
 
 
 @dataclass(frozen=True, slots=True)
