@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 from slamhive.bags.detection import Detection
 from slamhive.bags.formats.carmen import CarmenImporter
 from slamhive.bags.formats.euroc import EurocImporter
+from slamhive.bags.formats.evalio import EvalioImporter
 from slamhive.bags.formats.hilti_2022 import Hilti2022Importer
 from slamhive.bags.formats.mcap import McapImporter
 from slamhive.bags.formats.mulran import MulranImporter
@@ -69,6 +70,7 @@ IMPORTERS.register("mcap", McapImporter())
 IMPORTERS.register("tum-vi", TumViImporter())
 IMPORTERS.register("newer-college", NewerCollegeImporter())
 IMPORTERS.register("hilti-2022", Hilti2022Importer())
+IMPORTERS.register("evalio", EvalioImporter())
 
 
 def plan_import(source: Path, options: ImportOptions, format_name: str | None = None) -> tuple[str, ImportPlan]:
