@@ -98,7 +98,7 @@ def pose_row(pose: Any) -> list[float]:
 
 
 def write_scan(scan: Any, out: IO[bytes]) -> None:
-    """One scan; evalio stamps all of them at their start, and counts the times of points from there."""
+    """One scan: its timestamp is its start, from which the times of points count."""
     points = scan.points
     table = np.zeros(len(points), dtype=POINT)
     for name in ("x", "y", "z", "intensity"):
