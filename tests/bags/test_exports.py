@@ -15,6 +15,7 @@ from evo.tools import file_interface
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
+from slamhive.bags.bag_writer import BagWriter
 from slamhive.bags.exporters import EXPORTERS, export_dataset, plan_export
 from slamhive.bags.room import RoomOptions, render_room
 from slamhive.bags.staging import checksum
@@ -257,3 +258,17 @@ def test_an_existing_folder_is_never_touched(room, tmp_path):
     with pytest.raises(Conflict, match="exists already"):
         export(room, "mcap", tmp_path / "mine")
     assert (tmp_path / "mine").read_text() == "mine"
+
+
+def test_kitti_refuses_cameras_that_miss_different_frames(room, tmp_path):
+    """As many images in both, but the second one of cam1 is missing, and it has one more at the end."""
+    cameras = (room.sensor("cam0"), room.sensor("cam1"))
+    with BagWriter(tmp_path / "room.bag") as bag:
+        for frame in range(6):
+            for camera, missing in zip(cameras, (5, 1), strict=True):
+                if frame != missing:
+                    bag.image(camera, START_NS + frame * 100_000_000, np.zeros((48, 64), np.uint8), "mono8")
+    source = replace(room, folder=tmp_path, sensors=cameras, groundtruth=None, reference_map=None)
+    with pytest.raises(InvalidInput, match=r"message 1 of cam1 is 0\.100 s from frame 1"):
+        export(source, "kitti", tmp_path / "out", partial=False)
+    assert not (tmp_path / "out").exists()

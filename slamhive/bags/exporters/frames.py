@@ -63,6 +63,11 @@ class ImageSink:
         return partial(_write_png, self.folder / file, message, self.sensor.topic)
 
     @property
+    def timestamps_ns(self) -> list[int]:
+        """Of the images, in the order of the recording."""
+        return [timestamp_ns for timestamp_ns, _ in self._entries]
+
+    @property
     def entries(self) -> list[tuple[int, str]]:
         """Timestamps (ns) and file names, by timestamp: messages need not arrive in that order."""
         return sorted(self._entries)

@@ -5,8 +5,7 @@ A frame has one image of each camera, one scan and one pose. Cameras are rectifi
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,6 @@ import numpy as np
 from slamhive.bags.exporters.frames import (
     ELSEWHERE,
     ImageSink,
-    Sink,
     Work,
     export_frames,
     image_bytes,
@@ -42,6 +40,8 @@ _GREY, _COLOUR = (0, 1), (2, 3)
 _PARALLEL_TOLERANCE = 1e-6
 _SAME_TIME_NS = 1_000
 """Poses belong to a frame if their times agree within a microsecond: nothing is interpolated."""
+_SAME_FRAME = 0.75
+"""Of the time between two frames: sweeps may be stamped at their start, half a frame before the images."""
 _SCAN_BYTES = 2_500_000
 _AXES = ("x", "y", "z")
 
@@ -160,13 +160,13 @@ class _ScanSink:
     folder: Path
 
     def __post_init__(self) -> None:
-        self._count = 0
+        self.timestamps_ns: list[int] = []
         self.folder.mkdir(parents=True)
 
-    def take(self, _timestamp_ns: int, message: Any) -> Work:
+    def take(self, timestamp_ns: int, message: Any) -> Work:
         """Write a scan, in a thread."""
-        path = self.folder / f"{self._count:06d}.bin"
-        self._count += 1
+        path = self.folder / f"{len(self.timestamps_ns):06d}.bin"
+        self.timestamps_ns.append(timestamp_ns)
         return partial(_write_scan, path, message, self.sensor.topic)
 
 
@@ -184,20 +184,32 @@ def _write_scan(path: Path, message: Any, topic: str) -> None:
 
 
 def _write(dataset: Dataset, chosen: _Chosen, times_ns: Array, folder: Path, progress: Progress) -> None:
-    sinks: dict[str, Sink] = {
+    sinks: dict[str, ImageSink | _ScanSink] = {
         camera.name: ImageSink(camera, folder / f"image_{number}", lambda _, index: f"{index:06d}.png")
         for number, camera in chosen.cameras.items()
     }
     if chosen.lidar is not None:
         sinks[chosen.lidar.name] = _ScanSink(chosen.lidar, folder / "velodyne")
     export_frames(dataset, sinks, progress)
+    for sink in sinks.values():
+        _check_together(sink.sensor, sink.timestamps_ns, times_ns)
     _write_lines(folder / "times.txt", (f"{time_ns / 1e9:.9f}" for time_ns in (times_ns - times_ns[0]).tolist()))
     _write_lines(folder / "calib.txt", _calibration(chosen))
-    truth = dataset.groundtruth
-    if truth is not None and truth.kitti_poses is not None and chosen.poses is not None:
-        shutil.copyfile(dataset.folder / truth.kitti_poses, folder / "poses.txt")
-    elif chosen.poses is not None:
+    if chosen.poses is not None:
         _write_lines(folder / "poses.txt", (_row(pose) for pose in chosen.poses))
+
+
+def _check_together(sensor: Sensor, timestamps_ns: Sequence[int], times_ns: Array) -> None:
+    """Raise InvalidInput where a message belongs to another frame than its number says: one is missing before it."""
+    apart_ns = np.abs(np.array(timestamps_ns, dtype=np.int64) - times_ns)
+    frame_ns = float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else np.inf
+    far = np.flatnonzero(apart_ns > _SAME_FRAME * frame_ns)
+    if len(far):
+        raise InvalidInput(
+            f"message {far[0]} of {sensor.name} is {apart_ns[far[0]] / 1e9:.3f} s from frame {far[0]}: "
+            "the sensors do not record together, as those of kitti do",
+            ELSEWHERE,
+        )
 
 
 def _calibration(chosen: _Chosen) -> list[str]:
