@@ -58,6 +58,9 @@ def calibrated(folder: Path) -> ImportOptions:
 
 SENSORS = {name: name for name in ("cam0", "cam1", "depth0", "imu0", "lidar0")}
 PAIRS = [
+    Pair("ros1", "ros1", SENSORS, options=described, source="room.bag"),
+    Pair("ros2", "ros2", SENSORS, options=described, source="room"),
+    Pair("mcap", "mcap", SENSORS, options=described, source="room.mcap"),
     Pair("euroc", "euroc", {"cam0": "cam0", "cam1": "cam1", "imu0": "imu0"}),
     Pair("tum-rgbd", "tum-rgbd", {"cam0": "cam0", "depth0": "depth0"}, body="cam0", options=calibrated),
     Pair("kitti", "kitti-odometry", {"cam0": "cam0", "cam1": "cam1"}, body="cam0", from_start=True),
