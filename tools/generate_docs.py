@@ -20,7 +20,7 @@ from slamhive.analysis.report import Report, ReportBrief
 from slamhive.bags.variants.rules import RegisteredSteps, describe_options, explain_step
 from slamhive.catalogue.protocol_file import protocol_schema
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
-from slamhive.schema import catalogue, experiment
+from slamhive.schema import catalogue, collection, experiment
 from slamhive.schema.analysis import StoredAnalysis
 from slamhive.schema.archive import Manifest, RunLine
 from slamhive.schema.checks import DatasetCheck
@@ -159,8 +159,10 @@ DOCUMENTS: dict[str, Any] = {
     "experiment-status": experiment.ExperimentStatus,
     "import": Import,
     "ledger-line": LedgerLine,
+    "link-report": collection.LinkReport,
     "plug-in": PlugIn,
     "protocols": Protocols,
+    "public-sequence": collection.PublicSequence,
     "report": Report,
     "report-brief": ReportBrief,
     "run": RunWith,

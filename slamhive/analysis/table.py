@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from slamhive.analysis.colours import algorithm_colours, dataset_markers
+from slamhive.domain.attributes import ATTRIBUTE_KINDS
 from slamhive.domain.metrics import CATALOGUE, Direction
 from slamhive.domain.numbers import plural
 from slamhive.domain.verdict import (
@@ -70,6 +71,9 @@ FACTS = (
 )
 """The columns of every table, in this order."""
 
+NOT_STATED = "not stated"
+"""The group of runs without a value."""
+
 UNDISTURBED = "nothing"
 """The value of the column ``disturbed`` for a run on a quiet machine; None if unknown."""
 
@@ -125,6 +129,14 @@ class RunTable:
         except KeyError:
             known = [*self.columns, *(name for name in CATALOGUE if name not in self.columns)]
             raise unknown("metric or parameter", key, known) from None
+
+    def grouped_by(self, key: str) -> RunTable:
+        """The table with a text in every row of the column ``key``; raises NotFound, or InvalidInput for a metric."""
+        column = self.column(key)
+        if column.kind is ColumnKind.METRIC:
+            raise InvalidInput(f"runs cannot be grouped by the metric {key}", "use a parameter or an attribute")
+        texts = [NOT_STATED if pd.isna(value) else _text(value) for value in self.frame[key]]
+        return self.with_rows(self.frame.assign(**{key: texts}))
 
     def numeric(self, key: str, purpose: str) -> Column:
         """The column ``key``, which must be numeric; raises NotFound or InvalidInput."""
@@ -217,6 +229,7 @@ def make_table(
     metrics: Mapping[str, Iterable[float | None]],
     rule: FailureRule | None = None,
     installed: Mapping[str, str] | None = None,
+    attributes: Iterable[Collection[str]] = (),
 ) -> RunTable:
     """A table from columns with one entry for each run.
 
@@ -226,6 +239,8 @@ def make_table(
         metrics: By catalogue key; None where a run lacks the metric.
         rule: When a run counts as failed; the default rule if None.
         installed: The sensor set-up of each installed algorithm, including those without runs.
+        attributes: Those of the dataset of each run. Each of their properties is a column, unless a parameter has its
+            name.
     """
     rows = {key: list(values) for key, values in facts.items()}
     count = len(next(iter(rows.values()), []))
@@ -238,6 +253,11 @@ def make_table(
         shown = [_as_number(entry) if numeric else None if entry is None else str(entry) for entry in entries]
         extra[key] = np.array(shown, dtype=float) if numeric else np.array(shown, dtype=object)
         columns[key] = Column(key, key, ColumnKind.PARAMETER, numeric=numeric)
+    words = list(attributes)
+    for kind in ATTRIBUTE_KINDS if words else ():
+        if kind.name not in columns:
+            extra[kind.name] = np.array([kind.of(entry) for entry in words], dtype=object)
+            columns[kind.name] = Column(kind.name, kind.label, ColumnKind.FACT, numeric=False)
     for key, entries_of_metric in metrics.items():
         extra[key] = np.array(list(entries_of_metric), dtype=float)  # None becomes NaN
         columns[key] = metric_column(key)
@@ -280,6 +300,10 @@ def mark_failures(frame: pd.DataFrame, rule: FailureRule) -> pd.DataFrame:
     marked = frame.copy()
     marked[FAILED] = pd.Series(why, index=frame.index, dtype=object)
     return marked
+
+
+def _text(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float | np.floating) else str(value)
 
 
 def _is_number(entry: object) -> bool:

@@ -9,6 +9,7 @@ from slamhive.services.data_root import DataRoot
 EXPECTED: dict[str, DataRoot] = {
     "algorithm build": DataRoot.MADE,
     "archive import": DataRoot.MADE,
+    "dataset fetch": DataRoot.MADE,
     "dataset import": DataRoot.MADE,
     "dataset room": DataRoot.MADE,
     "demo": DataRoot.MADE,
@@ -22,6 +23,8 @@ EXPECTED: dict[str, DataRoot] = {
     "run": DataRoot.FOUND,
     "algorithm list": DataRoot.OPTIONAL,
     "algorithm show": DataRoot.OPTIONAL,
+    "dataset links": DataRoot.OPTIONAL,
+    "dataset search": DataRoot.OPTIONAL,
     "doctor": DataRoot.OPTIONAL,
     "plugins": DataRoot.OPTIONAL,
 }

@@ -1,4 +1,4 @@
-"""``slamhive dataset``: import, render, list, show, remove; ``check`` and ``export`` have modules of their own."""
+"""``slamhive dataset``: import, render, list, show, remove; other commands have modules of their own."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import click
 
 from slamhive.bags.importing import ImportOptions
 from slamhive.bags.room import RoomOptions
+from slamhive.cli import dataset_fetch
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.dataset_check import check
 from slamhive.cli.dataset_export import export
@@ -28,7 +29,7 @@ from slamhive.services.datasets import (
 
 @click.group()
 def dataset() -> None:
-    """Import, export, render and show datasets."""
+    """Fetch, import, export, render and show datasets."""
 
 
 @dataset.command("import")
@@ -268,7 +269,7 @@ def _ground_truth_in_words(entry: Dataset) -> str:
     return f"{truth.file}, {', '.join(trait for trait in traits if trait)}"
 
 
-dataset.add_command(export)
-dataset.add_command(check)
+for _command in (check, export, *dataset_fetch.COMMANDS):
+    dataset.add_command(_command)
 
 COMMANDS = (dataset,)

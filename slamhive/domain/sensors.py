@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -57,6 +58,25 @@ class SensorSetup(StrEnum):
     STEREO_INERTIAL = "stereo-inertial"
     LIDAR = "lidar"
     LIDAR_INERTIAL = "lidar-inertial"
+
+
+def setups_of(counts: Mapping[SensorKind, int]) -> tuple[SensorSetup, ...]:
+    """The set-ups that a recording can serve.
+
+    Args:
+        counts: The number of sensors of each kind.
+    """
+    cameras, inertial = counts.get(SensorKind.CAMERA, 0), counts.get(SensorKind.IMU, 0) > 0
+    served = {
+        SensorSetup.MONO: cameras > 0,
+        SensorSetup.STEREO: cameras > 1,
+        SensorSetup.RGBD: cameras > 0 and counts.get(SensorKind.DEPTH, 0) > 0,
+        SensorSetup.MONO_INERTIAL: cameras > 0 and inertial,
+        SensorSetup.STEREO_INERTIAL: cameras > 1 and inertial,
+        SensorSetup.LIDAR: counts.get(SensorKind.LIDAR, 0) > 0,
+        SensorSetup.LIDAR_INERTIAL: counts.get(SensorKind.LIDAR, 0) > 0 and inertial,
+    }
+    return tuple(setup for setup in SensorSetup if served[setup])
 
 
 @dataclass(frozen=True, slots=True)

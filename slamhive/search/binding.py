@@ -13,7 +13,7 @@ from slamhive.domain.verdict import VerdictKind
 from slamhive.errors import nearest
 from slamhive.search.fields import Field, Kind, Source, Vocabulary
 from slamhive.search.grammar import Junction, Tree, leaves, mapped
-from slamhive.search.parser import parse_filter
+from slamhive.search.parser import nothing_compared, parse_filter
 from slamhive.search.reader import FilterError, Place
 from slamhive.search.syntax import PRESENCE, Comparison, Filter, Sign, Word, filter_text, reversed_range
 from slamhive.search.units import moments, number, units_of
@@ -140,7 +140,7 @@ class _Binder:
             return self._time(meaning, leaf)
         if leaf.sign in _PATTERNS and leaf.values[0].text.count("*") > MOST_STARS:
             raise self._refusal("this pattern is too costly", f"use at most {MOST_STARS} stars", leaf.values[0].place)
-        if meaning.kind is Kind.CHOICE and meaning.choices:
+        if meaning.kind is Kind.CHOICE and (meaning.choices or meaning.source is Source.ATTRIBUTE):
             return self._choice(meaning, leaf)
         readers: dict[Kind, Callable[[Field, Word], Value]] = {
             Kind.NUMBER: self._number,
@@ -184,6 +184,8 @@ class _Binder:
             return _chosen(meaning, Sign.IN if leaf.sign is Sign.LIKE else Sign.NOT_IN, found)
         for word in leaf.values:
             if word.text not in meaning.choices:
+                if leaf.is_alone:
+                    raise nothing_compared(self._source, leaf)
                 remedy = nearest(word.text[:80], list(meaning.choices))
                 raise self._refusal(f"{meaning.name} is never {word.text[:80]!r}", remedy, word.place)
         return _chosen(meaning, leaf.sign, tuple(str(word.text) for word in leaf.values))
@@ -238,6 +240,16 @@ def _chosen(meaning: Field, sign: Sign, values: tuple[str, ...]) -> Condition:
     wanted = {kind for value in values for kind in meaning.groups[value]}
     denied = sign in {Sign.NOT_EQUAL, Sign.NOT_IN}
     return Condition(meaning, Sign.IN, tuple(kind for kind in VerdictKind if (kind in wanted) is not denied))
+
+
+def members_of(condition: Condition) -> set[str]:
+    """The members of the groups of a field that fulfil a condition; those without a value fulfil none."""
+    groups = condition.field.groups
+    known = {name for members in groups.values() for name in members}
+    if condition.sign is Sign.HAS:
+        return known
+    wanted = {name for value in condition.values for name in groups.get(str(value), ())}
+    return known - wanted if condition.sign in {Sign.NOT_EQUAL, Sign.NOT_IN} else wanted
 
 
 def matches(text: str, pattern: str) -> bool:

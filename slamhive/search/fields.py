@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
+from slamhive.domain.attributes import ATTRIBUTE_KINDS
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.metrics import CATALOGUE
@@ -34,6 +35,7 @@ class Source(StrEnum):
     METRIC = "metric"
     PARAMETER = "parameter"
     SETUP = "setup"
+    ATTRIBUTE = "attribute"
     PROTOCOL = "protocol"
     VERDICT = "verdict"
 
@@ -42,8 +44,8 @@ class Source(StrEnum):
 class Field:
     """One name of the language.
 
-    ``groups`` says, for an attribute of algorithms, which algorithms have which value; for the verdict, which kinds
-    a choice stands for.
+    ``groups`` says which algorithms (for the sensors) or datasets (for attributes) have which value; for the verdict,
+    which kinds a choice stands for.
     """
 
     name: str
@@ -72,6 +74,14 @@ SENSOR = Field(
     help="what the algorithm senses with",
     choices=tuple(map(str, SensorSetup)),
 )
+ATTRIBUTES: dict[str, Field] = {
+    name: Field(name, label, Kind.CHOICE, Source.ATTRIBUTE, help=note)
+    for name, label, note in (
+        ("attribute", "Attribute", "any word that describes the dataset"),
+        *((kind.name, kind.label, f"of the dataset: {', '.join(kind.values)}") for kind in ATTRIBUTE_KINDS),
+    )
+}
+"""The attributes of datasets. A parameter of the same name comes first, because filters have used it before."""
 PROTOCOL = Field(
     "protocol",
     "Protocol",
@@ -145,14 +155,15 @@ class Vocabulary:
     """The names that a filter may use besides the built-in ones.
 
     ``parameters`` by key and by general name, each with every way in which it is defined; ``own_keys`` are the keys
-    behind each general name; ``sensors`` says which algorithms use which sensors. ``protocols`` are all
-    that metrics were computed under, {fingerprint: label}.
+    behind each general name; ``sensors`` says which algorithms use which sensors, ``attributes`` which datasets have
+    which attribute. ``protocols`` are all that metrics were computed under, {fingerprint: label}.
     """
 
     parameters: Mapping[str, tuple[ParameterKind, ...]] = field(default_factory=dict)
     sensors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     protocols: Mapping[str, str] = field(default_factory=dict)
     own_keys: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    attributes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def fields(self, name: str) -> tuple[Field, ...]:
         """All meanings of ``name`` (parameters may have several kinds); empty if it has none."""
@@ -163,19 +174,27 @@ class Vocabulary:
         if name in CATALOGUE:
             return (metric_field(name),)
         key = name.removeprefix(PARAMETER_PREFIX)
-        return tuple(
+        parameters = tuple(
             Field(key, key, entry.kind, Source.PARAMETER, entry.unit, choices=entry.choices)
             for entry in self.parameters.get(key, ())
         )
+        return (*parameters, attribute_field(ATTRIBUTES[name], self.attributes)) if name in ATTRIBUTES else parameters
 
     def names(self) -> Sequence[str]:
         """Every name that may begin a comparison."""
-        return [*BUILT_IN, *CATALOGUE, *self.parameters]
+        return [*BUILT_IN, *ATTRIBUTES, *CATALOGUE, *self.parameters]
 
     def nearest(self, name: str) -> str:
         """A remedy for a name that has no meaning."""
         found = nearest(name, list(self.names()))
         return found if found.startswith("did you") else "docs/search.md lists what a filter can name"
+
+
+def attribute_field(entry: Field, attributes: Mapping[str, tuple[str, ...]]) -> Field:
+    """An attribute, or a property that attributes are values of, with the datasets that have each value."""
+    kinds = {kind.name: kind.values for kind in ATTRIBUTE_KINDS}
+    choices = kinds.get(entry.name) or tuple(sorted(attributes))
+    return replace(entry, choices=choices, groups={value: attributes.get(value, ()) for value in choices})
 
 
 def vocabulary_of(kinds: Iterable[ParameterKind], **others: Mapping[str, object]) -> Vocabulary:

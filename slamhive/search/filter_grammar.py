@@ -10,7 +10,7 @@ from lark import Lark, Token, Transformer
 from slamhive.search import reader
 from slamhive.search.grammar import Junction, join
 from slamhive.search.reader import Place
-from slamhive.search.syntax import SIGNS, Comparison, Filter, Sign, Word
+from slamhive.search.syntax import ATTRIBUTE, SIGNS, Comparison, Filter, Sign, Word
 
 _GRAMMAR = """
 disjunction: conjunction ("or" conjunction)*
@@ -22,6 +22,7 @@ group: OPEN disjunction CLOSE
     | name SIGN value -> one
     | name BETWEEN value "and" value -> between
     | name NOT_IN? "in" _list -> among
+    | name -> alone
 _list: "[" value ("," value)* "]"
     | LIST_OPEN value ("," value)* _list_close
 _list_close: CLOSE
@@ -92,6 +93,10 @@ class _Builder(Transformer[Token, Filter]):
         denied = any(isinstance(part, Token) and part.type == "NOT_IN" for part in parts)
         name, *values = (part for part in parts if isinstance(part, Word))
         return _comparison(name, Sign.NOT_IN if denied else Sign.IN, tuple(values))
+
+    def alone(self, parts: list[Word]) -> Filter:
+        (word,) = parts
+        return Comparison(Word(ATTRIBUTE, word.place), Sign.EQUAL, (word,), word.place)
 
     def name(self, parts: list[Token]) -> Word:
         return _word(parts[0])

@@ -8,7 +8,7 @@ from typing import Any
 from slamhive.errors import InvalidInput
 from slamhive.search.grammar import leaves
 from slamhive.search.reader import KEYWORDS, FilterError, Token, shortened, split
-from slamhive.search.syntax import PRESENCE, Filter
+from slamhive.search.syntax import PRESENCE, Comparison, Filter
 from slamhive.search.units import UNITS, is_number
 
 MAX_LENGTH = 50_000
@@ -33,10 +33,13 @@ _EXPECTED = {
 """What is expected at a place, by the first of these terminals that the grammar allows there."""
 
 
-def parse_filter(text: str, title: str = "filter", example: str = EXAMPLE, longest: int = MAX_LENGTH) -> Filter | None:
+def parse_filter(
+    text: str, title: str = "filter", example: str = EXAMPLE, longest: int = MAX_LENGTH, *, alone: bool = True
+) -> Filter | None:
     """Parse a filter, None for an empty one; raises FilterError that points at the mistake.
 
-    ``title`` and ``example`` are for messages; ``longest`` is the largest number of characters.
+    ``title`` and ``example`` are for messages; ``longest`` is the largest number of characters. ``alone``: a word alone
+    is an attribute of datasets.
     """
     if len(text) > longest:
         raise InvalidInput(f"the {title} has {len(text)} characters, at most {longest} are allowed")
@@ -48,7 +51,18 @@ def parse_filter(text: str, title: str = "filter", example: str = EXAMPLE, longe
         return None
     tree: Filter = _parsed(text, tokens, title, example)
     _check_limits(text, tree, title)
+    for leaf in leaves(tree):
+        if leaf.is_alone and not alone:
+            raise nothing_compared(text, leaf, title, example)
     return tree
+
+
+def nothing_compared(text: str, leaf: Comparison, title: str = "filter", example: str = EXAMPLE) -> FilterError:
+    """The error for a name that stands alone."""
+    following = next(token for token in split(text)[0] if token.place.start >= leaf.place.end)
+    found = "its end" if following.kind == "end" else repr(shortened(following.text))
+    problem = f"the {title} has {found} where {_EXPECTED['SIGN']} belongs"
+    return FilterError(problem, example, text, following.place)
 
 
 def _parsed(text: str, tokens: list[Token], title: str, example: str) -> Any:

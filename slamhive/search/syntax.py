@@ -48,6 +48,10 @@ class Word:
     quoted: bool = field(default=False, compare=False)
 
 
+ATTRIBUTE = "attribute"
+"""The name that a word alone is compared with: ``indoor`` means ``attribute = indoor``."""
+
+
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """``name sign values``: one value, two for ``between``, any number for ``in``, none for ``has`` and ``missing``."""
@@ -56,6 +60,11 @@ class Comparison:
     sign: Sign
     values: tuple[Word, ...] = ()
     place: Place = field(default=NOWHERE, compare=False)
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether only the value was written."""
+        return self.place != NOWHERE and self.name.place == self.place
 
 
 Filter: TypeAlias = Tree[Comparison]

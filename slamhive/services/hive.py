@@ -15,6 +15,7 @@ from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, V
 from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, Protocols
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentContext, Experiments
+from slamhive.services.fetching import Collections, Fetching
 from slamhive.services.imports import Imports
 from slamhive.services.ledger import Ledger
 from slamhive.services.runs import Runs
@@ -56,6 +57,7 @@ class Hive:
         self.comparisons = Comparisons(store, self.evaluations, settings.runs_folder)
         self.experiments = Experiments(ExperimentContext(settings, store, catalogue, self.variants, self.executors))
         self.imports = Imports(settings, store, catalogue)
+        self.fetching = Fetching(settings, catalogue, Collections(catalogue.project_root))
         self.stored_analyses = StoredAnalyses(settings, store, lambda text: self.analyses.read(text).name)
         self.analysis_jobs = AnalysisJobs(settings, store, catalogue.project_root)
 

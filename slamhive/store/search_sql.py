@@ -28,7 +28,7 @@ from sqlalchemy import (
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import RunState
-from slamhive.search.binding import Bound, Condition, Value
+from slamhive.search.binding import Bound, Condition, Value, members_of
 from slamhive.search.fields import VARIANT_PREFIX, Kind, Source
 from slamhive.search.grammar import Junction
 from slamhive.search.syntax import PRESENCE, Sign
@@ -227,8 +227,11 @@ class Sql:
     def _on_configuration(self, leaf: Condition, rows: FromClause) -> ColumnElement[bool]:
         name = leaf.field.name
         algorithms, datasets = Algorithm.__table__.alias(), Dataset.__table__.alias()
-        if leaf.field.source is Source.SETUP:
-            return rows.c.algorithm_id.in_(select(algorithms.c.id).where(self._of_setup(leaf, algorithms)))
+        if leaf.field.source in {Source.SETUP, Source.ATTRIBUTE}:
+            owners, key = (
+                (algorithms, "algorithm_id") if leaf.field.source is Source.SETUP else (datasets, "dataset_id")
+            )
+            return rows.c[key].in_(select(owners.c.id).where(owners.c.name.in_(sorted(members_of(leaf)))))
         if name == "variant":
             wanted = leaf.sign is Sign.HAS or leaf.values[0] is (leaf.sign is Sign.EQUAL)
             return rows.c.variant.is_not(None) if wanted else rows.c.variant.is_(None)
@@ -240,18 +243,6 @@ class Sql:
             column = algorithms.c.name if name == "algorithm" else algorithms.c.package
             return rows.c.algorithm_id.in_(select(algorithms.c.id).where(self.compare(column, leaf)))
         return self.compare(rows.c.playback_mode if name == "playback" else rows.c.playback_rate, leaf)
-
-    def _of_setup(self, leaf: Condition, algorithms: FromClause) -> ColumnElement[bool]:
-        """Algorithms whose set-up is known and is one of the wanted ones (or none of them)."""
-        groups = leaf.field.groups
-        known = {name for members in groups.values() for name in members}
-        values = [str(value) for value in leaf.values]
-        wanted = {name for value in values for name in groups.get(value, ())}
-        if leaf.sign is Sign.HAS:
-            wanted = known
-        elif leaf.sign in COMPLEMENTS:
-            wanted = known - wanted
-        return algorithms.c.name.in_(sorted(wanted))
 
     def compare(self, column: Any, leaf: Condition) -> ColumnElement[bool]:
         """A comparison of a column that holds the values of the field."""

@@ -18,7 +18,7 @@ from slamhive.store.search_verdicts import verdict_tree
 _INDEXED = frozenset(
     {"id", "state", "reason", "executor", "configuration", "experiment", "created_at", "ended_at", "disturbed"}
 )
-_OF_CONFIGURATIONS = frozenset({Source.CONFIGURATION, Source.SETUP, Source.PARAMETER})
+_OF_CONFIGURATIONS = frozenset({Source.CONFIGURATION, Source.SETUP, Source.ATTRIBUTE, Source.PARAMETER})
 _LOOK_UP = 3
 """Reading the row of a run costs about this many times what testing a metric does."""
 

@@ -72,6 +72,8 @@ def _check_catalogue(experiment: Experiment, view: CatalogueView) -> None:
         for name in axis.values:
             if name not in known:
                 raise at(axis.place, unknown(kind, str(name), known))
+    if not experiment.datasets.values:
+        raise InvalidInput(f"{experiment.datasets.place}: the filter has not been replaced by names of datasets")
 
 
 def _axes_by_name(experiment: Experiment) -> dict[str, Axis]:

@@ -88,7 +88,7 @@ class Condition:
 def parse_condition(text: str) -> Condition:
     """The condition that ``text`` states; raises InvalidInput naming the part that is not understood."""
     title = f"condition {text if len(text) <= 80 else text[:80] + '…'!r}"
-    tree = parse_filter(text, title, longest=MAX_LENGTH)
+    tree = parse_filter(text, title, longest=MAX_LENGTH, alone=False)
     if tree is None:
         raise InvalidInput(
             "the condition is empty", "write comparisons such as image_rate >= 2, joined by and, or, not"

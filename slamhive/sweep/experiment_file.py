@@ -23,7 +23,7 @@ from slamhive.sweep.experiment import (
     StepOption,
     Where,
 )
-from slamhive.sweep.experiment_model import EvaluateModel, ExperimentModel, StepModel
+from slamhive.sweep.experiment_model import DatasetsWhere, EvaluateModel, ExperimentModel, StepModel
 
 
 def parse_experiment(text: str, source: str = "experiment.yaml") -> Experiment:
@@ -60,7 +60,7 @@ def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experimen
         description=model.description,
         place=places.of("name"),
         algorithms=Axis("algorithm", model.algorithms, places.of("algorithms")),
-        datasets=Axis("dataset", model.datasets, places.of("datasets")),
+        datasets=Axis("dataset", _names(model.datasets), places.of("datasets")),
         steps=tuple(_step(name, step, places) for name, step in model.steps.items()),
         parameters=tuple(_parameters(model.parameters, places)),
         links=(*_links("linked", model.linked, places), *_links("tied", model.tied, places)),
@@ -79,6 +79,11 @@ def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experimen
         executor=model.executor,
         priority=model.priority,
     )
+
+
+def _names(datasets: tuple[str, ...] | DatasetsWhere) -> tuple[str, ...]:
+    """No names for a filter, which :func:`slamhive.sweep.dataset_choice.name_datasets` replaces by names."""
+    return () if isinstance(datasets, DatasetsWhere) else datasets
 
 
 def _step(name: str, model: StepModel, places: strict_yaml.Places) -> StepDeclaration:

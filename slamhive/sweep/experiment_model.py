@@ -167,6 +167,15 @@ SwitchOrEvaluate = Annotated[
 ]
 
 
+class DatasetsWhere(_Model):
+    """Datasets that a filter describes, instead of their names."""
+
+    where: str = Field(min_length=1, description="A filter, such as: indoor and sensor = stereo.")
+
+
+WordsOrWhere = Annotated[Annotated[Words, Tag(PLAIN)] | Annotated[DatasetsWhere, Tag(SECTION)], Discriminator(_shape)]
+
+
 class ExperimentModel(_Model):
     """An experiment: what is combined with what. Every combination becomes one configuration."""
 
@@ -178,7 +187,7 @@ class ExperimentModel(_Model):
     )
     description: str = ""
     algorithms: Words
-    datasets: Words
+    datasets: WordsOrWhere
     steps: dict[AxisName, StepModel] = Field(
         default_factory=dict, description="Pre-processing in the order of application, each under a name of yours."
     )

@@ -54,6 +54,7 @@ _BLUEPRINTS = (
     algorithms.blueprint,
     configurations.blueprint,
     datasets.blueprint,
+    datasets.public_blueprint,
     start.blueprint,
     runs.blueprint,
     experiments.blueprint,

@@ -76,6 +76,7 @@ def draft_from_text(hive: Hive, text: str) -> Draft:
     if not text.strip():
         return empty_draft()
     try:
+        text = hive.experiments.with_datasets(ExperimentSource(text, SOURCE)).text
         fields = fields_from_yaml(text)
     except InvalidInput as error:
         return with_error(Draft(text, None), error)

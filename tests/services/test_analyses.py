@@ -171,6 +171,7 @@ def test_parameters_have_their_units_and_algorithms_their_colours(world):
         world.store,
         TableRequest([1, 2, 3, 4, 5], {"ate.rmse"}, None, FailureRule()),
         {"another": "mono", "eye-slam-mono": "mono"},
+        {},
     )
     assert table.colours["eye-slam-mono"] == PALETTE[1]
     assert set(table.frame["sensors"].dropna()) == {"mono"}

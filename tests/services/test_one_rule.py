@@ -95,7 +95,7 @@ def test_list_groups_experiment_analysis_and_json_agree(hive: Hive, runs: list[i
     (listed_status,) = hive.experiments.list()
     assert replace(listed_status, left_s=None) == replace(status, left_s=None)
 
-    table = load_table(hive.store, TableRequest(runs, {"ate.rmse"}, None, DEFAULT_RULE), {})
+    table = load_table(hive.store, TableRequest(runs, {"ate.rmse"}, None, DEFAULT_RULE), {}, {})
     assert set(table.failed()["run_id"]) == set(failed)
     assert (len(table.good()), table.not_evaluated) == (4, 1)
     assert Counter(table.failed()[FAILED])[OUTLIER.label] == 2
@@ -107,7 +107,7 @@ def test_means_and_medians_are_of_the_same_runs(hive: Hive, runs: list[int]) -> 
     spread = next(figures["ate.rmse"] for figures in group.figures.values())
     (cell,) = hive.experiments.cells("e", 0, 10).cells
     figures = next(entry for entry in cell.figures if entry.protocol is not None)
-    table = load_table(hive.store, TableRequest(runs, {"ate.rmse"}, None, DEFAULT_RULE), {})
+    table = load_table(hive.store, TableRequest(runs, {"ate.rmse"}, None, DEFAULT_RULE), {}, {})
     for found in (spread, figures.metrics["ate.rmse"]):
         assert [found.n, found.mean, found.median] == pytest.approx([4, sum(good) / 4, 0.115])
     assert sorted(table.good()["ate.rmse"]) == pytest.approx(sorted(good))
@@ -117,6 +117,6 @@ def test_cancelled_and_unfinished_runs_are_neither_good_nor_failed_in_an_analysi
     samples = Samples(hive.store, NOW)
     samples._numbers = iter(range(1000, 2000))  # type: ignore[assignment]
     more = [samples.run_in(RunState.CANCELLED), samples.run_in(RunState.RUNNING)]
-    table = load_table(hive.store, TableRequest([*runs, *more], {"ate.rmse"}, None, DEFAULT_RULE), {})
+    table = load_table(hive.store, TableRequest([*runs, *more], {"ate.rmse"}, None, DEFAULT_RULE), {}, {})
     assert not set(table.frame["run_id"]) & set(more)
     assert table.not_evaluated == 3

@@ -117,6 +117,18 @@ def test_the_yaml_fills_the_fields(web: Web):
     assert "missing sensors for eye-slam-mono, eye-slam-stereo" in words(state["builder"])
 
 
+def test_a_filter_over_datasets_becomes_their_names(web: Web):
+    text = "name: mine\nalgorithms: eye-slam-mono\ndatasets: {where: sensor = stereo-inertial}\n"
+    state = write(web, text)
+    assert 'datasets: ["room"]\n# chosen by: sensor = stereo-inertial\n' in state["yaml"]
+    assert "1 configuration, 1 run." in words(state["preview"])
+    assert edit(web, **{"from": "text", "do": "preview", "yaml": state["yaml"]})["yaml"] == state["yaml"]
+    wrong = write(web, text.replace("stereo-inertial", "sterio"))
+    assert "sensor is never 'sterio'" in wrong["error"]
+    web.hive.experiments.start(ExperimentSource(text))
+    assert "where" not in web.hive.experiments.source("mine").text
+
+
 def test_a_mistake_is_told_with_its_line_and_at_its_field(web: Web):
     state = write(web, TRIAL.replace("1500", "99999"))
     assert state["line"] == 7

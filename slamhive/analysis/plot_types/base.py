@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -27,6 +27,15 @@ class PlotOptions(BaseModel):
     title: str | None = Field(default=None, max_length=200, description="Replaces the title of the plot type.")
     text: str = Field(default="", max_length=20_000, description="Markdown above the plot.")
 
+
+GroupKey = Annotated[
+    str,
+    Field(
+        min_length=1,
+        max_length=200,
+        description="Column that groups runs: dataset, a parameter, or a property of datasets such as difficulty.",
+    ),
+]
 
 OptionsT = TypeVar("OptionsT", bound=PlotOptions)
 

@@ -26,6 +26,7 @@ class ByAlgorithmOptions(base.PlotOptions):
     of: Literal["average", "best"] = Field(
         default="average", description="All configurations, or the best one of each algorithm and dataset."
     )
+    by: base.GroupKey = "dataset"
 
 
 class ByAlgorithm(base.PlotType[ByAlgorithmOptions]):
@@ -33,22 +34,26 @@ class ByAlgorithm(base.PlotType[ByAlgorithmOptions]):
 
     key = "by_algorithm"
     title = "By algorithm and dataset"
-    description = "Mean, spread and failures of each algorithm on each dataset; a table of the best configurations."
+    description = (
+        "Mean, spread and failures of each algorithm on each dataset, or in another group; a table of the best "
+        "configurations."
+    )
     options = ByAlgorithmOptions
     column_options = ("metric",)
 
     def build(self, data: base.PlotData, options: ByAlgorithmOptions) -> PlotResult:
         """Bars of means with spread, bars of failure rates, a table of the best configurations."""
-        everything = data.table.require_runs()
+        everything = data.table.require_runs().grouped_by(options.by)
         column = everything.numeric(options.metric, "a mean")
         protocol = everything.one_protocol([options.metric])
         chosen = best_configurations(everything, options.metric)
         table = everything if options.of == "average" else everything.with_rows(_only(everything.frame, chosen))
-        x = Axis("Dataset", categories=tuple(sorted(everything.frame["dataset"].unique())))
+        by = options.by
+        x = Axis(everything.column(by).label, categories=tuple(sorted(everything.frame[by].unique())))
         shown = len(table.good().dropna(subset=[options.metric]))
         which = "all configurations" if options.of == "average" else "the best configuration of each"
-        bars = tuple(_means(table, options.metric, x))
-        marks: tuple[Mark, ...] = (*bars, *failed_marks(table, x, "dataset"))
+        bars = tuple(_means(table, options.metric, x, by))
+        marks: tuple[Mark, ...] = (*bars, *failed_marks(table, x, by))
         means = Chart(
             key=f"by_algorithm_{options.metric}",
             title=options.title or f"{column.label}, {which}",
@@ -68,7 +73,7 @@ class ByAlgorithm(base.PlotType[ByAlgorithmOptions]):
             title="Failed runs",
             x=x,
             y=Axis("Failed runs", "%"),
-            marks=tuple(_failure_rates(table, x)),
+            marks=tuple(_failure_rates(table, x, by)),
             caption=base.caption(table, len(table.frame), protocol),
         )
         result = base.result_of(
@@ -76,7 +81,7 @@ class ByAlgorithm(base.PlotType[ByAlgorithmOptions]):
             protocol,
             [*([means] if shown else []), *([failures] if len(table.failed()) else [])],
             (
-                base.summary_table("by_algorithm", table, [options.metric], ["algorithm", "dataset"]),
+                base.summary_table("by_algorithm", table, [options.metric], ["algorithm", by]),
                 _best_table(everything, options.metric, chosen),
                 base.raw_table("by_algorithm_raw", table, [options.metric]),
             ),
@@ -115,9 +120,9 @@ def _only(frame: pd.DataFrame, chosen: dict[tuple[str, str], int]) -> pd.DataFra
     return frame[kept]
 
 
-def _means(table: RunTable, metric: str, x: Axis) -> Iterator[Bars]:
+def _means(table: RunTable, metric: str, x: Axis, by: str) -> Iterator[Bars]:
     for algorithm, rows in table.frame.groupby("algorithm", sort=True):
-        found = [_summary(rows, name, metric) for name in x.categories or ()]
+        found = [_summary(rows[rows[by] == name], metric) for name in x.categories or ()]
         heights = np.array([np.nan if entry is None else entry.mean for entry in found])
         spread = np.array([0.0 if entry is None or entry.std is None else entry.std for entry in found])
         yield Bars(
@@ -137,13 +142,13 @@ def _counts(bars: Sequence[Bars]) -> str:
     return " to ".join(map(str, dict.fromkeys((counts[0], counts[-1])))) if counts else "no"
 
 
-def _summary(rows: pd.DataFrame, dataset: str, metric: str) -> Summary | None:
-    return summarise(base.good_values(rows[rows["dataset"] == dataset], metric))
+def _summary(rows: pd.DataFrame, metric: str) -> Summary | None:
+    return summarise(base.good_values(rows, metric))
 
 
-def _failure_rates(table: RunTable, x: Axis) -> Iterator[Bars]:
+def _failure_rates(table: RunTable, x: Axis, by: str) -> Iterator[Bars]:
     for algorithm, rows in table.frame.groupby("algorithm", sort=True):
-        groups = [rows[rows["dataset"] == name] for name in x.categories or ()]
+        groups = [rows[rows[by] == name] for name in x.categories or ()]
         rates = [100 * float(group[FAILED].notna().mean()) if len(group) else np.nan for group in groups]
         texts = [f"{base.failed_count(group)} of {len(group)}" if len(group) else "" for group in groups]
         colour = table.colours[str(algorithm)]

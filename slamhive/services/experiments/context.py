@@ -8,13 +8,16 @@ from dataclasses import dataclass
 from slamhive.bags.variants.rules import RegisteredSteps
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.errors import InvalidInput
+from slamhive.search.datasets import matching_datasets
 from slamhive.services.datasets import Catalogue, Variants
 from slamhive.services.executors import Executors
 from slamhive.services.experiments.folder import ExperimentFolder
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.settings import Settings
 from slamhive.store import Store
 from slamhive.store.durations import Pairing
 from slamhive.sweep.binding import at
+from slamhive.sweep.dataset_choice import name_datasets
 from slamhive.sweep.expand import Expansion, expand
 from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.view import CatalogueView
@@ -40,6 +43,18 @@ class ExperimentContext:
     def folder(self, name: str) -> ExperimentFolder:
         """The folder of the experiment called ``name``."""
         return ExperimentFolder(self.settings.experiments_folder / name)
+
+    def with_datasets(self, source: ExperimentSource) -> ExperimentSource:
+        """``source`` with the names of the datasets that its filter describes, if it has one.
+
+        Only datasets with a recording are chosen. Raises InvalidInput naming file and line.
+        """
+        recorded = [dataset for dataset in self.catalogue.datasets() if dataset.bag]
+
+        def choose(where: str) -> list[str]:
+            return [dataset.name for dataset in matching_datasets(where, recorded)]
+
+        return ExperimentSource(name_datasets(source.text, source.name, choose), source.name)
 
     def expand(self, experiment: Experiment) -> Expansion:
         """Expand ``experiment`` into its runs, checked against the current catalogue.

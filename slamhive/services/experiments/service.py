@@ -42,6 +42,10 @@ class Experiments:
         self._tables = AxisTables()
         self._time_left = TimeLeft(context.settings.worker_slots)
 
+    def with_datasets(self, source: ExperimentSource) -> ExperimentSource:
+        """``source`` with names of datasets in place of a filter; raises InvalidInput naming file and line."""
+        return self._context.with_datasets(source)
+
     def preview(
         self, source: ExperimentSource, executor: str | None = None, progress: Progress = silent
     ) -> ExperimentPreview:
@@ -50,6 +54,7 @@ class Experiments:
         Raises InvalidInput or NotFound, naming file and line, if the file is not valid.
         """
         context = self._context
+        source = context.with_datasets(source)
         experiment = parse_experiment(source.text, source.name)
         refusals: list[str] = []
         standing = None

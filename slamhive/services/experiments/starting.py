@@ -22,6 +22,7 @@ from slamhive.sweep.experiment_model import MAX_REPEATS
 
 def start(context: ExperimentContext, source: ExperimentSource, executor: str | None, progress: Progress) -> str:
     """Store all runs of ``source`` that are not stored yet; returns the name of the experiment."""
+    source = context.with_datasets(source)
     experiment = parse_experiment(source.text, source.name)
     record = context.store.read(lambda t: t.experiments.find(experiment.name))
     if record is not None:

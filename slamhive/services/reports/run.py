@@ -28,13 +28,14 @@ class AnalysisLimits:
 
 @dataclass(frozen=True, slots=True)
 class AnalysisSources:
-    """Data sources of an analysis: filters, saved searches, sensors of algorithms."""
+    """Data sources of an analysis: filters, saved searches, sensors of algorithms, attributes of datasets."""
 
     settings: Settings
     store: Store
     find: Find
     saved_search: Callable[[str], str]
     sensors: Mapping[str, str]
+    attributes: Mapping[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +90,7 @@ def run_analysis(
     keys = {key for request in analysis.plots for key in request.plot_type.needs(request.options)}
     asked = TableRequest(run_ids, keys, analysis.protocol, analysis.rule, analysis.exclude_disturbed)
     try:
-        table = load_table(sources.store, asked, sources.sensors)
+        table = load_table(sources.store, asked, sources.sensors, sources.attributes)
     except NotFound as error:
         raise analysis.placed(PROTOCOL, error) from None
     for key in analysis.one:

@@ -38,13 +38,16 @@ class TableRequest:
     exclude_disturbed: bool = False
 
 
-def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) -> RunTable:
+def load_table(
+    store: Store, request: TableRequest, sensors: Mapping[str, str], attributes: Mapping[str, Collection[str]]
+) -> RunTable:
     """The table of the requested runs.
 
     Args:
         store: The database.
         request: Which runs and metrics.
         sensors: The sensor setup of each installed algorithm, by name.
+        attributes: Those of each dataset, by name.
 
     Raises:
         NotFound: no run was evaluated under the protocol.
@@ -74,7 +77,9 @@ def load_table(store: Store, request: TableRequest, sensors: Mapping[str, str]) 
     columns |= _by_id(new, facts["run_id"])
     known = {name: _unit(name, units) for name in columns if name not in new}
     known |= {name: known.get(_source(columns[name], columns, known), "") for name in new}
-    table = make_table(facts, columns, _by_id(figures, facts["run_id"]), request.rule, installed=sensors)
+    words = [attributes.get(name, ()) for name in facts["dataset"]]
+    values = _by_id(figures, facts["run_id"])
+    table = make_table(facts, columns, values, request.rule, installed=sensors, attributes=words)
     repeated = _repeated(variants, new, facts["run_id"])
     left_out = selected - len(facts["run_id"]) if request.exclude_disturbed else None
     return replace(table.described(known, repeated), not_evaluated=not_evaluated, without_disturbed=left_out)

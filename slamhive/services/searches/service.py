@@ -9,6 +9,7 @@ from slamhive.clock import monotonic_s, utc_now
 from slamhive.domain.names import check_name
 from slamhive.domain.parameters import Parameter, ParameterType
 from slamhive.search.binding import Search, read_search
+from slamhive.search.datasets import attributes_of
 from slamhive.search.fields import Kind, ParameterKind, Vocabulary, vocabulary_of
 from slamhive.services.datasets import Catalogue, check_writable, imported_algorithms
 from slamhive.settings import Settings
@@ -85,7 +86,13 @@ class Searches:
         for entry in (entry for parameters in packages.values() for entry in parameters if entry.general):
             name = str(entry.general)
             own_keys[name] = tuple(dict.fromkeys((*own_keys.get(name, ()), entry.key)))
-        return vocabulary_of([*defined, *stored], sensors=sensors, protocols=protocols, own_keys=own_keys)
+        return vocabulary_of(
+            [*defined, *stored],
+            sensors=sensors,
+            protocols=protocols,
+            own_keys=own_keys,
+            attributes=attributes_of(self._catalogue.datasets()),
+        )
 
     def read(self, text: str) -> Search:
         """Parse a filter; raises FilterError with the position of the error."""

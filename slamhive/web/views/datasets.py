@@ -25,6 +25,7 @@ _RUNS = 8
 """How many runs the page of a dataset lists; a link leads to all."""
 
 blueprint = Blueprint("datasets", __name__, url_prefix="/datasets")
+public_blueprint = Blueprint("public_datasets", __name__, url_prefix="/public-datasets")
 
 
 @blueprint.get("")
@@ -33,8 +34,27 @@ def index() -> str:
     catalogue = hive().catalogue
     return render_template(
         "datasets/index.html",
+        collections=hive().fetching.collections.all,
         datasets=catalogue.datasets(),
         broken=[entry for entry in catalogue.broken() if not entry.is_algorithm],
+    )
+
+
+@public_blueprint.get("")
+def index_of_public() -> str:
+    """List public sequences that all words of the address fit, with the command that fetches each."""
+    words = request.args.get("words", "").strip()
+    sequences, problem = [], ""
+    try:
+        sequences = hive().fetching.search(words.split())
+    except NotFound as error:
+        problem = str(error)
+    return render_template(
+        "datasets/public.html",
+        words=words,
+        sequences=sequences,
+        problem=problem,
+        unverified=any(entry.unverified for entry in sequences),
     )
 
 

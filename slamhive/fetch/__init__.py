@@ -1,0 +1,1 @@
+"""Files from the net: resumable downloads, safe unpacking, checks of addresses."""
