@@ -24,6 +24,8 @@ SLOWEST_M = 0.02
 """A path shorter than this is at rest, or in km."""
 JUMP_FACTOR, JUMP_M, JUMP_RAD = 5.0, 0.1, np.deg2rad(15)
 """A step is a jump if it is this many times the steps around it, and longer than noise of a tracker."""
+GRAVE_JUMP_M, GRAVE_SHARE = 1.0, 0.01
+"""Jumps beyond one of these spoil the error of a whole run; smaller ones are lost in it."""
 AROUND = 5
 """Steps before and after a step that say what is usual there."""
 TURNED_RAD = np.deg2rad(45)
@@ -156,9 +158,10 @@ def _jumps(evidence: Evidence, truth: Truth) -> Findings:
     turned = _unusual(angles_rad / duration_s, duration_s, JUMP_RAD)
     at = np.flatnonzero((far | turned) & (steps_s > 0) & (steps_s < LONG_GAP_S)) + 1
     if len(at):
+        grave = lengths_m[at - 1].max() > GRAVE_JUMP_M or len(at) > GRAVE_SHARE * len(steps_s)
         yield _finding(
             "truth-jumps",
-            Severity.ERROR,
+            Severity.ERROR if grave else Severity.WARNING,
             f"The ground truth jumps at {len(at)} poses, by up to {lengths_m[at - 1].max():.3g} m and "
             f"{np.rad2deg(angles_rad[at - 1].max()):.3g} deg from one pose to the next.",
             "remove the poses around the jumps: the tracker lost its target there",
