@@ -13,13 +13,14 @@ from slamhive.bags.reader import decode, messages, open_bag
 from slamhive.bags.staging import Progress
 from slamhive.checks.collect_images import DepthCollector, ImageCollector
 from slamhive.checks.collect_matches import Rig
-from slamhive.checks.collect_sweeps import SweepCollector
+from slamhive.checks.collect_sweeps import LaserCollector, SweepCollector
 from slamhive.checks.evidence import Array, Evidence, Stream
 from slamhive.checks.truth_file import read_truth
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.runtime.messages import COMPRESSED_IMAGE, IMAGE, IMU, POINTS
+from slamhive.runtime.messages import COMPRESSED_IMAGE, IMAGE, IMU, LASER_SCAN, ODOMETRY, POINTS
 
+NAV_SAT_FIX = "sensor_msgs/msg/NavSatFix"
 MOST_TIMES = 5_000_000
 """Messages of one sensor whose timestamps are kept: 80 MB, seven hours of an IMU at 200 Hz."""
 MOST_SAMPLES = 2_000_000
@@ -29,7 +30,12 @@ EXPECTED_TYPES: Mapping[SensorKind, tuple[str, ...]] = {
     SensorKind.DEPTH: (IMAGE, COMPRESSED_IMAGE),
     SensorKind.IMU: (IMU,),
     SensorKind.LIDAR: (POINTS,),
+    SensorKind.LASER: (LASER_SCAN,),
+    SensorKind.ODOMETRY: (ODOMETRY,),
+    SensorKind.GNSS: (NAV_SAT_FIX,),
 }
+_STAMPED = tuple(kind for kinds in EXPECTED_TYPES.values() for kind in kinds)
+"""Types with a header, whose timestamps are collected even if a sensor of another kind should have them."""
 _REPORT_EVERY = 500
 
 
@@ -112,12 +118,10 @@ def _collectors(dataset: Dataset, topics: dict[str, str], counts: dict[str, int]
         kind = topics.get(sensor.topic)
         if kind is None:
             continue
-        if kind in EXPECTED_TYPES[sensor.kind]:
-            content = _CONTENTS[sensor.kind](sensor, counts[sensor.topic], rig)
-        elif kind in {IMAGE, COMPRESSED_IMAGE, IMU, POINTS}:
-            content = None
-        else:
+        if kind not in _STAMPED:
             continue
+        make = _CONTENTS.get(sensor.kind) if kind in EXPECTED_TYPES[sensor.kind] else None
+        content = None if make is None else make(sensor, counts[sensor.topic], rig)
         found[sensor.topic] = _Collector(sensor, kind, content, array("q"), array("q"))
     return found
 
@@ -127,4 +131,5 @@ _CONTENTS: dict[SensorKind, Callable[[Sensor, int, Rig], Content]] = {
     SensorKind.DEPTH: DepthCollector,
     SensorKind.IMU: lambda _sensor, _count, _rig: _ImuContent(),
     SensorKind.LIDAR: lambda sensor, count, _rig: SweepCollector(sensor, count),
+    SensorKind.LASER: lambda _sensor, count, _rig: LaserCollector(count),
 }

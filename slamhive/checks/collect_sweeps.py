@@ -106,6 +106,28 @@ class SweepCollector:
         self._previous = (index, ends)
 
 
+class LaserCollector:
+    """The scans of a laser that measures in one plane."""
+
+    def __init__(self, count: int) -> None:
+        self._ranges_each = max(10, min(POINTS_SAMPLED, MOST_RANGES // max(1, count)))
+        self._counts = array("d")
+        self._ranges = array("f")
+
+    def add(self, index: int, header_ns: int, message: Any) -> None:  # noqa: ARG002 - the ranges alone count
+        """Take one scan; ranges beyond what the message itself says to be valid are no echo."""
+        ranges = np.asarray(message.ranges, dtype=np.float32)
+        echoes = ranges[np.isfinite(ranges) & (ranges > NEARLY_ZERO_M) & (ranges < float(message.range_max))]
+        self._counts.append(len(echoes))
+        self._ranges.frombytes(echoes[:: max(1, len(echoes) // self._ranges_each)].tobytes())
+
+    def finish(self) -> dict[str, Any]:
+        """The scans, as sweeps without times of points."""
+        nothing = np.zeros((0, 2))
+        ranges_m = np.array(self._ranges, dtype=np.float32)
+        return {"sweeps": Sweeps(np.array(self._counts), (), ranges_m, 0.0, nothing, nothing[:, 0], nothing)}
+
+
 class _Ends:
     """Ranges by direction of the first and the last points in time of a sweep."""
 

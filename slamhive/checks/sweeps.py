@@ -32,14 +32,15 @@ MOVED_M, FEWEST_SEAMS = 0.05, 2
 STAMP_SHARE = 0.5
 
 
-def sweeps_of(evidence: Evidence) -> list[tuple[Stream, Sweeps]]:
-    """The LiDARs whose messages are read."""
-    return [(stream, stream.sweeps) for stream in evidence.of_kind(SensorKind.LIDAR) if stream.sweeps is not None]
+def sweeps_of(evidence: Evidence, *more: SensorKind) -> list[tuple[Stream, Sweeps]]:
+    """The LiDARs, and sensors of kinds ``more``, whose messages are read."""
+    streams = evidence.of_kind(SensorKind.LIDAR, *more)
+    return [(stream, stream.sweeps) for stream in streams if stream.sweeps is not None]
 
 
 def empty_sweeps(evidence: Evidence) -> Findings:
     """Every sweep has points."""
-    for stream, sweeps in sweeps_of(evidence):
+    for stream, sweeps in sweeps_of(evidence, SensorKind.LASER):
         usual = float(np.median(sweeps.counts))
         empty = np.flatnonzero(sweeps.counts <= EMPTY_SHARE * usual)
         if len(empty):
@@ -57,7 +58,7 @@ def empty_sweeps(evidence: Evidence) -> Findings:
 
 def ranges(evidence: Evidence) -> Findings:
     """Points are at distances that the sensor can measure, in metres."""
-    for stream, sweeps in sweeps_of(evidence):
+    for stream, sweeps in sweeps_of(evidence, SensorKind.LASER):
         if len(sweeps.ranges_m) == 0:
             yield NotChecked("lidar-ranges", stream.sensor.name, "no sweep has a point")
             continue

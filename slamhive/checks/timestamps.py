@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from slamhive.checks.evidence import Array, Evidence, Findings, Stream
-from slamhive.checks.streams import period_s
+from slamhive.checks.streams import GAP_PERIODS, period_s
 from slamhive.domain.checks import Finding, NotChecked, Severity
 
 JUMP_S = 0.5
 """Header and receive time of neighbours differ by a transport delay, which changes by less than this."""
-GAP_PERIODS = 2.5
-"""Two messages in a row are missing. A single one is lost now and then in many recordings."""
 APART_S = 0.25
 """Delays from measurement to recording differ less than this between sensors: exposure, sweep, transport."""
 DRIFT_S = 0.2

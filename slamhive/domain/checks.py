@@ -70,3 +70,7 @@ class CheckReport:
     findings: tuple[Finding, ...]
     not_checked: tuple[NotChecked, ...]
     version: int = VERSION
+
+    def count(self, severity: Severity) -> int:
+        """The number of findings of one severity."""
+        return sum(finding.severity is severity for finding in self.findings)
