@@ -7,7 +7,10 @@ from typing import Any
 
 import pytest
 
+from slamhive.bags.importers import IMPORTERS
+from slamhive.bags.importing import ImportOptions, perform
 from slamhive.checks.evidence import Evidence
+from slamhive.checks.run import check_dataset
 from slamhive.checks.truth import ground_truth
 from slamhive.checks.truth_file import read_truth
 from slamhive.domain.checks import Finding, Severity
