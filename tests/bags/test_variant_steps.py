@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -435,6 +436,21 @@ def test_beams_are_kept_by_ring_and_numbered_anew():
     assert thinned["t"].tolist() == [0, 2, 4, 6]
     assert thinned["ring"].tolist() == [0, 1, 0, 1]
     assert make_step("point_beams", {"every": 3}).calibrate(LIDAR).calibration["beams"] == 2
+
+
+def test_beams_are_found_in_the_field_that_the_calibration_names():
+    named = replace(LIDAR, calibration={**LIDAR.calibration, "ring_field": "line"})
+    lined = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4"), ("line", "<u2")])
+    points = cloud(np.ones((8, 3))).astype(lined)
+    assert apply("point_beams", named, points, every=2)["line"].tolist() == [0, 1, 0, 1]
+
+
+@pytest.mark.parametrize("kind", ["point_range", "point_stride", "point_beams", "voxel", "fog"])
+def test_a_scan_that_lost_points_is_no_image_of_ranges(kind):
+    organised = replace(LIDAR, calibration={**LIDAR.calibration, "organised": True})
+    _, options = EXAMPLES[kind]
+    assert make_step(kind, options).calibrate(organised).calibration["organised"] is False
+    assert "organised" not in make_step(kind, options).calibrate(LIDAR).calibration
 
 
 def scan_by_beams(beams: int) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from slamhive.bags.variants.step import Array, Message, Operation, SeededStep, Stream
 from slamhive.bags.variants.steps.options import option
-from slamhive.bags.variants.steps.points import moved, ranges_m
+from slamhive.bags.variants.steps.points import moved, ranges_m, unorganised
 from slamhive.domain.sensors import Sensor, SensorKind
 
 _CONTRAST_AT_VISIBILITY = 0.05
@@ -31,6 +31,10 @@ class Fog(SeededStep):
     def applies_to(self, sensor: Sensor) -> bool:
         """LiDARs."""
         return sensor.kind is SensorKind.LIDAR
+
+    def calibrate(self, sensor: Sensor) -> Sensor:
+        """A list of points in place of an image of ranges: what fog swallows is left out."""
+        return unorganised(sensor)
 
     def operation(self, stream: Stream) -> Operation:  # noqa: ARG002 - all LiDARs alike
         """Fog in every scan."""

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from slamhive.bags.variants.step import Array, Message, Operation, Step, Stream
 from slamhive.bags.variants.steps.options import option
-from slamhive.bags.variants.steps.points import RING_FIELD, beam_numbers
+from slamhive.bags.variants.steps.points import beam_numbers, ring_field, unorganised
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput
 
@@ -38,17 +38,18 @@ class PointBeams(Step):
 
     def calibrate(self, sensor: Sensor) -> Sensor:
         """As many beams as are left."""
-        return replace(sensor, calibration={**sensor.calibration, "beams": -(-_beams(sensor) // self.every)})
+        left = {**sensor.calibration, "beams": -(-_beams(sensor) // self.every)}
+        return unorganised(replace(sensor, calibration=left))
 
     def operation(self, stream: Stream) -> Operation:
         """A filter on the points of every scan."""
-        beams = _beams(stream.sensor)
+        beams, ring = _beams(stream.sensor), ring_field(stream.sensor)
 
         def thin(points: Array, _message: Message) -> Array:
-            numbers = beam_numbers(points, beams)
+            numbers = beam_numbers(points, beams, ring)
             kept: Array = points[numbers % self.every == 0]
-            if RING_FIELD in (points.dtype.names or ()):
-                kept[RING_FIELD] //= self.every
+            if ring in (points.dtype.names or ()):
+                kept[ring] //= self.every
             return kept
 
         return Operation(transform=thin)

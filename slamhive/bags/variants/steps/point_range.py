@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from slamhive.bags.variants.step import Array, Message, Operation, Step, Stream
 from slamhive.bags.variants.steps.options import option
-from slamhive.bags.variants.steps.points import ranges_m
+from slamhive.bags.variants.steps.points import ranges_m, unorganised
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput
 
@@ -44,7 +44,7 @@ class PointRange(Step):
         if self.maximum_m is not None:
             own_m = _number(calibration.get("maximum_range_m"), self.maximum_m)
             calibration["maximum_range_m"] = min(self.maximum_m, own_m)
-        return replace(sensor, calibration=calibration)
+        return unorganised(replace(sensor, calibration=calibration))
 
     def operation(self, stream: Stream) -> Operation:  # noqa: ARG002 - all LiDARs alike
         """A filter on the points of every scan."""

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from slamhive.bags.variants.step import Array, Message, Operation, Step, Stream
 from slamhive.bags.variants.steps.options import option
+from slamhive.bags.variants.steps.points import unorganised
 from slamhive.domain.sensors import Sensor, SensorKind
 
 
@@ -27,6 +28,10 @@ class PointStride(Step):
     def is_identity(self, sensor: Sensor) -> bool:  # noqa: ARG002 - the option decides alone
         """Every point."""
         return self.every == 1
+
+    def calibrate(self, sensor: Sensor) -> Sensor:
+        """A list of points in place of an image of ranges."""
+        return unorganised(sensor)
 
     def operation(self, stream: Stream) -> Operation:  # noqa: ARG002 - all LiDARs alike
         """A slice of every scan."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from slamhive.bags.variants.step import Array
+from slamhive.domain.sensors import Sensor
 from slamhive.errors import InvalidInput
 
 RING_FIELD = "ring"
@@ -29,7 +32,19 @@ def moved(points: Array, factors: Array) -> Array:
     return result
 
 
-def beam_numbers(points: Array, beams: int) -> Array:
+def ring_field(sensor: Sensor) -> str:
+    """The field with the number of the ring, ``ring`` if ``dataset.yaml`` names none."""
+    return str(sensor.calibration.get("ring_field") or RING_FIELD)
+
+
+def unorganised(sensor: Sensor) -> Sensor:
+    """``sensor`` after points were left out: its scans are no images of ranges any more."""
+    if not sensor.calibration.get("organised"):
+        return sensor
+    return replace(sensor, calibration={**sensor.calibration, "organised": False})
+
+
+def beam_numbers(points: Array, beams: int, ring: str = RING_FIELD) -> Array:
     """Which beam each point comes from (n,), int: the field ``ring``, or the order in which the scan is stored.
 
     Without that field a scan must be stored beam after beam, each turn once around, as KITTI's are: a beam ends where
@@ -37,8 +52,8 @@ def beam_numbers(points: Array, beams: int) -> Array:
 
     Raises InvalidInput if the order shows no beams: fewer than half of ``beams``, or more than there are.
     """
-    if points.dtype.names is not None and RING_FIELD in points.dtype.names:
-        return points[RING_FIELD].astype(np.int64)
+    if points.dtype.names is not None and ring in points.dtype.names:
+        return points[ring].astype(np.int64)
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64)
     azimuth_rad = np.arctan2(points["y"].astype(np.float64), points["x"].astype(np.float64)) % (2 * np.pi)
@@ -46,7 +61,7 @@ def beam_numbers(points: Array, beams: int) -> Array:
     turns = int(numbers[-1]) + 1
     if not beams / 2 <= turns <= beams + 1:
         raise InvalidInput(
-            f"the beams of a scan are unknown: it has no field {RING_FIELD!r}, and its order shows {turns} turns "
+            f"the beams of a scan are unknown: it has no field {ring!r}, and its order shows {turns} turns "
             f"where {beams} beams are expected",
             "record the field, or thin out with point_stride or voxel",
         )

@@ -8,7 +8,7 @@ import numpy as np
 
 from slamhive.bags.variants.step import Array, Message, Operation, Step, Stream
 from slamhive.bags.variants.steps.options import option
-from slamhive.bags.variants.steps.points import positions_m
+from slamhive.bags.variants.steps.points import positions_m, unorganised
 from slamhive.domain.sensors import Sensor, SensorKind
 
 
@@ -25,6 +25,10 @@ class Voxel(Step):
     def applies_to(self, sensor: Sensor) -> bool:
         """LiDARs."""
         return sensor.kind is SensorKind.LIDAR
+
+    def calibrate(self, sensor: Sensor) -> Sensor:
+        """A list of points in place of an image of ranges."""
+        return unorganised(sensor)
 
     def operation(self, stream: Stream) -> Operation:  # noqa: ARG002 - all LiDARs alike
         """A filter on the points of every scan."""
