@@ -12,18 +12,26 @@ from typing import Protocol, runtime_checkable
 
 from slamhive.bags.detection import Detection
 from slamhive.bags.formats.carmen import CarmenImporter
+from slamhive.bags.formats.eth3d import Eth3dImporter
 from slamhive.bags.formats.euroc import EurocImporter
 from slamhive.bags.formats.evalio import EvalioImporter
 from slamhive.bags.formats.hilti_2022 import Hilti2022Importer
+from slamhive.bags.formats.kitti_raw import KittiRawImporter
 from slamhive.bags.formats.mcap import McapImporter
 from slamhive.bags.formats.mulran import MulranImporter
 from slamhive.bags.formats.nclt import NcltImporter
 from slamhive.bags.formats.newer_college import NewerCollegeImporter
+from slamhive.bags.formats.openloris import OpenLorisImporter
 from slamhive.bags.formats.rawseeds import RawseedsImporter
+from slamhive.bags.formats.replica import ReplicaImporter
 from slamhive.bags.formats.ros1 import Ros1Importer
 from slamhive.bags.formats.ros2 import Ros2Importer
+from slamhive.bags.formats.seven_scenes import SevenScenesImporter
+from slamhive.bags.formats.tartanair import TartanAirImporter
 from slamhive.bags.formats.tum_rgbd import TumRgbdImporter
 from slamhive.bags.formats.tum_vi import TumViImporter
+from slamhive.bags.formats.video import VideoImporter
+from slamhive.bags.formats.vslam_lab import VslamLabImporter
 from slamhive.bags.importing import ImportOptions, ImportPlan
 from slamhive.bags.kitti_odometry import KittiOdometryImporter
 from slamhive.errors import InvalidInput
@@ -71,6 +79,14 @@ IMPORTERS.register("tum-vi", TumViImporter())
 IMPORTERS.register("newer-college", NewerCollegeImporter())
 IMPORTERS.register("hilti-2022", Hilti2022Importer())
 IMPORTERS.register("evalio", EvalioImporter())
+IMPORTERS.register("kitti-raw", KittiRawImporter())
+IMPORTERS.register("7-scenes", SevenScenesImporter())
+IMPORTERS.register("eth3d", Eth3dImporter())
+IMPORTERS.register("tartanair", TartanAirImporter())
+IMPORTERS.register("replica", ReplicaImporter())
+IMPORTERS.register("openloris", OpenLorisImporter())
+IMPORTERS.register("vslam-lab", VslamLabImporter())
+IMPORTERS.register("video", VideoImporter())
 
 
 def plan_import(source: Path, options: ImportOptions, format_name: str | None = None) -> tuple[str, ImportPlan]:

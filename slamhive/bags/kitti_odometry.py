@@ -12,10 +12,9 @@ from slamhive.bags.frame_files import read_image, read_velodyne
 from slamhive.bags.geometry import Array, quaternions_from_rotations, transform
 from slamhive.bags.image_stream import OVERHEAD_BYTES, image_stream
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream
-from slamhive.bags.kitti_sequence import KittiSequence, detect_kitti, read_sequence
-from slamhive.domain.calibration import CameraIntrinsics, LidarLayout
+from slamhive.bags.kitti_sequence import KittiSequence, detect_kitti, read_sequence, velodyne_layout
+from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.runtime.point_times import PointTimes, SweepInstant
 
 _FIRST_COLOUR_CAMERA = 2
 
@@ -96,12 +95,7 @@ def _lidar(sequence: KittiSequence) -> Sensor | None:
         "/points",
         _rate_hz(sequence),
         tuple(float(value) for value in sequence.T_cam0_lidar.reshape(-1)),
-        LidarLayout(
-            PointTimes(scan_duration_s=0.1, stamp=SweepInstant.MIDDLE),
-            beams=64,
-            minimum_range_m=0.9,
-            maximum_range_m=120.0,
-        ).calibration(),
+        velodyne_layout().calibration(),
     )
 
 

@@ -12,7 +12,9 @@ import numpy as np
 
 from slamhive.bags.detection import Detection
 from slamhive.bags.geometry import Array
+from slamhive.domain.calibration import LidarLayout
 from slamhive.errors import InvalidInput
+from slamhive.runtime.point_times import PointTimes, SweepInstant
 from slamhive.trajectory.table import parse_table, read_bounded
 
 TIMES_FILE, CALIBRATION_FILE, SCANS_FOLDER = "times.txt", "calib.txt", "velodyne"
@@ -66,6 +68,16 @@ def read_sequence(source: Path) -> KittiSequence:
         T_cam0_lidar = np.vstack([_entry(calibration, "Tr", source), [0.0, 0.0, 0.0, 1.0]])
     projections = {camera: _projection(calibration, camera, source) for camera in images}
     return KittiSequence(source, times_s, projections, images, scans, T_cam0_lidar, _read_poses(source, len(times_s)))
+
+
+def velodyne_layout() -> LidarLayout:
+    """The points of KITTI's Velodyne HDL-64E: their timestamp is the instant at which it faced forward."""
+    return LidarLayout(
+        PointTimes(scan_duration_s=0.1, stamp=SweepInstant.MIDDLE),
+        beams=64,
+        minimum_range_m=0.9,
+        maximum_range_m=120.0,
+    )
 
 
 def _sensor_folders() -> tuple[str, ...]:
