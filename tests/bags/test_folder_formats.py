@@ -46,7 +46,7 @@ def test_a_folder_is_detected_and_becomes_the_same_dataset_twice(tmp_path, name)
 @pytest.mark.parametrize("name", ALL)
 def test_a_damaged_folder_is_read_or_refused_in_one_line(tmp_path, name):
     source, options = made(name, tmp_path / "source")
-    files = sorted(path for path in source.rglob("*") if path.is_file())
+    files = [source] if source.is_file() else sorted(path for path in source.rglob("*") if path.is_file())
     draw = random.Random(f"{name} 1")
     refusals = []
     for number in range(MUTATIONS):
