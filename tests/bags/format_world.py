@@ -124,8 +124,16 @@ def make_euroc(folder: Path, *, distortion_model: str = "radial-tangential") -> 
 
 
 CALIBRATION = f"""\
+format: 1
+name: other
+bag: other.bag
+duration_s: 1
+checksum: sha256:{"0" * 64}
 sensors:
-- kind: camera
+- name: cam0
+  kind: camera
+  topic: /cam0/image_raw
+  rate_hz: 30
   calibration: {{width: {WIDTH}, height: {HEIGHT}, fx: 20.5, fy: 20.25, cx: 15.5, cy: 11.5}}
 """
 TUM_START_S = 1305031102.175304

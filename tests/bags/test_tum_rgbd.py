@@ -129,7 +129,7 @@ def test_kalibrs_calibration_is_read(source, tmp_path):
         "  resolution: [32, 24]",
     )
     camera = plan(source, calibration=(tmp_path / "camchain.yaml",)).sensors[0].calibration
-    assert (camera["fy"], camera["model"], camera["distortion"]) == (21.0, "fisheye-kb", (0.1, 0.2, 0.3, 0.4))
+    assert (camera["fy"], camera["model"], camera["distortion"]) == (21.0, "pinhole-equidistant", (0.1, 0.2, 0.3, 0.4))
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_kalibrs_calibration_is_read(source, tmp_path):
         (make_depth_shallow, "has 1 channels of 8 bits; a depth image has"),
         (rewrite("groundtruth.txt", " 0.8\n", "\n"), r"groundtruth\.txt, line 2: 7 columns instead of 8"),
         (lambda s: write(s / "groundtruth.txt", *(tum_pose(t, t) for t in (1, 2))), "the clocks do not meet"),
-        (rewrite("../camera.yaml", "fx: 20.5, ", ""), "calibration lacks fx"),
+        (rewrite("../camera.yaml", "fx: 20.5, ", ""), "sensor cam0 lacks calibration fx"),
         (rewrite("../camera.yaml", "kind: camera", "kind: imu"), "has no camera; give Kalibr"),
         (rewrite("../camera.yaml", "width: 32", "width: 640"), "is 32x24 pixels, the calibration of cam0 says 640x24"),
     ],

@@ -16,6 +16,7 @@ from slamhive.bags.bag_writer import NS_PER_S, BagWriter
 from slamhive.bags.detection import Detection
 from slamhive.bags.frame_files import read_velodyne
 from slamhive.bags.geometry import Array, quaternions_from_rotations, rotation_xyz, transform
+from slamhive.bags.gnss_stream import gnss_stream
 from slamhive.bags.ground_truth import matched_truth
 from slamhive.bags.image_stream import OVERHEAD_BYTES
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream, rate_hz
@@ -33,7 +34,6 @@ _CALIBRATION = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_v
 _EARTH_RADIUS_M = 6378137.0
 """That of the development kit's Mercator projection (``latlonToMercator.m``)."""
 _OXTS_COLUMNS = 30
-_FIX_BYTES = 200
 _LAT, _LON, _ALT, _ROLL, _PITCH, _YAW = range(6)
 _FORCE, _RATE = slice(11, 14), slice(17, 20)
 """``ax ay az`` and ``wx wy wz``: x forward, y left, z up."""
@@ -186,11 +186,7 @@ def _oxts(path: Path) -> Array:
 def _gnss(times_ns: Array, rows: Array) -> Stream:
     """Latitude, longitude and altitude of the IMU, to which the receiver's positions are reduced."""
     sensor = Sensor("gnss0", SensorKind.GNSS, "/gnss0", rate_hz(times_ns))
-
-    def write(bag: BagWriter, index: int) -> None:
-        bag.nav_sat_fix(sensor, int(times_ns[index]), rows[index, _LAT : _ALT + 1])
-
-    return Stream(sensor, times_ns, write, _FIX_BYTES)
+    return gnss_stream(sensor, times_ns, rows[:, _LAT : _ALT + 1])
 
 
 def _truth(times_ns: Array, rows: Array) -> PlannedTruth:

@@ -1,7 +1,8 @@
 """Importer of TartanAir (Wang et al., "TartanAir: A dataset to push the limits of visual SLAM", IROS 2020).
 
 https://github.com/castacks/tartanair_tools, data_type.md: images of 640x480 pixels, fx = fy = 320, cx = 320, cy = 240,
-baseline 0.25 m, depth in m as ``.npy``, poses ``tx ty tz qx qy qz qw`` in a NED frame (x forward, y right, z down).
+baseline 0.25 m. Depth is in m as ``.npy``. Poses are ``tx ty tz qx qy qz qw`` in a NED frame: x
+forward, y right, z down.
 """
 
 from __future__ import annotations

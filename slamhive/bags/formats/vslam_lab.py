@@ -46,8 +46,8 @@ class VslamLabImporter:
         calibration = read_calibration_file(source / _CAMERAS)
         streams: list[Stream] = []
         notes: list[str] = []
-        for part in calibration.parts("cameras"):
-            made, remarks = _camera(source, part, len(streams))
+        for number, part in enumerate(calibration.parts("cameras")):
+            made, remarks = _camera(source, part, number)
             streams.extend(made)
             notes.extend(remarks)
         if not streams:
