@@ -47,9 +47,8 @@ def fetch(cli: CliContext, preview: bool, as_json: bool, **given: Any) -> None:
     if preview:
         return
     made: list[Dataset] = []
-    with progress_bar(f"fetching {plans[0].sequence.full_name}", tells_left=False) as progress:
-        steps = fetching.perform(plans, request, progress)
-        for dataset in steps:
+    with progress_bar("fetching", tells_left=False) as progress:
+        for dataset in fetching.perform(plans, request, progress):
             made.append(dataset)
             if not as_json:
                 tell(f"dataset {dataset.name} is ready: slamhive run ALGORITHM {dataset.name} --evaluate")

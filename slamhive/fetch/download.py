@@ -66,7 +66,7 @@ def download(
         Conflict: another process is downloading it.
     """
     if target.exists():
-        check_file(target, file)
+        check_file(target, file, str(target))
         return
     problems: list[str] = []
     with part_file(target) as parts:
@@ -74,7 +74,9 @@ def download(
             try:
                 _Transfer(replace(file, addresses=(address,)), parts, pace, token, received).run()
                 break
-            except (Refused, Interrupted, Changed) as error:
+            except (Refused, Changed) as error:
+                problems.append(error.message)
+            except Interrupted as error:
                 problems.append(error.message)
                 if parts.done_bytes and file.checksum is None:
                     raise Unavailable(

@@ -250,6 +250,17 @@ def test_a_mirror_continues_only_what_a_checksum_will_prove(server: FileServer, 
     assert len(server.asked("/data.zip")) < 7
 
 
+def test_a_mirror_takes_over_when_the_address_is_gone_for_good(server: FileServer, tmp_path: Path) -> None:
+    half, good = server.add("/half", CONTENT, half_of), server.add("/data.zip", CONTENT)
+    with pytest.raises(Unavailable, match="run the command again"):
+        download(remote(half, good), tmp_path / "data.zip", QUICK)
+    server.behaviours["/half"] = lambda request: request.answer(404)
+    newer = random.Random(4).randbytes(len(CONTENT))
+    server.files["/data.zip"] = newer
+    download(remote(half, good), tmp_path / "data.zip", QUICK)
+    assert (tmp_path / "data.zip").read_bytes() == newer
+
+
 def test_a_later_command_continues(server: FileServer, tmp_path: Path) -> None:
     with pytest.raises(Unavailable):
         fetch(server, tmp_path, half_of)

@@ -228,6 +228,7 @@ def test_euroc_as_it_is_published(server: FileServer, tmp_path: Path) -> None:
             {"archives": (Path(__file__),)},
             "kitti/07 has no file test_fetching.py; its files are data_odo",
         ),
+        (("newer-college/park",), {"archives": (Path("/nowhere"),)}, "/nowhere is no file"),
         (("openloris/cafe1-1",), {}, "OpenLORIS-Scene needs an access token.*then set HF_TOKEN=TOKEN"),
     ],
 )
@@ -291,7 +292,7 @@ def test_the_download_is_reported(kitti: FileServer, tmp_path: Path) -> None:
     service, request, told = fetching(tmp_path), FetchRequest(("kitti/07",)), []
     list(service.perform(service.plan(request), request, lambda fraction, text: told.append((fraction, text))))
     assert [fraction for fraction, _ in told] == sorted(fraction for fraction, _ in told)
-    assert told[0][1].startswith("data_odometry_gray.zip: 0.0")
+    assert told[0][1].startswith("kitti/07: data_odometry_gray.zip: 0.0")
     assert told[-1][0] == 1.0
     assert any("unpacking data_odometry_calib.zip" in text for _, text in told)
 

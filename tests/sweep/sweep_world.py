@@ -7,11 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input
+from slamhive.domain.calibration import LidarLayout
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter, ParameterType, Scalar
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
 from slamhive.domain.variant import VariantStep
 from slamhive.errors import InvalidInput, unknown
+from slamhive.runtime.point_times import PointTimes, TimeReference
 from slamhive.sweep.view import CatalogueView
 
 CAMERA, DEPTH, IMU, LIDAR = SensorKind.CAMERA, SensorKind.DEPTH, SensorKind.IMU, SensorKind.LIDAR
@@ -69,7 +71,7 @@ def dataset(name: str, *sensors: tuple[str, SensorKind, float]) -> Dataset:
             kind,
             f"/{entry}",
             rate_hz,
-            calibration=_INTRINSICS if kind in {CAMERA, DEPTH} else {},
+            calibration=_CALIBRATION.get(kind, {}),
         )
         for entry, kind, rate_hz in sensors
     )
@@ -83,6 +85,12 @@ _INTRINSICS: dict[str, float | int | str | tuple[float, ...]] = {
     "fy": 422.4,
     "cx": 319.5,
     "cy": 239.5,
+}
+
+_CALIBRATION = {
+    CAMERA: _INTRINSICS,
+    DEPTH: _INTRINSICS,
+    LIDAR: LidarLayout(PointTimes(0.1, "time", reference=TimeReference.TIMESTAMP)).calibration(),
 }
 
 MONO = {"left": CAMERA}

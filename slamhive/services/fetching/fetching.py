@@ -88,7 +88,11 @@ class Fetching:
         self._sweep()
         for number, plan in enumerate(plans):
             later = {file.name for other in plans[number + 1 :] for file in other.files}
-            yield self._make(plan, progress)
+
+            def tell(fraction: float, text: str, number: int = number, plan: FetchPlan = plan) -> None:
+                progress((number + fraction) / len(plans), f"{plan.sequence.full_name}: {text}")
+
+            yield self._make(plan, tell)
             if not request.keep_archive:
                 self._remove(plan, later)
 
@@ -127,10 +131,9 @@ class Fetching:
         name = check_name("dataset", request.name or sequence.dataset_name)
         if self._catalogue.dataset_folder(name).exists():
             raise Conflict(f"dataset {name!r} exists already", "choose another --name, or remove it first")
-        by_hand = parts_by_hand(sequence, parts, request.archives) if parts else {}
+        by_hand = parts_by_hand(sequence, parts, request.archives)
         if not parts:
-            parts = tuple(Part(_file_of(path)) for path in request.archives)
-            by_hand = {path.name: path for path in request.archives}
+            parts = tuple(Part(RemoteFile(file, (), kind_of(file))) for file in by_hand)
         return FetchPlan(collection, sequence, name, parts, token, by_hand)
 
     def _make(self, plan: FetchPlan, progress: Progress) -> Dataset:
@@ -247,8 +250,3 @@ def _place(path: Path, target: Path) -> None:
             shutil.copyfile(path, target)
         except OSError as error:
             raise Unavailable(f"{target} cannot be written: {error.strerror}", remedy_of(error)) from None
-
-
-def _file_of(path: Path) -> RemoteFile:
-    """A file that was downloaded by hand and is in no catalogue."""
-    return RemoteFile(path.name, (), kind_of(path.name))

@@ -81,7 +81,7 @@ def check_needs(collection: Collection, request: FetchRequest, missing: Sequence
 
 
 def parts_by_hand(sequence: Sequence, parts: tuple[Part, ...], archives: Sequences[Path]) -> dict[str, Path]:
-    """Which of the files that were downloaded by hand is which remote file, by the name of the latter.
+    """The files that were downloaded by hand, by the name of the remote file that each is; their own without parts.
 
     Raises InvalidInput naming the files that are expected.
     """
@@ -94,7 +94,7 @@ def parts_by_hand(sequence: Sequence, parts: tuple[Part, ...], archives: Sequenc
     if len(names) == len(archives) == 1:
         return {names[0]: archives[0]}
     found = {path.name: path for path in archives}
-    strange = [name for name in found if name not in names]
+    strange = [name for name in found if names and name not in names]
     if strange:
         raise InvalidInput(f"{sequence.full_name} has no file {strange[0]}", f"its files are {', '.join(names)}")
     return found
