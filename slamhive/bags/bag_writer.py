@@ -208,7 +208,7 @@ class BagWriter:
         self._write(sensor.topic, NAV_SAT_FIX, stamp_ns, message)
 
     def copy(self, connection: Connection, received_ns: int, raw: bytes, *, cdr: bool) -> None:
-        """A message of another recording as it stands there; ``cdr``: serialised by ROS 2, so it is converted."""
+        """Copy a message of another recording; ``cdr``: it was serialised by ROS 2, so it is converted."""
         topic, kind = connection.topic, connection.msgtype
         if topic not in self._connections:
             self._connections[topic] = (
