@@ -73,6 +73,12 @@ def test_a_busy_machine_fails_no_tier_but_slow_tests_do(runner, monkeypatch, sec
     assert (outcome.state, outcome.note) == (state, note)
 
 
+def test_compiled_modules_are_kept(runner, monkeypatch):
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    asked = (sys.executable, "-c", "import sys; sys.exit(sys.dont_write_bytecode)")
+    assert runner.run_timed(runner.Tier("asked", (asked,))).state == "passed"
+
+
 def test_processor_time_of_the_tests_is_measured(runner):
     spin = "import time\nwhile time.process_time() < 0.42: pass"  # the kernel counts in steps of 0.01 s
     outcome = runner.run_timed(runner.Tier("spin", ((sys.executable, "-c", spin),)))
