@@ -156,12 +156,12 @@ def run_group(tiers: Sequence[Tier]) -> dict[str, Outcome]:
 
 
 def run_together(tiers: Sequence[Tier]) -> dict[str, Outcome]:
-    """Run tiers for which everything is there. Each of several prints its output when it has ended."""
-    if len(tiers) == 1:
-        return {tiers[0].name: run_timed(tiers[0])}
+    """Run tiers for which everything is there. The first prints as it goes, each other one when it has ended."""
     printing = threading.Lock()
 
-    def run_aside(tier: Tier) -> Outcome:
+    def run_one(tier: Tier) -> Outcome:
+        if tier is tiers[0]:
+            return run_timed(tier)
         with tempfile.TemporaryFile() as output:
             outcome = run_timed(tier, output)
             output.seek(0)
@@ -171,7 +171,7 @@ def run_together(tiers: Sequence[Tier]) -> dict[str, Outcome]:
         return outcome
 
     with ThreadPoolExecutor(max(1, len(tiers))) as pool:
-        return dict(zip([tier.name for tier in tiers], pool.map(run_aside, tiers), strict=True))
+        return dict(zip([tier.name for tier in tiers], pool.map(run_one, tiers), strict=True))
 
 
 def run_timed(tier: Tier, output: IO[bytes] | None = None) -> Outcome:
