@@ -73,6 +73,8 @@ def pair_rates(stream: Stream, poses: Trajectory) -> RatePair | str:
     """The angular rates of an IMU and of the ground truth, or why they cannot be compared."""
     assert stream.imu is not None
     times_s, turned = _integral(stream.header_ns[: len(stream.imu)] * 1e-9, stream.imu[:, :3].astype(np.float64))
+    if len(times_s) < FEWEST_CELLS:
+        return "the IMU has too few valid samples"
     cell_s = max(CELL_S, median_step_s(poses), 2.0 / stream.sensor.rate_hz)
     begin_s, end_s = max(times_s[0], poses.stamps_s[0]), min(times_s[-1], poses.stamps_s[-1])
     count = int(min(MOST_CELLS, (end_s - begin_s) / cell_s))

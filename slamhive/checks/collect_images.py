@@ -119,6 +119,8 @@ class DepthCollector:
             values = np.asarray(convert(message, message.__msgtype__))[::COARSE, ::COARSE]
         except InvalidInput:
             return
+        if values.size == 0:
+            return
         valid = values[np.isfinite(values) & (values > 0)]
         self._rows.extend((valid.size / values.size, float(np.median(valid)) if valid.size else np.nan))
 

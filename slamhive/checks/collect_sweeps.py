@@ -189,6 +189,9 @@ def _sampled(message: Any, number: int) -> Array:
         return nothing
     if any(place.datatype not in _POINT_TYPES for place in places.values()):
         return nothing
+    ends = [place.offset + np.dtype(_POINT_TYPES[place.datatype]).itemsize for place in places.values()]
+    if max(ends) > message.point_step:
+        return nothing
     order = ">" if message.is_bigendian else "<"
     layout = np.dtype(
         {

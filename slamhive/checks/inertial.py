@@ -51,6 +51,20 @@ def gravity(evidence: Evidence) -> Findings:
 def angular_rates(evidence: Evidence) -> Findings:
     """The gyroscope reports rad/s; only what no body does is found here, the rest by the ground truth."""
     for stream in _imus(evidence):
+        rows = np.zeros((0, 6)) if stream.imu is None else stream.imu
+        invalid = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+        if len(invalid):
+            yield stream.finding(
+                "imu-rates",
+                Severity.ERROR,
+                f"{len(invalid)} samples of {stream.sensor.name} hold a value that is not a number.",
+                "leave out these samples when the recording is converted",
+                **evidence.where(stream, invalid),
+                value=float(len(invalid)),
+                unit="samples",
+                expected="numbers",
+            )
+            continue
         samples = _samples(stream)
         if isinstance(samples, str):
             yield NotChecked("imu-rates", stream.sensor.name, samples)

@@ -166,7 +166,13 @@ def to_points(message: Any) -> PointCloud:
             "itemsize": message.point_step,
         }
     )
-    rows = np.asarray(message.data, dtype=np.uint8)[: message.row_step * message.height].reshape(message.height, -1)
+    data = np.asarray(message.data, dtype=np.uint8)
+    if message.row_step < message.width * message.point_step or data.size < message.row_step * message.height:
+        raise InvalidInput(
+            f"a point cloud of {message.width}x{message.height} points holds {data.size} bytes, "
+            f"{message.width * message.height * message.point_step} expected"
+        )
+    rows = data[: message.row_step * message.height].reshape(message.height, message.row_step)
     packed = np.ascontiguousarray(rows[:, : message.width * message.point_step])
     table = packed.reshape(-1).view(layout)
     points_m = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
