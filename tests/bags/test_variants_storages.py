@@ -10,6 +10,9 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from mcap.reader import SeekingReader as McapReference
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -245,3 +248,35 @@ def raw_of(path: Path) -> dict[str, list[tuple[int, bytes]]]:
         for entry, time_ns, data in reader.messages():
             found.setdefault(entry.topic, []).append((time_ns, data))
     return found
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_files_of_the_reference_implementation_of_mcap_are_treated(sources, tmp_path, compression):
+    """Without compression, with LZ4 and with Zstandard; LZ4 becomes Zstandard."""
+    source = tmp_path / "s"
+    source.mkdir()
+    write_with_reference(sources["plain-mcap"].bag_path, source / "d.mcap", compression)
+    made = build(dataset_of(source, "d.mcap"), tmp_path / "v", THIRD, HALF)
+    expected = build(sources["plain-mcap"], tmp_path / "expected", THIRD, HALF)
+    assert content_of(made.bag_path) == content_of(expected.bag_path)
+    with made.bag_path.open("rb") as stream:
+        summary = McapReference(stream).get_summary()
+    assert summary is not None
+    assert {chunk.compression for chunk in summary.chunk_indexes} == {
+        "" if compression is CompressionType.NONE else "zstd"
+    }
+
+
+def write_with_reference(recorded: Path, path: Path, compression: CompressionType) -> None:
+    with AnyReader([recorded]) as reader, path.open("wb") as stream:
+        writer = McapWriter(stream, compression=compression)
+        writer.start(profile="ros2")
+        channels = {
+            entry.id: writer.register_channel(
+                entry.topic, "cdr", writer.register_schema(entry.msgtype, "ros2msg", entry.msgdef.data.encode())
+            )
+            for entry in reader.connections
+        }
+        for entry, time_ns, data in reader.messages():
+            writer.add_message(channels[entry.id], time_ns, data, time_ns)
+        writer.finish()
