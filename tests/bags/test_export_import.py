@@ -22,7 +22,7 @@ from slamhive.trajectory.transforms import rotation_angles_rad, rotations_from_q
 from slamhive.trajectory.tum import read_tum
 from tests.bags.storages import content_of
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 KITTI_SCANS = project_root().parent / "shared" / "data" / "kitti00_velodyne_6"
 ROUNDING = 2e-9

@@ -27,7 +27,7 @@ from slamhive.files import size_bytes
 from slamhive.trajectory.tum import read_tum
 from tests.bags.storages import content_of, convert_to
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 START_NS = 1_000_000_000_000
 """When the room starts."""

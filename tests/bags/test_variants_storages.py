@@ -40,7 +40,7 @@ from tests.bags.storages import (
 from tests.bags.test_variant_steps import EXAMPLES
 from tests.bags.variant_bags import build
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 THIRD = VariantStep("rate", ("cam0",), {"every": 3})
 HALF = VariantStep("resolution", ("cam0", "depth0"), {"scale": 0.5})

@@ -12,6 +12,8 @@ from slamhive.runtime.recording import Recording
 from tests.bags.storages import FRAMES, SENSORS, STORAGES, convert_to, dataset_of, write_ros1
 from tests.runtime.runtime_samples import options
 
+pytestmark = pytest.mark.integration
+
 TOPICS = {sensor.name: sensor.topic for sensor in SENSORS}
 
 
@@ -36,7 +38,6 @@ def contents(path: Path) -> list[tuple[str, int, bytes]]:
         ]
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize("storage", STORAGES)
 def test_each_storage_plays_the_same_messages(recordings, storage):
     played, expected = contents(recordings[storage]), contents(recordings["ros1"])
@@ -45,7 +46,6 @@ def test_each_storage_plays_the_same_messages(recordings, storage):
     assert [entry[1] for entry in played] == sorted(entry[1] for entry in expected)
 
 
-@pytest.mark.integration
 @pytest.mark.parametrize("storage", ["sqlite3-file-zstd", "mcap-message-zstd", "plain-mcap-zstd"])
 def test_the_player_sends_the_same_frames_from_compressed_recordings(recordings, storage):
     roles = {"left": "/cam0/image_raw", "right": "/cam1/image_raw", "imu": "/imu0"}
