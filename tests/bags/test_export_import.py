@@ -63,6 +63,7 @@ PAIRS = [
     Pair("mcap", "mcap", SENSORS, options=described, source="room.mcap"),
     Pair("euroc", "euroc", {"cam0": "cam0", "cam1": "cam1", "imu0": "imu0"}),
     Pair("tum-rgbd", "tum-rgbd", {"cam0": "cam0", "depth0": "depth0"}, body="cam0", options=calibrated),
+    Pair("vslam-lab", "vslam-lab", {name: name for name in ("cam0", "cam1", "depth0", "imu0")}),
     Pair("kitti", "kitti-odometry", {"cam0": "cam0", "cam1": "cam1"}, body="cam0", from_start=True),
 ]
 
