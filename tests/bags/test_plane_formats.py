@@ -76,7 +76,7 @@ def test_new_laser_messages_state_their_geometry_and_where_the_laser_is(tmp_path
     assert np.array(laser.T_body_sensor).reshape(4, 4)[:2, 3] == pytest.approx([0.1, 0.0], abs=1e-6)
     assert laser.T_body_sensor[4] == pytest.approx(math.sin(0.1), abs=1e-6)
     assert made.counts == {"laser0": 3, "odom0": 3}
-    assert "1 scans are not later than the one before and are left out" in made.notes
+    assert "1 scans not later than the one before: left out" in made.notes
     assert any("neither ground truth nor a file of relations" in note for note in made.notes)
 
 

@@ -60,7 +60,7 @@ class CarmenImporter:
             raise InvalidInput(f"{log.path} has no laser scan", f"expected messages {' or '.join(LASER_WORDS)}")
         relations = _relations(log.path)
         return ImportPlan(
-            (_laser(log, log.first_scan), *_odometry(log)),
+            (_laser(log, log.first_scan), _odometry(log)),
             _truth(log),
             _text(log),
             relations=relations,
@@ -114,12 +114,13 @@ def _parameter(log: Log, name: str) -> float:
     return value
 
 
-def _odometry(log: Log) -> list[Stream]:
+def _odometry(log: Log) -> Stream:
     """From ODOM messages; from the poses in the laser messages where there are none."""
-    track, has_twist = (log.odometry, True) if len(log.odometry) > 1 else (log.scans, False)
+    own = len(log.odometry) > 1
+    track = log.odometry if own else log.scans
     sensor = Sensor("odom0", SensorKind.ODOMETRY, "/odom", rate_hz(track.times_ns))
     values = track.values
-    return [odometry_stream(sensor, track.times_ns, values[:, :3], values[:, 3:5] if has_twist else None)]
+    return odometry_stream(sensor, track.times_ns, values[:, :3], values[:, 3:5] if own else None)
 
 
 def _truth(log: Log) -> PlannedTruth | None:
@@ -133,7 +134,9 @@ def _truth(log: Log) -> PlannedTruth | None:
 
 
 def _relations(log: Path) -> str | None:
-    stem = log.name[: len(log.name) - len(next(end for end in _SUFFIXES[::-1] if log.name.lower().endswith(end)))]
+    stem = log.name
+    for suffix in (".bz2", ".gz", ".clf", ".log"):
+        stem = stem.removesuffix(suffix)
     path = log.with_name(f"{stem}.relations")
     if not path.is_file():
         return None
@@ -147,18 +150,15 @@ def _relations(log: Path) -> str | None:
 
 def _notes(log: Log, relations: str | None) -> tuple[str, ...]:
     repeated = {"scans": log.scans.repeated, "odometry messages": log.odometry.repeated}
-    notes = [f"{count} {what} are not later than the one before and are left out" for what, count in repeated.items()]
-    kept = [note for note, count in zip(notes, repeated.values(), strict=True) if count]
+    notes = [f"{count} {what} not later than the one before: left out" for what, count in repeated.items() if count]
     if relations is None and not len(log.true_poses):
-        kept.append("there is neither ground truth nor a file of relations: runs get no accuracy")
-    return tuple(kept)
+        notes.append("there is neither ground truth nor a file of relations: runs get no accuracy")
+    return tuple(notes)
 
 
 def _text(log: Log) -> DatasetText:
-    name = log.path.name.split(".")[0]
     return DatasetText(
-        title=f"CARMEN log {name}",
+        title=f"CARMEN log {log.path.name}",
         description=f"{len(log.scans)} scans of a 2D laser with wheel odometry; the body is the robot's base.",
-        source="http://ais.informatik.uni-freiburg.de/slamevaluation/datasets.php" if name == "aces" else "",
         attributes=("real", "2d") if not len(log.true_poses) else ("synthetic", "2d"),
     )
