@@ -22,6 +22,8 @@ from slamhive.runtime.messages import stamp_ns
 _WINDOWS_S = (2.0, 20.0, 200.0)
 """How long before the end the last message of a topic is looked for, before the whole topic is read."""
 _LONGEST_DEFINITION_BYTES = 1_000_000
+_BAD_METADATA = (TypeError, AttributeError)
+"""What follows from values of another type in ``metadata.yaml``, which rosbags does not check."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,10 @@ class SourceBag:
     def first(self, topic: str) -> Any:
         """The first message of ``topic``."""
         if topic not in self._first:
-            self._first[topic] = next(self.stream(topic))[1]
+            found = next(self.stream(topic), None)
+            if found is None:
+                raise InvalidInput(f"{self.path}: the index has messages of {topic}, the recording none", "reindex it")
+            self._first[topic] = found[1]
         return self._first[topic]
 
     def stamps_ns(self, topic: str) -> tuple[int, int]:
@@ -167,12 +172,22 @@ def open_source(paths: Sequence[Path], options: ImportOptions, name: Path | None
     try:
         reader = AnyReader(paths, default_typestore=spare)
         reader.open()
-    except DAMAGE as error:
+    except (*DAMAGE, *_BAD_METADATA) as error:
         raise damaged(path, error) from None
     try:
-        yield SourceBag(path, reader, spare)
+        yield _opened(path, reader, spare)
     finally:
         reader.close()
+
+
+def _opened(path: Path, reader: AnyReader, spare: Typestore) -> SourceBag:
+    try:
+        return SourceBag(path, reader, spare)
+    except _BAD_METADATA:
+        raise InvalidInput(
+            f"{path}: metadata.yaml lacks a number or a name, or has another value there",
+            "run `ros2 bag reindex` on it",
+        ) from None
 
 
 def _spare_types(options: ImportOptions) -> Typestore:
