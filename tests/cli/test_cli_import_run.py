@@ -101,7 +101,7 @@ SLOW_IMPORT = """
 import sys, time
 from slamhive.bags import importing
 from slamhive.cli import main
-def wait(*_):
+def wait(*_, **__):
     print("copied", flush=True)
     time.sleep(60)
 importing.NewDataset.seal = wait

@@ -24,6 +24,10 @@ _NEAR_S = 1.0
 """Times of points that count from the header's clock lie at most so far from the message's timestamp."""
 
 
+_SHORTEST_SPREAD = 0.1
+"""The part of a sweep that its times cover at least."""
+
+
 def layout_of(message: Any, rate_hz: float) -> tuple[LidarLayout, str]:
     """What one ``PointCloud2`` shows of the layout, and a note for the user; raises InvalidInput if it is damaged.
 
@@ -66,8 +70,8 @@ _ZEROS = {
 
 def _instant(offsets_s: Any, duration_s: float) -> SweepInstant:
     """Which instant of the sweep the timestamp is, by the points before and after it."""
-    if not offsets_s.size:
-        return SweepInstant.START
+    if not offsets_s.size or np.ptp(offsets_s) < _SHORTEST_SPREAD * duration_s:
+        return SweepInstant.START  # one column, or times that are not filled in
     middle = float(offsets_s.min() + offsets_s.max()) / 2
     if middle < -0.25 * duration_s:
         return SweepInstant.END
