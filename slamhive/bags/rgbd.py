@@ -13,9 +13,11 @@ from slamhive.bags.frame_files import has_colour, read_image
 from slamhive.bags.geometry import Array
 from slamhive.bags.image_stream import ReadFrame, image_stream
 from slamhive.bags.importing import Stream, rate_hz
+from slamhive.bags.timed_list import read_timed_list
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.sensors import IDENTITY4, Matrix4, Sensor, SensorKind
 from slamhive.errors import InvalidInput
+from slamhive.trajectory.layout import TimeUnit
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +26,16 @@ class Frames:
 
     times_ns: Array
     paths: Sequence[Path]
+
+
+def listed_frames(source: Path, name: str) -> tuple[Frames, tuple[str, ...]]:
+    """The images that the list ``name`` names as ``seconds file``, and notes on those that are missing.
+
+    Raises InvalidInput naming the line, or if all are missing.
+    """
+    rows = read_timed_list(source / name, "timestamp filename", TimeUnit.S)
+    kept, paths = rows.files(source)
+    return Frames(kept.times_ns, paths), rows.notes(kept)
 
 
 def nominal_times_ns(numbers: Sequence[int], frames_per_s: float) -> Array:

@@ -8,11 +8,9 @@ from slamhive.bags.detection import Detection
 from slamhive.bags.ground_truth import matched_truth, tum_truth
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, Stream
 from slamhive.bags.numbered_frames import read_pose_table
-from slamhive.bags.rgbd import Frames, camera_stream, depth_stream, size_of
-from slamhive.bags.timed_list import read_timed_list
+from slamhive.bags.rgbd import camera_stream, depth_stream, listed_frames, size_of
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.trajectory.layout import TimeUnit
 
 _COLOUR, _DEPTH, _CAMERA, _TRUTH = "rgb.txt", "depth.txt", "calibration.txt", "groundtruth.txt"
 _UNITS_PER_M = 5000.0
@@ -32,10 +30,10 @@ class Eth3dImporter:
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
         """What the sequence becomes; raises InvalidInput naming the file, the line and the remedy."""
-        colour, notes = _frames(source, _COLOUR)
+        colour, notes = listed_frames(source, _COLOUR)
         streams: list[Stream] = [camera_stream("cam0", colour, _intrinsics(source / _CAMERA, colour.paths[0]))]
         if (source / _DEPTH).is_file():
-            depth, remarks = _frames(source, _DEPTH)
+            depth, remarks = listed_frames(source, _DEPTH)
             notes += remarks
             units_per_m = options.depth_units_per_m or _UNITS_PER_M
             streams.append(depth_stream(streams[0].sensor, depth, units_per_m))
@@ -46,12 +44,6 @@ class Eth3dImporter:
         known = options.groundtruth is not None or path.is_file()
         truth = tum_truth(path, "motion capture", gravity_aligned=False) if known else None
         return ImportPlan(tuple(streams), truth, _text(source), notes=(*notes, *matched_truth(truth, streams)))
-
-
-def _frames(source: Path, name: str) -> tuple[Frames, tuple[str, ...]]:
-    rows = read_timed_list(source / name, "timestamp filename", TimeUnit.S)
-    kept, paths = rows.files(source)
-    return Frames(kept.times_ns, paths), rows.notes(kept)
 
 
 def _intrinsics(path: Path, image: Path) -> CameraIntrinsics:

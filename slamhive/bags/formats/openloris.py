@@ -17,7 +17,7 @@ from slamhive.bags.geometry import Array
 from slamhive.bags.ground_truth import matched_truth, tum_truth
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, Stream, rate_hz
 from slamhive.bags.imu_stream import imu_stream
-from slamhive.bags.rgbd import Frames, camera_stream, depth_stream
+from slamhive.bags.rgbd import Frames, camera_stream, depth_stream, listed_frames
 from slamhive.bags.timed_list import read_timed_list
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel
 from slamhive.domain.sensors import Sensor, SensorKind
@@ -51,14 +51,14 @@ class OpenLorisImporter:
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
         """What the sequence becomes; raises InvalidInput naming the file, the line or key, and the remedy."""
         sensors, transforms = (read_calibration_file(source / name) for name in (_SENSORS, _TRANSFORMS))
-        colour, notes = _frames(source, _COLOUR)
+        colour, notes = listed_frames(source, _COLOUR)
         stream = _camera(sensors, transforms, ("cam0", _CAMERA_FRAME), colour)
-        depth, remarks = _frames(source, _DEPTH)
+        depth, remarks = listed_frames(source, _DEPTH)
         streams = [stream, depth_stream(stream.sensor, depth, options.depth_units_per_m or _UNITS_PER_M)]
         notes += remarks
         for number, (name, frame) in enumerate(_FISHEYES.items(), start=1):
             if (source / f"{name}.txt").is_file():
-                frames, remarks = _frames(source, f"{name}.txt")
+                frames, remarks = listed_frames(source, f"{name}.txt")
                 streams.append(_camera(sensors, transforms, (f"cam{number}", frame), frames))
                 notes += remarks
         if all((source / f"{name}.txt").is_file() for name in (_ACCELERATIONS, _RATES)):
@@ -68,12 +68,6 @@ class OpenLorisImporter:
         known = options.groundtruth is not None or path.is_file()
         truth = tum_truth(path, "motion capture or 2D LiDAR SLAM, by scene", gravity_aligned=True) if known else None
         return ImportPlan(tuple(streams), truth, _text(source), notes=(*notes, *matched_truth(truth, streams)))
-
-
-def _frames(source: Path, name: str) -> tuple[Frames, tuple[str, ...]]:
-    rows = read_timed_list(source / name, "timestamp filename", TimeUnit.S)
-    kept, paths = rows.files(source)
-    return Frames(kept.times_ns, paths), rows.notes(kept)
 
 
 def _camera(

@@ -12,13 +12,12 @@ from slamhive.bags.detection import Detection
 from slamhive.bags.given_camera import given_camera
 from slamhive.bags.ground_truth import listed_truth, matched_truth, tum_truth
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth
-from slamhive.bags.rgbd import Frames, camera_stream, depth_stream, nominal_times_ns, size_of
-from slamhive.bags.timed_list import TimedList, parse_timed_list, read_lines, read_timed_list
+from slamhive.bags.rgbd import Frames, camera_stream, depth_stream, listed_frames, nominal_times_ns, size_of
+from slamhive.bags.timed_list import TimedList, parse_timed_list, read_lines
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel
 from slamhive.errors import InvalidInput
 from slamhive.trajectory.layout import TimeUnit
 
-_LIST = "timestamp filename"
 _UNITS_PER_M = 5000.0
 _ICL_ASSOCIATIONS, _ICL_TRUTH = "associations.txt", "*.gt.freiburg"
 _ICL_FRAMES_PER_S = 30.0
@@ -128,9 +127,7 @@ def _is_icl(source: Path) -> bool:
 def _frames(source: Path, name: str, column: int) -> tuple[Frames, tuple[str, ...]]:
     """The images of a list; ICL-NUIM has one list for both, ``number depth number colour``, and no timestamps."""
     if not _is_icl(source):
-        rows = read_timed_list(source / name, _LIST, TimeUnit.S)
-        kept, paths = rows.files(source)
-        return Frames(kept.times_ns, paths), rows.notes(kept)
+        return listed_frames(source, name)
     rows = _icl_rows(source / _ICL_ASSOCIATIONS, "number depth number colour")
     kept, paths = rows.files(source, column - 1)
     return Frames(nominal_times_ns(kept.times_ns.tolist(), _ICL_FRAMES_PER_S), paths), rows.notes(kept)
