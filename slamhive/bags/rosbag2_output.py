@@ -24,7 +24,7 @@ from slamhive.errors import InvalidInput
 MCAP_SUFFIX, SQLITE_SUFFIX = ".mcap", ".db3"
 _SUFFIXES = {StoragePlugin.MCAP: MCAP_SUFFIX, StoragePlugin.SQLITE3: SQLITE_SUFFIX}
 _VERSION: Literal[8] = 8
-"""Of the metadata: the newest that ROS 2 Iron and Jazzy read; Humble reads it too, except for QoS profiles."""
+"""Of the metadata. Version 9 writes quality of service in another form, which older readers do not know."""
 _UNKNOWN_HASH = "unknown"
 
 

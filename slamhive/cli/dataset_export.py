@@ -6,17 +6,14 @@ from pathlib import Path
 
 import click
 
-from slamhive.bags.exporters import export_dataset, plan_export
+from slamhive.bags.exporters import SHIPPED, export_dataset, plan_export
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, progress_bar, tell
-
-FORMATS = ("ros1", "ros2", "mcap", "euroc", "tum-rgbd", "kitti", "vslam-lab")
-"""The formats that ship, for the help; plug-ins may add more."""
 
 
 @click.command("export")
 @click.argument("name")
-@click.option("--format", "format_name", required=True, help=f"One of {', '.join(FORMATS)}, or that of a plug-in.")
+@click.option("--format", "format_name", required=True, help=f"One of {', '.join(SHIPPED)}, or that of a plug-in.")
 @click.option("--to", "folder", type=click.Path(path_type=Path), help="The new folder.  [default: NAME-FORMAT]")
 @click.option("--partial", is_flag=True, help="Leave out what the format cannot hold.")
 @json_option

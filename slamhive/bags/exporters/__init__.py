@@ -18,14 +18,20 @@ from slamhive.domain.dataset import Dataset
 from slamhive.errors import Conflict, InvalidInput
 from slamhive.registry import Registry, instances_of
 
+SHIPPED: dict[str, Exporter] = {
+    "ros1": Ros1Exporter(),
+    "ros2": Ros2Exporter(),
+    "mcap": McapExporter(),
+    "euroc": EurocExporter(),
+    "tum-rgbd": TumRgbdExporter(),
+    "kitti": KittiExporter(),
+    "vslam-lab": VslamLabExporter(),
+}
+"""The exporters that come with SLAM Hive; :data:`EXPORTERS` has those of plug-ins too."""
+
 EXPORTERS: Registry[Exporter] = Registry("dataset exporter", "slamhive.dataset_exporters", instances_of(Exporter))
-EXPORTERS.register("ros1", Ros1Exporter())
-EXPORTERS.register("ros2", Ros2Exporter())
-EXPORTERS.register("mcap", McapExporter())
-EXPORTERS.register("euroc", EurocExporter())
-EXPORTERS.register("tum-rgbd", TumRgbdExporter())
-EXPORTERS.register("kitti", KittiExporter())
-EXPORTERS.register("vslam-lab", VslamLabExporter())
+for _name, _exporter in SHIPPED.items():
+    EXPORTERS.register(_name, _exporter)
 
 
 def plan_export(dataset: Dataset, name: str, *, partial: bool) -> ExportPlan:

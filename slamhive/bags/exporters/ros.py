@@ -57,7 +57,7 @@ class Ros1Exporter:
 
 
 class Ros2Exporter:
-    """A folder of ROS 2 with SQLite, which all versions since Humble read; a recording in a folder is copied."""
+    """A folder of ROS 2 with SQLite, its oldest storage; a recording that is a folder already is copied."""
 
     def plan(self, dataset: Dataset) -> ExportPlan:
         """Everything fits; messages of ROS 1 are converted."""
