@@ -26,6 +26,7 @@ VOCABULARY = vocabulary_of(
     ],
     sensors={"stereo": ("orb-slam3-stereo",), "lidar": ("kiss-icp",)},
     protocols={SE3.fingerprint: "a", SIM3.fingerprint: "b"},
+    attributes={"indoor": ("room", "MH_01", "mh_01"), "dark": ("MH_01",), "easy": ("room", "MH%01"), "gone": ("lost",)},
 )
 ALGORITHMS = ("orb-slam3-stereo", "kiss-icp", "<b>odd")
 DATASETS = ("room", "MH_01", "MH%01", "mh_01")

@@ -123,6 +123,24 @@ def expected(runs: list[Known], test: Probe, protocol: str | None = None) -> lis
     return sorted(run.id for run in runs if test.fits(run, protocol))
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("indoor", {"room", "MH_01", "mh_01"}),
+        ("indoor and not dark", {"room", "mh_01"}),
+        ("attribute != dark", {"room", "mh_01", "MH%01"}),
+        ("difficulty = easy or light = dark", {"room", "MH%01", "MH_01"}),
+        ("has light", {"MH_01"}),
+        ("missing difficulty", {"MH_01", "mh_01"}),
+        ("attribute ~ *r* and attribute in (dark, easy)", {"room", "MH_01"}),
+        ("gone", set()),
+        ("place != indoor", set()),
+    ],
+)
+def test_attributes_of_datasets_select_runs(filled: World, text: str, expected: set[str]) -> None:
+    assert filled.ids(text) == [run.id for run in reversed(filled.runs) if run.columns["dataset"] in expected]
+
+
 @QUIETLY
 @given(test=FILTERS)
 def test_sql_finds_what_a_plain_filter_finds(filled: World, plan: None, test: Probe):
