@@ -220,6 +220,14 @@ def test_a_mistake_in_a_sequence_is_one_clear_line(replayed, changes, problem):
         plan_import(replayed, ImportOptions(sequence="cellar/stairs"), "evalio")
 
 
+def test_a_sequence_that_changes_between_both_readings_is_refused(replayed):
+    (replayed / "plan").write_bytes(told(scan_times_ns=START_NS + 90_000_000 * np.arange(2)))
+    made = plan_import(replayed, ImportOptions(sequence="cellar/stairs"), "evalio")[1]
+    with pytest.raises(InvalidInput, match="scan 1 of cellar/stairs is another when read again"):
+        perform(made, replayed / "made", silent)
+    assert not (replayed / "made").exists()
+
+
 def test_the_last_words_of_evalio_are_the_reason(tmp_path, monkeypatch):
     program = tmp_path / "fails"
     program.write_text("#!/bin/sh\necho progress >&2\necho 'the disk is on fire' >&2\nexit 1\n")

@@ -85,15 +85,15 @@ def _lidar(sequence: EvalioSequence, about: EvalioPlan) -> Stream:
         maximum_range_m=parameters.max_range,
     )
     sensor = Sensor("lidar0", SensorKind.LIDAR, "/points", rate_hz(times_ns), about.T_imu_lidar, layout.calibration())
-    reading: list[Iterator[Array]] = []
+    reading: list[Iterator[tuple[int, Array]]] = []
 
     def write(bag: BagWriter, index: int) -> None:
         if index == 0:
             reading[:] = [sequence.scans()]
-        points = next(reading[0], None)
-        if points is None:
-            raise InvalidInput(f"{sequence.name} changed while it was imported", "import again")
-        bag.points(sensor, int(times_ns[index]), int(times_ns[index]), points)
+        scan, expected_ns = next(reading[0], None), int(times_ns[index])
+        if scan is None or scan[0] != expected_ns:
+            raise InvalidInput(f"scan {index} of {about.name} is another when read again", "import again")
+        bag.points(sensor, expected_ns, expected_ns, scan[1])
 
     points = parameters.num_rows * parameters.num_columns
     return Stream(sensor, times_ns, write, points * POINT.itemsize + _OVERHEAD_BYTES)

@@ -100,20 +100,20 @@ class EvalioSequence:
             raise self._broken()
         return about
 
-    def scans(self) -> Iterator[Array]:
-        """The points of each scan, structured arrays of :data:`~slamhive.bags.formats.evalio_reader.POINT`."""
+    def scans(self) -> Iterator[tuple[int, Array]]:
+        """Time in ns and points of each scan, a structured array of :data:`~.evalio_reader.POINT`."""
         with self._reading("scans") as stream:
             while header := stream.read(SCAN_HEADER.size):
                 if len(header) < SCAN_HEADER.size:
                     raise self._broken()
-                _, count = SCAN_HEADER.unpack(header)
+                time_ns, count = SCAN_HEADER.unpack(header)
                 if count > _MOST_POINTS:
                     raise InvalidInput(f"a scan of {self.name} has {count} points", f"at most {_MOST_POINTS} are read")
                 data = stream.read(count * POINT.itemsize)
                 if len(data) < count * POINT.itemsize:
                     raise self._broken()
                 points: Array = np.frombuffer(data, dtype=POINT)
-                yield points
+                yield time_ns, points
 
     @contextmanager
     def _reading(self, mode: str) -> Iterator[IO[bytes]]:
