@@ -66,10 +66,15 @@ def test_sweeps_have_an_interval(hive):
         assert len(executor.found) == times
 
 
-def test_an_engine_that_is_away_is_swept_later(hive):
+def test_an_engine_that_is_away_is_named_once_and_swept_later(hive, caplog):
+    caplog.set_level("INFO")
     hive.executors.opened["process"] = executor = Swept(away=True)
     sweep = EngineSweep("process", hive.store, hive.executors.get, interval_s=0)
     sweep.sweep_if_due()
+    sweep.sweep_if_due()
+    assert [record.message.partition(":")[0] for record in caplog.records] == [
+        "what runs have left in process is not removed now"
+    ]
     executor.away = False
     sweep.sweep_if_due()
     assert executor.found == [set()]

@@ -44,6 +44,7 @@ class EngineSweep:
         self._interval_s = interval_s
         self._lock = threading.Lock()
         self._due_s = 0.0
+        self._failures: dict[str, str] = {}
 
     def sweep_if_due(self) -> None:
         """Sweep unless another thread does so now, or the last sweep is less than the interval ago."""
@@ -67,8 +68,11 @@ class EngineSweep:
             try:
                 removed = self._executors(name).sweep(self._live_keys)
             except SlamHiveError as error:
-                logger.info("what runs have left in %s is not removed now: %s", name, error)
+                if self._failures.get(name) != str(error):
+                    logger.info("what runs have left in %s is not removed now: %s", name, error)
+                self._failures[name] = str(error)
             else:
+                self._failures.pop(name, None)
                 if removed:
                     logger.info("removed %s, which nobody needs any more", ", ".join(removed))
 
