@@ -16,9 +16,14 @@ from tests.services.tiny_project import ALGORITHM, environment, make_project
 
 pytestmark = pytest.mark.integration
 
-MODE = (
-    "modes:\n  mono:\n    title: Test algorithm\n    setup: mono\n    inputs: {left: camera}\n    trajectory_role: left"
-)
+MODE = """\
+modes:
+  mono:
+    title: Test algorithm
+    setup: mono
+    inputs: {left: camera}
+    trajectory_role: left
+"""
 MAPPING = """
 import sys
 import numpy as np
