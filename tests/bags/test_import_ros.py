@@ -224,6 +224,17 @@ def test_a_calibration_that_does_not_fit_is_refused(bag, tmp_path, change, probl
         plan_import(bag, ImportOptions(calibration=(cameras,)))
 
 
+def test_one_file_for_each_camera_may_call_both_cam0(bag, tmp_path):
+    """Kalibr numbers the cameras of a file from 0; the files of Hilti 2022 are such."""
+    first = CALIBRATION.format(**EQUIDISTANT).split("cam1:")[0]
+    (tmp_path / "left.yaml").write_text(first)
+    (tmp_path / "right.yaml").write_text(first.replace("/cam0/", "/cam1/").replace("0.5]", "0.7]"))
+    dataset = convert(bag, tmp_path / "made", calibration=(tmp_path / "left.yaml", tmp_path / "right.yaml"))
+    places_m = [np.array(dataset.sensor(name).T_body_sensor).reshape(4, 4)[:3, 3] for name in ("cam0", "cam1")]
+    assert places_m[0] == pytest.approx([0, -0.5, 0])
+    assert places_m[1] == pytest.approx([0, -0.7, 0])
+
+
 def test_two_files_that_calibrate_one_camera_are_refused(bag, tmp_path):
     for name in ("a.yaml", "b.yaml"):
         (tmp_path / name).write_text(CALIBRATION.format(**EQUIDISTANT))

@@ -26,7 +26,7 @@ def read_calibrations(paths: Sequence[Path]) -> KnownCalibration:
     for path in paths:
         found = read_calibration(path)
         for sensor in found.sensors:
-            earlier = owners.setdefault((sensor.kind, sensor.name), path)
+            earlier = owners.setdefault((sensor.kind, sensor.topic or sensor.name), path)
             if earlier != path:
                 raise InvalidInput(f"{earlier} and {path} both calibrate {sensor.name}", "give one of them")
         known.sensors += found.sensors
@@ -53,7 +53,9 @@ def _of_sensors(sensors: Sequence[Sensor]) -> KnownCalibration:
         intrinsics = CameraIntrinsics.of(sensor) if sensor.kind in _CAMERAS else None
         noise = ImuNoise.of(sensor) if sensor.kind is SensorKind.IMU else None
         known.sensors.append(
-            KnownSensor(sensor.name, sensor.kind, sensor.topic, intrinsics, noise, dict(sensor.calibration))
+            KnownSensor(
+                sensor.name, sensor.kind, sensor.topic, sensor.name, intrinsics, noise, dict(sensor.calibration)
+            )
         )
         known.transforms.append((BODY, sensor.name, np.array(sensor.T_body_sensor).reshape(4, 4)))
     return known

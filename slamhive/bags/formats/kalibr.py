@@ -41,24 +41,25 @@ def read_kalibr(path: Path, content: Mapping[str, Any]) -> KnownCalibration:
     for name, entry in entries.items():
         part = CalibrationFile(f"{path}: {name}", entry if isinstance(entry, dict) else {})
         if _CAMERA.fullmatch(name):
-            _add_camera(known, name, part)
+            _add_camera(known, path, name, part)
         elif _IMU.fullmatch(name):
             _add_imu(known, name, part)
     return known
 
 
-def _add_camera(known: KnownCalibration, name: str, entry: CalibrationFile) -> None:
+def _add_camera(known: KnownCalibration, path: Path, name: str, entry: CalibrationFile) -> None:
+    frame = f"{path}:{name}"
     known.sensors.append(
-        KnownSensor(name, SensorKind.CAMERA, entry.word("rostopic", ""), intrinsics=_intrinsics(entry))
+        KnownSensor(name, SensorKind.CAMERA, entry.word("rostopic", ""), frame, intrinsics=_intrinsics(entry))
     )
     T_cam_imu, T_imu_cam = _transform(entry, "T_cam_imu"), _transform(entry, "T_imu_cam")
     if T_cam_imu is not None:
         T_imu_cam = inverse(T_cam_imu)
     if T_imu_cam is not None:
-        known.transforms.append(("imu0", name, T_imu_cam))
+        known.transforms.append(("imu0", frame, T_imu_cam))
     T_cam_previous = _transform(entry, "T_cn_cnm1")
     if T_cam_previous is not None:
-        known.transforms.append((f"cam{int(name[3:]) - 1}", name, inverse(T_cam_previous)))
+        known.transforms.append((f"{path}:cam{int(name[3:]) - 1}", frame, inverse(T_cam_previous)))
 
 
 def _intrinsics(entry: CalibrationFile) -> CameraIntrinsics:
@@ -83,7 +84,7 @@ def _intrinsics(entry: CalibrationFile) -> CameraIntrinsics:
 
 def _add_imu(known: KnownCalibration, name: str, entry: CalibrationFile) -> None:
     noise = ImuNoise(**{key: entry.optional(key) for key in ImuNoise.__slots__})
-    known.sensors.append(KnownSensor(name, SensorKind.IMU, entry.word("rostopic", ""), noise=noise))
+    known.sensors.append(KnownSensor(name, SensorKind.IMU, entry.word("rostopic", ""), name, noise=noise))
     T_imu_body = _transform(entry, "T_i_b")
     if T_imu_body is not None and name != "imu0":
         known.transforms.append((name, "imu0", T_imu_body))

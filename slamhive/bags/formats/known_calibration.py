@@ -17,6 +17,7 @@ class KnownSensor:
         name: What the calibration calls it.
         kind: What it measures.
         topic: Where its messages are, empty if the calibration does not say.
+        frame: What transforms call it; several files may have a ``cam0``.
         intrinsics: Of a camera.
         noise: Of an IMU.
         more: Further keys of ``dataset.yaml``.
@@ -25,6 +26,7 @@ class KnownSensor:
     name: str
     kind: SensorKind
     topic: str
+    frame: str
     intrinsics: CameraIntrinsics | None = None
     noise: ImuNoise | None = None
     more: dict[str, CalibrationValue] = field(default_factory=dict)
@@ -32,7 +34,7 @@ class KnownSensor:
 
 @dataclass(eq=False)
 class KnownCalibration:
-    """Sensors, and transforms ``(parent, child, T_parent_child)`` between them by name; ``body`` is the body frame."""
+    """Sensors, and transforms ``(parent, child, T_parent_child)`` between their frames; ``body`` is the body frame."""
 
     sensors: list[KnownSensor] = field(default_factory=list)
     transforms: list[tuple[str, str, Array]] = field(default_factory=list)

@@ -49,7 +49,7 @@ class NewerCollegeImporter:
 
 
 def read_registered_poses(path: Path) -> FoundTruth:
-    """Poses of the LiDAR against a surveyed map, times in whole seconds and nanoseconds; raises InvalidInput."""
+    """Poses by registering LiDAR scans to a surveyed map, times in s and ns; raises InvalidInput."""
     table = parse_table(read_bounded(path), str(path), 9, _LAYOUT)
     times_s = table.values[:, 0] + table.values[:, 1] * 1e-9
     positions_m, quats_xyzw = table.values[:, 2:5], table.values[:, 5:9]

@@ -93,6 +93,12 @@ class SensorBuilder:
         by_topic = [sensor for sensor in own if sensor.topic == topic]
         taken = {entry.name for entry in self.matching.topics.values()}
         by_name = [sensor for sensor in own if sensor.name == name and sensor.topic not in taken - {topic}]
+        if not by_topic and len(by_name) > 1:
+            topics = ", ".join(sensor.topic or "none" for sensor in by_name)
+            raise InvalidInput(
+                f"several calibrations are of a {name}, of topics {topics}; {topic} is none of them",
+                "give one, or name its topic with --topic",
+            )
         found = next(iter(by_topic or by_name), None)
         if found is not None and found.topic not in {"", topic}:
             note = f"the calibration of {name} names topic {found.topic}, and is used for {topic}"
@@ -156,7 +162,7 @@ class SensorBuilder:
         """All transforms that are known, those of calibration files first, and the body frame."""
         graph, topics = FrameGraph(), self.matching.topics
         names = {
-            known.name: name for name in topics for known in [self._known(name, self.matching.kind(name))] if known
+            known.frame: name for name in topics for known in [self._known(name, self.matching.kind(name))] if known
         }
         for parent, child, T in self.known.transforms:
             graph.add(names.get(parent, parent), names.get(child, child), T)
