@@ -77,6 +77,35 @@ def write_mcap(folder: Path, megabytes: float) -> Path:
     return folder / "take.mcap"
 
 
+def write_mulran(folder: Path, megabytes: float) -> Path:
+    """Ouster scans of 64 x 1024 points at 10 Hz."""
+    points = np.random.default_rng(1).normal(0, 20, (64 * 1024, 4)).astype("<f4").tobytes()
+    return _write_scans(folder / "Ouster", points, megabytes, START_NS, 100_000_000)
+
+
+def write_nclt(folder: Path, megabytes: float) -> Path:
+    """Velodyne scans of 40,000 points at 10 Hz, 8 bytes a point, which become 18."""
+    hits = np.random.default_rng(1).integers(0, 256, 40_000 * 8, dtype=np.uint8).tobytes()
+    return _write_scans(folder / "velodyne_sync", hits, megabytes, START_NS // 1000, 100_000)
+
+
+def _write_scans(folder: Path, scan: bytes, megabytes: float, start: int, period: int) -> Path:
+    folder.mkdir()
+    for number in range(max(2, int(megabytes * 1e6 / len(scan)))):
+        (folder / f"{start + number * period}.bin").write_bytes(scan)
+    return folder.parent
+
+
+def write_carmen(folder: Path, megabytes: float) -> Path:
+    """Scans of 181 ranges as text, which is parsed twice."""
+    ranges = " ".join(f"{value:.2f}" for value in np.random.default_rng(1).uniform(1, 80, 181))
+    line = f"FLASER 181 {ranges} 1 2 0.5 1 2 0.5 "
+    with (folder / "take.clf").open("w") as log:
+        for number in range(max(2, int(megabytes * 1e6 / len(line)))):
+            log.write(f"{line}{100 + number / 10:.1f} host {number / 10:.1f}\n")
+    return folder / "take.clf"
+
+
 def _convert(source: Path, target: Path, storage: str) -> Path:
     settings: dict[str, list[str]] = {
         name: [] for name in ("exclude_topics", "include_topics", "exclude_msgtypes", "include_msgtypes")
@@ -87,7 +116,14 @@ def _convert(source: Path, target: Path, storage: str) -> Path:
     return target
 
 
-MAKERS: dict[str, Callable[[Path, float], Path]] = {"ros1": write_ros1, "ros2": write_ros2, "mcap": write_mcap}
+MAKERS: dict[str, Callable[[Path, float], Path]] = {
+    "ros1": write_ros1,
+    "ros2": write_ros2,
+    "mcap": write_mcap,
+    "mulran": write_mulran,
+    "nclt": write_nclt,
+    "carmen": write_carmen,
+}
 """What writes a recording of each format, about so many megabytes, below a folder."""
 
 
