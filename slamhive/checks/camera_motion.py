@@ -41,7 +41,6 @@ EXPLAINED = 0.5
 SCALE_RANGE = (0.75, 1.33)
 """Median ratio of two lengths. Units and depth factors are off by 5 at least, baselines in a wrong unit by 10."""
 FEWEST_LENGTHS = 30
-REASON_STILL = "the image hardly changes where the ground truth has poses"
 
 
 def camera_and_truth(evidence: Evidence) -> Findings:
@@ -50,18 +49,15 @@ def camera_and_truth(evidence: Evidence) -> Findings:
     for stream in evidence.of_kind(SensorKind.CAMERA):
         if evidence.is_follower(stream):
             continue
-        reason = poses if isinstance(poses, str) else None
-        found = [] if isinstance(poses, str) else _moves(stream, poses)
-        if reason is None and len(found) < FEWEST_PLACES:
-            reason = REASON_STILL if stream.motion else "the camera model is not known, or there are too few images"
-        if reason is not None or isinstance(poses, str):
-            yield NotChecked("camera-motion", stream.sensor.name, reason or "")
-            yield from _scales(evidence, stream, [], reason or "")
+        moves = poses if isinstance(poses, str) else _moves(stream, poses)
+        if isinstance(poses, str) or isinstance(moves, str):
+            yield NotChecked("camera-motion", stream.sensor.name, str(moves))
+            yield from _scales(evidence, stream, [], str(moves))
             continue
-        wrong = list(_directions(stream, poses, found))
+        wrong = list(_directions(stream, poses, moves))
         yield from wrong
         contradicts = any(isinstance(entry, Finding) for entry in wrong)
-        yield from _scales(evidence, stream, [] if contradicts else found, "the motion contradicts the ground truth")
+        yield from _scales(evidence, stream, [] if contradicts else moves, "the motion contradicts the ground truth")
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +68,10 @@ class _Move:
     T_second_first: Array
 
 
-def _moves(stream: Stream, poses: Trajectory) -> list[_Move]:
-    """The places with enough matches, enough motion in the image, and ground truth."""
+def _moves(stream: Stream, poses: Trajectory) -> list[_Move] | str:
+    """The places with enough matches, enough motion in the image, and ground truth; or why there are too few."""
+    if not stream.motion:
+        return "the camera model is not known, or there are too few images"
     least = LEAST_MOVED_PX / focal_px(stream.sensor)
     moving = [
         match
@@ -81,7 +79,8 @@ def _moves(stream: Stream, poses: Trajectory) -> list[_Move]:
         if len(match.first) >= FEWEST_MATCHES and np.median(np.linalg.norm(match.second - match.first, axis=1)) > least
     ]
     motions = _relative(moving, poses, matrix(stream.sensor.T_body_sensor))
-    return [_Move(match, T) for match, T in zip(moving, motions, strict=True) if np.isfinite(T).all()]
+    moves = [_Move(match, T) for match, T in zip(moving, motions, strict=True) if np.isfinite(T).all()]
+    return moves if len(moves) >= FEWEST_PLACES else "the image hardly changes where the ground truth has poses"
 
 
 def _relative(matches: list[Matches], poses: Trajectory, T_body_camera: Array) -> list[Array]:

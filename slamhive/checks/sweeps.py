@@ -47,7 +47,7 @@ def empty_sweeps(evidence: Evidence) -> Findings:
             yield stream.finding(
                 "lidar-empty",
                 Severity.WARNING,
-                f"{len(empty)} sweeps of {stream.sensor.name} have hardly any points.",
+                f"Sweeps of {stream.sensor.name} have hardly any points.",
                 "remove these sweeps; look for lost packets",
                 **evidence.where(stream, empty),
                 value=float(sweeps.counts[empty].max()),

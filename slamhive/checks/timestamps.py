@@ -38,7 +38,7 @@ def order(evidence: Evidence) -> Findings:
             yield stream.finding(
                 "order",
                 Severity.ERROR,
-                f"{len(back)} messages of {stream.sensor.name} are older than the message before them.",
+                f"Messages of {stream.sensor.name} are older than the message before them.",
                 "sort the messages by header timestamp when the recording is converted",
                 **evidence.where(stream, back),
                 value=worst_ms,
@@ -55,7 +55,7 @@ def duplicates(evidence: Evidence) -> Findings:
             yield stream.finding(
                 "duplicates",
                 Severity.ERROR,
-                f"{len(same)} messages of {stream.sensor.name} have the timestamp of the message before them.",
+                f"Messages of {stream.sensor.name} have the timestamp of the message before them.",
                 "remove the copies; algorithms divide by the time between messages",
                 **evidence.where(stream, same),
                 value=float(len(same)),
@@ -78,7 +78,7 @@ def gaps(evidence: Evidence) -> Findings:
             yield stream.finding(
                 "gaps",
                 Severity.WARNING,
-                f"{stream.sensor.name} has {len(late)} gaps; about {lost} messages are missing.",
+                f"{stream.sensor.name} has gaps in which about {lost} messages are missing.",
                 "record again on a faster disk, or cut the recording before the gap",
                 **evidence.where(stream, late),
                 value=float(steps_s[late - 1].max()),
@@ -96,7 +96,7 @@ def clock_jumps(evidence: Evidence) -> Findings:
             yield stream.finding(
                 "clock-jumps",
                 Severity.ERROR,
-                f"The clock of {stream.sensor.name} jumps {len(at)} times.",
+                f"The clock of {stream.sensor.name} jumps against the recording time.",
                 "correct the timestamps after the jump, or cut the recording there",
                 **evidence.where(stream, at),
                 value=largest_s,

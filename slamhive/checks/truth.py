@@ -67,7 +67,7 @@ def _times(evidence: Evidence, truth: Truth) -> Findings:
         yield _finding(
             "truth-times",
             Severity.ERROR,
-            f"{len(bad)} poses of the ground truth are not later than the pose before them ({back} are earlier).",
+            f"Poses of the ground truth are not later than the pose before them; {back} of {len(bad)} are earlier.",
             "sort the poses by timestamp and remove copies",
             at_s=evidence.since_start_s(truth.times_s[bad[0]]),
             count=len(bad),
@@ -162,7 +162,7 @@ def _jumps(evidence: Evidence, truth: Truth) -> Findings:
         yield _finding(
             "truth-jumps",
             Severity.ERROR if grave else Severity.WARNING,
-            f"The ground truth jumps at {len(at)} poses, by up to {lengths_m[at - 1].max():.3g} m and "
+            f"The ground truth jumps by up to {lengths_m[at - 1].max():.3g} m and "
             f"{np.rad2deg(angles_rad[at - 1].max()):.3g} deg from one pose to the next.",
             "remove the poses around the jumps: the tracker lost its target there",
             at_s=evidence.since_start_s(truth.times_s[at[0]]),
@@ -202,7 +202,7 @@ def _quaternions(evidence: Evidence, truth: Truth) -> Findings:
         yield _finding(
             "truth-quaternions",
             Severity.ERROR,
-            f"{len(bad)} quaternions of the ground truth have a norm other than 1.",
+            "Quaternions of the ground truth have a norm other than 1.",
             "write unit quaternions qx qy qz qw; the columns may be another representation",
             at_s=evidence.since_start_s(truth.times_s[bad[0]]),
             count=len(bad),

@@ -63,6 +63,7 @@ def test_the_jump_in_the_ground_truth_of_mh_04_is_found():
     [
         ("kitti-odometry", "kitti06_stereo_51", NOTHING),
         ("euroc", "euroc_v101_static", {("spans", "cam0"), ("spans", "cam1")}),
+        ("7-scenes", "sevenscenes_rgbd_90", NOTHING),
         ("carmen", "radish_aces_2d", {("gaps", "laser0"), ("gaps", "odom0")}),
     ],
 )
