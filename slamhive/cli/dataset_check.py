@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.output import print_json, print_table, progress_bar, tell
+from slamhive.cli.output import print_json, progress_bar, tell
 from slamhive.domain.checks import Severity
 from slamhive.schema.checks import DatasetCheck, Finding
 
@@ -34,12 +34,11 @@ def check(cli: CliContext, name: str, strict: bool, as_json: bool) -> None:
 
 
 def _print(report: DatasetCheck) -> None:
-    if report.findings:
-        rows = [
-            (finding.severity.value, finding.check, finding.about, _where(finding), finding.message, finding.remedy)
-            for finding in report.findings
-        ]
-        print_table(("severity", "check", "about", "where", "found", "what to do"), rows)
+    """One line for each finding, however long: terminals wrap it, and ``grep`` finds all of it."""
+    width = max([len(finding.check) for finding in report.findings], default=0)
+    for finding in report.findings:
+        place = f"{finding.severity.value:8}{finding.check:{width}}  {finding.about}, {_where(finding)}"
+        click.echo(f"{place}: {finding.message} To do: {finding.remedy}.")
     counts = ", ".join(f"{report.count(severity)} {severity.value}s" for severity in Severity)
     tell(f"{report.dataset}: {counts}; {len(report.checks)} checks")
     if report.not_checked:
