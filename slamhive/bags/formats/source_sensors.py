@@ -194,7 +194,9 @@ class SensorBuilder:
     def _frame_owners(self) -> Mapping[str, list[str]]:
         owners: dict[str, list[str]] = {}
         for name, topic in self.matching.topics.items():
-            frame = plain_frame(self.bag.first(topic.name).header.frame_id)
+            message = self.bag.first(topic.name)
+            # odometry is that of its child frame; the header has the fixed one
+            frame = plain_frame(getattr(message, "child_frame_id", message.header.frame_id))
             if frame:
                 owners.setdefault(frame, []).append(name)
         return owners
