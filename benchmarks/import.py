@@ -24,6 +24,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 from rosbags.convert.converter import convert
 from rosbags.typesys import Stores, get_typestore
@@ -116,6 +117,38 @@ def _convert(source: Path, target: Path, storage: str) -> Path:
     return target
 
 
+def write_kitti_odometry(folder: Path, megabytes: float) -> Path:
+    """Grey PNG images of the same size, not compressed, so that the ratio shows reading, checking and writing."""
+    source = folder / "00"
+    (source / "image_0").mkdir(parents=True)
+    pixels = np.random.default_rng(1).integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8)
+    count = frames(megabytes)
+    for number in range(count):
+        path = source / "image_0" / f"{number:06d}.png"
+        cv2.imwrite(str(path), pixels, (cv2.IMWRITE_PNG_COMPRESSION, 0))
+    (source / "times.txt").write_text("".join(f"{number / 10}\n" for number in range(count)))
+    (source / "calib.txt").write_text("P0: 450 0 375.5 0 0 450 239.5 0 0 0 1 0\n")
+    return source
+
+
+def write_euroc(folder: Path, megabytes: float) -> Path:
+    """The same images in the ASL layout."""
+    kitti = write_kitti_odometry(folder, megabytes)
+    camera = folder / "take" / "mav0" / "cam0"
+    camera.mkdir(parents=True)
+    (kitti / "image_0").rename(camera / "data")
+    names = sorted(path.name for path in (camera / "data").iterdir())
+    rows = (f"{START_NS + number * PERIOD_NS},{name}\n" for number, name in enumerate(names))
+    (camera / "data.csv").write_text("".join(rows))
+    (camera / "sensor.yaml").write_text(
+        "T_BS: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\ncamera_model: pinhole\n"
+        f"resolution: [{WIDTH}, {HEIGHT}]\nintrinsics: [450, 450, 375.5, 239.5]\n"
+        "distortion_model: radial-tangential\ndistortion_coefficients: [0, 0, 0, 0]\n"
+    )
+    shutil.rmtree(kitti)
+    return folder / "take"
+
+
 MAKERS: dict[str, Callable[[Path, float], Path]] = {
     "ros1": write_ros1,
     "ros2": write_ros2,
@@ -123,6 +156,8 @@ MAKERS: dict[str, Callable[[Path, float], Path]] = {
     "mulran": write_mulran,
     "nclt": write_nclt,
     "carmen": write_carmen,
+    "kitti-odometry": write_kitti_odometry,
+    "euroc": write_euroc,
 }
 """What writes a recording of each format, about so many megabytes, below a folder."""
 
