@@ -155,4 +155,5 @@ def _needs(entry: PublicSequence) -> str | None:
     return ", ".join(need.kind.value for need in entry.needs) or None
 
 
-COMMANDS = (fetch, search, links)
+IN_GROUP = (fetch, search, links)
+"""Commands of the group ``dataset``."""

@@ -269,7 +269,7 @@ def _ground_truth_in_words(entry: Dataset) -> str:
     return f"{truth.file}, {', '.join(trait for trait in traits if trait)}"
 
 
-for _command in (check, export, *dataset_fetch.COMMANDS):
+for _command in (check, export, *dataset_fetch.IN_GROUP):
     dataset.add_command(_command)
 
 COMMANDS = (dataset,)
