@@ -29,6 +29,7 @@ import numpy as np
 from rosbags.convert.converter import convert
 from rosbags.typesys import Stores, get_typestore
 
+from slamhive import strict_yaml
 from slamhive.bags.bag_writer import BagWriter
 from slamhive.bags.importers import plan_import
 from slamhive.bags.importing import ImportOptions, perform
@@ -140,11 +141,15 @@ def write_euroc(folder: Path, megabytes: float) -> Path:
     names = sorted(path.name for path in (camera / "data").iterdir())
     rows = (f"{START_NS + number * PERIOD_NS},{name}\n" for number, name in enumerate(names))
     (camera / "data.csv").write_text("".join(rows))
-    (camera / "sensor.yaml").write_text(
-        "T_BS: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\ncamera_model: pinhole\n"
-        f"resolution: [{WIDTH}, {HEIGHT}]\nintrinsics: [450, 450, 375.5, 239.5]\n"
-        "distortion_model: radial-tangential\ndistortion_coefficients: [0, 0, 0, 0]\n"
-    )
+    calibration = {
+        "T_BS": np.eye(4).reshape(-1).tolist(),
+        "camera_model": "pinhole",
+        "resolution": [WIDTH, HEIGHT],
+        "intrinsics": [450, 450, 375.5, 239.5],
+        "distortion_model": "radial-tangential",
+        "distortion_coefficients": [0, 0, 0, 0],
+    }
+    (camera / "sensor.yaml").write_text(strict_yaml.dump(calibration))
     shutil.rmtree(kitti)
     return folder / "take"
 

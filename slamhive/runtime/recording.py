@@ -45,11 +45,12 @@ DAMAGE = (
     OverflowError,
     MemoryError,
     SyntaxError,
+    TypeError,
 )
 """Errors that rosbags and its codecs raise on damaged bytes.
 
 ValueError includes text that is not UTF-8, OverflowError and MemoryError are lengths that bytes make up, SyntaxError
-is a damaged message definition (rosbags generates code from it).
+is a damaged message definition (rosbags generates code from it), TypeError a file that ends where a byte is expected.
 """
 
 _FORGET_EVERY_BYTES = 32_000_000
@@ -150,7 +151,7 @@ def forget_pages(path: Path) -> None:
 def damaged(path: Path, error: Exception) -> InvalidInput:
     """A one-line error for what rosbags or its codecs found wrong with the recording at ``path``."""
     reason = " ".join(str(error).split())[:200]
-    inner = isinstance(error, UnicodeError | EOFError) or "('" in reason or not reason
+    inner = isinstance(error, UnicodeError | EOFError | TypeError) or "('" in reason or not reason
     return InvalidInput(
         f"{path} cannot be read as a recording: {'its bytes make no sense' if inner else reason}",
         "it may be truncated or no bag at all: compare its size with the original, or run 'rosbag reindex' on it",
