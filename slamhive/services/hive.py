@@ -15,7 +15,6 @@ from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, V
 from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, Protocols
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentContext, Experiments
-from slamhive.services.fetching import Collections, Fetching
 from slamhive.services.imports import Imports
 from slamhive.services.ledger import Ledger
 from slamhive.services.runs import Runs
@@ -25,6 +24,7 @@ from slamhive.settings import Mode, Settings, load_settings
 from slamhive.store import Store
 
 if TYPE_CHECKING:
+    from slamhive.services.fetching import Fetching
     from slamhive.services.reports import Analyses
 
 
@@ -57,7 +57,6 @@ class Hive:
         self.comparisons = Comparisons(store, self.evaluations, settings.runs_folder)
         self.experiments = Experiments(ExperimentContext(settings, store, catalogue, self.variants, self.executors))
         self.imports = Imports(settings, store, catalogue)
-        self.fetching = Fetching(settings, catalogue, Collections(catalogue.project_root))
         self.stored_analyses = StoredAnalyses(settings, store, lambda text: self.analyses.read(text).name)
         self.analysis_jobs = AnalysisJobs(settings, store, catalogue.project_root)
 
@@ -67,6 +66,13 @@ class Hive:
         from slamhive.services.reports import Analyses  # noqa: PLC0415
 
         return Analyses(self.settings, self.store, self.catalogue, self.searches)
+
+    @cached_property
+    def fetching(self) -> Fetching:
+        """Public sequences; loaded on first use, because few commands fetch."""
+        from slamhive.services.fetching import Collections, Fetching  # noqa: PLC0415
+
+        return Fetching(self.settings, self.catalogue, Collections(self.catalogue.project_root))
 
     def worker(self, only: Sequence[int] | None = None) -> Worker:
         """A worker of this installation, for all runs or for ``only`` these; its ``run`` does the work."""

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from slamhive.bags.importers import IMPORTERS, plan_import
 from slamhive.bags.importing import ImportOptions, ImportPlan, perform
 from slamhive.bags.room import RoomOptions, render_room
 from slamhive.catalogue.algorithm_file import ALGORITHM_FILE, load_algorithms
@@ -151,6 +150,8 @@ class Catalogue:
             Conflict: The dataset exists already.
             InvalidInput: The name or the source cannot be used; says why.
         """
+        from slamhive.bags.importers import IMPORTERS, plan_import  # noqa: PLC0415 - some thirty modules
+
         if format_name is not None:
             IMPORTERS.get(format_name)
         name = _name_of(source) if name is None else name

@@ -9,7 +9,6 @@ from collections.abc import Sequence as Sequences
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
-from slamhive.bags.importers import IMPORTERS
 from slamhive.bags.importing import ImportOptions
 from slamhive.catalogue.collection_file import kind_of
 from slamhive.domain.collection import FileKind, Part, RemoteFile, Sequence
@@ -122,6 +121,8 @@ class Fetching:
         return self._settings.data / "downloads"
 
     def _plan_one(self, sequence: Sequence, request: FetchRequest) -> FetchPlan:
+        from slamhive.bags.importers import IMPORTERS  # noqa: PLC0415 - some thirty modules
+
         collection = self.collections.collection(sequence.collection)
         token, missing = tokens_of(collection, self._environment)
         check_needs(collection, request, missing)
