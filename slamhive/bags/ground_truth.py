@@ -66,15 +66,28 @@ def matched_truth(truth: PlannedTruth | None, streams: Sequence[Stream]) -> tupl
     """Notes on the part of the recording that has no ground truth; raises InvalidInput if the clocks do not meet."""
     if truth is None:
         return ("there is no ground truth: runs get no ATE",)
-    first_s, last_s = float(truth.times_s[0]), float(truth.times_s[-1])
     times_s = streams[0].times_ns / NS_PER_S
-    if last_s < times_s[0] or first_s > times_s[-1]:
-        raise InvalidInput(
-            f"the ground truth is from {first_s:.3f} s to {last_s:.3f} s, "
-            f"{streams[0].sensor.name} from {times_s[0]:.3f} s to {times_s[-1]:.3f} s: the clocks do not meet",
-            "give ground truth with timestamps of the sensors' clock",
-        )
+    check_clock(truth.times_s, (times_s[0], times_s[-1]), "the ground truth", streams[0].sensor.name)
+    first_s, last_s = truth.times_s[0], truth.times_s[-1]
     outside = int(np.count_nonzero((times_s < first_s) | (times_s > last_s)))
     if not outside:
         return ()
     return (f"{outside} of {len(times_s)} messages of {streams[0].sensor.name} are before or after the ground truth",)
+
+
+def check_clock(times_s: Array, recorded_s: tuple[float, float], truth: str, recorded: str) -> None:
+    """Raise InvalidInput with both spans if ground truth and recording have no time in common.
+
+    Args:
+        times_s: The times of the ground truth, shape (n,), increasing.
+        recorded_s: When the recording begins and ends.
+        truth: What messages call the ground truth.
+        recorded: What messages call the recording.
+    """
+    start_s, end_s = recorded_s
+    if times_s[-1] < start_s or times_s[0] > end_s:
+        raise InvalidInput(
+            f"{truth} is from {times_s[0]:.3f} s to {times_s[-1]:.3f} s, "
+            f"{recorded} from {start_s:.3f} s to {end_s:.3f} s: the clocks do not meet",
+            "give the ground truth of this recording, with the timestamps of its sensors",
+        )

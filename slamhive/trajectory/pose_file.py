@@ -154,7 +154,8 @@ def _rows(path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions
     if found is TrajectoryFormat.KITTI:
         if times is None:
             raise InvalidInput(
-                f"{path} holds KITTI poses, which have no timestamps", "give the file of the timestamps (--times)"
+                f"{path} holds KITTI poses, which have no timestamps",
+                "give a TUM file; imports of runs also take the file of the timestamps (--times)",
             )
         return PoseFile(data, found, read_kitti_rows(path, times))
     raw = parse_rows(data, str(path), more_columns=found is TrajectoryFormat.EUROC)

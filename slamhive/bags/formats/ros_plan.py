@@ -12,8 +12,9 @@ from slamhive.bags.formats.livox import livox_points
 from slamhive.bags.formats.source_bag import SourceBag, open_source
 from slamhive.bags.formats.source_sensors import SensorBuilder
 from slamhive.bags.formats.topics import LIVOX, Matching, match_topics
-from slamhive.bags.formats.truth import FoundTruth, check_clock, read_truth_file
+from slamhive.bags.formats.truth import FoundTruth, read_truth_file
 from slamhive.bags.formats.truth_topics import read_truth_topic
+from slamhive.bags.ground_truth import check_clock
 from slamhive.bags.importing import (
     DatasetText,
     ImportOptions,
@@ -70,11 +71,11 @@ def plan_recording(
         frame = "" if truth is None else truth.frame
         builder = SensorBuilder(bag, matching, known, frame, options.depth_units_per_m)
         sensors, recorded_ns = builder.sensors()
+        recorded_s = recorded_ns[0] / NS_PER_S, recorded_ns[1] / NS_PER_S
         if options.groundtruth is not None:
-            recorded_s = (recorded_ns[0] / NS_PER_S, recorded_ns[1] / NS_PER_S)
             truth = read_truth_file(options.groundtruth, recorded_s, f"file {options.groundtruth.name}")
         if truth is not None:
-            check_clock(truth, recorded_ns, f"the ground truth ({truth.source})")
+            check_clock(truth.times_s, recorded_s, f"the ground truth ({truth.source})", "the recording")
         notes = (*matching.notes, *builder.notes, *_notes(bag, truth, recorded_ns))
         recording = _recording(paths, bag, matching, sensors, options)
     return ImportPlan(recording, None if truth is None else truth.planned, text, notes=notes)

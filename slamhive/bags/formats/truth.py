@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from slamhive.bags.bag_writer import NS_PER_S
 from slamhive.bags.geometry import Array
 from slamhive.bags.importing import PlannedTruth
-from slamhive.errors import InvalidInput
 from slamhive.trajectory.evidence import Span
 from slamhive.trajectory.pose_file import read_ground_truth
 
@@ -49,15 +47,3 @@ def read_truth_file(path: Path, recorded: Span, source: str = "") -> FoundTruth:
     trajectory, oriented = read_ground_truth(path, recorded)
     quats_xyzw = trajectory.quats_xyzw if oriented else None
     return FoundTruth(trajectory.stamps_s, trajectory.positions_m, quats_xyzw, gravity_aligned=False, source=source)
-
-
-def check_clock(truth: FoundTruth, recorded_ns: tuple[int, int], name: str) -> None:
-    """Raise InvalidInput with both spans if ground truth and recording have no time in common."""
-    first_s, last_s = float(truth.times_s[0]), float(truth.times_s[-1])
-    start_s, end_s = recorded_ns[0] / NS_PER_S, recorded_ns[1] / NS_PER_S
-    if last_s < start_s or first_s > end_s:
-        raise InvalidInput(
-            f"{name} covers {first_s:.3f} to {last_s:.3f} s, the recording {start_s:.3f} to {end_s:.3f} s: "
-            "their clocks do not meet",
-            "give the ground truth of this recording, with the clock of its message headers",
-        )
