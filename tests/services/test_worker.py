@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Iterator
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from slamhive.clock import utc_now
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, Unavailable
 from slamhive.executors.base import EngineUnavailable, ImageMissing, StartFailed
+from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Gone, Running
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.run import Run
@@ -115,6 +117,21 @@ def test_a_run_that_its_engine_took_along_is_lost_not_blamed(hive):
     run = finish(hive, executor)
     assert (run.state, run.reason) == (RunState.FAILED, FailureReason.LOST)
     assert "the engine went away at" in run.detail
+
+
+@pytest.mark.parametrize(("later_s", "reason"), [(-1, FailureReason.LOST), (60, FailureReason.NONZERO_EXIT)])
+def test_an_engine_that_dies_before_it_answers_the_start(hive, later_s, reason):
+    """The run may have started, and then ended with its engine; one that starts afterwards ends by itself."""
+    answers: list[Exception] = [EngineUnavailable("no engine")]
+
+    def start_unheard(_spec: RunSpec) -> None:
+        if answers:
+            raise answers.pop()
+
+    ended = Exited(143, started_at=utc_now() + timedelta(seconds=later_s))
+    run = finish(hive, FakeExecutor([ended], start_unheard))
+    assert (run.state, run.reason) == (RunState.FAILED, reason)
+    assert hive.executors.opened["process"].starts[1].run_id == run.id
 
 
 def test_a_queued_run_is_cancelled_at_once(hive):

@@ -60,7 +60,8 @@ class RunDriver:
                 try:
                     steps[hand.run.state]()
                 except EngineUnavailable:
-                    if hand.run.state in (RunState.RUNNING, RunState.COLLECTING):
+                    if hand.run.state in (RunState.STARTING, RunState.RUNNING, RunState.COLLECTING):
+                        # While starting, too: the answer to a start that succeeded may have been lost.
                         hand.save({ENGINE_AWAY: timestamp(self._context.now())})
                     raise
         return hand.run

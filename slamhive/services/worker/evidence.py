@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Any
 
 from slamhive.domain.run import FailureReason
@@ -103,11 +104,18 @@ def _gone_because(status: RunStatus, saved: dict[str, Any]) -> str | None:
     if isinstance(status, Gone):
         return status.why
     engine_away_at = saved.get(ENGINE_AWAY)
-    if isinstance(status, Exited) and status.exit_code != 0 and engine_away_at is not None:
+    if isinstance(status, Exited) and status.exit_code != 0 and _was_there(status, engine_away_at):
         return f"the engine went away at {engine_away_at} and took the run with it (exit code {status.exit_code})"
     if isinstance(status, Exited) and status.exit_code == _KILLED and _unwatched(saved):
         return f"it was killed while no worker watched, as when a machine goes down (exit code {_KILLED})"
     return None
+
+
+def _was_there(status: Exited, engine_away_at: str | None) -> bool:
+    """Whether the run had started when its engine went away; a run that started later ended by itself."""
+    if engine_away_at is None:
+        return False
+    return status.started_at is None or status.started_at <= datetime.fromisoformat(engine_away_at)
 
 
 def _unwatched(saved: dict[str, Any]) -> bool:
