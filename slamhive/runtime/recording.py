@@ -49,8 +49,8 @@ DAMAGE = (
 )
 """Errors that rosbags and its codecs raise on damaged bytes.
 
-ValueError includes text that is not UTF-8, OverflowError and MemoryError are lengths that bytes make up, SyntaxError
-is a damaged message definition (rosbags generates code from it), TypeError a file that ends where a byte is expected.
+ValueError includes text that is not UTF-8. OverflowError and MemoryError are lengths that bytes make up. SyntaxError
+is a damaged message definition, of which rosbags generates code. TypeError is a file that ends too early.
 """
 
 _FORGET_EVERY_BYTES = 32_000_000

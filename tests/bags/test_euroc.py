@@ -164,6 +164,7 @@ def test_bad_input_is_one_clear_line_and_leaves_nothing(source, tmp_path, damage
     assert not data.exists() or list(data.iterdir()) == []
 
 
+@pytest.mark.integration
 @pytest.mark.shared_data
 @pytest.mark.skipif(not SHARED.is_dir(), reason="../shared/data is absent")
 def test_v1_01_as_recorded(tmp_path):

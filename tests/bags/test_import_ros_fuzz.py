@@ -17,7 +17,7 @@ from tests.bags.test_import_ros import CALIBRATION, EQUIDISTANT, bag, recording,
 from tests.bags.test_import_ros_special import FIELDS, write_lidar
 from tests.fuzzing import mutated
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 MUTATIONS = 40
 MOST_MEMORY_BYTES = 400_000_000

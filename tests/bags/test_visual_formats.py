@@ -233,6 +233,7 @@ def test_other_kinds_of_images_are_read_and_checked(tmp_path, ending, encoding):
         read_image(path, encoding)
 
 
+@pytest.mark.integration
 @pytest.mark.shared_data
 @pytest.mark.skipif(not SHARED.is_dir(), reason="../shared/data is absent")
 def test_7_scenes_as_recorded(tmp_path):

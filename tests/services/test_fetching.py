@@ -194,6 +194,7 @@ def test_archives_in_an_archive(kitti: FileServer, tmp_path: Path, sequence: Pat
     assert {"slow", "bright", "easy", "drone"} <= set(dataset.attributes)
 
 
+@pytest.mark.integration
 @pytest.mark.shared_data
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the recorded data in ../shared/data")
 def test_euroc_as_it_is_published(server: FileServer, tmp_path: Path) -> None:
