@@ -45,6 +45,14 @@
     }
   }
 
+  /** A camera may have no frame at a time; its place stays empty. */
+  function watch(image) {
+    const mark = () => image.classList.toggle("absent", image.complete && image.naturalWidth === 0);
+    image.addEventListener("error", mark);
+    image.addEventListener("load", mark);
+    mark();
+  }
+
   function load() {
     for (const image of part.querySelectorAll("[data-frame]")) image.src = at(image.dataset.frame);
     part.querySelectorAll("[data-sweep]").forEach(loadSweep);
@@ -56,6 +64,7 @@
     timer = setTimeout(load, WAIT_MS);
   }
 
+  part.querySelectorAll("img").forEach(watch);
   slider.addEventListener("input", show);
   part.addEventListener("click", (event) => {
     const link = event.target.closest("a[data-time]");

@@ -73,4 +73,4 @@ class CheckReport:
 
     def count(self, severity: Severity) -> int:
         """The number of findings of one severity."""
-        return sum(finding.severity is severity for finding in self.findings)
+        return sum(finding.severity == severity for finding in self.findings)

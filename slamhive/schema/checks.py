@@ -46,4 +46,4 @@ class DatasetCheck(Document):
 
     def count(self, severity: domain.Severity) -> int:
         """The number of findings of one severity."""
-        return sum(finding.severity is severity for finding in self.findings)
+        return sum(finding.severity == severity for finding in self.findings)

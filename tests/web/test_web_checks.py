@@ -29,6 +29,10 @@ def test_a_check_is_started_stored_and_shown(track: Web):
     page = track.client.get(PAGE).text
     assert "Check again" in page
     assert "lidar-motion" in page
+    severities = [finding["severity"] for finding in report["findings"]]
+    assert severities.count("warning") > 0
+    for severity in ("error", "warning", "note"):
+        assert f"{severities.count(severity)} {severity}" in page
     assert report["findings"][0]["remedy"] in page
     assert track.client.get(f"/api/v1{PAGE}/check").json == report
 
