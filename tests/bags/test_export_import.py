@@ -51,18 +51,13 @@ def described(folder: Path) -> ImportOptions:
     return ImportOptions(calibration=(folder / "dataset.yaml",), groundtruth=folder / "groundtruth.txt")
 
 
-def calibrated(folder: Path) -> ImportOptions:
-    """The calibration, for which TUM RGB-D has no file."""
-    return ImportOptions(calibration=(folder / "dataset.yaml",), depth_units_per_m=1000.0)
-
-
 SENSORS = {name: name for name in ("cam0", "cam1", "depth0", "imu0", "lidar0")}
 PAIRS = [
     Pair("ros1", "ros1", SENSORS, options=described, source="room.bag"),
     Pair("ros2", "ros2", SENSORS, options=described, source="room"),
     Pair("mcap", "mcap", SENSORS, options=described, source="room.mcap"),
     Pair("euroc", "euroc", {"cam0": "cam0", "cam1": "cam1", "imu0": "imu0"}),
-    Pair("tum-rgbd", "tum-rgbd", {"cam0": "cam0", "depth0": "depth0"}, body="cam0", options=calibrated),
+    Pair("tum-rgbd", "tum-rgbd", {"cam0": "cam0", "depth0": "depth0"}, body="cam0"),
     Pair("vslam-lab", "vslam-lab", {name: name for name in ("cam0", "cam1", "depth0", "imu0")}),
     Pair("kitti", "kitti-odometry", {"cam0": "cam0", "cam1": "cam1"}, body="cam0", from_start=True),
 ]

@@ -5,7 +5,7 @@ Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slamhive.bags.detection import Detection
@@ -14,7 +14,9 @@ from slamhive.bags.ground_truth import listed_truth, matched_truth, tum_truth
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth
 from slamhive.bags.rgbd import Frames, camera_stream, depth_stream, listed_frames, nominal_times_ns, size_of
 from slamhive.bags.timed_list import TimedList, parse_timed_list, read_lines
+from slamhive.catalogue.dataset_file import DATASET_FILE, load_sensors
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel
+from slamhive.domain.sensors import SensorKind
 from slamhive.errors import InvalidInput
 from slamhive.trajectory.layout import TimeUnit
 
@@ -109,6 +111,7 @@ class TumRgbdImporter:
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
         """What the folder becomes; raises InvalidInput naming the file, the line, and the remedy."""
+        options = _as_exported(source, options)
         colour, colour_notes = _frames(source, "rgb.txt", 3)
         depth, depth_notes = _frames(source, "depth.txt", 1)
         family = _family(source)
@@ -118,6 +121,16 @@ class TumRgbdImporter:
         truth = _truth(source, family, options)
         notes = (*colour_notes, *depth_notes, *camera_notes, *_left_out(source), *matched_truth(truth, streams))
         return ImportPlan(streams, truth, _text(source, family), notes=notes)
+
+
+def _as_exported(source: Path, options: ImportOptions) -> ImportOptions:
+    """Exports of SLAM Hive describe the cameras in ``dataset.yaml``; it counts unless users say otherwise."""
+    path = source / DATASET_FILE
+    if options.calibration or not path.is_file():
+        return options
+    depth = next((sensor for sensor in load_sensors(path) if sensor.kind is SensorKind.DEPTH), None)
+    units_per_m = None if depth is None else float(depth.calibration["units_per_m"])  # type: ignore[arg-type]
+    return replace(options, calibration=(path,), depth_units_per_m=options.depth_units_per_m or units_per_m)
 
 
 def _is_icl(source: Path) -> bool:
