@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,12 +54,10 @@ def of_body(truth: PlannedTruth, T_measured_body: Array) -> PlannedTruth:
     if truth.quats_xyzw is None or np.array_equal(T_measured_body, np.eye(4)):
         return truth
     R_world_measured = rotations_from_quats(truth.quats_xyzw)
-    return PlannedTruth(
-        truth.times_s,
-        truth.positions_m + R_world_measured @ T_measured_body[:3, 3],
-        quaternions_from_rotations(R_world_measured @ T_measured_body[:3, :3]),
-        gravity_aligned=truth.gravity_aligned,
-        source=truth.source,
+    return replace(
+        truth,
+        positions_m=truth.positions_m + R_world_measured @ T_measured_body[:3, 3],
+        quats_xyzw=quaternions_from_rotations(R_world_measured @ T_measured_body[:3, :3]),
     )
 
 

@@ -11,7 +11,7 @@ from slamhive.bags.detection import Detection
 from slamhive.bags.frame_files import read_image, read_velodyne
 from slamhive.bags.geometry import Array, quaternions_from_rotations, transform
 from slamhive.bags.image_stream import OVERHEAD_BYTES, image_stream
-from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream
+from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream, rate_hz
 from slamhive.bags.kitti_sequence import KittiSequence, detect_kitti, read_sequence, velodyne_layout
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.sensors import Sensor, SensorKind
@@ -64,7 +64,7 @@ def _camera_stream(sequence: KittiSequence, number: int) -> Stream:
         f"cam{number}",
         SensorKind.CAMERA,
         f"/cam{number}/image_raw",
-        _rate_hz(sequence),
+        rate_hz(_times_ns(sequence)),
         tuple(float(value) for value in transform(np.eye(3), position_m).reshape(-1)),
         intrinsics.calibration(encoding),
     )
@@ -93,7 +93,7 @@ def _lidar(sequence: KittiSequence) -> Sensor | None:
         "lidar0",
         SensorKind.LIDAR,
         "/points",
-        _rate_hz(sequence),
+        rate_hz(_times_ns(sequence)),
         tuple(float(value) for value in sequence.T_cam0_lidar.reshape(-1)),
         velodyne_layout().calibration(),
     )
@@ -118,8 +118,3 @@ def _text(sequence: KittiSequence) -> DatasetText:
         source="https://www.cvlibs.net/datasets/kitti/eval_odometry.php",
         attributes=("real", "outdoor", "car"),
     )
-
-
-def _rate_hz(sequence: KittiSequence) -> float:
-    times_s = sequence.times_s
-    return round(float((len(times_s) - 1) / (times_s[-1] - times_s[0])), 6)

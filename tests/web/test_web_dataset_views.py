@@ -15,6 +15,7 @@ from slamhive.bags import views
 from slamhive.bags.bag_writer import BagWriter
 from slamhive.bags.reader import open_bag
 from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.errors import NotFound
 from slamhive.services.datasets import DatasetViews, strip_times_s
 from slamhive.services.datasets.views import THUMBNAILS
 from slamhive.trajectory.model import Poses
@@ -187,6 +188,24 @@ def test_the_cache_forgets_another_recording_of_the_same_name(recorded: Web):
     first = shown.frame(dataset, "camera0", 1.0)
     assert shown.frame(dataset, "camera0", 1.0) is first
     assert shown.frame(replace(dataset, checksum="sha256:" + "1" * 64), "camera0", 1.0) is not first
+
+
+def test_a_ground_truth_is_summarised_once_until_it_changes(web: Web):
+    dataset = web.hive.catalogue.dataset("room")
+    path = dataset.groundtruth_path
+    assert path is not None
+    shown = DatasetViews()
+    first = shown.motion(dataset)
+    assert first is not None
+    assert shown.motion(dataset) is first
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[: len(lines) // 2]))
+    again = shown.motion(dataset)
+    assert again is not None
+    assert again.poses == first.poses // 2
+    path.unlink()
+    with pytest.raises(NotFound):
+        shown.motion(dataset)
 
 
 def test_motion_is_that_of_a_known_path():

@@ -11,7 +11,7 @@ from typing import TypeVar
 from cachetools import LRUCache
 
 from slamhive.bags.views import FRAME_WIDTH, THUMBNAIL_WIDTH, FrameView, SweepView, frames_at, sweep_at
-from slamhive.domain.dataset import Dataset
+from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.motion import Motion, motion_of
@@ -20,8 +20,11 @@ from slamhive.trajectory.tum import read_tum
 THUMBNAILS = 12
 _CACHE_BYTES = 32_000_000
 _AT_ONCE = 2
+_MOTIONS = 256
+"""How many summaries of a ground truth are kept."""
 View = TypeVar("View", FrameView, SweepView)
 _Key = tuple[str, str, str, int, int]
+_Stamp = tuple[Path, GroundTruth | None, int, int]
 
 
 def strip_times_s(dataset: Dataset) -> list[float]:
@@ -38,6 +41,7 @@ class DatasetViews:
 
     def __init__(self) -> None:
         self._kept: LRUCache[_Key, FrameView | SweepView] = LRUCache(_CACHE_BYTES, _size_bytes)
+        self._motions: LRUCache[_Stamp, MotionSummary | None] = LRUCache(_MOTIONS)
         self._lock = threading.Lock()
         self._turns = threading.BoundedSemaphore(_AT_ONCE)
 
@@ -85,6 +89,25 @@ class DatasetViews:
             return view
 
         return self._view(_key(dataset, sensor, time_s, 0), read)
+
+    def motion(self, dataset: Dataset) -> MotionSummary | None:
+        """As :func:`motion_summary`, but a ground truth that has not changed is read once."""
+        path = dataset.groundtruth_path
+        try:
+            status = None if path is None else path.stat()
+        except FileNotFoundError:
+            status = None
+        if path is None or status is None:
+            return motion_summary(dataset)
+        key = (path, dataset.groundtruth, status.st_mtime_ns, status.st_size)
+        with self._lock:
+            known = key in self._motions
+            summary = self._motions[key] if known else None
+        if not known:
+            summary = motion_summary(dataset)
+            with self._lock:
+                self._motions[key] = summary
+        return summary
 
     def _view(self, key: _Key, read: Callable[[], View]) -> View:
         with self._lock:

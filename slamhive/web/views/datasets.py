@@ -10,7 +10,7 @@ from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.schema.model import load
 from slamhive.search.build import matching
-from slamhive.services.datasets import MotionSummary, ground_truth_motion, motion_summary, strip_times_s
+from slamhive.services.datasets import MotionSummary, ground_truth_motion, strip_times_s
 from slamhive.services.runs import check_dataset_files, read_dataset_path
 from slamhive.store.records import RunSort
 from slamhive.trajectory.motion import WINDOW_S
@@ -85,7 +85,7 @@ def show(name: str) -> str:
 def _motion(dataset: Dataset) -> MotionSummary | None:
     """The motion in the ground truth, None where there is no file that can be read; the page says so elsewhere."""
     try:
-        return motion_summary(dataset)
+        return hive().dataset_views.motion(dataset)
     except (InvalidInput, NotFound):
         return None
 
