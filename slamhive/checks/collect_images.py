@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from array import array
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -36,18 +37,18 @@ class ImageCollector:
         self._rig = rig
         self._sharp_every = max(1, count // SHARPNESS_SAMPLES)
         self._decode_every = max(1, count // DECODED_SAMPLES)
-        self._shapes: dict[tuple[int, int, str], int] = {}
+        self._shapes: Counter[tuple[int, int, str]] = Counter()
         self._prints = array("q")
         self._rows = array("f")
 
     def add(self, index: int, header_ns: int, message: Any) -> None:
         """Take one image."""
         data = np.asarray(message.data, dtype=np.uint8)
-        self._prints.append(zlib.crc32(data[::_PRINT_STEP].tobytes()) ^ (data.size << 32))
+        self._prints.append(_print_of(data))
         if message.__msgtype__ == COMPRESSED_IMAGE:
             self._rows.extend(self._compressed(message, decoded=index % self._decode_every == 0))
         else:
-            self._count(int(message.width), int(message.height), str(message.encoding))
+            self._shapes[_shape_of(message)] += 1
             self._rows.extend(self._raw(message, data, sharp=index % self._sharp_every == 0))
         self._rig.camera(self._name, index, header_ns, message)
 
@@ -56,10 +57,6 @@ class ImageCollector:
         rows = np.array(self._rows, dtype=np.float64).reshape(-1, 3)
         images = Images(self._shapes, np.array(self._prints, dtype=np.int64), rows[:, 0], rows[:, 1], rows[:, 2])
         return {"images": images, **self._rig.finish(self._name)}
-
-    def _count(self, width: int, height: int, encoding: str) -> None:
-        shape = (width, height, encoding)
-        self._shapes[shape] = self._shapes.get(shape, 0) + 1
 
     def _raw(self, message: Any, data: Array, *, sharp: bool) -> tuple[float, float, float]:
         step, height, width = int(message.step), int(message.height), int(message.width)
@@ -79,9 +76,9 @@ class ImageCollector:
         try:
             grey = to_grey(np.asarray(convert(message, COMPRESSED_IMAGE)))
         except InvalidInput:
-            self._count(0, 0, str(message.format))
+            self._shapes[0, 0, str(message.format)] += 1
             return (np.nan, np.nan, np.nan)
-        self._count(grey.shape[1], grey.shape[0], "")
+        self._shapes[grey.shape[1], grey.shape[0], ""] += 1
         return (float(grey.mean()) / 255, float(np.mean(grey >= _UPPER_LIMIT)), sharpness_of(_middle(grey)))
 
 
@@ -92,17 +89,16 @@ class DepthCollector:
         self._name = sensor.name
         self._rig = rig
         self._every = max(1, count // DEPTH_SAMPLES)
-        self._shapes: dict[tuple[int, int, str], int] = {}
+        self._shapes: Counter[tuple[int, int, str]] = Counter()
         self._prints = array("q")
         self._rows = array("f")
 
     def add(self, index: int, header_ns: int, message: Any) -> None:
         """Take one depth image."""
         data = np.asarray(message.data, dtype=np.uint8)
-        self._prints.append(zlib.crc32(data[::_PRINT_STEP].tobytes()) ^ (data.size << 32))
+        self._prints.append(_print_of(data))
         if message.__msgtype__ == IMAGE:
-            shape = (int(message.width), int(message.height), str(message.encoding))
-            self._shapes[shape] = self._shapes.get(shape, 0) + 1
+            self._shapes[_shape_of(message)] += 1
         self._rig.depth(self._name, header_ns, message)
         if index % self._every == 0:
             self._sample(message)
@@ -136,6 +132,15 @@ def sharpness_of(grey: Array) -> float:
     fine, coarse = cv2.GaussianBlur(image, (0, 0), _FINE_PX), cv2.GaussianBlur(image, (0, 0), _COARSE_PX)
     below = float(((fine - coarse) ** 2).mean())
     return float(((image - fine) ** 2).mean()) / below if below > 0 else np.nan
+
+
+def _print_of(data: Array) -> int:
+    """A number that differs between different images, nearly always."""
+    return zlib.crc32(data[::_PRINT_STEP].tobytes()) ^ (data.size << 32)
+
+
+def _shape_of(message: Any) -> tuple[int, int, str]:
+    return int(message.width), int(message.height), str(message.encoding)
 
 
 def _middle(image: Array) -> Array:
