@@ -23,7 +23,7 @@ from tests.shared_environments import SHARED_ENVIRONMENTS
 if TYPE_CHECKING:
     from tests.services.mariadb import DatabaseServer
 
-MARKS = ("quick", "integration", "docker", "alone", "mysql", "shared_data")
+MARKS = ("quick", "integration", "docker", "alone", "packages", "classical", "mysql", "shared_data")
 PYTESTMARK = re.compile(r"^pytestmark = (\[[^\]]*\]|.*)", re.MULTILINE)
 
 

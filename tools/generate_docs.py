@@ -18,8 +18,11 @@ from slamhive.analysis.analysis_file import analysis_schema
 from slamhive.analysis.plot_types import PLOT_TYPES, PlotOptions
 from slamhive.analysis.report import Report, ReportBrief
 from slamhive.bags.variants.rules import RegisteredSteps, describe_options, explain_step
+from slamhive.catalogue.algorithm_file import ALGORITHM_FILE, load_algorithms
 from slamhive.catalogue.protocol_file import protocol_schema
+from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
+from slamhive.project import project_root
 from slamhive.schema import catalogue, collection, experiment
 from slamhive.schema.analysis import StoredAnalysis
 from slamhive.schema.archive import Manifest, RunLine
@@ -76,6 +79,18 @@ METRICS_HEAD = """# Metrics
 Every metric that a run can have. Metrics of an evaluation depend on the [protocol](evaluation.md) and carry its
 fingerprint; values with different fingerprints are never averaged or ranked together. The others, marked "while
 running", need no evaluation. A metric that cannot be computed is absent, never 0, and the evaluation says why.
+"""
+ALGORITHMS_HEAD = """# Algorithms
+
+These packages are in `algorithms/`. Each mode of a package is an algorithm. The README in a package's folder explains
+its time convention and its parameters; `slamhive algorithm show NAME` lists the parameters.
+
+A bound says what a run on a dataset keeps: the least number of poses and the largest absolute trajectory error (ATE
+RMSE) after the alignment in brackets. `room` is the dataset that `slamhive dataset room` makes, `kitti_06` are the
+first 51 frames of KITTI odometry 06. `slamhive algorithm test NAME` runs an algorithm and compares.
+
+| algorithm | sensors | package | licence | bounds |
+|---|---|---|---|---|
 """
 METRICS_TABLE = "| key | name | unit | better | what it is | after |\n|---|---|---|---|---|---|\n"
 
@@ -145,8 +160,31 @@ def cli_page() -> str:
     return NOTE + CLI_HEAD + "".join(sections)
 
 
+def algorithms_page() -> str:
+    """``docs/algorithms.md``: every package of the project, with its modes and bounds."""
+    files = sorted((project_root() / "algorithms").glob(f"*/{ALGORITHM_FILE}"))
+    packages = [load_algorithms(path.parent) for path in files]
+    overview = "".join(_algorithm_row(entry) for algorithms in packages for entry in algorithms)
+    sections = (_about(algorithms[0].package) for algorithms in packages)
+    return NOTE + ALGORITHMS_HEAD + overview + "".join(sections)
+
+
+def _algorithm_row(entry: Algorithm) -> str:
+    sensors = ", ".join(role.kind.value for role in entry.inputs)
+    bounds = "<br>".join(f"`{bound.dataset}`: {_cell(bound.words)}" for bound in entry.bounds)
+    package = f"[{entry.package.title}](#{entry.package.name})"
+    return f"| `{entry.name}` | {sensors} | {package} | {entry.package.licence} | {bounds} |\n"
+
+
+def _about(package: AlgorithmPackage) -> str:
+    image = f"Package `{package.name}`, version {package.version} of [{package.upstream}]({package.upstream})."
+    resources = f"Asks for {package.cpu_cores:g} cores and {package.memory_mb} MB of memory."
+    return f"\n## {package.title} {{#{package.name}}}\n\n{image} {resources}\n\n{' '.join(package.citation.split())}\n"
+
+
 DOCUMENTS: dict[str, Any] = {
     "algorithm": catalogue.Algorithm,
+    "algorithm-test": catalogue.BoundResult,
     "archive": Manifest,
     "archive-run": RunLine,
     "configuration": catalogue.Configuration,
@@ -176,6 +214,7 @@ DOCUMENTS: dict[str, Any] = {
 
 PAGES: dict[str, Callable[[], str]] = {
     "settings.md": settings_page,
+    "algorithms.md": algorithms_page,
     "cli.md": cli_page,
     "variant-steps.md": steps_page,
     "metrics.md": metrics_page,

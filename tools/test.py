@@ -34,6 +34,7 @@ UNIT_LIMIT_S = 15.0
 QUICK_LIMIT_S = 40.0
 """The quick tier holds what needs a database or pages, but no other processes: for use before each merge."""
 PLAIN = "not integration and not docker and not mysql"
+CHEAP = "not packages and not classical"
 MAY_BE_ABSENT = "shared/data"
 """A skipped test whose reason names this is fine everywhere: the recorded data is not part of the repository."""
 
@@ -70,7 +71,8 @@ class Tier:
 
     ``limit_s`` is the time it may take if each of its workers has a core. It fails if it uses more CPU time than that,
     and warns if it only takes longer. Tests of a tier without ``engine`` see no Docker engine, so that they behave the
-    same on every machine. Tiers that follow each other in the list and name the same ``group`` run together.
+    same on every machine. Tiers that follow each other in the list and name the same ``group`` run together. Tiers that
+    take very long run if they are named (``asked_only``).
     """
 
     name: str
@@ -81,17 +83,18 @@ class Tier:
     engine: bool = False
     prepare: Callable[[], str] = lambda: ""
     group: str = ""
+    asked_only: bool = False
 
 
 def main(names: Sequence[str]) -> int:
-    """Run all tiers, or the named ones; returns the exit code."""
+    """Run all tiers but those that must be asked for, or the named ones; returns the exit code."""
     engine = machine.Engine()
     tiers = all_tiers(engine)
     unknown = sorted(set(names) - {tier.name for tier in tiers})
     if unknown:
         print(f"unknown tier {unknown[0]!r}; known: {', '.join(tier.name for tier in tiers)}", file=sys.stderr)
         return 2
-    chosen = [tier for tier in tiers if not names or tier.name in names]
+    chosen = [tier for tier in tiers if tier.name in names or not (names or tier.asked_only)]
     started = time.monotonic()
     outcomes: dict[str, Outcome] = {}
     try:
@@ -130,8 +133,10 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
             group="processes",
         ),
         Tier("mysql", marks="mysql and not docker", prepare=prepare_database, group="processes"),
-        Tier("docker", marks="docker and not alone", engine=True, prepare=with_engine, group="processes"),
-        Tier("systems", marks="docker and alone", engine=True, prepare=with_engine),
+        Tier("docker", marks=f"docker and not alone and {CHEAP}", engine=True, prepare=with_engine, group="processes"),
+        Tier("systems", marks=f"docker and alone and {CHEAP}", engine=True, prepare=with_engine),
+        Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),
+        Tier("classical", marks="classical", engine=True, prepare=with_engine, asked_only=True),
     ]
 
 

@@ -9,12 +9,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from slamhive import strict_yaml
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input
+from slamhive.domain.bounds import Bound
 from slamhive.domain.calibration import PointOrder
+from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.domain.lidar_needs import LidarNeeds, Need
 from slamhive.domain.numbers import plain
-from slamhive.domain.parameters import Parameter, ParameterType
+from slamhive.domain.parameters import Parameter, ParameterType, parse_settings
+from slamhive.domain.protocol_choices import Alignment
 from slamhive.domain.sensors import SensorKind, SensorSetup
-from slamhive.errors import InvalidInput
+from slamhive.errors import InvalidInput, lacks
 from slamhive.files import hash_files
 from slamhive.runtime.point_times import TimeReference, TimeUnit
 from slamhive.schema.validation import check_name_in, first_problem
@@ -78,6 +81,16 @@ class _LidarModel(BaseModel):
     point_orders: tuple[PointOrder, ...] = ()
 
 
+class _BoundModel(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    poses: int = Field(ge=1)
+    ate_rmse_m: float = Field(gt=0)
+    alignment: Alignment
+    playback_mode: PlaybackMode = PlaybackMode.SEQUENTIAL
+    playback_rate: float = Field(default=1.0, ge=0.01, le=100)
+    parameters: dict[str, PlainValue] = Field(default_factory=dict)
+
+
 class _PackageModel(BaseModel):
     model_config = ConfigDict(extra="forbid")
     format: Literal[1]
@@ -94,6 +107,7 @@ class _PackageModel(BaseModel):
     lidar: _LidarModel = Field(default_factory=_LidarModel)
     modes: dict[str, _ModeModel] = Field(min_length=1)
     parameters: dict[str, _ParameterModel] = Field(default_factory=dict)
+    bounds: dict[str, dict[str, _BoundModel]] = Field(default_factory=dict)
 
 
 def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
@@ -150,6 +164,11 @@ def _check_names(path: Path, model: _PackageModel) -> None:
     for key, parameter in model.parameters.items():
         named += [("parameter", key)]
         named += [] if parameter.general is None else [("general parameter", parameter.general)]
+    for dataset, modes in model.bounds.items():
+        named += [("dataset", dataset)]
+        for mode in modes:
+            if mode not in model.modes:
+                raise lacks(f"{path}: bounds.{dataset}: the package", "mode", mode, list(model.modes))
     for kind, name in named:
         check_name_in(path, kind, name)
 
@@ -160,7 +179,9 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
         if key not in whole.parameters:
             raise InvalidInput(f"{path}: mode {mode} names parameter {key!r}, which is not defined")
     _check_general_names(path, mode, {key: whole.parameters[key] for key in keys})
+    parameters = tuple(_parameter(path, key, whole.parameters[key], model.defaults) for key in keys)
     name = model.name or (package.name if len(whole.modes) == 1 else f"{package.name}-{mode}")
+    bounds = {dataset: modes[mode] for dataset, modes in whole.bounds.items() if mode in modes}
     return Algorithm(
         name=check_name_in(path, "algorithm", name),
         package=package,
@@ -169,7 +190,20 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
         setup=model.setup,
         inputs=tuple(Input(role, kind) for role, kind in model.inputs.items()),
         trajectory_role=model.trajectory_role,
-        parameters=tuple(_parameter(path, key, whole.parameters[key], model.defaults) for key in keys),
+        parameters=parameters,
+        bounds=tuple(_bound(path, dataset, bound, parameters) for dataset, bound in bounds.items()),
+    )
+
+
+def _bound(path: Path, dataset: str, model: _BoundModel, parameters: tuple[Parameter, ...]) -> Bound:
+    values = parse_settings(f"{path}: bounds.{dataset}: the mode", parameters, model.parameters)
+    return Bound(
+        dataset=dataset,
+        poses=model.poses,
+        ate_rmse_m=model.ate_rmse_m,
+        alignment=model.alignment,
+        playback=Playback(model.playback_mode, model.playback_rate),
+        parameters={key: values[key] for key in model.parameters},
     )
 
 

@@ -1,4 +1,4 @@
-"""``slamhive algorithm``: list, show, build."""
+"""``slamhive algorithm``: list, show, build; ``test`` has a module of its own."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from slamhive.cli.algorithm_test import test
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.errors import InvalidInput, SlamHiveError
@@ -14,7 +15,7 @@ from slamhive.schema.catalogue import Algorithm
 
 @click.group()
 def algorithm() -> None:
-    """List, show and build algorithms."""
+    """List, show, build and test algorithms."""
 
 
 @algorithm.command("list")
@@ -65,6 +66,8 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
     click.echo(f"needs {', '.join(f'{i.role} ({i.kind})' for i in entry.inputs)}; {entry.package.upstream}")
     rows = [(p.key, _text(p.default), p.expectation, p.general, p.help) for p in entry.parameters]
     print_table(("parameter", "default", "expected", "general name", "help"), rows, right=("default",))
+    for bound in entry.bounds:
+        click.echo(f"on {bound.dataset}: {bound.words}")
 
 
 @algorithm.command("build")
@@ -92,6 +95,9 @@ def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | N
             click.echo(f"{package.name}: {identity}")
     if failures:
         raise click.exceptions.Exit(1)
+
+
+algorithm.add_command(test)
 
 
 def _text(value: Any) -> str:

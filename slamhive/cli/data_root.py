@@ -18,6 +18,7 @@ EXPECTED: dict[str, DataRoot] = {
     "worker": DataRoot.MADE,
     "configuration create": DataRoot.FOUND,
     "configuration import": DataRoot.FOUND,
+    "algorithm test": DataRoot.FOUND,
     "experiment start": DataRoot.FOUND,
     "reindex": DataRoot.FOUND,
     "run": DataRoot.FOUND,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from slamhive.domain.bounds import Bound
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.lidar_needs import LidarNeeds
 from slamhive.domain.parameters import Parameter
@@ -52,7 +53,8 @@ class AlgorithmPackage:
 class Algorithm:
     """A runnable algorithm: a package in one mode.
 
-    ``trajectory_role`` names the input whose frame the poses in ``traj.txt`` describe.
+    ``trajectory_role`` names the input whose frame the poses in ``traj.txt`` describe. ``bounds`` is what its runs
+    keep on some datasets, in the order of ``algorithm.yaml``.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Algorithm:
     inputs: tuple[Input, ...]
     trajectory_role: str
     parameters: tuple[Parameter, ...]
+    bounds: tuple[Bound, ...] = ()
 
     def assign(self, dataset: Dataset) -> dict[str, Sensor]:
         """Which sensor of ``dataset`` serves which role, in the dataset's order for each kind.

@@ -8,6 +8,7 @@ from pydantic import BeforeValidator
 
 from slamhive.domain.configuration import Playback
 from slamhive.domain.parameters import ParameterType, Value
+from slamhive.domain.protocol_choices import Alignment
 from slamhive.domain.sensors import SensorKind, SensorSetup
 from slamhive.domain.variant import Variant
 from slamhive.schema.fields import described
@@ -40,6 +41,30 @@ class Parameter(Document):
     help: str
 
 
+class Bound(Document):
+    """What runs of an algorithm on one dataset keep."""
+
+    dataset: str
+    poses: Annotated[int, described("The trajectory has at least so many poses.")]
+    ate_rmse_m: Annotated[float, described("The absolute trajectory error (RMSE) is at most this.", unit="m")]
+    alignment: Annotated[Alignment, described("How the estimate is aligned to the ground truth.")]
+    playback: Playback
+    parameters: Annotated[dict[str, Value], described("Values that differ from the defaults.")]
+
+
+class BoundResult(Document):
+    """A run that tested a bound."""
+
+    algorithm: str
+    bound: Bound
+    run: Annotated[int, described("The number of the run.")]
+    poses: Annotated[int | None, described("Poses of its trajectory.")]
+    ate_rmse_m: Annotated[float | None, described("Its absolute trajectory error (RMSE).", unit="m")]
+    latency_median_ms: Annotated[float | None, described("Median time from a frame to its pose.", unit="ms")]
+    memory_max_mb: Annotated[float | None, described("Largest memory use.", unit="MB")]
+    problem: Annotated[str | None, described("Why the bound is not kept; null if it is.")]
+
+
 class Algorithm(Document):
     """An algorithm: a package in one mode."""
 
@@ -57,6 +82,7 @@ class Algorithm(Document):
         dict[str, Parameter],
         BeforeValidator(lambda raw: raw if isinstance(raw, dict) else {entry.key: entry for entry in raw}),
     ]
+    bounds: Annotated[tuple[Bound, ...], described("What its runs on some datasets keep.")] = ()
 
 
 class Sensor(Document):

@@ -9,14 +9,19 @@ import pytest
 from slamhive.catalogue.algorithm_file import load_algorithms, package_hash
 from slamhive.catalogue.dataset_file import dataset_to_yaml, load_dataset
 from slamhive.catalogue.run_config import build_run_config
-from slamhive.domain.configuration import Configuration
+from slamhive.domain.bounds import Bound
+from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.dataset import GroundTruth
+from slamhive.domain.protocol_choices import Alignment
 from slamhive.domain.sensors import SensorKind
-from slamhive.errors import InvalidInput
+from slamhive.errors import InvalidInput, NotFound
 from slamhive.runtime.config import from_yaml, to_yaml
 from tests.services.tiny_project import make_dataset, make_project
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
+BOUNDS = "bounds: {track: {lidar: {poses: 5, ate_rmse_m: 0.2, alignment: se3, parameters: {seconds: 1}}}}\n"
 
 
 def tiny(tmp_path: Path) -> Path:
@@ -128,15 +133,37 @@ def test_an_algorithm_is_read_with_its_parameters(tmp_path):
         ("inputs: {points: lidar}", "inputs: {points: lidar, 'a b': imu}", "role name 'a b' is not allowed"),
         ("  lidar:\n", "  li dar:\n", "mode name 'li dar' is not allowed"),
         ("package: tiny", "package: .x", "algorithm.yaml: package name '.x'"),
+        ("format: 1", f"format: 1\n{BOUNDS}".replace("lidar", "ldar"), "bounds.track: the package has no mode 'ldar'"),
+        ("format: 1", f"format: 1\n{BOUNDS}".replace("poses: 5", "poses: 0"), "bounds.track.lidar.poses: "),
+        (
+            "format: 1",
+            f"format: 1\n{BOUNDS}".replace(", alignment: se3", ""),
+            "bounds.track.lidar.alignment is missing",
+        ),
+        ("format: 1", f"format: 1\n{BOUNDS}".replace("{seconds: 1}", "{second: 1}"), "has no parameter 'second'; did"),
+        ("format: 1", f"format: 1\n{BOUNDS}".replace("{seconds: 1}", "{seconds: 99}"), "parameter seconds=99"),
+        ("format: 1", f"format: 1\n{BOUNDS}".replace("track", "../x"), "dataset name '../x' is not allowed"),
     ],
 )
 def test_a_wrong_algorithm_file_names_the_place(tmp_path, old, new, message):
     folder = tiny(tmp_path)
     path = folder / "algorithm.yaml"
     path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(InvalidInput) as caught:
+    with pytest.raises((InvalidInput, NotFound)) as caught:
         load_algorithms(folder)
     assert message in str(caught.value)
+
+
+def test_bounds_are_read_with_sequential_playback_unless_stated(tmp_path):
+    folder = tiny(tmp_path)
+    path = folder / "algorithm.yaml"
+    path.write_text(f"{BOUNDS}{path.read_text()}")
+    (algorithm,) = load_algorithms(folder)
+    (bound,) = algorithm.bounds
+    assert bound == Bound("track", 5, 0.2, Alignment.SE3, Playback(PlaybackMode.SEQUENTIAL), {"seconds": 1.0})
+    path.write_text(path.read_text().replace("se3,", "se3, playback_mode: realtime, playback_rate: 0.5,"))
+    (algorithm,) = load_algorithms(folder)
+    assert algorithm.bounds[0].playback == Playback(PlaybackMode.REALTIME, 0.5)
 
 
 def test_a_package_without_its_mapping_script_is_refused(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import sys
 from pathlib import Path
 
@@ -121,13 +122,23 @@ def test_without_rights_the_engine_tier_names_the_command(runner, monkeypatch):
 
 def test_every_test_belongs_to_exactly_one_tier(runner):
     tiers = [tier for tier in runner.all_tiers(runner.machine.Engine()) if tier.marks]
-    for docker in (False, True):
-        for mysql in (False, True):
-            for integration in (False, True):
-                for quick in (False, True):
-                    for alone in (False, docker):
-                        marks = {"docker": docker, "mysql": mysql, "integration": integration, "quick": quick}
-                        assert sum(eval(tier.marks, {}, {**marks, "alone": alone}) for tier in tiers) == 1
+    names = ("docker", "mysql", "integration", "quick", "alone", "packages", "classical")
+    for values in itertools.product((False, True), repeat=len(names)):
+        marks = dict(zip(names, values, strict=True))
+        long = marks["packages"] + marks["classical"]
+        if marks["docker"] >= max(marks["alone"], long) and long <= 1:
+            assert sum(eval(tier.marks, {}, marks) for tier in tiers) == 1
+
+
+def test_what_takes_longest_runs_only_if_it_is_named(runner, monkeypatch):
+    ran = []
+    monkeypatch.setattr(runner, "run_group", lambda tiers: ran.extend(tier.name for tier in tiers) or {})
+    runner.main([])
+    assert "systems" in ran
+    assert not {"packages", "classical"} & set(ran)
+    ran.clear()
+    runner.main(["packages", "unit"])
+    assert ran == ["unit", "packages"]
 
 
 def test_unknown_tier_lists_the_known_ones(runner, capsys):
