@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import sys
 import tempfile
@@ -13,16 +12,17 @@ from typing import Any
 
 import cv2
 import numpy as np
-from orb_settings import distortion, settings_text, transform
+from orb_settings import settings_text
 from orb_trajectory import save_trajectory, without_repeats
 from pyorbslam3 import Sensor, Slam, TrackResult
 
 from slamhive.errors import InvalidInput
 from slamhive.runtime.app import run
+from slamhive.runtime.calibration import camera_matrix, distortion, transform
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import Frame
 from slamhive.runtime.messages import to_grey
-from slamhive.runtime.paths import ORB_VOCABULARY_VARIABLE
+from slamhive.runtime.orb_vocabulary import about_vocabulary, vocabulary_path
 from slamhive.runtime.trajectory import Poses, transform_from
 
 SENSORS = {
@@ -32,7 +32,6 @@ SENSORS = {
     frozenset({"left", "imu"}): Sensor.IMU_MONOCULAR,
     frozenset({"left", "right", "imu"}): Sensor.IMU_STEREO,
 }
-PREPARED_VARIABLE = "SLAMHIVE_PREPARED"
 
 
 class OrbSlam3:
@@ -86,16 +85,10 @@ class OrbSlam3:
 
     def about(self) -> dict[str, Any]:
         """The package that ran and the vocabulary it used."""
-        content = self._vocabulary.read_bytes()
-        small = ORB_VOCABULARY_VARIABLE not in os.environ
         return {
             "package": "pyorbslam3",
             "version": version("pyorbslam3"),
-            "vocabulary": {
-                "name": "small, trained on rendered rooms" if small else self._vocabulary.name,
-                "words": sum(line.split(b" ", 2)[1:2] == [b"1"] for line in content.splitlines()[1:]),
-                "sha256": hashlib.sha256(content).hexdigest(),
-            },
+            "vocabulary": about_vocabulary(self._vocabulary),
         }
 
     def _tracker(self) -> Callable[[Frame, np.ndarray | None], TrackResult]:
@@ -121,16 +114,7 @@ class OrbSlam3:
     def _T_rectified_left(self) -> np.ndarray:
         """ORB-SLAM3 rectifies stereo images itself and tracks the rectified camera: its pose in terms of the left."""
         values = self._values
-        matrices = [
-            np.array(
-                [
-                    [values[f"{role}_fx"], 0, values[f"{role}_cx"]],
-                    [0, values[f"{role}_fy"], values[f"{role}_cy"]],
-                    [0, 0, 1.0],
-                ]
-            )
-            for role in ("left", "right")
-        ]
+        matrices = [camera_matrix(values, role) for role in ("left", "right")]
         T_right_left = transform(values, "right", "left")
         rotation = cv2.stereoRectify(
             matrices[0],
@@ -144,17 +128,6 @@ class OrbSlam3:
         T = np.eye(4)
         T[:3, :3] = rotation
         return T
-
-
-def vocabulary_path() -> Path:
-    """The vocabulary asked for, or the small one made when the package was prepared; nothing is downloaded."""
-    chosen = os.environ.get(ORB_VOCABULARY_VARIABLE)
-    if not chosen:
-        chosen = str(Path(os.environ.get(PREPARED_VARIABLE, "/opt/prepared")) / "small_vocabulary.txt")
-    path = Path(chosen)
-    if not path.is_file():
-        raise InvalidInput(f"ORB vocabulary {path} does not exist", "build the package again, or set ORB_VOCABULARY")
-    return path
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
-"""Trains a small ORB vocabulary by hierarchical k-majority, in the text format of DBoW2 that ORB-SLAM3 reads.
+"""Trains a small ORB vocabulary by hierarchical k-majority, in the text format of DBoW2 that ORB-SLAM2 and 3 read.
 
-Usage: ``train_vocabulary.py OUTPUT --images FOLDER`` (any images), or without ``--images`` on rendered rooms.
+A program of its own: ``python3 -m slamhive.bags.room.orb_vocabulary OUTPUT --images FOLDER`` (any images), or without
+``--images`` on rendered rooms. Images of algorithms run it while they are built.
 
 It makes a vocabulary tree (Nister and Stewenius, CVPR 2006) of binary descriptors (Galvez-Lopez and Tardos, T-RO
 2012). The descriptors of each node are split into ``branching`` clusters, down to ``levels``. The clusters come from
@@ -19,6 +20,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from slamhive.bags.room.camera import Renderer
+from slamhive.bags.room.motion import motion_at
+from slamhive.bags.room.rig import make_rig
 
 Bits = NDArray[np.uint8]
 
@@ -46,7 +51,7 @@ class Node:
 
 def describe(images: list[NDArray[np.uint8]]) -> tuple[Bits, NDArray[np.int64]]:
     """ORB descriptors of all images (n, 32) and the image each comes from (n,)."""
-    orb = cv2.ORB_create(nfeatures=FEATURES_PER_IMAGE, scaleFactor=1.2, nlevels=8, fastThreshold=12)
+    orb = cv2.ORB.create(nfeatures=FEATURES_PER_IMAGE, scaleFactor=1.2, nlevels=8, fastThreshold=12)
     found = [orb.detectAndCompute(image, None)[1] for image in images]
     usable = [(number, rows) for number, rows in enumerate(found) if rows is not None]
     if not usable:
@@ -88,10 +93,6 @@ def write(path: Path, nodes: list[Node], sources: NDArray[np.int64], branching: 
 
 def render_images(count: int) -> list[NDArray[np.uint8]]:
     """Views of rendered rooms of three seeds from random places."""
-    from slamhive.bags.room.camera import Renderer  # noqa: PLC0415 - not needed with images given
-    from slamhive.bags.room.motion import motion_at  # noqa: PLC0415
-    from slamhive.bags.room.rig import make_rig  # noqa: PLC0415
-
     rig = make_rig(640, 480, 10.0)
     images = []
     seeds = (101, 102, 103)
@@ -102,7 +103,7 @@ def render_images(count: int) -> list[NDArray[np.uint8]]:
             T_world_body = motion_at(np.array([moment_s]), 60.0).T_world_body(0)
             view = renderer.view(T_world_body @ rig.T_body_left, rig.camera)
             images.append(np.clip(np.rint(view.grey), 0, 255).astype(np.uint8))
-        print(f"rendered {len(images)}/{count} training images", flush=True)
+        _say(f"rendered {len(images)}/{count} training images")
     return images
 
 
@@ -113,7 +114,12 @@ def read_images(folder: Path, count: int) -> list[NDArray[np.uint8]]:
         raise SystemExit(f"error: {folder} holds no .png or .jpg images")
     chosen = [paths[index] for index in np.unique(np.linspace(0, len(paths) - 1, min(count, len(paths))).astype(int))]
     images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in chosen]
-    return [image for image in images if image is not None]
+    return [image.astype(np.uint8) for image in images if image is not None]
+
+
+def prepare() -> None:
+    """The program of a package's ``prepare.py``: its small vocabulary, in ``SLAMHIVE_PREPARE_DIR``."""
+    main([str(Path(os.environ["SLAMHIVE_PREPARE_DIR"]) / "small_vocabulary.txt")])
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -128,11 +134,15 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     images = read_images(options.images, options.count) if options.images else render_images(options.count)
     descriptors, sources = describe(images)
-    print(f"training on {len(descriptors)} descriptors of {len(images)} images", flush=True)
+    _say(f"training on {len(descriptors)} descriptors of {len(images)} images")
     nodes = grow(descriptors, options.branching, options.levels, np.random.default_rng(options.seed))
     words = write(options.output, nodes, sources, options.branching)
-    print(f"wrote {options.output.name}: {words} words, {options.output.stat().st_size / 1e6:.1f} MB", flush=True)
+    _say(f"wrote {options.output.name}: {words} words, {options.output.stat().st_size / 1e6:.1f} MB")
     return 0
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)  # noqa: T201 - the program's own output
 
 
 def _split(
