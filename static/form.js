@@ -36,7 +36,13 @@
     const answer = await fetch(`${previewUrl}?${filled()}`);
     if (number !== last) return;
     if (!answer.ok) throw new Error(String(answer.status));
-    const { preview: text, errors } = await answer.json();
+    const { preview: text, errors, bound } = await answer.json();
+    for (const place of form.querySelectorAll("[data-bound]")) {
+      const found = (bound || {})[place.dataset.bound];
+      if (!found) continue;
+      place.textContent = found.words;
+      form.elements[place.dataset.bound].placeholder = found.value;
+    }
     for (const place of form.querySelectorAll("[data-error]")) {
       const name = place.dataset.error;
       if (touched.has(name) || !errors[name]) show(name, errors[name]);

@@ -29,6 +29,7 @@ from slamhive.schema.archive import Manifest, RunLine
 from slamhive.schema.checks import DatasetCheck
 from slamhive.schema.imports import Import
 from slamhive.schema.ledger import LedgerLine
+from slamhive.schema.matching import Match
 from slamhive.schema.model import json_schema
 from slamhive.schema.plugin import PlugIn
 from slamhive.schema.protocol import Protocols, ToolMetrics
@@ -198,6 +199,7 @@ DOCUMENTS: dict[str, Any] = {
     "import": Import,
     "ledger-line": LedgerLine,
     "link-report": collection.LinkReport,
+    "match": Match,
     "plug-in": PlugIn,
     "protocols": Protocols,
     "public-sequence": collection.PublicSequence,

@@ -12,7 +12,7 @@ import numpy as np
 
 from slamhive.bags.detection import Detection
 from slamhive.bags.geometry import Array
-from slamhive.domain.calibration import LidarLayout
+from slamhive.domain.lidar_layout import LidarLayout
 from slamhive.errors import InvalidInput
 from slamhive.runtime.point_times import PointTimes, SweepInstant
 from slamhive.trajectory.table import parse_table, read_bounded

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from slamhive import strict_yaml
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input
 from slamhive.domain.bounds import Bound
-from slamhive.domain.calibration import PointOrder
 from slamhive.domain.configuration import Playback, PlaybackMode
+from slamhive.domain.lidar_layout import PointOrder
 from slamhive.domain.lidar_needs import LidarNeeds, Need
 from slamhive.domain.numbers import plain
 from slamhive.domain.parameters import Parameter, ParameterType, parse_settings
 from slamhive.domain.protocol_choices import Alignment
+from slamhive.domain.sensor_property import SensorProperty
 from slamhive.domain.sensors import SensorKind, SensorSetup
 from slamhive.errors import InvalidInput, lacks
 from slamhive.files import hash_files
@@ -31,7 +33,8 @@ PlainValue = bool | int | float | str | list[float]
 class _ParameterModel(BaseModel):
     model_config = ConfigDict(extra="forbid")
     type: ParameterType
-    default: PlainValue
+    default: PlainValue | None = None
+    source: str | None = Field(default=None, alias="from")
     help: str
     unit: str = ""
     minimum: float | None = None
@@ -43,6 +46,8 @@ class _ParameterModel(BaseModel):
     def _definition_makes_sense(self) -> _ParameterModel:
         if self.minimum is not None and self.maximum is not None and self.minimum > self.maximum:
             raise ValueError(f"minimum {plain(self.minimum)} is larger than maximum {plain(self.maximum)}")
+        if self.default is None and self.source is None:
+            raise ValueError("give a default, or the property of a sensor that it is taken from")
         if self.type is ParameterType.ENUM and not self.choices:
             raise ValueError("an enum needs choices")
         return self
@@ -179,7 +184,7 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
         if key not in whole.parameters:
             raise InvalidInput(f"{path}: mode {mode} names parameter {key!r}, which is not defined")
     _check_general_names(path, mode, {key: whole.parameters[key] for key in keys})
-    parameters = tuple(_parameter(path, key, whole.parameters[key], model.defaults) for key in keys)
+    parameters = tuple(_parameter(path, key, whole.parameters[key], model) for key in keys)
     name = model.name or (package.name if len(whole.modes) == 1 else f"{package.name}-{mode}")
     bounds = {dataset: modes[mode] for dataset, modes in whole.bounds.items() if mode in modes}
     return Algorithm(
@@ -223,21 +228,40 @@ def _check_general_names(path: Path, mode: str, parameters: dict[str, _Parameter
         owners[general] = key
 
 
-def _parameter(path: Path, key: str, model: _ParameterModel, defaults: dict[str, Any]) -> Parameter:
-    raw = defaults.get(key, model.default)
+def _parameter(path: Path, key: str, model: _ParameterModel, mode: _ModeModel) -> Parameter:
+    raw = mode.defaults.get(key, model.default)
     parameter = Parameter(
         key=key,
         type=model.type,
-        default=0,
+        default=None,
         help=model.help,
         unit=model.unit,
         minimum=model.minimum,
         maximum=model.maximum,
         choices=tuple(model.choices),
         general=model.general,
+        source=_source(path, key, model, mode),
     )
+    if raw is None:
+        return parameter
     try:
-        default = parameter.parse(raw)
+        return replace(parameter, default=parameter.parse(raw))
     except InvalidInput as error:
         raise InvalidInput(f"{path}: default of {error.message}", error.remedy) from None
-    return Parameter(**{**{name: getattr(parameter, name) for name in parameter.__slots__}, "default": default})
+
+
+def _source(path: Path, key: str, model: _ParameterModel, mode: _ModeModel) -> SensorProperty | None:
+    """The property of a sensor that the parameter is taken from; raises InvalidInput for a role that is no input."""
+    if model.source is None:
+        return None
+    try:
+        source = SensorProperty.parse(model.source)
+    except InvalidInput as error:
+        raise InvalidInput(f"{path}: parameter {key}: {error.message}", error.remedy) from None
+    missing = [role for role in source.roles if role not in mode.inputs]
+    if missing and key not in mode.defaults and model.default is None:
+        raise InvalidInput(
+            f"{path}: {mode.title}: parameter {key} is taken from {source}, but there is no input {missing[0]}",
+            "name the parameters of the mode, or give the parameter a default",
+        )
+    return None if missing else source

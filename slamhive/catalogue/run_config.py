@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.matching import match_of
 from slamhive.domain.parameters import Value
 from slamhive.domain.sensors import Sensor
 from slamhive.domain.variant import Variant
@@ -36,17 +38,18 @@ def build_run_config(
     ``left_rate_hz`` and ``left_T_body_sensor`` (16 floats, row-major). The algorithm listens to ``/left``, which
     ``dataset-remap`` maps to the recorded topic.
 
-    Raises InvalidInput if the dataset lacks a sensor that the algorithm needs.
+    Raises InvalidInput if the dataset lacks a sensor, or a property of one, that the algorithm needs.
     """
-    assigned = algorithm.assign(dataset)
-    sensors = {entry.role: assigned[entry.role] for entry in algorithm.inputs}
+    match = match_of(algorithm, dataset, configuration.parameters)
+    sensors = match.sensors
     dataset_parameters: dict[str, Any] = {}
     for role, sensor in sensors.items():
         dataset_parameters.update(_sensor_parameters(role, sensor))
+    values = match.values(configuration.parameters)
     return RunConfig(
         algorithm=algorithm.name,
         dataset=dataset.name,
-        algorithm_parameters=dict(configuration.parameters),
+        algorithm_parameters=values,
         dataset_parameters=dataset_parameters,
         algorithm_remap={role: f"/{role}" for role in sensors},
         dataset_remap={f"/{role}": sensor.topic for role, sensor in sensors.items()},
@@ -58,7 +61,7 @@ def build_run_config(
         },
         algorithm_attribute=algorithm.setup.value,
         dataset_attribute=", ".join(dataset.attributes) or None,
-        general_parameter={"save_map": 0, **_general_parameters(algorithm, configuration)},
+        general_parameter={"save_map": 0, **_general_parameters(algorithm, values)},
         run_id=run_id,
         seed=seed,
         playback_mode=configuration.playback.mode.value,
@@ -66,12 +69,12 @@ def build_run_config(
     )
 
 
-def _general_parameters(algorithm: Algorithm, configuration: Configuration) -> dict[str, Value]:
-    """What the configuration says of parameters that have a general name, under that name."""
+def _general_parameters(algorithm: Algorithm, values: Mapping[str, Value]) -> dict[str, Value]:
+    """The values of parameters that have a general name, under that name."""
     return {
-        parameter.general: configuration.parameters[parameter.key]
+        parameter.general: values[parameter.key]
         for parameter in algorithm.parameters
-        if parameter.general is not None and parameter.key in configuration.parameters
+        if parameter.general is not None and parameter.key in values
     }
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from slamhive.checks.evidence import Array, Sweeps
-from slamhive.domain.calibration import LidarLayout
+from slamhive.domain.lidar_layout import LidarLayout
 from slamhive.domain.sensors import Sensor
 from slamhive.errors import InvalidInput
 from slamhive.runtime.messages import stamp_ns, to_points

@@ -6,8 +6,8 @@ import numpy as np
 
 from slamhive.checks.evidence import Evidence, Findings, Stream, Sweeps
 from slamhive.checks.streams import period_s
-from slamhive.domain.calibration import LidarLayout
 from slamhive.domain.checks import NotChecked, Severity
+from slamhive.domain.lidar_layout import LidarLayout
 from slamhive.domain.sensors import SensorKind
 from slamhive.runtime.point_times import PointTimes, SweepInstant, TimeUnit
 

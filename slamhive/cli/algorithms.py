@@ -9,6 +9,7 @@ import click
 from slamhive.cli.algorithm_test import test
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.domain.parameters import Parameter
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.schema.catalogue import Algorithm
 
@@ -64,7 +65,7 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
         return
     click.echo(f"{entry.name}: {entry.title} ({entry.package.title} {entry.package.version}, {entry.package.licence})")
     click.echo(f"needs {', '.join(f'{i.role} ({i.kind})' for i in entry.inputs)}; {entry.package.upstream}")
-    rows = [(p.key, _text(p.default), p.expectation, p.general, p.help) for p in entry.parameters]
+    rows = [(p.key, _default(p), p.expectation, p.general, p.help) for p in entry.parameters]
     print_table(("parameter", "default", "expected", "general name", "help"), rows, right=("default",))
     for bound in entry.bounds:
         click.echo(f"on {bound.dataset}: {bound.words}")
@@ -98,6 +99,10 @@ def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | N
 
 
 algorithm.add_command(test)
+
+
+def _default(parameter: Parameter) -> str:
+    return _text(parameter.default) if parameter.source is None else f"from {parameter.source}"
 
 
 def _text(value: Any) -> str:

@@ -10,12 +10,14 @@ import click
 
 from slamhive import strict_yaml
 from slamhive.cli.context import CliContext, json_option, pass_cli
+from slamhive.cli.matching import print_match
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.run_options import all_of, content_options, run_options, submission_values
 from slamhive.cli.runs import print_runs
 from slamhive.domain.parameters import Value
-from slamhive.errors import InvalidInput
+from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.files import write_aside
+from slamhive.schema.matching import Match
 from slamhive.schema.submission import Submission
 from slamhive.services.configurations import Changes, Label, Stored, configuration_document, parse_conditions
 from slamhive.store import ConfigurationFilter, ConfigurationRecord
@@ -121,6 +123,10 @@ def show(cli: CliContext, reference: str, as_json: bool) -> None:
         for definition in [record.parameters[key]]
     ]
     print_table(("parameter", "value", "type", "unit", "general name"), rows, right=("value",))
+    try:
+        print_match(Match.of_match(hive.configurations.match(record.id)))
+    except SlamHiveError as error:
+        tell(f"note: {error}")
     print_runs(list(runs), as_json=False)
     if record.runs > len(runs):
         tell(f"the latest {len(runs)} of {record.runs} runs")

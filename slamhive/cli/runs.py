@@ -10,6 +10,7 @@ import click
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
 from slamhive.cli.hints import hint_in_words
 from slamhive.cli.imports import import_runs
+from slamhive.cli.matching import bound_rows, print_match
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.run_options import submission_options, submission_values
 from slamhive.cli.searching import Listing, print_export, print_groups, search_of, split_columns, write_parquet
@@ -18,6 +19,7 @@ from slamhive.domain.metrics import described
 from slamhive.domain.numbers import plural
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput
+from slamhive.schema.matching import Match
 from slamhive.schema.run import Run
 from slamhive.schema.submission import Submission
 from slamhive.services.configurations import unwatchable
@@ -51,12 +53,17 @@ NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 @click.argument("dataset")
 @submission_options()
 @click.option("--wait", is_flag=True, help="Wait until the runs have ended; run them here if there is no worker.")
+@click.option("--preview", is_flag=True, help="Only print which sensors are used and what is taken from them.")
 @json_option
 @pass_cli
-def run(cli: CliContext, as_json: bool, wait: bool, **options: Any) -> None:
+def run(cli: CliContext, as_json: bool, wait: bool, preview: bool, **options: Any) -> None:
     """Run ALGORITHM on DATASET."""
     hive = cli.hive()
     submission = Submission(**submission_values(options))
+    if preview:
+        match = Match.of_match(hive.configurations.check(submission).match)
+        print_json(match.content) if as_json else print_match(match)
+        return
     submitted = hive.runs.submit(submission)
     unseen = unwatchable(submission.stop_when, [hive.catalogue.algorithm(submission.algorithm)])
     if unseen is not None:
@@ -159,11 +166,11 @@ def _print_page(listing: Listing, *, as_json: bool) -> None:
 def show(cli: CliContext, run_id: int, as_json: bool) -> None:
     """Show one run: configuration, outcome, metrics, events, evaluations."""
     hive = cli.hive()
-    entry = hive.runs.get(run_id)
+    entry, recorded = hive.runs.get(run_id), hive.runs.record(run_id)
     content = {
         **hive.runs.in_full(run_id).content,
         "folder": str(hive.runs.folder(run_id).root),
-        "provenance": {key: hive.runs.record(run_id).get(key) for key in ("software", "algorithm", "dataset", "host")},
+        "provenance": {key: recorded.get(key) for key in ("software", "algorithm", "dataset", "host", "match")},
     }
     if as_json:
         print_json(content)
@@ -172,6 +179,8 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
     _print_outcome(entry)
     click.echo(f"folder {content['folder']}")
     print_table(("parameter", "value"), [(key, value) for key, value in content["parameters"].items()])
+    if recorded.get("match"):
+        print_table(("parameter", "value", "source"), list(bound_rows(Match.read(recorded["match"]))))
     metrics = content["metrics"]
     if metrics:
         values = entry.metrics or {}

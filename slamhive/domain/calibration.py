@@ -11,7 +11,6 @@ from enum import StrEnum
 
 from slamhive.domain.sensors import CalibrationValue, Sensor
 from slamhive.errors import InvalidInput
-from slamhive.runtime.point_times import PointTimes, choice
 
 
 class CameraModel(StrEnum):
@@ -36,6 +35,12 @@ COEFFICIENTS: dict[CameraModel, tuple[int, ...]] = {
     CameraModel.DOUBLE_SPHERE: (2,),
 }
 """How many numbers ``distortion`` holds: k1 k2 p1 p2 (k3 (k4 k5 k6)); k1 k2 k3 k4; xi and alpha."""
+
+_NAMES = {
+    CameraModel.PINHOLE_EQUIDISTANT: ("k1", "k2", "k3", "k4"),
+    CameraModel.FISHEYE_KB: ("k1", "k2", "k3", "k4"),
+    CameraModel.DOUBLE_SPHERE: ("xi", "alpha"),
+}
 
 _ROS_MODELS = {
     CameraModel.PINHOLE: "plumb_bob",
@@ -137,70 +142,6 @@ class ImuNoise:
         return {key: value for key in self.__slots__ if (value := getattr(self, key)) is not None}
 
 
-class PointOrder(StrEnum):
-    """How the points of a scan follow each other."""
-
-    COLUMNS = "columns"
-    """All rings at one azimuth, then the next azimuth: nearly in the order of time."""
-    ROWS = "rows"
-    """One ring after the other."""
-    UNKNOWN = ""
-
-
-@dataclass(frozen=True, slots=True)
-class LidarLayout:
-    """What a LiDAR measures, and how its points lie in ``PointCloud2``.
-
-    Attributes:
-        times: Where the time of a point is, what it counts from, and what the message's timestamp means.
-        ring_field: The field with the number of the ring (beam); empty if there is none.
-        point_order: How points follow each other.
-        organised: The scan is an image of ranges, one row for each ring; points without return are NaN or 0.
-        beams: The number of rings.
-        minimum_range_m: The nearest distance that is measured.
-        maximum_range_m: The furthest distance that is measured.
-    """
-
-    times: PointTimes
-    ring_field: str = ""
-    point_order: PointOrder = PointOrder.UNKNOWN
-    organised: bool = False
-    beams: int | None = None
-    minimum_range_m: float | None = None
-    maximum_range_m: float | None = None
-
-    @classmethod
-    def of(cls, sensor: Sensor) -> LidarLayout:
-        """The layout of ``sensor``; raises InvalidInput naming what makes no sense."""
-        values, owner = sensor.calibration, f"sensor {sensor.name}"
-        beams = _number(values, "beams", owner)
-        return cls(
-            PointTimes.of(values, sensor.rate_hz, owner),
-            str(values.get("ring_field", "")),
-            choice(PointOrder, values, "point_order", PointOrder.UNKNOWN, owner),
-            bool(values.get("organised", False)),
-            None if beams is None else int(beams),
-            _number(values, "minimum_range_m", owner),
-            _number(values, "maximum_range_m", owner),
-        )
-
-    def calibration(self, **more: CalibrationValue) -> dict[str, CalibrationValue]:
-        """The keys of ``dataset.yaml``, without those that are unknown; ``more`` follows them."""
-        known = {key: getattr(self, key) for key in ("beams", "minimum_range_m", "maximum_range_m")}
-        return {
-            **{key: value for key, value in known.items() if value is not None},
-            "point_time_field": self.times.field,
-            "point_time_unit": self.times.unit.value,
-            "point_time_reference": self.times.reference.value,
-            "stamp": self.times.stamp.value,
-            "scan_duration_s": self.times.scan_duration_s,
-            "ring_field": self.ring_field,
-            "point_order": self.point_order.value,
-            "organised": self.organised,
-            **more,
-        }
-
-
 @dataclass(frozen=True, slots=True)
 class LaserLayout:
     """The geometry of a laser scanner that measures in one plane, counter-clockwise around its z axis.
@@ -222,7 +163,7 @@ class LaserLayout:
     @classmethod
     def of(cls, sensor: Sensor) -> LaserLayout:
         """The geometry of ``sensor``; raises InvalidInput naming what is missing or no number."""
-        found = {key: _number(sensor.calibration, key, f"sensor {sensor.name}") for key in cls.__slots__}
+        found = {key: number_of(sensor.calibration, key, f"sensor {sensor.name}") for key in cls.__slots__}
         known = {key: float(value) for key, value in found.items() if value is not None}
         missing = [key for key in cls.__slots__ if key not in known and key != "scan_duration_s"]
         if missing:
@@ -250,13 +191,19 @@ def camera_model(values: dict[str, CalibrationValue], owner: str) -> CameraModel
     return model
 
 
+def distortion_names(model: CameraModel) -> tuple[str, ...]:
+    """What the coefficients of a model are called, in the order of ``distortion``."""
+    return _NAMES.get(model, ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
+
+
 def distortion_of(values: dict[str, CalibrationValue]) -> tuple[float, ...]:
     """The distortion coefficients of a calibration."""
     found = values.get("distortion", ())
     return tuple(float(number) for number in found) if isinstance(found, tuple | list) else ()
 
 
-def _number(values: dict[str, CalibrationValue], key: str, owner: str) -> float | None:
+def number_of(values: dict[str, CalibrationValue], key: str, owner: str) -> float | None:
+    """The number under ``key``, None if there is none; raises InvalidInput naming ``owner`` for anything else."""
     value = values.get(key)
     if value is None or isinstance(value, int | float):
         return value

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from slamhive.domain.calibration import LidarLayout, PointOrder
+from slamhive.domain.lidar_layout import LidarLayout, PointOrder
 from slamhive.domain.sensors import Sensor
 from slamhive.errors import InvalidInput
 from slamhive.runtime.point_times import TimeReference, TimeUnit

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeVar
 
 from slamhive.domain.numbers import plain
+from slamhive.domain.sensor_property import SensorProperty
 from slamhive.errors import InvalidInput, lacks
 
 Number = TypeVar("Number", int, float)
@@ -42,17 +43,21 @@ class Parameter:
 
     ``minimum`` and ``maximum`` are inclusive. ``general`` is the name under which the same thing is known across
     algorithms (``image_rate``, ``voxel_size``), so that different algorithms share an axis.
+
+    ``source`` is the property of a sensor that gives the value unless the user does. ``default`` is then used if the
+    dataset lacks the property; None if the value has to be known.
     """
 
     key: str
     type: ParameterType
-    default: Value
+    default: Value | None
     help: str
     unit: str = ""
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     general: str | None = None
+    source: SensorProperty | None = None
 
     def parse(self, raw: object) -> Value:
         """Turn text (CLI, form) or a YAML value into the typed value; raise InvalidInput naming key, value, remedy."""
@@ -165,10 +170,11 @@ def find_parameter(parameters: Sequence[Parameter], name: str) -> Parameter | No
 
 
 def parse_settings(owner: str, parameters: tuple[Parameter, ...], settings: Mapping[str, object]) -> dict[str, Value]:
-    """All parameters of ``owner`` with their values: the defaults, overridden by ``settings``, in definition order.
+    """The values of ``owner``'s parameters: the defaults, overridden by ``settings``, in definition order.
 
-    A setting is named by the parameter's own key or its general name. Raises NotFound for an unknown name (with the
-    nearest known one) and InvalidInput for a value that does not fit, or one parameter under both its names.
+    A parameter that takes its value from a sensor is left out unless it is set; an empty text does not set it. Settings
+    are named by the own key or the general name of a parameter. Raises NotFound for an unknown name (with the nearest
+    known one) and InvalidInput for a value that does not fit, or one parameter under both its names.
     """
     given: dict[str, tuple[str, object]] = {}
     for name, value in settings.items():
@@ -179,10 +185,16 @@ def parse_settings(owner: str, parameters: tuple[Parameter, ...], settings: Mapp
         if parameter.key in given:
             raise InvalidInput(f"{given[parameter.key][0]} and {name} both set {parameter.key} of {owner}", "give one")
         given[parameter.key] = (name, value)
-    return {
-        parameter.key: parameter.parse(given[parameter.key][1]) if parameter.key in given else parameter.default
-        for parameter in parameters
-    }
+    values = default_values(parameters)
+    for entry in parameters:
+        if entry.key in given and (entry.source is None or given[entry.key][1] != ""):
+            values[entry.key] = entry.parse(given[entry.key][1])
+    return {entry.key: values[entry.key] for entry in parameters if entry.key in values}
+
+
+def default_values(parameters: Iterable[Parameter]) -> dict[str, Value]:
+    """The defaults of parameters, without those that take their values from sensors."""
+    return {entry.key: entry.default for entry in parameters if entry.source is None and entry.default is not None}
 
 
 def check_stored(owner: str, parameters: Sequence[Parameter], values: Mapping[str, Value]) -> None:
@@ -196,8 +208,8 @@ def check_stored(owner: str, parameters: Sequence[Parameter], values: Mapping[st
         if key not in known:
             raise InvalidInput(f"{owner} has no parameter {key!r} any more, {key}={value!r} is stored", _OUTDATED)
         _check_still_fits(owner, known[key], value)
-    for key in known:
-        if key not in values:
+    for key, parameter in known.items():
+        if key not in values and parameter.source is None:
             raise InvalidInput(f"{owner} has a new parameter {key!r}, for which no value is stored", _OUTDATED)
 
 

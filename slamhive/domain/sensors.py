@@ -94,3 +94,15 @@ class Sensor:
     rate_hz: float
     T_body_sensor: Matrix4 = IDENTITY4
     calibration: dict[str, CalibrationValue] = field(default_factory=dict)
+
+
+def relative_pose(sensor: Sensor, other: Sensor) -> Matrix4:
+    """``T_sensor_other``: maps points in the frame of ``other`` to that of ``sensor``, by rows, in m."""
+    to, of = sensor.T_body_sensor, other.T_body_sensor
+    moved = [of[row * 4 + 3] - to[row * 4 + 3] for row in range(3)]
+    rows: list[float] = []
+    for axis in range(3):
+        column = [to[row * 4 + axis] for row in range(3)]
+        turned = [sum(column[row] * of[row * 4 + place] for row in range(3)) for place in range(3)]
+        rows += [*turned, sum(map(operator.mul, column, moved))]
+    return (*rows, 0.0, 0.0, 0.0, 1.0)

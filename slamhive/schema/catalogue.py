@@ -32,7 +32,12 @@ class Parameter(Document):
     """One parameter of an algorithm."""
 
     type: ParameterType
-    default: Value
+    default: Annotated[Value | None, described("Null if it is always taken from a sensor.")]
+    source: Annotated[
+        str | None,
+        BeforeValidator(lambda source: None if source is None else str(source)),
+        described("The property of a sensor that gives the value unless the user does, for instance left.fx."),
+    ] = None
     unit: str
     minimum: float | None
     maximum: float | None

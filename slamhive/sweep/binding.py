@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.parameters import Parameter, Scalar, Value, find_parameter
+from slamhive.domain.matching import check_known
+from slamhive.domain.parameters import Parameter, Scalar, Value, default_values, find_parameter
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.domain.variant import StepRules, Variant, VariantStep
 from slamhive.errors import InvalidInput, SlamHiveError, unknown
@@ -118,7 +119,7 @@ class Pair:
 
     def configuration(self, row: Row) -> Configuration:
         """The configuration of a combination."""
-        parameters = {parameter.key: parameter.default for parameter in self.algorithm.parameters}
+        parameters = default_values(self.algorithm.parameters)
         for name, key in self.parameters.items():
             parameters[key] = row[name]
         return Configuration(
@@ -163,8 +164,10 @@ Resolved = dict[tuple[object, ...], dict[tuple[Value, ...], Variant]]
 
 def bind(experiment: Experiment, view: CatalogueView, algorithm: Algorithm, dataset: Dataset, shared: Resolved) -> Pair:
     """The axes of ``experiment`` that apply to ``algorithm`` on ``dataset``; raises errors that name the place."""
+    parameters = _parameter_axes(experiment, algorithm)
     try:
         assigned = algorithm.assign(dataset)
+        check_known(algorithm, dataset, assigned, [parameter.key for _, parameter in parameters])
     except InvalidInput as error:
         raise at(experiment.datasets.place, error) from None
     steps = tuple(
@@ -172,7 +175,6 @@ def bind(experiment: Experiment, view: CatalogueView, algorithm: Algorithm, data
         for step in experiment.steps
         if (sensors := _sensors(experiment, view, step, (algorithm, dataset, assigned)))
     )
-    parameters = _parameter_axes(experiment, algorithm)
     axes: dict[str, BoundAxis] = {}
     for step in steps:
         axes.update({axis.name: BoundAxis(axis.values, axis.place) for axis in step.declaration.options})
@@ -201,10 +203,13 @@ def _treatment(dataset: Dataset, steps: Sequence[BoundStep]) -> tuple[object, ..
 
 def _fixed(algorithm: Algorithm, dataset: Dataset) -> dict[str, Value]:
     fixed: dict[str, Value] = {"algorithm": algorithm.name, "dataset": dataset.name}
+    defaults = default_values(algorithm.parameters)
     for parameter in algorithm.parameters:
-        fixed[parameter.key] = parameter.default
+        if parameter.key not in defaults:
+            continue
+        fixed[parameter.key] = defaults[parameter.key]
         if parameter.general is not None:
-            fixed[parameter.general] = parameter.default
+            fixed[parameter.general] = defaults[parameter.key]
     return fixed
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from slamhive.domain.parameters import Value, find_parameter
+from slamhive.domain.parameters import Parameter, Value, find_parameter
 from slamhive.errors import InvalidInput, SlamHiveError, unknown
 from slamhive.sweep.binding import PLAYBACK_MODE, PLAYBACK_RATE, Pair, Resolved, at, bind
 from slamhive.sweep.condition import compared_names
@@ -130,10 +130,18 @@ def _condition_names(experiment: Experiment, view: CatalogueView, axes: Mapping[
     names |= {f"{step.name}.{axis.option}" for step in experiment.steps for axis in step.options}
     for algorithm in experiment.algorithms.values:
         for parameter in view.algorithms[str(algorithm)].parameters:
+            if parameter.source is not None and not _varied(parameter, str(algorithm), experiment):
+                continue
             names.add(parameter.key)
             if parameter.general is not None:
                 names.add(parameter.general)
     return frozenset(names)
+
+
+def _varied(parameter: Parameter, algorithm: str, experiment: Experiment) -> bool:
+    """Whether the experiment sets the parameter. If not, its sensor does, and conditions cannot know the value."""
+    axes = (axis for axis in experiment.parameters if axis.algorithm in (None, algorithm))
+    return any(axis.key in (parameter.key, parameter.general) for axis in axes)
 
 
 def _check_steps(experiment: Experiment, view: CatalogueView, pairs: list[Pair]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -13,13 +13,14 @@ from slamhive.catalogue.run_config import build_run_config
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.matching import match_of
 from slamhive.domain.parameters import Scalar, find_parameter, parse_settings
 from slamhive.domain.variant import VariantStep
 from slamhive.errors import InvalidInput, SlamHiveError, unknown
 from slamhive.runtime import config as run_config
 from slamhive.runtime.config import RunConfig
 from slamhive.schema.validation import first_problem
-from slamhive.sweep.variants import resolve_variant
+from slamhive.sweep.variants import resolve_variant, seen_dataset
 from slamhive.sweep.view import CatalogueView
 
 FORMAT = 1
@@ -152,8 +153,17 @@ def _published(config: RunConfig, view: CatalogueView) -> Imported:
         playback=Playback(PlaybackMode(config.playback_mode), config.playback_rate),
         variant=resolve_variant(view.steps, dataset, steps),
     )
+    configuration = _without_known(configuration, algorithm, seen_dataset(view.steps, dataset, configuration.variant))
     ours = build_run_config(algorithm, dataset, configuration, config.run_id, config.seed)
     return Imported(configuration, config.seed, tuple(_notes(config, ours, algorithm)))
+
+
+def _without_known(configuration: Configuration, algorithm: Algorithm, seen: Dataset) -> Configuration:
+    """``configuration`` without values that the sensors give anyway: only others are the user's."""
+    bound = match_of(algorithm, seen, configuration.parameters).bound
+    same = {entry.key for entry in bound if entry.found is not None and entry.found == entry.value}
+    kept = {key: value for key, value in configuration.parameters.items() if key not in same}
+    return replace(configuration, parameters=kept)
 
 
 def _steps(dataset: Dataset, kind: str, option: str, factors: Mapping[str, Scalar]) -> Iterator[VariantStep]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Scalar
@@ -21,6 +22,14 @@ def resolve_variant(rules: StepRules, dataset: Dataset, steps: Iterable[VariantS
         names = [dataset.sensor(name).name for name in step.sensors]
         variant.extend(resolve_step(rules, step.kind, step.options, names, sensors))
     return tuple(variant)
+
+
+def seen_dataset(rules: StepRules, dataset: Dataset, variant: Variant) -> Dataset:
+    """``dataset`` with its sensors as ``variant`` leaves them; raises as :func:`resolve_variant`."""
+    sensors = {sensor.name: sensor for sensor in dataset.sensors}
+    for step in variant:
+        resolve_step(rules, step.kind, step.options, step.sensors, sensors)
+    return replace(dataset, sensors=tuple(sensors.values()))
 
 
 def resolve_step(

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.matching import Match, match_of
 from slamhive.domain.parameters import ParameterType, Value
 from slamhive.domain.variant import Variant, parse_step, step_text
 from slamhive.errors import InvalidInput, SlamHiveError
@@ -32,7 +33,7 @@ class RunForm:
     """What was typed, and what is wrong with it.
 
     ``values`` holds the text of each field by name, ``errors`` one message for each field that cannot be used.
-    ``submission`` is there if all of them can.
+    ``submission`` is there if all of them can, ``match`` if algorithm and dataset fit.
     """
 
     values: dict[str, str]
@@ -40,6 +41,7 @@ class RunForm:
     dataset: Dataset | None = None
     errors: dict[str, str] = field(default_factory=dict)
     submission: Submission | None = None
+    match: Match | None = None
 
     def value(self, name: str) -> str:
         """The text to show in a field."""
@@ -47,6 +49,24 @@ class RunForm:
             return self.values.get(name, "")
         default = OPTIONS[name].default
         return "" if default is None else _switch(default) if isinstance(default, bool) else value_text(default)
+
+    @property
+    def cleared(self) -> dict[str, Value]:
+        """An empty value for each parameter that is taken from a sensor, which removes what a user set before."""
+        known = () if self.algorithm is None else self.algorithm.parameters
+        return {parameter.key: "" for parameter in known if parameter.source is not None}
+
+    @property
+    def bound(self) -> dict[str, dict[str, str]]:
+        """The value that each parameter taken from a sensor has now, and where it comes from, by name of the field."""
+        found = () if self.match is None else self.match.bound
+        return {
+            PARAMETER_PREFIX + entry.key: {
+                "value": "" if entry.found is None else value_text(entry.found),
+                "words": entry.words,
+            }
+            for entry in found
+        }
 
     def has_typed(self, group: str) -> bool:
         """Whether something is typed into an option of this group."""
@@ -73,8 +93,9 @@ def read_form(services: Hive, values: Mapping[str, str], *, content_only: bool =
     run_fields = _read_options(form, CONTENT_OPTIONS if content_only else _TYPED)
     if algorithm is None or dataset is None:
         return form
-    _checked(form, "dataset", lambda: algorithm.assign(dataset))
     variant = _checked(form, "steps", lambda: services.variants.resolve(dataset, read_steps(form.value("steps"))))
+    seen = services.variants.planned(dataset, variant or ())
+    form.match = _checked(form, "dataset", lambda: match_of(algorithm, seen, parameters))
     if not form.errors and run_fields is not None:
         submission = Submission(
             algorithm=algorithm.name,
@@ -124,13 +145,13 @@ def preview(submission: Submission, dataset: Dataset, settings: Settings, waitin
 
 
 def _read_parameters(form: RunForm, algorithm: Algorithm) -> dict[str, Value]:
-    """The values of the algorithm's parameters, checked; an empty field means the default."""
+    """The values of the algorithm's parameters, checked; an empty field means the default, or that of a sensor."""
     parameters: dict[str, Value] = {}
     for parameter in algorithm.parameters:
-        name = PARAMETER_PREFIX + parameter.key
-        form.values.setdefault(name, value_text(parameter.default))
+        name, taken = PARAMETER_PREFIX + parameter.key, parameter.source is not None
+        form.values.setdefault(name, "" if taken else value_text(parameter.default))
         text = form.values[name]
-        if not text.strip() and parameter.type is not ParameterType.STRING:
+        if not text.strip() and (taken or parameter.type is not ParameterType.STRING):
             continue
         try:
             parameters[parameter.key] = parameter.parse(text)

@@ -19,6 +19,7 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import Conflict, InvalidInput, Unavailable
 from slamhive.runs.folder import RunFolder
+from slamhive.schema.matching import Match
 from slamhive.services.analyses import REPORT, AnalysisFolder
 from slamhive.services.hive import Hive
 from slamhive.services.reports import report_content, report_environment, script_json
@@ -28,6 +29,7 @@ from slamhive.store.records import RunRecord
 from slamhive.web.assets import PLOTLY_FILE
 from slamhive.web.figures import captions, still_figures
 from slamhive.web.formatting import display_unit, duration, exact_time, plural
+from slamhive.web.presenters.matching import match_of_run
 from slamhive.web.presenters.runs import metric_rows, outcome, parameter_rows, wall_time_s
 
 BATCH = 100
@@ -156,9 +158,12 @@ class StaticSite:
                 ("Accuracy", metric_rows(run, needs_protocol=True)),
                 ("Measured during the run", metric_rows(run, needs_protocol=False)),
             ],
-            parameters=parameter_rows(run, self._algorithms.get(run.algorithm)),
+            parameters=parameter_rows(run, self._algorithms.get(run.algorithm), self._match(run)),
             facts=_facts(run, self._algorithms.get(run.algorithm)),
         )
+
+    def _match(self, run: RunRecord) -> Match | None:
+        return match_of_run(self._hive, self._hive.runs.record(run.id), run.configuration_id)
 
 
 def _facts(run: RunRecord, algorithm: Algorithm | None) -> list[tuple[str, object]]:

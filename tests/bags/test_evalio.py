@@ -13,7 +13,8 @@ from slamhive.bags.formats.evalio_reader import POINT, SCAN_HEADER
 from slamhive.bags.importers import detect_format, plan_import
 from slamhive.bags.importing import ImportOptions, perform
 from slamhive.catalogue.dataset_file import load_dataset
-from slamhive.domain.calibration import ImuNoise, LidarLayout, PointOrder
+from slamhive.domain.calibration import ImuNoise
+from slamhive.domain.lidar_layout import LidarLayout, PointOrder
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.runtime.messages import to_points
 from slamhive.trajectory.tum import read_tum

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slamhive.domain.calibration import LidarLayout, PointOrder
+from slamhive.domain.lidar_layout import LidarLayout, PointOrder
 from slamhive.errors import InvalidInput
 from slamhive.runtime.messages import to_points
 from slamhive.runtime.point_times import PointTimes, SweepInstant

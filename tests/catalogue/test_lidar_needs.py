@@ -3,7 +3,7 @@
 import pytest
 
 from slamhive.catalogue.algorithm_file import load_algorithms
-from slamhive.domain.calibration import LidarLayout, PointOrder
+from slamhive.domain.lidar_layout import LidarLayout, PointOrder
 from slamhive.domain.lidar_needs import LidarNeeds, Need
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput

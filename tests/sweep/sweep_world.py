@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input
-from slamhive.domain.calibration import LidarLayout
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.lidar_layout import LidarLayout
 from slamhive.domain.parameters import Parameter, ParameterType, Scalar
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
 from slamhive.domain.variant import VariantStep

@@ -19,7 +19,8 @@ from slamhive.bags.geometry import Array
 from slamhive.bags.ground_truth import matched_truth
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream, rate_hz
 from slamhive.bags.imu_stream import imu_stream
-from slamhive.domain.calibration import ImuNoise, LidarLayout, PointOrder
+from slamhive.domain.calibration import ImuNoise
+from slamhive.domain.lidar_layout import LidarLayout, PointOrder
 from slamhive.domain.sensors import Sensor, SensorKind, is_rigid
 from slamhive.errors import InvalidInput
 from slamhive.runtime.point_times import PointTimes

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from slamhive.bags.bag_writer import NS_PER_S
-from slamhive.domain.calibration import LidarLayout
+from slamhive.domain.lidar_layout import LidarLayout
 from slamhive.runtime.messages import stamp_ns, to_points
 from slamhive.runtime.point_times import PointTimes, SweepInstant, TimeReference, TimeUnit
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from slamhive.bags.geometry import Array
-from slamhive.domain.calibration import LidarLayout
+from slamhive.domain.lidar_layout import LidarLayout
 from slamhive.errors import InvalidInput
 from slamhive.runtime.point_times import PointTimes, TimeReference, TimeUnit
 

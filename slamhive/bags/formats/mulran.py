@@ -18,7 +18,7 @@ from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, Plan
 from slamhive.bags.imu_stream import imu_stream
 from slamhive.bags.point_files import point_stream, read_records, timed_files
 from slamhive.bags.timed_list import read_timed_list
-from slamhive.domain.calibration import LidarLayout, PointOrder
+from slamhive.domain.lidar_layout import LidarLayout, PointOrder
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput
 from slamhive.runtime.point_times import PointTimes

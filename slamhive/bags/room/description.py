@@ -9,8 +9,8 @@ from slamhive.bags.room.options import RoomOptions
 from slamhive.bags.room.reference_map import REFERENCE_MAP_FILE
 from slamhive.bags.room.rig import DEPTH_UNITS_PER_M, Rig
 from slamhive.bags.staging import GROUND_TRUTH_FILE
-from slamhive.domain.calibration import LidarLayout, PointOrder
 from slamhive.domain.dataset import GroundTruth
+from slamhive.domain.lidar_layout import LidarLayout, PointOrder, Rotation
 from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
 from slamhive.runtime.point_times import PointTimes, TimeReference
 
@@ -86,6 +86,9 @@ def _lidar(options: RoomOptions, rig: Rig) -> Sensor:
         beams=model.beams,
         minimum_range_m=model.minimum_range_m,
         maximum_range_m=model.maximum_range_m,
+        vertical_angles_deg=model.elevations_deg,
+        points_per_ring=model.columns,
+        rotation=Rotation.COUNTER_CLOCKWISE,
     )
     return Sensor(
         "lidar0",

@@ -37,6 +37,12 @@ class LidarModel:
     range_noise_m: float = 0.01
     scan_duration_s: float = 0.1
 
+    @property
+    def elevations_deg(self) -> tuple[float, ...]:
+        """The vertical angle of each ring, upwards."""
+        angles = np.linspace(np.rad2deg(self.lowest_rad), np.rad2deg(self.highest_rad), self.beams)
+        return tuple(float(angle) for angle in np.round(angles, 6))
+
 
 class Lidar:
     """Scans the room.

@@ -11,6 +11,7 @@ from slamhive.clock import utc_now
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.matching import Match, match_of
 from slamhive.domain.parameters import Value, check_stored, find_parameter
 from slamhive.errors import NotFound, unknown
 from slamhive.schema.submission import Submission
@@ -27,11 +28,12 @@ NO_FILTER = ConfigurationFilter()
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """A configuration with its algorithm and dataset, after all checks that need no run."""
+    """A configuration with its algorithm and dataset, and how they fit, after all checks that need no run."""
 
     algorithm: Algorithm
     dataset: Dataset
     configuration: Configuration
+    match: Match
 
 
 class Configurations:
@@ -101,8 +103,8 @@ class Configurations:
         configuration = submission.configuration(algorithm)
         variant = self._variants.resolve(dataset, configuration.variant)
         self._variants.check(dataset, variant)
-        algorithm.assign(dataset)
-        return Checked(algorithm, dataset, replace(configuration, variant=variant))
+        match = match_of(algorithm, self._variants.planned(dataset, variant), configuration.parameters)
+        return Checked(algorithm, dataset, replace(configuration, variant=variant), match)
 
     def same_as(self, submission: Submission) -> ConfigurationRecord | None:
         """The stored configuration identical to ``submission``, if any; raises as :meth:`check`."""
@@ -113,6 +115,12 @@ class Configurations:
             return None if found is None else transaction.configuration_book.get(found)
 
         return self._store.read(work)
+
+    def match(self, configuration_id: int) -> Match:
+        """How algorithm and dataset of this configuration fit, as they are now; raises NotFound or InvalidInput."""
+        stored = self.get(configuration_id).configuration
+        algorithm, dataset = self._catalogue.algorithm(stored.algorithm), self._catalogue.dataset(stored.dataset)
+        return match_of(algorithm, self._variants.planned(dataset, stored.variant), stored.parameters)
 
     def check_runnable(self, configuration_id: int) -> ConfigurationRecord:
         """The configuration, if its stored values are still valid.

@@ -22,7 +22,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.search.build import matching
 from slamhive.settings import Settings
 from slamhive.store import Store
-from slamhive.sweep.variants import resolve_variant
+from slamhive.sweep.variants import resolve_variant, seen_dataset
 
 logger = logging.getLogger(__name__)
 
@@ -71,6 +71,10 @@ class Variants:
     def plan(self, dataset: Dataset, variant: Variant) -> VariantPlan | None:
         """Key and estimated size of ``variant``; None for the unmodified dataset; raises as :meth:`check`."""
         return plan_variant(dataset, variant)
+
+    def planned(self, dataset: Dataset, variant: Variant) -> Dataset:
+        """``dataset`` with its sensors as ``variant`` will leave them; raises as :meth:`check`."""
+        return seen_dataset(RegisteredSteps(), dataset, variant)
 
     @contextmanager
     def hold(self, dataset: Dataset, variant: Variant, progress: Progress) -> Iterator[UsedVariant]:

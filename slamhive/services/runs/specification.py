@@ -16,6 +16,7 @@ from slamhive.catalogue.run_config import build_run_config
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.matching import match_of
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.executors.base import Capabilities, Executor, ImageMissing
 from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
@@ -23,6 +24,7 @@ from slamhive.files import hash_files, write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.runtime.config import to_yaml
 from slamhive.runtime.paths import ORB_VOCABULARY_VARIABLE
+from slamhive.schema.matching import Match as MatchDocument
 from slamhive.services.datasets import IDENTITY, UsedVariant
 from slamhive.settings import Settings
 
@@ -171,6 +173,7 @@ def time_limit_s(job: Job, settings: Settings) -> float:
 def provenance(job: Job, identity: str) -> dict[str, Any]:
     """The provenance of the run for ``run.json``."""
     package = job.algorithm.package
+    match = match_of(job.algorithm, job.seen, job.configuration.parameters)
     return {
         "software": f"slamhive {__version__}",
         "algorithm": {
@@ -187,6 +190,7 @@ def provenance(job: Job, identity: str) -> dict[str, Any]:
             "variant": IDENTITY if job.used is None else job.used.key,
             "variant_checksum": job.seen.checksum,
         },
+        "match": MatchDocument.of_match(match).content,
     }
 
 

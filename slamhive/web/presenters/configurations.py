@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from slamhive.domain.algorithm import Algorithm
-from slamhive.domain.parameters import check_stored
+from slamhive.domain.matching import Origin
+from slamhive.domain.parameters import Parameter, check_stored
 from slamhive.errors import InvalidInput
+from slamhive.schema.matching import BoundParameter, Match
 from slamhive.schema.submission import Submission
 from slamhive.services.configurations import Label, Stored
 from slamhive.store import ConfigurationRecord, RunRecord
@@ -63,11 +65,16 @@ def run_rows(runs: Iterable[RunRecord], algorithms: Iterable[Algorithm]) -> list
     return rows_of_runs(runs, RUN_COLUMNS, algorithms)
 
 
-def parameter_rows(record: ConfigurationRecord, algorithm: Algorithm | None) -> list[StoredParameterRow]:
-    """All values, with those that differ from the default marked."""
+def parameter_rows(
+    record: ConfigurationRecord, algorithm: Algorithm | None, match: Match | None
+) -> list[StoredParameterRow]:
+    """All values, with those that differ from the default, or from what the sensors say, marked."""
+    bound = {} if match is None else match.parameters
     known = {} if algorithm is None else {parameter.key: parameter for parameter in algorithm.parameters}
     found = []
     for key, value in record.configuration.parameters.items():
+        if key in bound:
+            continue
         stored, now = record.parameters[key], known.get(key)
         found.append(
             StoredParameterRow(
@@ -81,7 +88,20 @@ def parameter_rows(record: ConfigurationRecord, algorithm: Algorithm | None) -> 
                 changed=now is not None and now.default != value,
             )
         )
-    return found
+    return [*found, *(_bound_row(key, entry, known[key]) for key, entry in bound.items() if key in known)]
+
+
+def _bound_row(key: str, entry: BoundParameter, definition: Parameter) -> StoredParameterRow:
+    return StoredParameterRow(
+        key=key,
+        general=definition.general or "",
+        type=definition.type.value,
+        value=value_text(entry.value),
+        default=entry.words,
+        unit=definition.unit,
+        help=definition.help,
+        changed=entry.origin is not Origin.SENSOR,
+    )
 
 
 def outdated(record: ConfigurationRecord, algorithm: Algorithm | None) -> str | None:

@@ -174,6 +174,12 @@ def _shared_field(label: str, entries: Sequence[tuple[str, Parameter]]) -> Param
     return _field(f"parameters/{label}", label, entries)
 
 
+def _default(parameter: Parameter) -> str:
+    if parameter.source is not None:
+        return f"from {parameter.source}"
+    return value_text(parameter.default) or "empty"
+
+
 def _field(name: str, label: str, entries: Sequence[tuple[str, Parameter]]) -> ParameterField:
     """The common properties of the definitions; says where they differ."""
     definitions = [parameter for _, parameter in entries]
@@ -181,7 +187,7 @@ def _field(name: str, label: str, entries: Sequence[tuple[str, Parameter]]) -> P
         name=name,
         label=label,
         unit=_agreed([parameter.unit for parameter in definitions], "units differ"),
-        default=_agreed([value_text(parameter.default) or "empty" for parameter in definitions], "differs"),
+        default=_agreed([_default(parameter) for parameter in definitions], "differs"),
         hint=_agreed([parameter.expectation for parameter in definitions], "ranges differ"),
         help=definitions[0].help,
         owners=tuple(owner for owner, _ in entries),

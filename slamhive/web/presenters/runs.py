@@ -10,10 +10,12 @@ from typing import Any
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.external import IMPORTED
+from slamhive.domain.matching import Origin
 from slamhive.domain.metrics import Metric, with_unknown
-from slamhive.domain.parameters import Parameter, Value
+from slamhive.domain.parameters import Parameter, Value, default_values
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import Verdict, VerdictKind, not_evaluable
+from slamhive.schema.matching import BoundParameter, Match
 from slamhive.store.records import EvaluationRecord, RunRecord
 from slamhive.web.columns import Column, Kind
 from slamhive.web.formatting import DASH, Cell, display_unit, duration, metric_cell, plural, significant, value_text
@@ -79,10 +81,12 @@ def rows(runs: Iterable[RunRecord], columns: Iterable[Column], algorithms: Itera
     ]
 
 
-def parameter_rows(run: RunRecord, algorithm: Algorithm | None) -> list[ParameterRow]:
-    """All parameters of the run, with those that differ from the default marked."""
+def parameter_rows(run: RunRecord, algorithm: Algorithm | None, match: Match | None) -> list[ParameterRow]:
+    """All parameters of the run, with those that differ from the default, or from what the sensors say, marked."""
     known = {} if algorithm is None else {parameter.key: parameter for parameter in algorithm.parameters}
-    return [_parameter_row(key, value, known.get(key)) for key, value in run.parameters.items()]
+    bound = {} if match is None else match.parameters
+    stated = [_parameter_row(key, value, known.get(key)) for key, value in run.parameters.items() if key not in bound]
+    return [*stated, *(_bound_row(key, entry, known.get(key)) for key, entry in bound.items())]
 
 
 def metric_rows(run: RunRecord, *, needs_protocol: bool) -> list[MetricRow]:
@@ -208,7 +212,7 @@ def changed_cell(
     known = definitions.get(algorithm)
     if known is None:
         return Cell(everything or DASH, everything)
-    default: dict[str, Value] = {parameter.key: parameter.default for parameter in known}
+    default = default_values(known)
     changed = {key: value for key, value in parameters.items() if default.get(key) != value}
     text = ", ".join(f"{key}={value_text(value)}" for key, value in changed.items())
     return Cell(text or "defaults", everything, missing=not changed)
@@ -221,6 +225,12 @@ def _parameter_row(key: str, value: Value, definition: Parameter | None) -> Para
     return ParameterRow(
         key, value_text(value), value_text(default), definition.unit, definition.help, changed=value != default
     )
+
+
+def _bound_row(key: str, entry: BoundParameter, definition: Parameter | None) -> ParameterRow:
+    unit, help_text = ("", "") if definition is None else (definition.unit, definition.help)
+    changed = entry.origin is not Origin.SENSOR
+    return ParameterRow(key, value_text(entry.value), entry.words, unit, help_text, changed=changed)
 
 
 def _provenance_text(value: object) -> str:

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.schema.catalogue import Algorithm
+from slamhive.schema.matching import Match
 from slamhive.schema.run import Run
 from slamhive.schema.submission import OPTIONS, Submission
 from slamhive.services.configurations import configuration_document
@@ -54,6 +55,12 @@ def submit() -> Response:
     """Queue runs; answers with them."""
     queued = hive().runs.submit(read_body(Submission))
     return answer({"runs": [Run.of(run).content for run in queued]}, 201)
+
+
+@blueprint.post("/runs/preview")
+def preview() -> Response:
+    """Check a submission without queueing it; answers with the sensors and what is taken from them."""
+    return answer(Match.of_match(hive().configurations.check(read_body(Submission)).match).content)
 
 
 @blueprint.post(f"/runs/{RUN_ID}/cancel")

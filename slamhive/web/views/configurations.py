@@ -18,6 +18,7 @@ from slamhive.web.context import hive
 from slamhive.web.errors import status_of
 from slamhive.web.presenters import configurations as presenter
 from slamhive.web.presenters.catalogue import dataset_choices, step_kinds
+from slamhive.web.presenters.matching import match_of_configuration
 from slamhive.web.request_input import form_text, uploaded_text
 from slamhive.web.run_form import CONTENT_OPTIONS, RunForm, form_values, read_form
 
@@ -56,7 +57,7 @@ def show(configuration_id: int) -> str:
         "configurations/show.html",
         record=record,
         held_by=presenter.held_by(record),
-        parameters=presenter.parameter_rows(record, algorithm),
+        parameters=presenter.parameter_rows(record, algorithm, match_of_configuration(hive(), configuration_id)),
         outdated=presenter.outdated(record, algorithm),
         runs=presenter.run_rows(service.latest_runs(configuration_id, RUNS_SHOWN), _algorithms().values()),
         columns=presenter.RUN_COLUMNS,
@@ -86,7 +87,7 @@ def create() -> Response | tuple[str, int]:
 def check() -> Response:
     """JSON for the open page: does this configuration exist already, and which fields are invalid?"""
     form = _read(request.args.to_dict())
-    return make_response(jsonify(preview=_preview(form), errors=form.errors))
+    return make_response(jsonify(preview=_preview(form), errors=form.errors, bound=form.bound))
 
 
 @blueprint.get(f"/{CONFIGURATION_ID}/edit")
@@ -102,11 +103,13 @@ def modify(configuration_id: int) -> Response | tuple[str, int]:
     """Replace a configuration, or save a new one if runs depend on the old one."""
     record = hive().configurations.get(configuration_id)
 
+    form = _read(request.form.to_dict())
+
     def store(submission: Submission, label: Label) -> Stored:
         changes = Changes(
             algorithm=submission.algorithm,
             dataset=submission.dataset,
-            parameters=submission.parameters,
+            parameters={**form.cleared, **submission.parameters},
             variant=submission.variant,
             playback_mode=submission.playback_mode,
             playback_rate=submission.playback_rate,
@@ -114,7 +117,7 @@ def modify(configuration_id: int) -> Response | tuple[str, int]:
         said = Label(_changed("name", record.name or ""), _changed("note", record.note), label.group)
         return hive().configurations.modify(configuration_id, changes, said)
 
-    return _stored_or_form(_read(request.form.to_dict()), record, store)
+    return _stored_or_form(form, record, store)
 
 
 @blueprint.post(f"/{CONFIGURATION_ID}/describe")

@@ -37,7 +37,7 @@ from slamhive.web.context import hive
 from slamhive.web.errors import status_of, wants_json
 from slamhive.web.figures import best_plane, captions, figure_table, run_figures
 from slamhive.web.formatting import plural
-from slamhive.web.presenters import protocols, search
+from slamhive.web.presenters import matching, protocols, search
 from slamhive.web.presenters import runs as presenter
 from slamhive.web.presenters.live import progress_json
 from slamhive.web.run_query import RunQuery, summary
@@ -138,6 +138,7 @@ def show(run_id: int) -> str:
     tools = _tools(services, run)
     notes = evaluation_notes(services.runs.folder(run_id), None if chosen is None else chosen.fingerprint)
     record = services.runs.record(run_id)
+    match = matching.match_of_run(services, record, run.configuration_id)
     return render_template(
         "runs/show.html",
         run=run,
@@ -149,7 +150,8 @@ def show(run_id: int) -> str:
         machine=presenter.machine(run),
         wall_time_s=presenter.wall_time_s(run, utc_now()),
         progress=progress_json(services.runs.progress(run_id)) if run.state.active else None,
-        parameters=presenter.parameter_rows(run, algorithm),
+        parameters=presenter.parameter_rows(run, algorithm, match),
+        match=match,
         protocols=choices,
         chosen=chosen,
         accuracy=protocols.accuracy_rows(run, choices, services.current_protocols.figures(run_id)),

@@ -1,0 +1,26 @@
+"""How an algorithm fits a dataset, on the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import click
+
+from slamhive.cli.output import print_table
+from slamhive.schema.matching import Match
+
+
+def print_match(match: Match) -> None:
+    """The sensor in each role, and the parameters that are taken from sensors."""
+    rows = [(role, used.name, used.topic, f"{used.rate_hz:g}") for role, used in match.sensors.items()]
+    print_table(("role", "sensor", "topic", "Hz"), rows, right=("Hz",))
+    if match.parameters:
+        print_table(("parameter", "value", "source"), list(bound_rows(match)))
+    else:
+        click.echo("no parameter is taken from a sensor")
+
+
+def bound_rows(match: Match | None) -> Iterator[tuple[str, object, str]]:
+    """Key, value and source of each parameter that is taken from a sensor."""
+    for key, entry in ({} if match is None else match.parameters).items():
+        yield key, list(entry.value) if isinstance(entry.value, tuple) else entry.value, entry.words

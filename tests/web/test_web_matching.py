@@ -1,0 +1,101 @@
+"""What an algorithm takes from sensors: the same in the web form, the web API, on the pages and the command line."""
+
+from __future__ import annotations
+
+import html
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from slamhive.cli import main
+from slamhive.schema.submission import Submission
+from slamhive.services.configurations.changes import Changes
+from slamhive.services.executors import Executors
+from slamhive.web.security import API_HEADER
+from tests.services.tiny_project import environment
+from tests.web.web_world import Web
+
+pytestmark = pytest.mark.quick
+
+FORM = {"algorithm": "bound-slam", "dataset": "room"}
+BOUND = """
+format: 1
+package: bound-slam
+title: Bound
+version: "1"
+upstream: https://example.org/bound
+licence: GPL-3.0
+citation: none
+modes:
+  mono: {title: Bound, setup: mono, inputs: {left: camera}, trajectory_role: left}
+parameters:
+  fx: {type: float, default: 458.654, from: left.fx, unit: pixels, help: Focal length.}
+  exposure: {type: float, default: 0.01, from: left.exposure_s, unit: s, help: Exposure time.}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _process_executor(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
+
+
+@pytest.fixture
+def bound(web: Web) -> Web:
+    """With a package that takes parameters from a camera."""
+    folder = web.hive.catalogue.project_root / "algorithms" / "bound-slam"
+    (folder / "slamhive").mkdir(parents=True)
+    (folder / "slamhive" / "mapping.py").touch()
+    (folder / "algorithm.yaml").write_text(BOUND)
+    return web
+
+
+def test_the_form_shows_what_the_sensor_gives_and_scales_it(bound: Web) -> None:
+    page = html.unescape(bound.client.get("/runs/new", query_string=FORM).text)
+    assert 'placeholder="400"' in page
+    assert "from camera0 (left.fx)" in page
+    assert "default of the package: camera0 has no exposure_s" in page
+    half = bound.client.get("/runs/new/preview", query_string={**FORM, "steps": "resolution scale=0.5"}).get_json()
+    assert half["errors"] == {}
+    assert half["bound"]["parameter.fx"] == {"value": "200", "words": "from camera0 (left.fx)"}
+    typed = bound.client.get("/runs/new/preview", query_string={**FORM, "parameter.fx": "500"}).get_json()
+    assert typed["bound"]["parameter.fx"] == {"value": "400", "words": "overridden: camera0 has 400"}
+
+
+def test_the_web_api_and_the_command_preview_the_same(bound: Web, monkeypatch: pytest.MonkeyPatch) -> None:
+    body = {**FORM, "parameters": {"exposure": 0.02}}
+    queued = bound.hive.runs.counts()
+    answer = bound.client.post("/api/v1/runs/preview", json=body, headers={API_HEADER: "1"}).get_json()
+    assert answer["sensors"]["left"]["topic"] == "/camera0"
+    assert answer["parameters"]["fx"]["value"] == 400.0
+    assert answer["parameters"]["exposure"]["origin"] == "user"
+    root, data = bound.hive.catalogue.project_root, Path(bound.hive.settings.data)
+    for key, value in environment(root, data).items():
+        monkeypatch.setenv(key, value)
+    command = ("run", "bound-slam", "room", "--set", "exposure=0.02", "--preview")
+    assert json.loads(CliRunner().invoke(main, (*command, "--json")).stdout) == answer
+    assert "from camera0 (left.fx)" in CliRunner().invoke(main, command).stdout
+    assert bound.hive.runs.counts() == queued
+
+
+def test_a_copy_takes_its_values_from_its_own_dataset(bound: Web) -> None:
+    configurations = bound.hive.configurations
+    made = configurations.create(Submission("bound-slam", "room", {"fx": 500.0})).record
+    page = bound.client.get(f"/configurations/{made.id}").text
+    assert "overridden: camera0 has 400" in page
+    plain = configurations.copy(made.id, Changes(parameters={"fx": ""})).record
+    assert plain.configuration.parameters == {}
+    assert "from camera0 (left.fx)" in bound.client.get(f"/configurations/{plain.id}").text
+    assert configurations.match(plain.id).values({})["fx"] == 400.0
+    form = {**FORM, "csrf_token": bound.token, "parameter.fx": "", "parameter.exposure": ""}
+    answer = bound.client.post(f"/configurations/{made.id}/edit", data=form)
+    assert answer.location.endswith(f"/configurations/{plain.id}")
+
+
+def test_a_value_that_nobody_knows_is_said_before_anything_starts(bound: Web) -> None:
+    path = bound.hive.catalogue.project_root / "algorithms" / "bound-slam" / "algorithm.yaml"
+    path.write_text(BOUND.replace("default: 0.01, ", ""))
+    page = html.unescape(bound.client.get("/runs/new", query_string=FORM).text)
+    assert "bound-slam takes exposure from left.exposure_s, but camera0 of dataset room has no exposure_s" in page
+    assert "set exposure" in page
