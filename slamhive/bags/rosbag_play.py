@@ -2,25 +2,28 @@
 
 A copy of this file lies in every dataset folder: algorithm images with ROS inside start it as
 ``python3 /slamhive/dataset/rosbag_play.py``, or with ``python`` in older ones. It runs in their Python, 2.7 or 3.5 at
-the oldest, and needs only PyYAML.
+the oldest, and needs only PyYAML. Images start it in the background and go on without it, so it reports a failure in
+``playback.json``, which fails the run.
 """
 
-from __future__ import print_function
-
 import glob
+import json
 import os
+import signal
+import subprocess
 import sys
 
-import yaml
-
 CONFIG = "/slamhive/config.yaml"
+REPORT = "/slamhive/result/playback.json"
+ENDED_BY_IMAGE = (0, -signal.SIGINT, -signal.SIGTERM, -signal.SIGHUP)
+"""How a player ends that played all, or that its image stopped."""
 
 
 def play_command(folder, config):
     """The command that plays the only bag in ``folder``; ``dataset-remap`` maps the topic seen to the recorded one."""
     bags = sorted(glob.glob(os.path.join(str(folder), "*.bag")))
     if len(bags) != 1:
-        sys.exit("expected one .bag file in {}, found {}".format(folder, len(bags)))
+        give_up("expected one .bag file in {}, found {}".format(folder, len(bags)))
     command = ["rosbag", "play", bags[0]]
     for seen, recorded in sorted((config.get("dataset-remap") or {}).items()):
         if seen != recorded:
@@ -32,15 +35,50 @@ def play_command(folder, config):
     return command + ["--clock"]
 
 
-def main():
-    """Replace this process by ``rosbag play``."""
-    with open(CONFIG) as stream:
-        config = yaml.safe_load(stream)
-    command = play_command(os.path.dirname(os.path.abspath(__file__)), config)
+def give_up(problem):
+    """Report that nothing was played, and end."""
     try:
-        os.execvp(command[0], command)
+        with open(REPORT, "w") as report:
+            json.dump({"error": problem}, report)
+    except (IOError, OSError):
+        pass  # outside of a container
+    sys.exit(problem)
+
+
+def read_config():
+    """The configuration of the run. An old image may have PyYAML for one of its Pythons only."""
+    try:
+        import yaml  # noqa: PLC0415 - reported if it is missing
+    except ImportError:
+        give_up("{} has no PyYAML".format(sys.executable))
+    with open(CONFIG) as stream:
+        return yaml.safe_load(stream)
+
+
+def play(command):
+    """Play, pass on signals and errors; a player that fails is reported with its last line."""
+    try:
+        player = subprocess.Popen(command, stderr=subprocess.PIPE)
     except OSError as error:
-        sys.exit("{} cannot be started: {}".format(command[0], error.strerror))
+        give_up("{} cannot be started: {}".format(command[0], error.strerror))
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, _frame: player.send_signal(number))
+        signal.siginterrupt(number, False)
+    assert player.stderr is not None
+    last = ""
+    for raw in iter(player.stderr.readline, b""):
+        line = raw.decode("utf-8", "replace")
+        sys.stderr.write(line.encode("ascii", "replace").decode("ascii"))
+        last = line.strip() or last
+    player.stderr.close()
+    code = player.wait()
+    if code not in ENDED_BY_IMAGE:
+        give_up("rosbag play ended with exit code {}{}".format(code, ": " + last if last else ""))
+
+
+def main():
+    """Play the bag with the remaps and the rate of the run."""
+    play(play_command(os.path.dirname(os.path.abspath(__file__)), read_config()))
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ def _silent(_fraction: float, _text: str) -> None:
 
 GROUND_TRUTH_FILE = "groundtruth.txt"
 PLAY_SCRIPT = "rosbag_play.py"
+_LONGEST_TITLE = 200
 _SPARE_BYTES = 50_000_000
 _BLOCK_BYTES = 4_000_000
 
@@ -126,6 +127,16 @@ def seal(aside: Path, dataset: Dataset) -> None:
     script = Path(__file__).with_name(PLAY_SCRIPT).read_text(encoding="utf-8")
     (aside / PLAY_SCRIPT).write_text(script, encoding="utf-8")
     (aside / DATASET_FILE).write_text(dataset_to_yaml(dataset), encoding="utf-8")
+
+
+def current_script(path: Path) -> Path:
+    """The play script that ships with this version in place of its copy at ``path``; ``path`` for anything else.
+
+    Copies of earlier versions do not run in the Python of old images. A script that somebody else wrote is theirs.
+    """
+    shipped = Path(__file__).with_name(PLAY_SCRIPT)
+    with path.open("rb") as copy, shipped.open("rb") as own:
+        return shipped if copy.readline(_LONGEST_TITLE) == own.readline() else path
 
 
 def checksum(path: Path, progress: Progress = _silent) -> str:

@@ -9,7 +9,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from slamhive import strict_yaml
-from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input
+from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input, RunUser
 from slamhive.domain.bounds import Bound
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.domain.lidar_layout import PointOrder
@@ -109,6 +109,7 @@ class _PackageModel(BaseModel):
     system_libraries: list[str] = Field(default_factory=list)
     resources: _ResourcesModel = Field(default_factory=_ResourcesModel)
     reports_tracking: bool = False
+    user: RunUser = RunUser.WORKER
     lidar: _LidarModel = Field(default_factory=_LidarModel)
     modes: dict[str, _ModeModel] = Field(min_length=1)
     parameters: dict[str, _ParameterModel] = Field(default_factory=dict)
@@ -146,6 +147,7 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         memory_mb=model.resources.memory_mb,
         reports_tracking=model.reports_tracking,
         lidar=LidarNeeds(**model.lidar.model_dump()),
+        user=model.user,
     )
     algorithms = tuple(_algorithm(path, package, name, mode, model) for name, mode in model.modes.items())
     names = [algorithm.name for algorithm in algorithms]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 
 from slamhive.domain.bounds import Bound
@@ -21,12 +22,29 @@ class Input:
     kind: SensorKind
 
 
+class RunUser(StrEnum):
+    """Who a run is in its container."""
+
+    WORKER = "worker"
+    """The user and group of the worker; ``HOME`` is ``/tmp``."""
+    ROOT = "root"
+    """Root without capabilities; ``HOME`` is what the image says."""
+    IMAGE = "image"
+    """The user that the image names, without capabilities; ``HOME`` is what the image says."""
+
+    @property
+    def in_words(self) -> str:
+        """The user in a line of text."""
+        words = {RunUser.WORKER: "the worker's user", RunUser.ROOT: "root without capabilities"}
+        return words.get(self, "the user of the image, without capabilities")
+
+
 @dataclass(frozen=True, slots=True)
 class AlgorithmPackage:
     """One folder below ``algorithms/``: code, image and provenance shared by all modes of an upstream project.
 
     ``reports_tracking``: while it runs it says for how long it has found no pose (``progress.json``). ``lidar``: what
-    its modes with a LiDAR need of the points.
+    its modes with a LiDAR need of the points. ``user``: who its runs are in a container.
     """
 
     name: str
@@ -42,6 +60,7 @@ class AlgorithmPackage:
     memory_mb: int = 4096
     reports_tracking: bool = False
     lidar: LidarNeeds = field(default_factory=LidarNeeds)
+    user: RunUser = RunUser.WORKER
 
     @property
     def image(self) -> str:

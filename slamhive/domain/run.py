@@ -40,6 +40,7 @@ class FailureReason(StrEnum):
     PREPROCESS_ERROR = "preprocess_error"
     START_ERROR = "start_error"
     NONZERO_EXIT = "nonzero_exit"
+    PLAYER_FAILED = "player_failed"
     TIMEOUT = "timeout"
     OUT_OF_MEMORY = "out_of_memory"
     DISK_LIMIT = "disk_limit"

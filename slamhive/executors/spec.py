@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+from slamhive.domain.algorithm import RunUser
+
 _FILE_SLACK_BYTES = 1_000_000
 
 
@@ -126,6 +128,7 @@ class RunSpec:
         limits: What it may use.
         timeout_s: The wall-clock limit. The worker enforces it; executors with ``Limit.TIME`` do so on their own too.
         work: A folder on the controller for the executor's own use, removed when the run is over.
+        user: Who the run is in its container. Executors without containers take ``worker`` only.
     """
 
     key: str
@@ -141,6 +144,7 @@ class RunSpec:
     limits: Limits
     timeout_s: float
     work: Path
+    user: RunUser = RunUser.WORKER
 
     def output(self, name: str) -> RunOutput:
         """The output called ``name``."""

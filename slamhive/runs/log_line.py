@@ -19,11 +19,16 @@ def last_error_line(log: str) -> str | None:
     """
     for line in reversed(log.splitlines()):
         if line.lower().startswith(ERROR_PREFIX):
-            printable = "".join(character if character.isprintable() else " " for character in line)
-            text = " ".join(printable[len(ERROR_PREFIX) :].split())
+            text = printable(line[len(ERROR_PREFIX) :])
             if text:
-                return text if len(text) <= MAX_CHARACTERS else f"{text[: MAX_CHARACTERS - 1]}…"
+                return text
     return None
+
+
+def printable(text: str) -> str:
+    """``text`` on one line of at most :data:`MAX_CHARACTERS` printable characters."""
+    line = " ".join("".join(character if character.isprintable() else " " for character in text).split())
+    return line if len(line) <= MAX_CHARACTERS else f"{line[: MAX_CHARACTERS - 1]}…"
 
 
 def read_tail(path: Path, max_bytes: int = TAIL_BYTES) -> str:

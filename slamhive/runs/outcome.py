@@ -8,13 +8,14 @@ Rules, first match wins:
 4. It ran into the wall-clock limit: ``timeout``.
 5. One of its stop rules was broken and the controller ended it: the reason of that rule.
 6. The handle is gone and nobody knows the exit code: ``lost``. If the algorithm had said ``finished`` and left a valid
-   trajectory, the result is complete, and the run goes on to rule 9.
+   trajectory, the result is complete, and the run goes on to rule 8.
 7. The controller ended it because it kept running after ``finished``: the exit code then comes from our signal, and is
    ignored.
-8. Exit code other than 0: ``process_limit`` if it was refused processes, ``nonzero_exit`` otherwise, whatever files are
+8. The player said that it could not play the recording: ``player_failed``, whatever the algorithm made of that.
+9. Exit code other than 0: ``process_limit`` if it was refused processes, ``nonzero_exit`` otherwise, whatever files are
    there.
-9. Exit code 0 (or rule 7): ``traj.txt`` decides. ``finished`` alone proves nothing: upstream images create it even when
-   the trajectory is missing.
+10. Exit code 0 (or rule 7): ``traj.txt`` decides. ``finished`` alone proves nothing: upstream images create it even
+   when the trajectory is missing.
 """
 
 from __future__ import annotations
@@ -73,6 +74,8 @@ class Evidence:
         trajectory: What ``traj.txt`` holds.
         error_line: What the algorithm's output gives as the error; None if it names none.
         removed: In words what was removed from its result; empty if nothing was.
+        player_error: What the player reported; None if nothing.
+        denied_to: The user to whom something was denied, by its output; None if nothing was.
     """
 
     exit_code: int | None
@@ -92,6 +95,8 @@ class Evidence:
     memory_limit_bytes: int | None = None
     error_line: str | None = None
     removed: str = ""
+    player_error: str | None = None
+    denied_to: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,13 +125,16 @@ def _judge(evidence: Evidence) -> Outcome:
     ended = _ended_from_outside(evidence)
     if ended is not None:
         return ended
+    if evidence.player_error is not None:
+        return _failed(FailureReason.PLAYER_FAILED, evidence.player_error, trajectory)
     exit_counts = evidence.gone_because is None and not evidence.lingered
     if exit_counts and evidence.exit_code != 0:
         if evidence.refused_processes:
             return _failed(FailureReason.PROCESS_LIMIT, _refused_text(evidence), trajectory)
-        return _failed(FailureReason.NONZERO_EXIT, _exit_text(evidence.exit_code, evidence.error_line), trajectory)
+        detail = _exit_text(evidence.exit_code, evidence.error_line) + _denied_text(evidence)
+        return _failed(FailureReason.NONZERO_EXIT, detail, trajectory)
     if trajectory.problem is not None:
-        return _failed(trajectory.problem, trajectory.detail, trajectory)
+        return _failed(trajectory.problem, trajectory.detail + _denied_text(evidence), trajectory)
     ending = "" if exit_counts else ", ended after it had finished"
     ending += f"; {UNSEEN}" if evidence.tracking_unseen else ""
     return Outcome(RunState.SUCCEEDED, None, f"{trajectory.poses} poses{ending}", trajectory.poses)
@@ -234,6 +242,13 @@ def _refused_text(evidence: Evidence) -> str:
 
 def _process_limit(limit: int | None) -> str:
     return "limit of processes and threads" if limit is None else f"limit of {limit} processes and threads"
+
+
+def _denied_text(evidence: Evidence) -> str:
+    """A hint for images that were made for another user."""
+    if evidence.denied_to is None:
+        return ""
+    return f"; something was denied to {evidence.denied_to}: see `user` in docs/container-contract.md"
 
 
 def _exit_text(exit_code: int | None, error_line: str | None) -> str:

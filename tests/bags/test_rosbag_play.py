@@ -1,5 +1,8 @@
 """The play script that existing algorithm images start."""
 
+import json
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -7,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.bags import rosbag_play
+from slamhive.bags.staging import current_script
 
 
 @pytest.fixture
@@ -63,11 +67,67 @@ def test_it_runs_in_the_pythons_of_old_images():
     assert found.returncode == 0, found.stdout + found.stderr
 
 
-def test_a_missing_rosbag_ends_with_a_message(folder, monkeypatch):
+@pytest.fixture
+def report(folder, monkeypatch):
+    """Where the player reports, with a configuration and a folder of programs."""
     config = folder / "config.yaml"
     config.write_text("dataset-remap: {}\n")
     monkeypatch.setattr(rosbag_play, "CONFIG", str(config))
+    monkeypatch.setattr(rosbag_play, "REPORT", str(folder / "playback.json"))
     monkeypatch.setattr(rosbag_play, "__file__", str(folder / "rosbag_play.py"))
-    monkeypatch.setenv("PATH", str(folder))
+    monkeypatch.setenv("PATH", str(folder), prepend=os.pathsep)
+    return folder / "playback.json"
+
+
+def rosbag(folder, script):
+    program = folder / "rosbag"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(0o755)
+
+
+@pytest.fixture
+def handlers():
+    """The player takes signals over, as long as it lives."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    kept = [signal.getsignal(number) for number in numbers]
+    yield
+    for number, handler in zip(numbers, kept, strict=True):
+        signal.signal(number, handler)
+
+
+def test_a_missing_rosbag_is_reported(report, monkeypatch):
+    monkeypatch.setenv("PATH", str(report.parent))
     with pytest.raises(SystemExit, match="rosbag cannot be started: No such file"):
         rosbag_play.main()
+    assert json.loads(report.read_text())["error"].startswith("rosbag cannot be started")
+
+
+def test_a_player_that_fails_is_reported_with_its_last_line(report, handlers, capfd):
+    rosbag(report.parent, "echo 'Error opening file' >&2; exit 3")
+    with pytest.raises(SystemExit, match="exit code 3: Error opening file"):
+        rosbag_play.main()
+    assert json.loads(report.read_text()) == {"error": "rosbag play ended with exit code 3: Error opening file"}
+    assert "Error opening file" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("script", ["exit 0", "kill -INT $$"])
+def test_a_player_that_played_all_or_was_ended_by_its_image_reports_nothing(report, handlers, script):
+    rosbag(report.parent, script)
+    rosbag_play.main()
+    assert not report.exists()
+
+
+def test_an_image_without_pyyaml_is_reported(report, monkeypatch):
+    monkeypatch.setitem(sys.modules, "yaml", None)
+    with pytest.raises(SystemExit, match="has no PyYAML"):
+        rosbag_play.main()
+    assert "PyYAML" in json.loads(report.read_text())["error"]
+
+
+def test_copies_of_earlier_versions_give_way(tmp_path):
+    shipped = Path(rosbag_play.__file__)
+    old, other = tmp_path / "old.py", tmp_path / "other.py"
+    old.write_text(shipped.read_text().splitlines()[0] + '\n\nOld."""\nprint(f"{1}")\n')
+    other.write_text("print('written by somebody else')\n")
+    assert current_script(old) == shipped
+    assert current_script(other) == other

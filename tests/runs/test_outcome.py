@@ -30,6 +30,9 @@ LINE = "1.0 0 0 0 0 0 0 1\n"
         (Evidence(0, NONE, refused_processes=True, most_processes=64), FailureReason.NO_TRAJECTORY),
         (Evidence(137, VALID, process_limit=True, out_of_memory=True), FailureReason.OUT_OF_MEMORY),
         (Evidence(143, VALID, timed_out=True, timeout_s=5.0), FailureReason.TIMEOUT),
+        (Evidence(0, VALID, player_error="no bag", finished=True), FailureReason.PLAYER_FAILED),
+        (Evidence(1, NONE, player_error="no bag"), FailureReason.PLAYER_FAILED),
+        (Evidence(143, NONE, player_error="no bag", timed_out=True), FailureReason.TIMEOUT),
         (Evidence(None, VALID, gone_because="removed"), FailureReason.LOST),
         (Evidence(None, NONE, gone_because="removed", finished=True), FailureReason.LOST),
         (Evidence(None, VALID, gone_because="removed", finished=True), None),
@@ -49,6 +52,15 @@ def test_a_limit_of_processes_is_told_with_the_remedy():
     refused = decide(Evidence(1, NONE, refused_processes=True, most_processes=64, error_line="no new thread")).detail
     assert "exit code 1: no new thread, after it was refused processes beyond its limit of 64" in refused
     assert "RUN_PIDS" in refused
+
+
+def test_who_was_denied_something_is_named():
+    for evidence in (
+        Evidence(1, NONE, denied_to="the worker's user"),
+        Evidence(0, NONE, denied_to="the worker's user"),
+    ):
+        assert "something was denied to the worker's user: see `user`" in decide(evidence).detail
+    assert "denied" not in decide(Evidence(0, VALID, denied_to="the worker's user")).detail
 
 
 def test_details_name_signal_limit_and_time():

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 from docker.types import LogConfig, Mount, Ulimit
 
+from slamhive.domain.algorithm import RunUser
 from slamhive.executors.base import ExecutorContext
-from slamhive.executors.docker.engine import HARDENING, INSTALLATION_LABEL, KEY_LABEL, RUN_LABEL, container_name
+from slamhive.executors.docker.engine import (
+    HARDENING,
+    INSTALLATION_LABEL,
+    KEY_LABEL,
+    RUN_LABEL,
+    container_name,
+)
+from slamhive.executors.docker.run_user import container_user
 from slamhive.executors.local_files import read_places, written_places
 from slamhive.executors.spec import RunSpec
 
-ROS_ENVIRONMENT = {"HOME": "/tmp", "ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://localhost:11311"}  # noqa: S108
-"""HOME is /tmp: the user of the run has no other folder to write to."""
+ROS_ENVIRONMENT = {"ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://localhost:11311"}
+WORKER_HOME = {"HOME": "/tmp"}  # noqa: S108 - the container's own
+"""The worker's user has no other folder to write to. The users of images have the home that the image gives them."""
 
 
 def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]:
     """The arguments of ``containers.create`` for a run. Pure, so that a test can check them."""
     limits = spec.limits
+    home = WORKER_HOME if spec.user is RunUser.WORKER else {}
     options: dict[str, Any] = {
         **HARDENING,
         "image": spec.identity,
@@ -31,9 +40,9 @@ def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]
             RUN_LABEL: str(spec.run_id),
             INSTALLATION_LABEL: context.installation,
         },
-        "environment": {**ROS_ENVIRONMENT, **spec.environment},
+        "environment": {**ROS_ENVIRONMENT, **home, **spec.environment},
         "mounts": _mounts(spec),
-        "user": f"{os.getuid()}:{os.getgid()}",
+        "user": container_user(spec.user),
         "pids_limit": limits.pids,
         "log_config": LogConfig(
             type=LogConfig.types.JSON,

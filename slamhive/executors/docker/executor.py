@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Collection
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,7 @@ from slamhive.executors.docker.engine import (
 )
 from slamhive.executors.docker.image import find_image, make_image
 from slamhive.executors.docker.refusals import RefusedProcesses, engine_protections
+from slamhive.executors.docker.run_user import in_words, open_to_user, take_back
 from slamhive.executors.docker.stats import DockerStatsSource
 from slamhive.executors.identity import owner_is_dead
 from slamhive.executors.local_files import make_own_copies
@@ -118,6 +120,7 @@ class DockerExecutor(Executor):
         container = self._find(container_name(spec.key)) or self._create(spec)
         if container.labels.get(KEY_LABEL) != spec.key:
             raise StartFailed(f"container {container.name} belongs to another run", f"docker rm {container.name}")
+        open_to_user(spec)
         if container.status == "created":
             self._start_created(container, spec)
         data = {"container": str(container.id), "key": spec.key}
@@ -125,7 +128,8 @@ class DockerExecutor(Executor):
         started_at = None if started is None else _time(started.attrs["State"].get("StartedAt"))
         if started_at is not None:
             data["started_at"] = started_at.isoformat()
-        return RunHandle(self.name, data, self._protections())
+        found = self._protections()
+        return RunHandle(self.name, data, replace(found, held_by=f"{found.held_by}; {in_words(spec.user)}"))
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """The state that the engine reports."""
@@ -175,6 +179,11 @@ class DockerExecutor(Executor):
         container = self._find(container_name(spec.key))
         if container is not None and container.labels.get(KEY_LABEL) == spec.key:
             self._remove(str(container.id))
+        take_back(self._engine, spec, self._context.installation)
+
+    def collect(self, spec: RunSpec, handle: RunHandle) -> None:  # noqa: ARG002 - the signature of the seam
+        """Hand over what a run with a user of its own has written."""
+        take_back(self._engine, spec, self._context.installation)
 
     def usage_source(self, handle: RunHandle) -> UsageSource | None:
         """The container's control group where its files are on this machine, the engine's statistics otherwise."""

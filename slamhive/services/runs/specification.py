@@ -10,8 +10,9 @@ from typing import Any
 
 from slamhive import __version__
 from slamhive.bags.reader import inspect_bag
-from slamhive.bags.staging import checksum
+from slamhive.bags.staging import PLAY_SCRIPT, checksum, current_script
 from slamhive.catalogue.algorithm_file import package_hash
+from slamhive.catalogue.dataset_file import DATASET_FILE
 from slamhive.catalogue.run_config import build_run_config
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.configuration import Configuration
@@ -159,6 +160,7 @@ def build_spec(
         limits=limits,
         timeout_s=time_limit_s(job, settings),
         work=folder.work,
+        user=job.algorithm.package.user,
     )
 
 
@@ -202,9 +204,9 @@ def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInpu
         yield _input("slamhive", package.folder / "slamhive", CONTAINER_ROOT, own_copy=True)
     yield _input("config", folder.config, f"{CONTAINER_ROOT}/config.yaml")
     yield _input("recording", dataset.bag_path, f"{inside}/{dataset.bag}", content=dataset.checksum)
-    for name in ("dataset.yaml", "rosbag_play.py"):
+    for name in (DATASET_FILE, PLAY_SCRIPT):
         if (dataset.folder / name).is_file():
-            yield _input(name, dataset.folder / name, f"{inside}/{name}")
+            yield _input(name, current_script(dataset.folder / name), f"{inside}/{name}")
     if settings.orb_vocabulary:
         yield _input("vocabulary", Path(settings.orb_vocabulary), CONTAINER_VOCABULARY)
 

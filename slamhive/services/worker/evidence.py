@@ -5,12 +5,13 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any
 
+from slamhive.domain.algorithm import RunUser
 from slamhive.domain.run import FailureReason
 from slamhive.executors.status import Exited, Gone, RunStatus
 from slamhive.runs.early_end import EarlyEnd
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.leftovers import Survey, removed_in_words
-from slamhive.runs.log_line import last_error_line, read_tail
+from slamhive.runs.log_line import last_error_line, printable, read_tail
 from slamhive.runs.outcome import Evidence, TrajectoryCheck, inspect_trajectory, is_finished
 from slamhive.runs.untrusted import read_untrusted_json
 from slamhive.schema.submission import StopWhen
@@ -36,6 +37,9 @@ STARTED_BY = "started_by_attempt"
 _KILLED = 137
 """The exit code after SIGKILL."""
 
+DENIED = "Permission denied"
+"""What programs print if their user has no right to do something."""
+
 ENGINE_AWAY = "engine_away_at"
 """Record key: since when the engine has not answered."""
 
@@ -51,6 +55,7 @@ def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any],
         rules: The stop rules of the run.
     """
     cause = saved.get(STOPPED_BECAUSE)
+    said = read_tail(folder.log)
     return Evidence(
         exit_code=status.exit_code if isinstance(status, Exited) else None,
         out_of_memory=isinstance(status, Exited) and status.out_of_memory,
@@ -68,8 +73,16 @@ def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any],
         finished=is_finished(folder.finished),
         gone_because=_gone_because(status, saved),
         trajectory=_trajectory(saved[LEFT]["trajectory"]),
-        error_line=last_error_line(read_tail(folder.log)),
+        error_line=last_error_line(said),
+        player_error=_player_error(folder),
+        denied_to=RunUser(saved["spec"].get("user", "worker")).in_words if DENIED in said else None,
     )
+
+
+def _player_error(folder: RunFolder) -> str | None:
+    """What the player reports in ``playback.json``; images go on without one, and end as if nothing had happened."""
+    problem = (read_untrusted_json(folder.playback, MAX_ABOUT_BYTES) or {}).get("error")
+    return f"the recording was not played: {printable(problem)}" if isinstance(problem, str) and problem else None
 
 
 def look_at(folder: RunFolder, found: Survey) -> dict[str, Any]:
