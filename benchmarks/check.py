@@ -1,7 +1,8 @@
 """How long ``slamhive dataset check`` takes against a plain pass over the same recording, and its peak memory.
 
 The plain pass reads and deserialises every message and does nothing with it. Both run in pairs, in alternating order,
-in one process that has warmed up; the medians of the CPU times and their ratio are printed. The goal is a ratio of 2.0.
+in one process that has warmed up. The medians of wall and CPU times are printed, with their ratios. The
+goal is a ratio of 2.0 of the wall times. A check examines images in a second thread, so it needs two idle cores.
 
     python benchmarks/check.py [--dataset FOLDER] [--seconds 15] [--pairs 7] [--json]
 
@@ -44,9 +45,9 @@ def main() -> None:
         print(json.dumps(result, indent=1))
         return
     print(f"recording {result['megabytes']:.0f} MB, {result['findings']} findings")
-    print(f"plain pass {result['plain_s']:.3f} s, check {result['check_s']:.3f} s of CPU time")
+    print(f"plain pass {result['plain_s']:.3f} s, check {result['check_s']:.3f} s")
     verdict = "held" if result["ratio"] <= GOAL else "NOT held"
-    print(f"ratio {result['ratio']:.2f}, goal {GOAL} {verdict}")
+    print(f"ratio {result['ratio']:.2f}, goal {GOAL} {verdict}; of CPU time {result['cpu_ratio']:.2f}")
     print(f"memory of a check {result['peak_mb']:.0f} MB")
 
 
@@ -61,22 +62,30 @@ def measure(dataset: Dataset, pairs: int) -> dict[str, Any]:
     both: tuple[Callable[[Dataset], int], ...] = (plain_pass, check)
     for work in both:
         work(dataset)
-    times: dict[str, list[float]] = {work.__name__: [] for work in both}
+    walls: dict[str, list[float]] = {work.__name__: [] for work in both}
+    cpus: dict[str, list[float]] = {work.__name__: [] for work in both}
     for pair in range(pairs):
         for work in both if pair % 2 else reversed(both):
-            begun = time.process_time()
+            begun, cpu_begun = time.perf_counter(), time.process_time()
             work(dataset)
-            times[work.__name__].append(time.process_time() - begun)
-    plain_s, check_s = (statistics.median(times[work.__name__]) for work in both)
-    ratios = [ours / plain for plain, ours in zip(*times.values(), strict=True)]
+            walls[work.__name__].append(time.perf_counter() - begun)
+            cpus[work.__name__].append(time.process_time() - cpu_begun)
+    plain_s, check_s = (statistics.median(walls[work.__name__]) for work in both)
     return {
         "megabytes": size_bytes(dataset.bag_path) / 1e6,
         "findings": check(dataset),
         "plain_s": plain_s,
         "check_s": check_s,
-        "ratio": statistics.median(ratios),
+        "ratio": ratio(walls),
+        "cpu_ratio": ratio(cpus),
         "peak_mb": peak_mb(dataset),
     }
+
+
+def ratio(times: dict[str, list[float]]) -> float:
+    """The median over all pairs of the check's time divided by that of the plain pass."""
+    plain, ours = times.values()
+    return statistics.median(mine / other for other, mine in zip(plain, ours, strict=True))
 
 
 def plain_pass(dataset: Dataset) -> int:

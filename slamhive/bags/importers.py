@@ -27,6 +27,7 @@ from slamhive.bags.formats.replica import ReplicaImporter
 from slamhive.bags.formats.ros1 import Ros1Importer
 from slamhive.bags.formats.ros2 import Ros2Importer
 from slamhive.bags.formats.seven_scenes import SevenScenesImporter
+from slamhive.bags.formats.slam_hive import PublishedFolderImporter, SlamHiveImporter
 from slamhive.bags.formats.tartanair import TartanAirImporter
 from slamhive.bags.formats.tum_rgbd import TumRgbdImporter
 from slamhive.bags.formats.tum_vi import TumViImporter
@@ -65,6 +66,8 @@ class Importer(Protocol):
 
 
 IMPORTERS: Registry[Importer] = Registry("dataset importer", "slamhive.dataset_importers", instances_of(Importer))
+IMPORTERS.register("slam-hive", SlamHiveImporter())
+IMPORTERS.register("slam-hive-published", PublishedFolderImporter())
 IMPORTERS.register("kitti-odometry", KittiOdometryImporter())
 IMPORTERS.register("euroc", EurocImporter())
 IMPORTERS.register("tum-rgbd", TumRgbdImporter())
@@ -131,7 +134,7 @@ def detect_format(path: Path) -> str:
 
 
 def _unknown_format(path: Path, detections: Mapping[str, Detection]) -> InvalidInput:
-    name, nearest = max(detections.items(), key=lambda entry: len(entry[1].found))
+    name, nearest = max(detections.items(), key=lambda entry: (len(entry[1].found), -len(entry[1].missing)))
     if not nearest.found:
         return InvalidInput(
             f"{path} is in no format that can be imported", f"known formats: {', '.join(IMPORTERS.names())}"

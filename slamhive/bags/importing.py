@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import heapq
 import logging
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -28,7 +29,7 @@ HIGHEST_RATE_HZ = 100_000
 _RECORDED, _HASHED = 0.9, 0.98
 """The fractions of an import after which the recording is written, and its checksum known."""
 _COPIED = 0.5
-"""The part of the first one after which a kept recording is copied, and its messages are checked."""
+"""The part of the first one after which a kept recording is copied. Then its messages are checked."""
 
 OPTION_HELP: dict[str, str] = {
     "groundtruth": "ground truth file in TUM format",
@@ -96,7 +97,7 @@ class KeptRecording:
     """A ROS recording (a file, or the folder of a ROS 2 bag) that is copied as it is.
 
     ``counts`` holds the number of messages of each sensor by its name. ``check`` reads the copy and raises InvalidInput
-    where it is damaged.
+    where it is damaged. ``checksum`` is what it should be, if that is known.
     """
 
     path: Path
@@ -105,6 +106,7 @@ class KeptRecording:
     start_ns: int
     end_ns: int
     check: Callable[[Path, Progress], None] | None = None
+    checksum: str | None = None
 
     @property
     def needed_bytes(self) -> int:
@@ -182,6 +184,7 @@ class ImportPlan:
         text: Title, licence, citation and so on.
         relations: The text of a file of relative poses, None without.
         files: More small files of the dataset by plain name, for instance ``calib.txt``.
+        reference_map: The point cloud that maps are compared with, None without.
         notes: What users should know, one sentence each: what is left out, assumed or unusual.
     """
 
@@ -190,6 +193,7 @@ class ImportPlan:
     text: DatasetText
     relations: str | None = None
     files: Mapping[str, bytes] = field(default_factory=dict)
+    reference_map: Path | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -251,6 +255,8 @@ def perform(plan: ImportPlan, folder: Path, progress: Progress) -> Dataset:
         files = {**plan.files, **({} if plan.relations is None else {RELATIONS_FILE: plan.relations.encode()})}
         for name, content in files.items():
             (new.aside / name).write_bytes(content)
+        if plan.reference_map is not None:
+            shutil.copyfile(plan.reference_map, new.aside / plan.reference_map.name)
         dataset = new.seal(
             progress=_part(progress, _RECORDED, _HASHED),
             **asdict(plan.text),
@@ -258,7 +264,9 @@ def perform(plan: ImportPlan, folder: Path, progress: Progress) -> Dataset:
             duration_s=plan.duration_s,
             groundtruth=None if plan.truth is None else plan.truth.definition,
             relations=None if plan.relations is None else RELATIONS_FILE,
+            reference_map=None if plan.reference_map is None else plan.reference_map.name,
         )
+        _compare_checksum(plan.recording, dataset)
     _LOG.info("imported dataset %s", dataset.name)
     progress(1.0, "done")
     return dataset
@@ -270,12 +278,21 @@ def _record(
     if isinstance(recording, tuple):
         _write_streams(new, recording, progress)
     elif isinstance(recording, KeptRecording):
-        copy = new.keep(recording.path, _part(progress, 0.0, _COPIED))
+        new.keep(recording.path, _part(progress, 0.0, _COPIED))
         if recording.check is not None:
-            recording.check(copy, _part(progress, _COPIED, 1.0))
+            new.check(recording.check, _part(progress, _COPIED, 1.0))
     else:
         with new.recording() as bag:
             recording.write(bag, progress)
+
+
+def _compare_checksum(recording: object, made: Dataset) -> None:
+    expected = recording.checksum if isinstance(recording, KeptRecording) else None
+    if expected not in {None, made.checksum}:
+        raise InvalidInput(
+            f"the recording has checksum {made.checksum}, but its dataset.yaml says {expected}",
+            "it was changed or damaged on the way: copy it again, or import the recording alone",
+        )
 
 
 def _write_streams(new: NewDataset, streams: Sequence[Stream], progress: Progress) -> None:

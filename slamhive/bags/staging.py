@@ -7,7 +7,9 @@ import fcntl
 import hashlib
 import os
 import shutil
+import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -33,6 +35,7 @@ PLAY_SCRIPT = "rosbag_play.py"
 _LONGEST_TITLE = 200
 _SPARE_BYTES = 50_000_000
 _BLOCK_BYTES = 4_000_000
+_SHOW_EVERY_S = 0.2
 
 
 class NewDataset:
@@ -47,12 +50,26 @@ class NewDataset:
         self.aside = aside
         self._folder = folder
         self._bag = f"{folder.name}.bag"
+        self._checksum: str | None = None
 
     def keep(self, recording: Path, progress: Progress) -> Path:
         """Copy a finished recording, a file or the folder of a ROS 2 bag, in place of writing one; the copy."""
         self._bag = f"{self._folder.name}{recording.suffix if recording.is_file() else ''}"
         copy_recording(recording, self.aside / self._bag, progress)
         return self.aside / self._bag
+
+    def check(self, check: Callable[[Path, Progress], None], progress: Progress) -> None:
+        """Let ``check`` read the recording, while another thread computes the checksum that :meth:`seal` stores."""
+        hashing = _Checksum(self.aside / self._bag)
+        with ThreadPoolExecutor(1, "checksum") as pool:
+            future = pool.submit(hashing.compute)
+            try:
+                check(self.aside / self._bag, lambda fraction, text: progress((fraction + hashing.fraction) / 2, text))
+                while wait([future], _SHOW_EVERY_S).not_done:
+                    progress((1 + hashing.fraction) / 2, "computing the checksum")
+            finally:
+                hashing.stop.set()
+            self._checksum = future.result()
 
     def recording(self) -> BagWriter:
         """The writer of the dataset's bag; use as a context manager."""
@@ -63,7 +80,7 @@ class NewDataset:
         write_tum(self.aside / GROUND_TRUTH_FILE, times_s, positions_m, quats_xyzw)
 
     def seal(self, progress: Progress = _silent, **description: Any) -> Dataset:
-        """Compute the checksum, then write ``dataset.yaml`` and the play script.
+        """Write ``dataset.yaml``, with the checksum, and the play script.
 
         ``description`` holds the fields of :class:`~slamhive.domain.dataset.Dataset` except name, folder, bag and
         checksum, which follow from the folder.
@@ -72,11 +89,28 @@ class NewDataset:
             name=self._folder.name,
             folder=self._folder,
             bag=self._bag,
-            checksum=checksum(self.aside / self._bag, progress),
+            checksum=self._checksum or checksum(self.aside / self._bag, progress),
             **description,
         )
         seal(self.aside, dataset)
         return dataset
+
+
+class _Checksum:
+    """The checksum of a recording, computed in another thread: how far it is, and whether it should end."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.fraction = 0.0
+        self.stop = threading.Event()
+
+    def compute(self) -> str:
+        return checksum(self._path, self._report)
+
+    def _report(self, fraction: float, _text: str) -> None:
+        if self.stop.is_set():
+            raise CancelledError
+        self.fraction = fraction
 
 
 @contextmanager

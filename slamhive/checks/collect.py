@@ -11,6 +11,7 @@ import numpy as np
 
 from slamhive.bags.reader import decode, messages, open_bag
 from slamhive.bags.staging import Progress
+from slamhive.checks.background import Background
 from slamhive.checks.collect_images import DepthCollector, ImageCollector
 from slamhive.checks.collect_matches import Rig
 from slamhive.checks.collect_sweeps import LaserCollector, SweepCollector
@@ -95,24 +96,24 @@ def _times(values: array[int]) -> Array:
 def collect(dataset: Dataset, progress: Progress) -> Evidence:
     """Read the recording once; raises InvalidInput if it is damaged."""
     path = dataset.bag_path
-    with open_bag(path) as reader:
+    with open_bag(path) as reader, Background() as background:
         topics = {name: topic.msgtype or "various" for name, topic in reader.topics.items()}
         counts = {name: topic.msgcount for name, topic in reader.topics.items()}
-        collectors = _collectors(dataset, topics, counts)
+        rig = Rig(dataset, {sensor.name: counts.get(sensor.topic, 0) for sensor in dataset.sensors}, background)
+        collectors = _collectors(dataset, topics, counts, rig)
         start_ns, end_ns = int(reader.start_time), max(int(reader.end_time) - 1, int(reader.start_time))
         total = sum(counts[topic] for topic in collectors)
         for number, (connection, received_ns, raw) in enumerate(messages(reader, path, list(collectors))):
             collectors[connection.topic].add(received_ns, decode(reader, path, connection, raw))
             if number % _REPORT_EVERY == 0:
                 progress(number / total, "reading the recording")
+        streams = {collector.sensor.name: collector.stream() for collector in collectors.values()}
     truth, problem = read_truth(dataset)
-    streams = {collector.sensor.name: collector.stream() for collector in collectors.values()}
     return Evidence(dataset, start_ns, end_ns, streams, topics, truth, problem)
 
 
-def _collectors(dataset: Dataset, topics: dict[str, str], counts: dict[str, int]) -> dict[str, _Collector]:
+def _collectors(dataset: Dataset, topics: dict[str, str], counts: dict[str, int], rig: Rig) -> dict[str, _Collector]:
     """By topic, for each sensor whose topic has a type with a header."""
-    rig = Rig(dataset, {sensor.name: counts.get(sensor.topic, 0) for sensor in dataset.sensors})
     found = {}
     for sensor in dataset.sensors:
         kind = topics.get(sensor.topic)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import zlib
 from array import array
 from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,9 @@ _UPPER_LIMIT = 250
 _PRINT_STEP = 61
 """Prints use each 61st byte: noise makes different images differ in some of them."""
 _FINE_PX, _COARSE_PX = 1.5, 6.0
+Row = tuple[float, float, float]
+"""Mean brightness, share of bright pixels, sharpness."""
+NOTHING: Row = (np.nan, np.nan, np.nan)
 
 
 class ImageCollector:
@@ -35,6 +40,7 @@ class ImageCollector:
     def __init__(self, sensor: Sensor, count: int, rig: Rig) -> None:
         self._name = sensor.name
         self._rig = rig
+        self._late: list[tuple[int, Future[Row]]] = []
         self._sharp_every = max(1, count // SHARPNESS_SAMPLES)
         self._decode_every = max(1, count // DECODED_SAMPLES)
         self._shapes: Counter[tuple[int, int, str]] = Counter()
@@ -46,40 +52,55 @@ class ImageCollector:
         data = np.asarray(message.data, dtype=np.uint8)
         self._prints.append(_print_of(data))
         if message.__msgtype__ == COMPRESSED_IMAGE:
-            self._rows.extend(self._compressed(message, decoded=index % self._decode_every == 0))
+            self._compressed(message, decoded=index % self._decode_every == 0)
         else:
             self._shapes[_shape_of(message)] += 1
-            self._rows.extend(self._raw(message, data, sharp=index % self._sharp_every == 0))
+            self._raw(message, data, sharp=index % self._sharp_every == 0)
         self._rig.camera(self._name, index, header_ns, message)
 
     def finish(self) -> dict[str, Any]:
         """The images, and what their matches show."""
         rows = np.array(self._rows, dtype=np.float64).reshape(-1, 3)
+        for place, future in self._late:
+            rows[place] = future.result()
         images = Images(self._shapes, np.array(self._prints, dtype=np.int64), rows[:, 0], rows[:, 1], rows[:, 2])
         return {"images": images, **self._rig.finish(self._name)}
 
-    def _raw(self, message: Any, data: Array, *, sharp: bool) -> tuple[float, float, float]:
+    def _raw(self, message: Any, data: Array, *, sharp: bool) -> None:
         step, height, width = int(message.step), int(message.height), int(message.width)
         byte_deep = "16" not in message.encoding and "32" not in message.encoding
         if not byte_deep or data.size < step * height or width == 0:
-            return (np.nan, np.nan, np.nan)
+            self._rows.extend(NOTHING)
+            return
         channels = max(1, step // width)
         rows = data[: step * height].reshape(height, step)
         coarse = rows[::COARSE, : width * channels : COARSE * channels]
-        sharpness = sharpness_of(_middle(rows[:, : width * channels : channels])) if sharp else np.nan
+        brightness = int(coarse.sum()) / (255 * coarse.size)
         bright_share = np.count_nonzero(coarse >= _UPPER_LIMIT) / coarse.size
-        return (int(coarse.sum()) / (255 * coarse.size), bright_share, sharpness)
+        if sharp:
+            crop = _middle(rows[:, : width * channels : channels])
+            self._start(lambda: (brightness, bright_share, sharpness_of(crop)))
+        else:
+            self._rows.extend((brightness, bright_share, np.nan))
 
-    def _compressed(self, message: Any, *, decoded: bool) -> tuple[float, float, float]:
-        if not decoded:
-            return (np.nan, np.nan, np.nan)
+    def _compressed(self, message: Any, *, decoded: bool) -> None:
+        if decoded:
+            self._start(lambda: self._decode(message))
+        else:
+            self._rows.extend(NOTHING)
+
+    def _decode(self, message: Any) -> Row:
         try:
             grey = to_grey(np.asarray(convert(message, COMPRESSED_IMAGE)))
         except InvalidInput:
             self._shapes[0, 0, str(message.format)] += 1
-            return (np.nan, np.nan, np.nan)
+            return NOTHING
         self._shapes[grey.shape[1], grey.shape[0], ""] += 1
         return (float(grey.mean()) / 255, float(np.mean(grey >= _UPPER_LIMIT)), sharpness_of(_middle(grey)))
+
+    def _start(self, work: Callable[[], Row]) -> None:
+        self._late.append((len(self._rows) // len(NOTHING), self._rig.background.start(work)))
+        self._rows.extend(NOTHING)
 
 
 class DepthCollector:

@@ -1,18 +1,20 @@
 """Matches points between images of one camera over time, and between the cameras of a stereo pair.
 
-This is costly, so it is done at a few places spread over the recording. A place is examined one image later than it is
-met, when the messages of the other sensors of that time have come in.
+This is costly, so it is done at a few places spread over the recording, in the background. A place is examined one
+image later than it is met, when the messages of the other sensors of that time have come in.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
 import numpy as np
 
+from slamhive.checks.background import Background
 from slamhive.checks.evidence import Array, Matches
 from slamhive.checks.geometry import can_undistort, depth_of, depths_by_triangulation, matrix, normalised
 from slamhive.domain.dataset import Dataset
@@ -31,6 +33,10 @@ _RECENT = 4
 _MOST_AXES_RAD = np.deg2rad(45)
 _NEAREST_DISTINCT = 0.8
 """A match counts if the second best is that much worse (Lowe 2004)."""
+
+
+_Partner = tuple[int, Any] | None
+"""Timestamp in ns and message of another sensor, None if it has none of that time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +59,10 @@ class _Place:
 
 @dataclass(eq=False)
 class _Eye:
-    """A camera whose images are matched over time."""
+    """A camera whose images are matched over time.
+
+    The pass uses ``last`` and ``work``. The background uses ``waiting``, ``motion`` and ``stereo``.
+    """
 
     sensor: Sensor
     places: frozenset[int]
@@ -61,6 +70,7 @@ class _Eye:
     right: Sensor | None
     depth: Sensor | None
     last: tuple[int, int, Any] | None = None
+    work: list[Future[None]] = field(default_factory=list)
     waiting: list[_Place] = field(default_factory=list)
     motion: list[Matches] = field(default_factory=list)
     stereo: list[Matches] = field(default_factory=list)
@@ -72,9 +82,11 @@ class Rig:
     Args:
         dataset: With the sensors.
         counts: Number of messages of each sensor.
+        background: Where images are examined.
     """
 
-    def __init__(self, dataset: Dataset, counts: dict[str, int]) -> None:
+    def __init__(self, dataset: Dataset, counts: dict[str, int], background: Background) -> None:
+        self.background = background
         cameras = [sensor for sensor in dataset.of_kind(SensorKind.CAMERA) if counts[sensor.name]]
         rights = stereo_pairs(cameras)
         followers = {right.name for right in rights.values()}
@@ -110,6 +122,8 @@ class Rig:
             return {}
         self._examine(eye)
         eye.last = None
+        for work in eye.work:
+            work.result()
         return {"motion": tuple(eye.motion), "stereo": tuple(eye.stereo), "partner": eye.right}
 
     def _examine(self, eye: _Eye) -> None:
@@ -117,54 +131,19 @@ class Rig:
         if eye.last is None:
             return
         index, stamp_ns, message = eye.last
-        ends = [place for place in eye.waiting if place.later_index == index]
-        if index not in eye.places and not ends:
-            return
-        features = _features(eye.sensor, stamp_ns, message)
-        if features is None:
-            return
-        for place in ends:
-            eye.waiting.remove(place)
-            _match_motion(eye, place, features)
         if index in eye.places:
-            stereo_depths_m = self._match_stereo(eye, features)
-            depths_raw = self._depths_at(eye, features)
-            eye.waiting.append(_Place(index + eye.gap, features, depths_raw, stereo_depths_m))
+            right = self._nearest(eye.right, stamp_ns)
+            depth = self._nearest(eye.depth, stamp_ns)
+            eye.work.append(self.background.start(lambda: _look(eye, index, stamp_ns, message, right, depth)))
+        elif index - eye.gap in eye.places:
+            eye.work.append(self.background.start(lambda: _look(eye, index, stamp_ns, message)))
 
-    def _nearest(self, sensor: Sensor | None, stamp_ns: int) -> tuple[int, Any] | None:
+    def _nearest(self, sensor: Sensor | None, stamp_ns: int) -> _Partner:
         """The message of ``sensor`` of the same time, if there is one within a third of its period."""
         if sensor is None or not self._recent[sensor.name]:
             return None
         found = min(self._recent[sensor.name], key=lambda entry: abs(entry[0] - stamp_ns))
         return found if abs(found[0] - stamp_ns) <= 1e9 / sensor.rate_hz / 3 else None
-
-    def _match_stereo(self, eye: _Eye, features: _Features) -> Array | None:
-        found = self._nearest(eye.right, features.stamp_ns)
-        if found is None or eye.right is None:
-            return None
-        other = _features(eye.right, found[0], found[1])
-        if other is None:
-            return None
-        mine, theirs = _match(features, other)
-        eye.stereo.append(Matches(features.stamp_ns, other.stamp_ns, features.points[mine], other.points[theirs]))
-        T_right_left = np.linalg.inv(matrix(eye.right.T_body_sensor)) @ matrix(eye.sensor.T_body_sensor)
-        depths_m = np.full(len(features.points), np.nan)
-        depths_m[mine] = depths_by_triangulation(features.points[mine], other.points[theirs], T_right_left)
-        return depths_m
-
-    def _depths_at(self, eye: _Eye, features: _Features) -> Array | None:
-        found = self._nearest(eye.depth, features.stamp_ns)
-        if found is None:
-            return None
-        try:
-            image = np.asarray(convert(found[1], found[1].__msgtype__))
-        except InvalidInput:
-            return None
-        column, row = np.rint(features.pixels).astype(np.intp).T
-        inside = (row >= 0) & (row < image.shape[0]) & (column >= 0) & (column < image.shape[1])
-        depths = np.zeros(len(column))
-        depths[inside] = image[row[inside], column[inside]]
-        return np.nan_to_num(depths)
 
 
 def stereo_pairs(cameras: list[Sensor]) -> dict[str, Sensor]:
@@ -230,6 +209,47 @@ def _match(first: _Features, second: _Features) -> tuple[Array, Array]:
     mine = np.array([match.queryIdx for match in good], dtype=np.intp)
     theirs = np.array([match.trainIdx for match in good], dtype=np.intp)
     return mine, theirs
+
+
+def _look(eye: _Eye, index: int, stamp_ns: int, message: Any, right: _Partner = None, depth: _Partner = None) -> None:
+    """Examine an image at a place, or some time after one, with those of the other sensors at its time."""
+    features = _features(eye.sensor, stamp_ns, message)
+    if features is None:
+        return
+    for place in [place for place in eye.waiting if place.later_index == index]:
+        eye.waiting.remove(place)
+        _match_motion(eye, place, features)
+    if index in eye.places:
+        stereo_depths_m = _match_stereo(eye, features, right)
+        eye.waiting.append(_Place(index + eye.gap, features, _depths_at(features, depth), stereo_depths_m))
+
+
+def _match_stereo(eye: _Eye, features: _Features, right: _Partner) -> Array | None:
+    if right is None or eye.right is None:
+        return None
+    other = _features(eye.right, right[0], right[1])
+    if other is None:
+        return None
+    mine, theirs = _match(features, other)
+    eye.stereo.append(Matches(features.stamp_ns, other.stamp_ns, features.points[mine], other.points[theirs]))
+    T_right_left = np.linalg.inv(matrix(eye.right.T_body_sensor)) @ matrix(eye.sensor.T_body_sensor)
+    depths_m = np.full(len(features.points), np.nan)
+    depths_m[mine] = depths_by_triangulation(features.points[mine], other.points[theirs], T_right_left)
+    return depths_m
+
+
+def _depths_at(features: _Features, depth: _Partner) -> Array | None:
+    if depth is None:
+        return None
+    try:
+        image = np.asarray(convert(depth[1], depth[1].__msgtype__))
+    except InvalidInput:
+        return None
+    column, row = np.rint(features.pixels).astype(np.intp).T
+    inside = (row >= 0) & (row < image.shape[0]) & (column >= 0) & (column < image.shape[1])
+    depths = np.zeros(len(column))
+    depths[inside] = image[row[inside], column[inside]]
+    return np.nan_to_num(depths)
 
 
 def _match_motion(eye: _Eye, place: _Place, later: _Features) -> None:

@@ -58,6 +58,9 @@ PAIRS = [
     Pair("mcap", "mcap", SENSORS, options=described, source="room.mcap"),
     Pair("euroc", "euroc", {"cam0": "cam0", "cam1": "cam1", "imu0": "imu0"}),
     Pair("tum-rgbd", "tum-rgbd", {"cam0": "cam0", "depth0": "depth0"}, body="cam0"),
+    Pair("ros1", "slam-hive", SENSORS),
+    Pair("ros2", "slam-hive", SENSORS),
+    Pair("mcap", "slam-hive", SENSORS),
     Pair("vslam-lab", "vslam-lab", {name: name for name in ("cam0", "cam1", "depth0", "imu0")}),
     Pair("kitti", "kitti-odometry", {"cam0": "cam0", "cam1": "cam1"}, body="cam0", from_start=True),
 ]
@@ -85,7 +88,7 @@ def start_ns(dataset: Dataset, sensor: str) -> int:
     return content_of(dataset.bag_path)[dataset.sensor(sensor).topic][0][0]
 
 
-@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: pair.exporter)
+@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: f"{pair.exporter}-{pair.importer}")
 def test_what_goes_out_comes_back(room, tmp_path, pair):
     made = export_import(room, pair, tmp_path)
     assert {sensor.name for sensor in made.sensors} == set(pair.sensors.values())

@@ -92,7 +92,7 @@ def _recording(
     counts = {name: topic.count for name, topic in matching.topics.items()}
     topics = [sensor.topic for sensor in sensors]
     if len(paths) == 1 and not any(topic.type in LIVOX for topic in matching.topics.values()):
-        check = partial(_check, topics=topics, total=sum(counts.values()))
+        check = partial(check_messages, topics=topics, total=sum(counts.values()))
         return KeptRecording(paths[0], sensors, counts, bag.start_ns, bag.end_ns, check)
     write = partial(_rewrite, tuple(paths), options, sensors, sum(counts.values()))
     needed_bytes = sum(size_bytes(path) for path in paths)
@@ -111,7 +111,7 @@ def _notes(bag: SourceBag, truth: FoundTruth | None, recorded_ns: tuple[int, int
     return notes
 
 
-def _check(path: Path, progress: Progress, *, topics: Sequence[str], total: int) -> None:
+def check_messages(path: Path, progress: Progress, *, topics: Sequence[str], total: int) -> None:
     """Read all messages of the sensors; raises InvalidInput where one is damaged or missing."""
     with open_source([path], ImportOptions()) as bag:
         read = 0
