@@ -9,6 +9,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from slamhive import strict_yaml
+from slamhive.catalogue.foreign_model import TopicModel
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input, RunUser
 from slamhive.domain.bounds import Bound
 from slamhive.domain.configuration import Playback, PlaybackMode
@@ -17,6 +18,7 @@ from slamhive.domain.lidar_needs import LidarNeeds, Need
 from slamhive.domain.numbers import plain
 from slamhive.domain.parameters import Parameter, ParameterType, parse_settings
 from slamhive.domain.protocol_choices import Alignment
+from slamhive.domain.remaps import TopicOf
 from slamhive.domain.sensor_property import SensorProperty
 from slamhive.domain.sensors import SensorKind, SensorSetup
 from slamhive.errors import InvalidInput, lacks
@@ -35,6 +37,7 @@ class _ParameterModel(BaseModel):
     type: ParameterType
     default: PlainValue | None = None
     source: str | None = Field(default=None, alias="from")
+    required: bool = False
     help: str
     unit: str = ""
     minimum: float | None = None
@@ -46,8 +49,10 @@ class _ParameterModel(BaseModel):
     def _definition_makes_sense(self) -> _ParameterModel:
         if self.minimum is not None and self.maximum is not None and self.minimum > self.maximum:
             raise ValueError(f"minimum {plain(self.minimum)} is larger than maximum {plain(self.maximum)}")
-        if self.default is None and self.source is None:
-            raise ValueError("give a default, or the property of a sensor that it is taken from")
+        if not self.required and self.default is None and self.source is None:
+            raise ValueError("give a default, the property of a sensor that it is taken from, or required: true")
+        if self.required and not (self.default is None and self.source is None):
+            raise ValueError("a required parameter has neither a default nor a property of a sensor")
         if self.type is ParameterType.ENUM and not self.choices:
             raise ValueError("an enum needs choices")
         return self
@@ -62,6 +67,14 @@ class _ModeModel(BaseModel):
     name: str | None = None
     parameters: list[str] | None = None
     defaults: dict[str, PlainValue] = Field(default_factory=dict)
+    topics: dict[str, TopicModel] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _topics_are_of_inputs(self) -> _ModeModel:
+        for role in self.topics:
+            if role not in self.inputs:
+                raise ValueError(f"topics: {role!r} is none of the inputs {sorted(self.inputs)}")
+        return self
 
     @model_validator(mode="after")
     def _frame_is_an_input(self) -> _ModeModel:
@@ -182,7 +195,7 @@ def _check_names(path: Path, model: _PackageModel) -> None:
 
 def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeModel, whole: _PackageModel) -> Algorithm:
     keys = list(whole.parameters) if model.parameters is None else model.parameters
-    for key in [*keys, *model.defaults]:
+    for key in [*keys, *model.defaults, *(topic.parameter for topic in model.topics.values() if topic.parameter)]:
         if key not in whole.parameters:
             raise InvalidInput(f"{path}: mode {mode} names parameter {key!r}, which is not defined")
     _check_general_names(path, mode, {key: whole.parameters[key] for key in keys})
@@ -198,6 +211,7 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
         inputs=tuple(Input(role, kind) for role, kind in model.inputs.items()),
         trajectory_role=model.trajectory_role,
         parameters=parameters,
+        topics=tuple(TopicOf(role, **topic.model_dump()) for role, topic in model.topics.items()),
         bounds=tuple(_bound(path, dataset, bound, parameters) for dataset, bound in bounds.items()),
     )
 

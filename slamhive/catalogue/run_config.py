@@ -9,7 +9,7 @@ from typing import Any
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.matching import match_of
+from slamhive.domain.matching import Match, match_of
 from slamhive.domain.parameters import Value
 from slamhive.domain.sensors import Sensor
 from slamhive.domain.variant import Variant
@@ -35,8 +35,8 @@ def build_run_config(
         source: The dataset that ``dataset`` was made of, None if it is no variant.
 
     The algorithm knows sensors by role. The properties of the sensor in role ``left`` are ``left_<calibration key>``,
-    ``left_rate_hz`` and ``left_T_body_sensor`` (16 floats, row-major). The algorithm listens to ``/left``, which
-    ``dataset-remap`` maps to the recorded topic.
+    ``left_rate_hz`` and ``left_T_body_sensor`` (16 floats, row-major). The algorithm listens to ``/left``, or to what
+    ``topics`` in ``algorithm.yaml`` says, which ``dataset-remap`` maps to the recorded topic.
 
     Raises InvalidInput if the dataset lacks a sensor, or a property of one, that the algorithm needs.
     """
@@ -51,8 +51,8 @@ def build_run_config(
         dataset=dataset.name,
         algorithm_parameters=values,
         dataset_parameters=dataset_parameters,
-        algorithm_remap={role: f"/{role}" for role in sensors},
-        dataset_remap={f"/{role}": sensor.topic for role, sensor in sensors.items()},
+        algorithm_remap=_algorithm_remap(algorithm, match),
+        dataset_remap={entry.seen: entry.recorded for entry in match.remaps},
         dataset_frequency={sensor.topic: _every(sensor, source) for sensor in sensors.values()},
         dataset_resolution={
             sensor.topic: _image_scale(sensor, configuration.variant)
@@ -67,6 +67,19 @@ def build_run_config(
         playback_mode=configuration.playback.mode.value,
         playback_rate=configuration.playback.rate,
     )
+
+
+def _algorithm_remap(algorithm: Algorithm, match: Match) -> dict[str, str]:
+    """What published scripts pass on as launch arguments: those that name topics, and no others."""
+    topics = {entry.role: entry for entry in algorithm.topics}
+    remap: dict[str, str] = {}
+    for entry in match.remaps:
+        topic = topics.get(entry.role)
+        if topic is None:
+            remap[entry.role] = entry.seen
+        elif topic.argument is not None:
+            remap[topic.argument] = entry.seen
+    return remap
 
 
 def _general_parameters(algorithm: Algorithm, values: Mapping[str, Value]) -> dict[str, Value]:

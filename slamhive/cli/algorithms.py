@@ -102,7 +102,9 @@ algorithm.add_command(test)
 
 
 def _default(parameter: Parameter) -> str:
-    return _text(parameter.default) if parameter.source is None else f"from {parameter.source}"
+    if parameter.source is not None:
+        return f"from {parameter.source}"
+    return "must be given" if parameter.must_be_given else _text(parameter.default)
 
 
 def _text(value: Any) -> str:

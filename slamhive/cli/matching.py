@@ -12,8 +12,11 @@ from slamhive.schema.matching import Match
 
 def print_match(match: Match) -> None:
     """The sensor in each role, and the parameters that are taken from sensors."""
-    rows = [(role, used.name, used.topic, f"{used.rate_hz:g}") for role, used in match.sensors.items()]
-    print_table(("role", "sensor", "topic", "Hz"), rows, right=("Hz",))
+    rows = [
+        (role, used.name, f"{used.rate_hz:g}", match.topics.get(role, used.topic))
+        for role, used in match.sensors.items()
+    ]
+    print_table(("role", "sensor", "Hz", "topic"), rows, right=("Hz",))
     if match.parameters:
         print_table(("parameter", "value", "source"), list(bound_rows(match)))
     else:

@@ -10,6 +10,7 @@ from slamhive.domain.bounds import Bound
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.lidar_needs import LidarNeeds
 from slamhive.domain.parameters import Parameter
+from slamhive.domain.remaps import TopicOf
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
 from slamhive.errors import InvalidInput
 
@@ -73,7 +74,8 @@ class Algorithm:
     """A runnable algorithm: a package in one mode.
 
     ``trajectory_role`` names the input whose frame the poses in ``traj.txt`` describe. ``bounds`` is what its runs
-    keep on some datasets, in the order of ``algorithm.yaml``.
+    keep on some datasets, in the order of ``algorithm.yaml``. ``topics`` says how it learns of the topic of a role; a
+    role that is not in it is played as ``/<role>``.
     """
 
     name: str
@@ -85,6 +87,7 @@ class Algorithm:
     trajectory_role: str
     parameters: tuple[Parameter, ...]
     bounds: tuple[Bound, ...] = ()
+    topics: tuple[TopicOf, ...] = ()
 
     def assign(self, dataset: Dataset) -> dict[str, Sensor]:
         """Which sensor of ``dataset`` serves which role, in the dataset's order for each kind.

@@ -9,6 +9,7 @@ from enum import StrEnum
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter, ParameterType, Value
+from slamhive.domain.remaps import Remap, remaps_of
 from slamhive.domain.sensors import CalibrationValue, Sensor
 from slamhive.errors import InvalidInput
 
@@ -55,10 +56,12 @@ class Match:
     """How an algorithm fits a dataset.
 
     ``sensors``: the sensor in each role, as a variant leaves it. ``bound``: the parameters that are taken from them.
+    ``remaps``: the topic on which the algorithm gets each role.
     """
 
     sensors: Mapping[str, Sensor]
     bound: tuple[BoundValue, ...]
+    remaps: tuple[Remap, ...] = ()
 
     def values(self, given: Mapping[str, Value]) -> dict[str, Value]:
         """The value of every parameter, those that the user gave included."""
@@ -73,15 +76,21 @@ def match_of(algorithm: Algorithm, dataset: Dataset, given: Mapping[str, Value])
         dataset: Has the sensors.
         given: Parameters that the user set.
 
-    Raises InvalidInput if the dataset lacks a sensor, or a property that the algorithm takes a value from.
+    Raises InvalidInput if the dataset lacks a sensor, or a property that the algorithm takes a value from, and if a
+    parameter without a default is not given.
     """
     assigned = algorithm.assign(dataset)
+    _check_given(algorithm, given)
     bound = tuple(_bound(parameter, algorithm, dataset, assigned, given) for parameter in _taken(algorithm))
-    return Match({entry.role: assigned[entry.role] for entry in algorithm.inputs}, bound)
+    sensors = {entry.role: assigned[entry.role] for entry in algorithm.inputs}
+    topics = {entry.role: entry for entry in algorithm.topics}
+    recorded = {role: sensor.topic for role, sensor in sensors.items()}
+    return Match(sensors, bound, remaps_of(topics, recorded, given, algorithm.name))
 
 
 def check_known(algorithm: Algorithm, dataset: Dataset, assigned: Mapping[str, Sensor], given: Collection[str]) -> None:
     """Raise InvalidInput if a parameter that is not ``given`` has no value; variants change nothing about that."""
+    _check_given(algorithm, given)
     for parameter in _taken(algorithm):
         if parameter.key not in given:
             _bound(parameter, algorithm, dataset, assigned, {})
@@ -92,6 +101,16 @@ def shown(value: Value) -> str:
     if isinstance(value, tuple):
         return ", ".join(f"{number:g}" for number in value)
     return f"{value:.7g}" if isinstance(value, float) else str(value)
+
+
+def _check_given(algorithm: Algorithm, given: Collection[str]) -> None:
+    """Raise InvalidInput for a parameter whose default nobody knows."""
+    missing = [entry.key for entry in algorithm.parameters if entry.must_be_given and entry.key not in given]
+    if missing:
+        raise InvalidInput(
+            f"{algorithm.name} needs {', '.join(missing)}: no default is known",
+            f"--set {missing[0]}=VALUE, or add `default` to {algorithm.package.folder / 'algorithm.yaml'}",
+        )
 
 
 def _taken(algorithm: Algorithm) -> Iterator[Parameter]:

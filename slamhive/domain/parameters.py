@@ -45,7 +45,7 @@ class Parameter:
     algorithms (``image_rate``, ``voxel_size``), so that different algorithms share an axis.
 
     ``source`` is the property of a sensor that gives the value unless the user does. ``default`` is then used if the
-    dataset lacks the property; None if the value has to be known.
+    dataset lacks the property; None if the value has to be known. With neither, each run has to give the value.
     """
 
     key: str
@@ -58,6 +58,11 @@ class Parameter:
     choices: tuple[str, ...] = ()
     general: str | None = None
     source: SensorProperty | None = None
+
+    @property
+    def must_be_given(self) -> bool:
+        """Nothing gives its value but the user: an import did not find its default."""
+        return self.default is None and self.source is None
 
     def parse(self, raw: object) -> Value:
         """Turn text (CLI, form) or a YAML value into the typed value; raise InvalidInput naming key, value, remedy."""
@@ -187,9 +192,14 @@ def parse_settings(owner: str, parameters: tuple[Parameter, ...], settings: Mapp
         given[parameter.key] = (name, value)
     values = default_values(parameters)
     for entry in parameters:
-        if entry.key in given and (entry.source is None or given[entry.key][1] != ""):
+        if entry.key in given and (not _may_be_left_out(entry) or given[entry.key][1] != ""):
             values[entry.key] = entry.parse(given[entry.key][1])
     return {entry.key: values[entry.key] for entry in parameters if entry.key in values}
+
+
+def _may_be_left_out(parameter: Parameter) -> bool:
+    """An empty text does not set it: a sensor gives the value, or the check of the run asks for one."""
+    return parameter.source is not None or parameter.must_be_given
 
 
 def default_values(parameters: Iterable[Parameter]) -> dict[str, Value]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Self
 
+from pydantic import Field
+
 from slamhive.domain.matching import Match as Matched
 from slamhive.domain.matching import Origin
 from slamhive.domain.parameters import Value
@@ -37,6 +39,9 @@ class Match(Document):
 
     sensors: dict[str, UsedSensor]
     parameters: dict[str, BoundParameter]
+    topics: Annotated[dict[str, str], described("How the messages of each role reach the algorithm, for people.")] = (
+        Field(default_factory=dict)
+    )
 
     @classmethod
     def of_match(cls, match: Matched) -> Self:
@@ -44,4 +49,5 @@ class Match(Document):
         return cls(
             sensors={role: UsedSensor.of(sensor) for role, sensor in match.sensors.items()},
             parameters={entry.key: BoundParameter.of(entry) for entry in match.bound},
+            topics={entry.role: entry.words for entry in match.remaps},
         )
