@@ -118,6 +118,7 @@ class _PackageModel(BaseModel):
     upstream: str
     licence: str
     citation: str
+    image: Literal["own", "standard"] = "own"
     system_packages: list[str] = Field(default_factory=list)
     system_libraries: list[str] = Field(default_factory=list)
     resources: _ResourcesModel = Field(default_factory=_ResourcesModel)
@@ -146,6 +147,8 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         raise InvalidInput(
             f"{folder} lacks {MAPPING_SCRIPT}", "the container contract starts it; see docs/container-contract.md"
         )
+    if model.image == "standard" and (folder / "Dockerfile").exists():
+        raise InvalidInput(f"{path}: image: standard, but there is a Dockerfile", "remove the one or the other")
     package = AlgorithmPackage(
         name=model.package,
         folder=folder,
@@ -154,6 +157,7 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         upstream=model.upstream,
         licence=model.licence,
         citation=model.citation,
+        standard_image=model.image == "standard",
         system_packages=tuple(model.system_packages),
         system_libraries=tuple(model.system_libraries),
         cpu_cores=model.resources.cpu_cores,

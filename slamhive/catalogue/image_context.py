@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import slamhive
+from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.files import hash_files
 
@@ -32,6 +33,7 @@ RENDERING_PARTS = (
 """The code that renders images on which the ``prepare.py`` of a package can train."""
 
 BASE_SCRIPT = "docker/base/install-runtime.sh"
+STANDARD_DOCKERFILE = "docker/algorithm/Dockerfile"
 
 _PASSED_ON = ("PIP_INDEX_URL", "PIP_EXTRA_INDEX_URL")
 _LEFT_OUT = shutil.ignore_patterns("__pycache__", "*.pyc")
@@ -46,8 +48,14 @@ class BuildContext:
     build_args: dict[str, str]
 
 
+def dockerfile_of(package: AlgorithmPackage, project_root: Path) -> Path | None:
+    """What makes the image of a package; None if somebody else makes it."""
+    path = project_root / STANDARD_DOCKERFILE if package.standard_image else package.folder / "Dockerfile"
+    return path if path.is_file() else None
+
+
 def stage_context(
-    package_folder: Path,
+    package: AlgorithmPackage,
     project_root: Path,
     target: Path,
     certificates: Path = HOST_CERTIFICATES,
@@ -56,8 +64,8 @@ def stage_context(
     """Write the build context of a package to ``target``, which must not exist.
 
     Args:
-        package_folder: ``algorithms/<name>``.
-        project_root: Folder with ``docker/base``.
+        package: With ``image: standard`` or a Dockerfile of its own.
+        project_root: Folder with ``docker``.
         target: The context; ``docker/base/README.md`` explains its layout.
         certificates: Folder whose ``*.crt`` files the image trusts during the build; may be absent.
         environment: Its ``BASE_IMAGE`` and index settings of pip become build arguments.
@@ -66,11 +74,13 @@ def stage_context(
         InvalidInput: the package has no Dockerfile.
         Unavailable: the disk refuses.
     """
-    if not (package_folder / "Dockerfile").is_file():
-        raise InvalidInput(f"{package_folder} has no Dockerfile", "add one, or load the image with docker load")
+    dockerfile = dockerfile_of(package, project_root)
+    if dockerfile is None:
+        raise InvalidInput(f"{package.folder} has no Dockerfile", "add one, or load the image with docker load")
     source = Path(slamhive.__file__).parent
     try:
-        shutil.copytree(package_folder, target / "package", ignore=_LEFT_OUT)
+        shutil.copytree(package.folder, target / "package", ignore=_LEFT_OUT)
+        shutil.copy(dockerfile, target / "Dockerfile")
         copy_parts(source, RUNTIME_PARTS, target / "runtime" / "slamhive")
         copy_parts(source, RENDERING_PARTS, target / "rendering" / "slamhive")
         base = target / "base"
@@ -82,7 +92,10 @@ def stage_context(
         _set_plain_modes(target)
     except OSError as error:
         raise Unavailable(f"the build context {target} cannot be made: {error}", "check space and rights") from None
-    return BuildContext(target, "package/Dockerfile", build_arguments(environment))
+    arguments = build_arguments(environment)
+    if package.standard_image and package.system_packages:
+        arguments["SYSTEM_PACKAGES"] = " ".join(package.system_packages)
+    return BuildContext(target, "Dockerfile", arguments)
 
 
 def build_arguments(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
@@ -90,11 +103,12 @@ def build_arguments(environment: Mapping[str, str] = os.environ) -> dict[str, st
     return {key: environment[key] for key in ("BASE_IMAGE", *_PASSED_ON) if environment.get(key)}
 
 
-def context_hash(package_folder: Path, project_root: Path) -> str:
+def context_hash(package: AlgorithmPackage, project_root: Path) -> str:
     """SHA-256 of everything that goes into an image; an image with another hash is out of date."""
     source = Path(slamhive.__file__).parent
-    parts = [hash_files(package_folder), hash_files(source, RUNTIME_PARTS), hash_files(project_root, (BASE_SCRIPT,))]
-    if (package_folder / "prepare.py").is_file():
+    project_parts = (BASE_SCRIPT, STANDARD_DOCKERFILE) if package.standard_image else (BASE_SCRIPT,)
+    parts = [hash_files(package.folder), hash_files(source, RUNTIME_PARTS), hash_files(project_root, project_parts)]
+    if (package.folder / "prepare.py").is_file():
         parts.append(hash_files(source, RENDERING_PARTS))
     return "sha256:" + hashlib.sha256("".join(parts).encode()).hexdigest()
 

@@ -44,8 +44,9 @@ class RunUser(StrEnum):
 class AlgorithmPackage:
     """One folder below ``algorithms/``: code, image and provenance shared by all modes of an upstream project.
 
-    ``reports_tracking``: while it runs it says for how long it has found no pose (``progress.json``). ``lidar``: what
-    its modes with a LiDAR need of the points. ``user``: who its runs are in a container.
+    ``standard_image``: its image is made by the Dockerfile that packages of Python modules share. ``reports_tracking``:
+    while it runs it says for how long it has found no pose (``progress.json``). ``lidar``: what its modes with a LiDAR
+    need of the points. ``user``: who its runs are in a container.
     """
 
     name: str
@@ -55,6 +56,7 @@ class AlgorithmPackage:
     upstream: str
     licence: str
     citation: str
+    standard_image: bool = False
     system_packages: tuple[str, ...] = ()
     system_libraries: tuple[str, ...] = ()
     cpu_cores: float = 2.0

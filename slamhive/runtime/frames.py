@@ -17,7 +17,7 @@ Array = NDArray[Any]
 Entry = TypeVar("Entry")
 
 ODOMETRY_COLUMNS = 14
-_IMU_COLUMNS = 7
+IMU_COLUMNS = 7
 _ENTRY_WORDS: dict[type, str] = {np.ndarray: "an image", PointCloud: "points", LaserScan: "a laser scan"}
 
 _MOST_WAITING = 100
@@ -141,7 +141,7 @@ def write_frames_csv(path: Path, frames: list[FrameTimes]) -> None:
 
 def imu_array(rows: list[tuple[float, ...]]) -> Array:
     """``rows`` as an array (n, 7), even if there are none."""
-    return np.array(rows, dtype=np.float64).reshape(-1, _IMU_COLUMNS)
+    return np.array(rows, dtype=np.float64).reshape(-1, IMU_COLUMNS)
 
 
 def odometry_array(rows: list[tuple[float, ...]]) -> Array:

@@ -11,9 +11,14 @@ import pytest
 from slamhive.bags.importing import ImportOptions
 from slamhive.bags.room import RoomOptions
 from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.domain.protocol_choices import Alignment
+from slamhive.domain.sensors import SensorKind
 from slamhive.project import project_root
 from slamhive.services.bounds import BoundTest, bound_tests
 from slamhive.services.hive import Hive, open_hive
+from slamhive.trajectory.offset import position_misfit
+from slamhive.trajectory.transforms import move_sensor, rigid_transform
+from slamhive.trajectory.tum import read_tum
 
 pytestmark = [pytest.mark.integration, pytest.mark.docker]
 
@@ -62,3 +67,18 @@ def test_each_algorithm_keeps_its_bounds(hive: Hive, entry: BoundTest) -> None:
     hive.worker(only=[queued.id]).run(until_idle=True)
     result = entry.result(hive.runs.get(queued.id))
     assert result.problem is None, f"{result.problem}\n{hive.runs.log(queued.id)[-2000:]}"
+    if any(role.kind is SensorKind.LIDAR for role in entry.algorithm.inputs):
+        early_m, error_m, late_m = errors_at_shifts(hive, entry, queued.id)
+        assert error_m < min(early_m, late_m), "the timestamps of the poses are not those of the sweeps"
+
+
+def errors_at_shifts(hive: Hive, entry: BoundTest, run_id: int) -> list[float]:
+    """The ATE (RMSE, m) with timestamps moved by half a sweep backwards, not at all, and half a sweep forwards."""
+    dataset = hive.catalogue.dataset(entry.bound.dataset)
+    assert dataset.groundtruth_path is not None
+    sensors = entry.algorithm.assign(dataset)
+    T_body_sensor = rigid_transform(sensors[entry.algorithm.trajectory_role].T_body_sensor, "T_body_sensor")
+    truth = move_sensor(read_tum(dataset.groundtruth_path), T_body_sensor)
+    misfit = position_misfit(truth, read_tum(hive.runs.folder(run_id).trajectory), Alignment.SE3)
+    half_s = 0.5 / sensors["points"].rate_hz
+    return [misfit(shift_s)[0] for shift_s in (-half_s, 0.0, half_s)]

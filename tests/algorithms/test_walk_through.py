@@ -24,13 +24,13 @@ BLOCK = re.compile(r'^```\w+ title="(?P<path>[^"]+)"\n(?P<text>.*?)^```$', re.MU
 def test_the_files_of_the_walk_through_make_a_working_algorithm(tmp_path: Path) -> None:
     document = (project_root() / "docs" / "add-an-algorithm.md").read_text(encoding="utf-8")
     files = {match["path"]: match["text"] for match in BLOCK.finditer(document)}
-    assert len(files) == 4
+    assert len(files) == 3
     for path, text in files.items():
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / path).write_text(text, encoding="utf-8")
     package = tmp_path / "algorithms" / "tiny-rgbd"
     (algorithm,) = load_algorithms(package)
-    assert stage_context(package, project_root(), tmp_path / "context").path.is_dir()
+    assert stage_context(algorithm.package, project_root(), tmp_path / "context").path.is_dir()
 
     options = RoomOptions(duration_s=3.0, width=320, height=240, camera_rate_hz=10.0, lidar_rate_hz=1.0)
     dataset = render_room(tmp_path / "room", options, lambda fraction, text: None)

@@ -4,26 +4,33 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from slamhive.catalogue.image_context import stage_context
+from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.catalogue.image_context import STANDARD_DOCKERFILE, context_hash, stage_context
+from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import InvalidInput
 from slamhive.project import project_root
 
 pytestmark = pytest.mark.integration
 
-PACKAGES = ("kiss-icp", "orb-slam3", "rko-lio")
+STANDARD, OWN = "kiss-icp", "orb-slam3"
 
 
-@pytest.mark.parametrize("name", PACKAGES)
+def package_of(name: str) -> AlgorithmPackage:
+    return load_algorithms(project_root() / "algorithms" / name)[0].package
+
+
+@pytest.mark.parametrize("name", [STANDARD, OWN])
 def test_all_that_the_dockerfile_copies_is_there(name: str, tmp_path: Path) -> None:
-    context = stage_context(project_root() / "algorithms" / name, project_root(), tmp_path / "context", tmp_path, {})
+    context = stage_context(package_of(name), project_root(), tmp_path / "context", tmp_path, {})
     lines = (context.path / context.dockerfile).read_text().splitlines()
     sources = [part for line in lines if line.startswith("COPY ") for part in line.split()[1:-1]]
     assert sources
-    assert all((context.path / source).exists() for source in sources)
+    assert all(list(context.path.glob(source)) for source in sources)
     assert context.build_args == {}
 
 
@@ -32,15 +39,13 @@ def test_certificates_and_index_settings_are_passed_in(tmp_path: Path) -> None:
     certificates.mkdir()
     (certificates / "own.crt").write_text("certificate")
     environment = {"BASE_IMAGE": "base:1", "PIP_INDEX_URL": "index", "HOME": "/root"}
-    package = project_root() / "algorithms" / "kiss-icp"
-    context = stage_context(package, project_root(), tmp_path / "context", certificates, environment)
+    context = stage_context(package_of(STANDARD), project_root(), tmp_path / "context", certificates, environment)
     assert (context.path / "base/ca-certificates/own.crt").read_text() == "certificate"
     assert context.build_args == {"BASE_IMAGE": "base:1", "PIP_INDEX_URL": "index"}
 
 
 def test_the_staged_runtime_imports_nothing_that_is_not_staged(tmp_path: Path) -> None:
-    package = project_root() / "algorithms" / "kiss-icp"
-    context = stage_context(package, project_root(), tmp_path / "context", tmp_path, {})
+    context = stage_context(package_of(STANDARD), project_root(), tmp_path / "context", tmp_path, {})
     code = "import slamhive.runtime.app, slamhive.runtime.player, slamhive; print(slamhive.__file__)"
     environment = {"PYTHONPATH": str(context.path / "runtime")}
     ended = subprocess.run(
@@ -52,12 +57,31 @@ def test_the_staged_runtime_imports_nothing_that_is_not_staged(tmp_path: Path) -
 
 def test_the_steps_before_the_package_are_the_same_for_all_so_that_images_share_them() -> None:
     heads = set()
-    for name in PACKAGES:
-        text = (project_root() / "algorithms" / name / "Dockerfile").read_text()
+    for path in (STANDARD_DOCKERFILE, f"algorithms/{OWN}/Dockerfile"):
+        text = (project_root() / path).read_text()
         heads.add(text[text.index("ARG") : text.index("RUN sh /build/install-runtime.sh")])
     assert len(heads) == 1
 
 
+def test_system_packages_reach_the_standard_dockerfile_only(tmp_path: Path) -> None:
+    package = replace(package_of(STANDARD), system_packages=("libgomp1", "libtbb12"))
+    context = stage_context(package, project_root(), tmp_path / "standard", tmp_path, {})
+    assert context.build_args == {"SYSTEM_PACKAGES": "libgomp1 libtbb12"}
+    assert stage_context(package_of(OWN), project_root(), tmp_path / "own", tmp_path, {}).build_args == {}
+
+
+def test_an_image_is_out_of_date_if_its_standard_dockerfile_changes(tmp_path: Path) -> None:
+    for path in ("docker/base/install-runtime.sh", STANDARD_DOCKERFILE):
+        (tmp_path / path).parent.mkdir(parents=True)
+        (tmp_path / path).write_bytes((project_root() / path).read_bytes())
+    before = {name: context_hash(package_of(name), tmp_path) for name in (STANDARD, OWN)}
+    assert before[STANDARD] == context_hash(package_of(STANDARD), project_root())
+    (tmp_path / STANDARD_DOCKERFILE).write_text("FROM scratch\n")
+    assert context_hash(package_of(STANDARD), tmp_path) != before[STANDARD]
+    assert context_hash(package_of(OWN), tmp_path) == before[OWN]
+
+
 def test_a_package_without_dockerfile_is_refused(tmp_path: Path) -> None:
+    package = replace(package_of(OWN), folder=tmp_path)
     with pytest.raises(InvalidInput, match="has no Dockerfile"):
-        stage_context(tmp_path, project_root(), tmp_path / "context")
+        stage_context(package, project_root(), tmp_path / "context")

@@ -8,6 +8,7 @@ import pytest
 
 from slamhive.catalogue.algorithm_file import load_algorithms, package_hash
 from slamhive.catalogue.dataset_file import dataset_to_yaml, load_dataset
+from slamhive.catalogue.image_context import dockerfile_of
 from slamhive.catalogue.run_config import build_run_config
 from slamhive.domain.bounds import Bound
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
@@ -133,6 +134,7 @@ def test_an_algorithm_is_read_with_its_parameters(tmp_path):
         ("inputs: {points: lidar}", "inputs: {points: lidar, 'a b': imu}", "role name 'a b' is not allowed"),
         ("  lidar:\n", "  li dar:\n", "mode name 'li dar' is not allowed"),
         ("package: tiny", "package: .x", "algorithm.yaml: package name '.x'"),
+        ("format: 1", "format: 1\nimage: standard", "image: standard, but there is a Dockerfile"),
         ("format: 1", f"format: 1\n{BOUNDS}".replace("lidar", "ldar"), "bounds.track: the package has no mode 'ldar'"),
         ("format: 1", f"format: 1\n{BOUNDS}".replace("poses: 5", "poses: 0"), "bounds.track.lidar.poses: "),
         (
@@ -206,5 +208,6 @@ def test_what_ships_is_valid_and_whole(folder):
         assert algorithm.package.upstream.startswith("https://")
         assert algorithm.package.citation
         assert all(parameter.help for parameter in algorithm.parameters)
-    for name in ("Dockerfile", "requirements.txt", "README.md"):
+    for name in ("requirements.txt", "README.md"):
         assert (folder.parent / name).is_file()
+    assert dockerfile_of(algorithm.package, ROOT) is not None

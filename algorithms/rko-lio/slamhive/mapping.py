@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from importlib.metadata import version
-from typing import Any
 
 import numpy as np
 from rko_lio.config import LIOConfig
@@ -12,9 +10,9 @@ from rko_lio.lio import LIO
 from rko_lio.rko_lio_pybind import InputError
 
 from slamhive.runtime.app import run
+from slamhive.runtime.calibration import transform
 from slamhive.runtime.config import RunConfig
-from slamhive.runtime.frames import Frame
-from slamhive.runtime.point_times import PointTimes
+from slamhive.runtime.scan_odometry import ScanOdometry, Sweep
 from slamhive.runtime.trajectory import Poses, transform_from
 
 SETTINGS = (
@@ -33,52 +31,39 @@ SETTINGS = (
 )
 
 
-class RkoLioOdometry:
+class RkoLioOdometry(ScanOdometry):
     """Feeds IMU samples up to a scan's end, then the scan.
 
     The base frame, whose poses RKO-LIO estimates, is set to the IMU's. A pose belongs to the scan's end
     (``register_scan(..., end_time_ns)`` is what ``poses_with_timestamps`` reports).
     """
 
-    def __init__(self, config: RunConfig) -> None:
-        values = config.parameters
-        self._times = PointTimes.of(values, float(values["points_rate_hz"]), "points", "points_")
-        T_body_imu = np.array(values["imu_T_body_sensor"], dtype=np.float64).reshape(4, 4)
-        T_body_lidar = np.array(values["points_T_body_sensor"], dtype=np.float64).reshape(4, 4)
-        self._T_imu_lidar = np.linalg.inv(T_body_imu) @ T_body_lidar
-        self._lio = LIO(LIOConfig(**{key: values[key] for key in SETTINGS}))
-        self._refused = 0
+    package = "rko_lio"
 
-    def process(self, frame: Frame) -> bool:
-        """Register the scan with the IMU samples that lead to its end; one that is empty or refused has no pose."""
-        identity = np.eye(4)
-        for row in frame.imu:
-            self._lio.add_imu_measurement(row[4:7], row[1:4], round(row[0] * 1e9), identity)
-        cloud = frame.points("points")
-        if len(cloud.points_m) == 0:
-            return False
-        sweep_start_ns = round(self._times.start_s(frame.stamp_s) * 1e9)
-        offsets_s = self._times.since_start_s(cloud, frame.stamp_s)
-        stamps_ns = sweep_start_ns + np.rint(offsets_s * 1e9).astype(np.int64)
-        start_ns = min(sweep_start_ns, int(stamps_ns.min()))
-        end_ns = max(sweep_start_ns + round(self._times.scan_duration_s * 1e9), int(stamps_ns.max()))
+    def __init__(self, config: RunConfig) -> None:
+        super().__init__(config)
+        self._T_imu_lidar = transform(self.values, "imu", "points")
+        self._lio = LIO(LIOConfig(**{key: self.values[key] for key in SETTINGS}))
+
+    def register(self, sweep: Sweep) -> np.ndarray | None:
+        """Register the scan with the IMU samples that lead to its end; one that is refused has no pose."""
+        for row in sweep.imu:
+            self._lio.add_imu_measurement(row[4:7], row[1:4], round(row[0] * 1e9), np.eye(4))
+        sweep_start_ns = round(sweep.start_s * 1e9)
+        stamps_ns = sweep_start_ns + np.rint(sweep.offsets_s * 1e9).astype(np.int64)
+        end_ns = max(round(sweep.end_s * 1e9), int(stamps_ns.max()))
         try:
-            self._lio.register_scan(cloud.points_m, stamps_ns, self._T_imu_lidar, start_ns, end_ns)
+            self._lio.register_scan(sweep.points_m, stamps_ns, self._T_imu_lidar, sweep_start_ns, end_ns)
         except InputError as error:
-            self._refused += 1
-            print(f"scan {frame.number} refused: {error}", flush=True)
-            return False
-        return True
+            print(f"scan {sweep.number} refused: {error}", flush=True)
+            return None
+        return np.asarray(self._lio.pose())
 
     def finish(self) -> Poses:
-        """One pose of the IMU for each registered scan."""
+        """One pose of the IMU for each registered scan, with RKO-LIO's own timestamps."""
         stamps_ns, rows = self._lio.poses_with_timestamps()
         poses = [transform_from(row[:3], row[3:7]) for row in np.asarray(rows, dtype=np.float64).reshape(-1, 7)]
         return Poses(np.asarray(stamps_ns, dtype=np.float64) * 1e-9, np.array(poses).reshape(-1, 4, 4))
-
-    def about(self) -> dict[str, Any]:
-        """The package that ran."""
-        return {"package": "rko_lio", "version": version("rko_lio")}
 
 
 if __name__ == "__main__":

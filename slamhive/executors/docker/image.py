@@ -8,7 +8,7 @@ from typing import Any
 import docker
 import docker.errors
 
-from slamhive.catalogue.image_context import context_hash, stage_context
+from slamhive.catalogue.image_context import context_hash, dockerfile_of, stage_context
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import ExecutorContext, ImageMissing, ProgressCallback
 from slamhive.executors.docker.build import build_image, content_of, get_image, name_image
@@ -26,7 +26,8 @@ def find_image(client: docker.DockerClient, package: AlgorithmPackage, project_r
     image = get_image(client, package.image)
     if image is None:
         return None
-    if _has_dockerfile(package) and content_of(image) != context_hash(package.folder, project_root):
+    made_here = dockerfile_of(package, project_root) is not None
+    if made_here and content_of(image) != context_hash(package, project_root):
         return None
     return str(image.id)
 
@@ -39,11 +40,11 @@ def make_image(
     found = find_image(client, package, project_root)
     if found is not None:
         return found
-    if not _has_dockerfile(package):
+    if dockerfile_of(package, project_root) is None:
         return _pull(client, package, progress)
-    content = context_hash(package.folder, project_root)
+    content = context_hash(package, project_root)
     with temporary_folder() as folder:
-        staged = stage_context(package.folder, project_root, folder / "context")
+        staged = stage_context(package, project_root, folder / "context")
         digest = build_image(client, package.image, staged, content, project_root, progress)
     check_mapping_script(client, digest, package.image, context.installation)
     name_image(client, digest, package.image)
@@ -64,10 +65,6 @@ def check_mapping_script(client: docker.DockerClient, digest: str, name: str, in
             ) from None
         finally:
             container.remove(force=True)
-
-
-def _has_dockerfile(package: AlgorithmPackage) -> bool:
-    return (package.folder / "Dockerfile").is_file()
 
 
 def _pull(client: docker.DockerClient, package: AlgorithmPackage, progress: ProgressCallback) -> str:

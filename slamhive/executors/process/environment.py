@@ -30,6 +30,8 @@ from slamhive.executors.base import ImageMissing, ProgressCallback
 from slamhive.files import hash_files, sweep_folder, temporary_folder
 
 REQUIREMENTS_FILE = "requirements.txt"
+NO_DEPS_FILE = "requirements-no-deps.txt"
+"""What is installed without its dependencies, because they are large and not needed."""
 PREPARE_SCRIPT = "prepare.py"
 PREPARE_VARIABLE = "SLAMHIVE_PREPARE_DIR"
 RUNTIME_REQUIREMENTS = Path("runtime") / REQUIREMENTS_FILE
@@ -122,7 +124,12 @@ class Environments:
         files = [package.folder / REQUIREMENTS_FILE, _package_folder() / RUNTIME_REQUIREMENTS]
         wanted = [argument for file in files if file.is_file() for argument in ("--requirement", str(file))]
         pip = [sys.executable, "-m", "pip", "--python", str(environment.python), "--disable-pip-version-check"]
-        _run_step(f"{package.name}: pip install", [*pip, "install", "--no-input", *wanted], {}, progress)
+        install = [*pip, "install", "--no-input"]
+        _run_step(f"{package.name}: pip install", [*install, *wanted], {}, progress)
+        alone = package.folder / NO_DEPS_FILE
+        if alone.is_file():
+            command = [*install, "--no-deps", "--requirement", str(alone)]
+            _run_step(f"{package.name}: pip install --no-deps", command, {}, progress)
         script = package.folder / PREPARE_SCRIPT
         if script.is_file():
             variables = {PREPARE_VARIABLE: str(environment.prepared), "PYTHONPATH": str(_package_folder().parent)}
@@ -163,9 +170,9 @@ def _environment_hash(package: AlgorithmPackage) -> str:
         )
     digest = hashlib.sha256(f"{sys.version} {sys.prefix}".encode())
     digest.update(requirements.read_bytes())
-    runtime_requirements = _package_folder() / RUNTIME_REQUIREMENTS
-    if runtime_requirements.is_file():
-        digest.update(runtime_requirements.read_bytes())
+    for more in (package.folder / NO_DEPS_FILE, _package_folder() / RUNTIME_REQUIREMENTS):
+        if more.is_file():
+            digest.update(more.read_bytes())
     if (package.folder / PREPARE_SCRIPT).is_file():
         names = [path.name for path in sorted(package.folder.iterdir()) if path.name not in _NOT_PREPARED_FROM]
         digest.update(_short_hash(package.folder, names).encode())
