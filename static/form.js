@@ -36,7 +36,10 @@
     const answer = await fetch(`${previewUrl}?${filled()}`);
     if (number !== last) return;
     if (!answer.ok) throw new Error(String(answer.status));
-    const { preview: text, errors, bound } = await answer.json();
+    const { preview: text, errors, bound, used } = await answer.json();
+    for (const place of form.querySelectorAll("[data-used]")) {
+      place.textContent = (used || {})[place.dataset.used] || "–";
+    }
     for (const place of form.querySelectorAll("[data-bound]")) {
       const found = (bound || {})[place.dataset.bound];
       if (!found) continue;

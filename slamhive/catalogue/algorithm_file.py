@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -19,6 +20,7 @@ from slamhive.domain.numbers import plain
 from slamhive.domain.parameters import Parameter, ParameterType, parse_settings
 from slamhive.domain.protocol_choices import Alignment
 from slamhive.domain.remaps import TopicOf
+from slamhive.domain.requirement import Requirement
 from slamhive.domain.sensor_property import SensorProperty
 from slamhive.domain.sensors import SensorKind, SensorSetup
 from slamhive.errors import InvalidInput, lacks
@@ -125,6 +127,7 @@ class _PackageModel(BaseModel):
     reports_tracking: bool = False
     user: RunUser = RunUser.WORKER
     lidar: _LidarModel = Field(default_factory=_LidarModel)
+    requires: dict[str, list[str] | None] = Field(default_factory=dict)
     modes: dict[str, _ModeModel] = Field(min_length=1)
     parameters: dict[str, _ParameterModel] = Field(default_factory=dict)
     bounds: dict[str, dict[str, _BoundModel]] = Field(default_factory=dict)
@@ -216,6 +219,7 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
         trajectory_role=model.trajectory_role,
         parameters=parameters,
         topics=tuple(TopicOf(role, **topic.model_dump()) for role, topic in model.topics.items()),
+        requires=tuple(entry for entry in _requirements(path, whole) if entry.source.role in model.inputs),
         bounds=tuple(_bound(path, dataset, bound, parameters) for dataset, bound in bounds.items()),
     )
 
@@ -230,6 +234,21 @@ def _bound(path: Path, dataset: str, model: _BoundModel, parameters: tuple[Param
         playback=Playback(model.playback_mode, model.playback_rate),
         parameters={key: values[key] for key in model.parameters},
     )
+
+
+def _requirements(path: Path, model: _PackageModel) -> Iterator[Requirement]:
+    """What must be known of the sensors; raises InvalidInput for a role that no mode has."""
+    roles = {role for mode in model.modes.values() for role in mode.inputs}
+    for text, allowed in model.requires.items():
+        try:
+            source = SensorProperty.parse(text)
+        except InvalidInput as error:
+            raise InvalidInput(f"{path}: requires: {error.message}", error.remedy) from None
+        if source.other is not None or source.role not in roles:
+            raise InvalidInput(
+                f"{path}: requires: {text} is no property of an input", f"use {', '.join(sorted(roles))}"
+            )
+        yield Requirement(source, tuple(allowed or ()))
 
 
 def _check_general_names(path: Path, mode: str, parameters: dict[str, _ParameterModel]) -> None:

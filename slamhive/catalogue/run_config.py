@@ -40,7 +40,7 @@ def build_run_config(
 
     Raises InvalidInput if the dataset lacks a sensor, or a property of one, that the algorithm needs.
     """
-    match = match_of(algorithm, dataset, configuration.parameters)
+    match = match_of(algorithm, dataset, configuration.parameters, configuration.sensors)
     sensors = match.sensors
     dataset_parameters: dict[str, Any] = {}
     for role, sensor in sensors.items():

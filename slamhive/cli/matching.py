@@ -7,20 +7,24 @@ from collections.abc import Iterator
 import click
 
 from slamhive.cli.output import print_table
-from slamhive.schema.matching import Match
+from slamhive.schema.matching import Match, UsedSensor
 
 
 def print_match(match: Match) -> None:
     """The sensor in each role, and the parameters that are taken from sensors."""
     rows = [
-        (role, used.name, f"{used.rate_hz:g}", match.topics.get(role, used.topic))
+        (role, used.name, f"{used.rate_hz:g}", match.topics.get(role, used.topic), _others(used))
         for role, used in match.sensors.items()
     ]
-    print_table(("role", "sensor", "Hz", "topic"), rows, right=("Hz",))
+    print_table(("role", "sensor", "Hz", "topic", "also fits"), rows, right=("Hz",))
     if match.parameters:
         print_table(("parameter", "value", "source"), list(bound_rows(match)))
     else:
         click.echo("no parameter is taken from a sensor")
+
+
+def _others(used: UsedSensor) -> str | None:
+    return ", ".join(name for name in used.fitting if name != used.name) or None
 
 
 def bound_rows(match: Match | None) -> Iterator[tuple[str, object, str]]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from slamhive.domain.sensor_choice import parse_choices
 from slamhive.domain.variant import Variant, parse_step
 from slamhive.errors import InvalidInput
 from slamhive.schema.fields import Option
@@ -38,6 +39,13 @@ _STRUCTURED = {
         help="Set a parameter, by its key or general name; may be repeated.",
     ),
     "variant": click.option("--step", "variant", multiple=True, metavar="STEP", help=_STEP_HELP),
+    "sensors": click.option(
+        "--sensor",
+        "sensors",
+        multiple=True,
+        metavar="ROLE=SENSOR",
+        help="The sensor for a role, where several fit (left=cam2); may be repeated. --preview shows the others.",
+    ),
     "stop_when": click.option(
         "--stop-when",
         multiple=True,
@@ -80,7 +88,12 @@ def submission_options() -> Decorator:
 
 def submission_values(options: dict[str, Any]) -> dict[str, Any]:
     """The fields of a submission from the options of a command; raises NotFound or InvalidInput naming the text."""
-    readers = {"parameters": parse_assignments, "variant": parse_steps, "stop_when": parse_stop_when}
+    readers = {
+        "parameters": parse_assignments,
+        "variant": parse_steps,
+        "sensors": parse_choices,
+        "stop_when": parse_stop_when,
+    }
     names = {option.name.partition(".")[0] for option in OPTIONS.values()}
     return {name: readers.get(name, _as_given)(value) for name, value in options.items() if name in names}
 

@@ -11,6 +11,8 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.lidar_needs import LidarNeeds
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.remaps import TopicOf
+from slamhive.domain.requirement import Requirement, check_requirements
+from slamhive.domain.sensor_choice import BY_RULE, Chosen, assign_in_order, check_choice
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
 from slamhive.errors import InvalidInput
 
@@ -77,7 +79,7 @@ class Algorithm:
 
     ``trajectory_role`` names the input whose frame the poses in ``traj.txt`` describe. ``bounds`` is what its runs
     keep on some datasets, in the order of ``algorithm.yaml``. ``topics`` says how it learns of the topic of a role; a
-    role that is not in it is played as ``/<role>``.
+    role that is not in it is played as ``/<role>``. ``requires`` is what must be known of the sensors.
     """
 
     name: str
@@ -90,17 +92,20 @@ class Algorithm:
     parameters: tuple[Parameter, ...]
     bounds: tuple[Bound, ...] = ()
     topics: tuple[TopicOf, ...] = ()
+    requires: tuple[Requirement, ...] = ()
 
-    def assign(self, dataset: Dataset) -> dict[str, Sensor]:
-        """Which sensor of ``dataset`` serves which role, in the dataset's order for each kind.
+    def assign(self, dataset: Dataset, chosen: Chosen = BY_RULE) -> dict[str, Sensor]:
+        """Which sensor of ``dataset`` serves which role: as ``chosen``, the others in the dataset's order.
 
-        Raises InvalidInput, before anything starts, if the dataset lacks a sensor, what the package needs of the points
-        of a LiDAR, or a recording.
+        Raises NotFound or InvalidInput, before anything starts, if a choice makes no sense, or if the dataset lacks a
+        sensor, what the algorithm has to know of one, or a recording.
         """
         dataset.check_recorded()
+        fitting = self.fitting(dataset)
+        check_choice(self.name, dataset.name, fitting, chosen)
         assigned: dict[str, Sensor] = {}
         for kind in SensorKind:
-            roles = [entry.role for entry in self.inputs if entry.kind is kind]
+            roles = {entry.role: fitting[entry.role] for entry in self.inputs if entry.kind is kind}
             available = dataset.of_kind(kind)
             if len(roles) > len(available):
                 has = ", ".join(f"{sensor.name} ({sensor.kind})" for sensor in dataset.sensors) or "no sensors"
@@ -109,8 +114,40 @@ class Algorithm:
                     f"dataset {dataset.name} has {len(available)} ({has})",
                     "choose a dataset that has them, or an algorithm that needs less",
                 )
-            assigned.update(zip(roles, available, strict=False))
-        for sensor in assigned.values():
-            if sensor.kind is SensorKind.LIDAR:
-                self.package.lidar.check(sensor, self.name, dataset.name)
-        return assigned
+            assigned |= assign_in_order(roles, available, chosen)
+        for role, sensor in assigned.items():
+            self._check_fits(role, sensor, dataset)
+        return {entry.role: assigned[entry.role] for entry in self.inputs}
+
+    def fitting(self, dataset: Dataset) -> dict[str, tuple[Sensor, ...]]:
+        """The sensors of ``dataset`` that can serve each role."""
+        return {
+            entry.role: tuple(
+                sensor for sensor in dataset.of_kind(entry.kind) if self._fits(entry.role, sensor, dataset)
+            )
+            for entry in self.inputs
+        }
+
+    def stated_choice(self, dataset: Dataset, chosen: Chosen) -> dict[str, str]:
+        """``chosen`` in the form that is stored: nothing if the rule gives the same, else each role of those kinds.
+
+        Raises as :meth:`assign`.
+        """
+        if not chosen:
+            return {}
+        by_rule, asked = self.assign(dataset), self.assign(dataset, chosen)
+        kinds = {sensor.kind for role, sensor in asked.items() if sensor != by_rule[role]}
+        return {role: sensor.name for role, sensor in asked.items() if sensor.kind in kinds}
+
+    def _fits(self, role: str, sensor: Sensor, dataset: Dataset) -> bool:
+        try:
+            self._check_fits(role, sensor, dataset)
+        except InvalidInput:
+            return False
+        return True
+
+    def _check_fits(self, role: str, sensor: Sensor, dataset: Dataset) -> None:
+        if sensor.kind is SensorKind.LIDAR:
+            self.package.lidar.check(sensor, self.name, dataset.name)
+        own = [entry for entry in self.requires if entry.source.role == role]
+        check_requirements(own, sensor, self.name, dataset.name)

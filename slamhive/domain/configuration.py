@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from slamhive.domain.parameters import Value
+from slamhive.domain.sensor_choice import Chosen
 from slamhive.domain.variant import Variant
 
 _as_json = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
@@ -30,13 +31,18 @@ class Playback:
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """An algorithm, a dataset and what is done to it beforehand, every parameter's value, and how the data is fed."""
+    """An algorithm, a dataset and what is done to it beforehand, the values of parameters, and how the data is fed.
+
+    ``parameters`` lacks those that are taken from sensors. ``sensors`` is what the user chose in place of the rule, in
+    the form of :meth:`~slamhive.domain.algorithm.Algorithm.stated_choice`.
+    """
 
     algorithm: str
     dataset: str
     parameters: dict[str, Value]
     playback: Playback = Playback()
     variant: Variant = ()
+    sensors: Chosen = field(default_factory=dict)
 
     @property
     def content_hash(self) -> str:
@@ -49,6 +55,8 @@ class Configuration:
         }
         if self.variant:
             content["variant"] = [step.content for step in self.variant]
+        if self.sensors:
+            content["sensors"] = dict(self.sensors)
         return hashlib.sha256(_as_json(content).encode()).hexdigest()
 
 

@@ -10,6 +10,7 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter, ParameterType, Value
 from slamhive.domain.remaps import Remap, remaps_of
+from slamhive.domain.sensor_choice import BY_RULE, Chosen
 from slamhive.domain.sensors import CalibrationValue, Sensor
 from slamhive.errors import InvalidInput
 
@@ -55,11 +56,12 @@ class BoundValue:
 class Match:
     """How an algorithm fits a dataset.
 
-    ``sensors``: the sensor in each role, as a variant leaves it. ``bound``: the parameters that are taken from them.
-    ``remaps``: the topic on which the algorithm gets each role.
+    ``sensors``: the sensor in each role, as a variant leaves it. ``fitting``: all that could serve it. ``bound``: the
+    parameters that are taken from them. ``remaps``: the topic on which the algorithm gets each role.
     """
 
     sensors: Mapping[str, Sensor]
+    fitting: Mapping[str, tuple[Sensor, ...]]
     bound: tuple[BoundValue, ...]
     remaps: tuple[Remap, ...] = ()
 
@@ -68,24 +70,25 @@ class Match:
         return {**given, **{entry.key: entry.value for entry in self.bound}}
 
 
-def match_of(algorithm: Algorithm, dataset: Dataset, given: Mapping[str, Value]) -> Match:
+def match_of(algorithm: Algorithm, dataset: Dataset, given: Mapping[str, Value], chosen: Chosen = BY_RULE) -> Match:
     """Match ``algorithm`` with ``dataset``, which is what the run sees: the variant, if there is one.
 
     Args:
         algorithm: What runs.
         dataset: Has the sensors.
         given: Parameters that the user set.
+        chosen: Sensors that the user chose.
 
     Raises InvalidInput if the dataset lacks a sensor, or a property that the algorithm takes a value from, and if a
     parameter without a default is not given.
     """
-    assigned = algorithm.assign(dataset)
+    assigned = algorithm.assign(dataset, chosen)
     _check_given(algorithm, given)
     bound = tuple(_bound(parameter, algorithm, dataset, assigned, given) for parameter in _taken(algorithm))
-    sensors = {entry.role: assigned[entry.role] for entry in algorithm.inputs}
     topics = {entry.role: entry for entry in algorithm.topics}
-    recorded = {role: sensor.topic for role, sensor in sensors.items()}
-    return Match(sensors, bound, remaps_of(topics, recorded, given, algorithm.name))
+    recorded = {role: sensor.topic for role, sensor in assigned.items()}
+    remaps = remaps_of(topics, recorded, given, algorithm.name)
+    return Match(assigned, algorithm.fitting(dataset), bound, remaps)
 
 
 def check_known(algorithm: Algorithm, dataset: Dataset, assigned: Mapping[str, Sensor], given: Collection[str]) -> None:

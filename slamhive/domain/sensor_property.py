@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from slamhive.domain.calibration import CameraIntrinsics, distortion_names, distortion_of
+from slamhive.domain.calibration import CameraIntrinsics, camera_model, distortion_names, distortion_of
 from slamhive.domain.lidar_layout import LidarLayout
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind, relative_pose
 from slamhive.errors import InvalidInput
@@ -95,6 +95,7 @@ DERIVED: dict[str, Callable[[Sensor], CalibrationValue | None]] = {
     "topic": lambda sensor: sensor.topic,
     "rate_hz": lambda sensor: sensor.rate_hz,
     "T_body_sensor": lambda sensor: sensor.T_body_sensor,
+    "model": lambda sensor: camera_model(sensor.calibration, sensor.name).value if sensor.kind in _CAMERAS else None,
     "camera_matrix": _camera_matrix,
     "distortion": lambda sensor: distortion_of(sensor.calibration) if sensor.kind in _CAMERAS else None,
     "lowest_angle_deg": _angle(min),

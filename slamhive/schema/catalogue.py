@@ -151,6 +151,7 @@ class Configuration(Document):
     dataset: str
     parameters: dict[str, ParameterValue]
     variant: Variant
+    sensors: Annotated[dict[str, str], described("Sensors that were chosen in place of the rule, by role.")]
     playback: Playback
     content_hash: str
     created_at: Timestamp

@@ -26,12 +26,13 @@ class ConfigurationRow(NamedTuple):
     mode: PlaybackMode
     rate: FiniteFloat
     variant: Variant
+    sensors: dict[str, str] = {}  # noqa: RUF012 - a field of a named tuple, which nobody changes
 
     @property
     def configuration(self) -> Configuration:
         """What exactly is run."""
         playback = Playback(self.mode, self.rate)
-        return Configuration(self.algorithm, self.dataset, self.parameters, playback, self.variant)
+        return Configuration(self.algorithm, self.dataset, self.parameters, playback, self.variant, self.sensors)
 
 
 class ConfigurationsLine(Document):

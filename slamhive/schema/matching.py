@@ -21,6 +21,7 @@ class UsedSensor(Document):
     kind: SensorKind
     topic: str
     rate_hz: Annotated[float, described("Messages per second.", unit="Hz")]
+    fitting: Annotated[tuple[str, ...], described("All sensors of the dataset that fit the role.")]
 
 
 class BoundParameter(Document):
@@ -47,7 +48,10 @@ class Match(Document):
     def of_match(cls, match: Matched) -> Self:
         """The document of a match."""
         return cls(
-            sensors={role: UsedSensor.of(sensor) for role, sensor in match.sensors.items()},
+            sensors={
+                role: UsedSensor.of(sensor, fitting=[entry.name for entry in match.fitting[role]])
+                for role, sensor in match.sensors.items()
+            },
             parameters={entry.key: BoundParameter.of(entry) for entry in match.bound},
             topics={entry.role: entry.words for entry in match.remaps},
         )

@@ -31,11 +31,14 @@ class ConfigurationContent(Document):
     parameters: Values
     playback: Playback
     variant: Variant = ()
+    sensors: Annotated[dict[str, str], described("Sensors that were chosen in place of the rule, by role.")] = Field(
+        default_factory=dict
+    )
 
     @property
     def configuration(self) -> Configuration:
         """The configuration with this content."""
-        return Configuration(self.algorithm, self.dataset, self.parameters, self.playback, self.variant)
+        return Configuration(self.algorithm, self.dataset, self.parameters, self.playback, self.variant, self.sensors)
 
 
 class Request(ConfigurationContent):

@@ -83,6 +83,7 @@ class Run(Document):
     parameters: Values
     playback: Playback
     variant: Annotated[Variant, described("Pre-processing steps of the dataset, in order.")]
+    sensors: Annotated[dict[str, str], described("Sensors that were chosen in place of the rule, by role.")]
     executor: str
     seed: int
     state: RunState

@@ -148,6 +148,12 @@ class Submission:
     timeout_s: TimeoutS = None
     priority: Priority = 0
     variant: Annotated[Variant, described("Pre-processing steps of the dataset, in order.", group=CONTENT)] = ()
+    sensors: Annotated[
+        Mapping[str, str],
+        described(
+            "The sensor for a role, where several fit; the other roles follow the order of the dataset.", group=CONTENT
+        ),
+    ] = field(default_factory=dict)
     stop_when: Annotated[StopWhen, described("Rules that end a run early.")] = NEVER
     repeat_disturbed: RepeatDisturbed = 0
 
@@ -159,6 +165,7 @@ class Submission:
             parameters=parse_settings(algorithm.name, algorithm.parameters, self.parameters),
             playback=Playback(PlaybackMode(self.playback_mode), self.playback_rate),
             variant=self.variant,
+            sensors=self.sensors,
         )
 
     def check(self) -> None:

@@ -89,6 +89,7 @@ class ConfigurationRepository(Repository):
                 Configuration.playback_mode,
                 Configuration.playback_rate,
                 Configuration.variant,
+                Configuration.sensors,
             )
             .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
             .join(Dataset, Dataset.id == Configuration.dataset_id)
@@ -99,7 +100,7 @@ class ConfigurationRepository(Repository):
         playback = domain.Playback(row.playback_mode, row.playback_rate)
         parameters = self.parameters_of(configuration_id)
         variant = load(Variant, row.variant or ())
-        return domain.Configuration(row.algorithm, row.dataset, parameters, playback, variant)
+        return domain.Configuration(row.algorithm, row.dataset, parameters, playback, variant, row.sensors or {})
 
     def parameters_of(self, configuration_id: int) -> dict[str, Value]:
         """Every parameter of one configuration with its value, typed as it was stored."""
@@ -218,6 +219,7 @@ def _row(entry: NewConfiguration) -> dict[str, Any]:
         "playback_mode": configuration.playback.mode,
         "playback_rate": configuration.playback.rate,
         "variant": dump(Variant, configuration.variant) or None,
+        "sensors": dict(configuration.sensors) or None,
     }
 
 

@@ -112,7 +112,10 @@ class Parameter(Base):
 
 
 class Configuration(Base):
-    """What a run runs; equal content is one row. ``variant`` is NULL where the dataset is used unchanged."""
+    """What a run runs; equal content is one row. ``variant`` is NULL where the dataset is used unchanged.
+
+    ``sensors`` is NULL where the rule assigns them.
+    """
 
     __tablename__ = "configurations"
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -122,6 +125,7 @@ class Configuration(Base):
     playback_mode: Mapped[PlaybackMode]
     playback_rate: Mapped[float]
     variant: Mapped[Any | None] = mapped_column(JsonText)
+    sensors: Mapped[Any | None] = mapped_column(JsonText)
     created_at: Mapped[datetime]
 
 

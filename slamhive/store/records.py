@@ -14,6 +14,7 @@ from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunEvent, RunState
+from slamhive.domain.sensor_choice import Chosen
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import Verdict, VerdictKind, ended_badly, judge, not_evaluable
 from slamhive.errors import Conflict
@@ -161,6 +162,7 @@ class RunRecord:
     parameters: dict[str, Value]
     playback: Playback
     variant: Variant
+    sensors: Chosen
     executor: str
     state: RunState
     reason: FailureReason | None

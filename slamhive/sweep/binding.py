@@ -11,6 +11,7 @@ from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.matching import check_known
 from slamhive.domain.parameters import Parameter, Scalar, Value, default_values, find_parameter
+from slamhive.domain.sensor_choice import BY_RULE, Chosen
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.domain.variant import StepRules, Variant, VariantStep
 from slamhive.errors import InvalidInput, SlamHiveError, unknown
@@ -98,6 +99,7 @@ class Pair:
     aliases: Mapping[str, str]
     rules: StepRules
     variants: dict[tuple[Value, ...], Variant]
+    sensors: Chosen
 
     @property
     def size(self) -> int:
@@ -128,6 +130,7 @@ class Pair:
             parameters=parameters,
             playback=Playback(PlaybackMode(str(row[PLAYBACK_MODE])), float(row[PLAYBACK_RATE])),  # type: ignore[arg-type]
             variant=self.variant(row),
+            sensors=self.sensors,
         )
 
     def variant(self, row: Row) -> Variant:
@@ -165,8 +168,9 @@ Resolved = dict[tuple[object, ...], dict[tuple[Value, ...], Variant]]
 def bind(experiment: Experiment, view: CatalogueView, algorithm: Algorithm, dataset: Dataset, shared: Resolved) -> Pair:
     """The axes of ``experiment`` that apply to ``algorithm`` on ``dataset``; raises errors that name the place."""
     parameters = _parameter_axes(experiment, algorithm)
+    chosen = _chosen(experiment, algorithm, dataset)
     try:
-        assigned = algorithm.assign(dataset)
+        assigned = algorithm.assign(dataset, chosen)
         check_known(algorithm, dataset, assigned, [parameter.key for _, parameter in parameters])
     except InvalidInput as error:
         raise at(experiment.datasets.place, error) from None
@@ -193,7 +197,20 @@ def bind(experiment: Experiment, view: CatalogueView, algorithm: Algorithm, data
         aliases=_aliases(steps, parameters),
         rules=view.steps,
         variants=shared.setdefault(_treatment(dataset, steps), {}),
+        sensors=chosen,
     )
+
+
+def _chosen(experiment: Experiment, algorithm: Algorithm, dataset: Dataset) -> Chosen:
+    """The choice of sensors that applies to ``algorithm``; raises errors that name the place."""
+    roles = {entry.role for entry in algorithm.inputs}
+    choices = [choice for choice in experiment.sensors if choice.role in roles]
+    if not choices:
+        return BY_RULE
+    try:
+        return algorithm.stated_choice(dataset, {choice.role: choice.sensor for choice in choices})
+    except SlamHiveError as error:
+        raise at(choices[0].place, error) from None
 
 
 def _treatment(dataset: Dataset, steps: Sequence[BoundStep]) -> tuple[object, ...]:

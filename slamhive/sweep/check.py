@@ -61,6 +61,7 @@ def bind_all(experiment: Experiment, view: CatalogueView) -> tuple[list[Pair], F
         if not conditions.excludes({"algorithm": algorithm, "dataset": dataset})
     ]
     _check_steps(experiment, view, pairs)
+    _check_roles(experiment, view)
     return pairs, conditions
 
 
@@ -142,6 +143,15 @@ def _varied(parameter: Parameter, algorithm: str, experiment: Experiment) -> boo
     """Whether the experiment sets the parameter. If not, its sensor does, and conditions cannot know the value."""
     axes = (axis for axis in experiment.parameters if axis.algorithm in (None, algorithm))
     return any(axis.key in (parameter.key, parameter.general) for axis in axes)
+
+
+def _check_roles(experiment: Experiment, view: CatalogueView) -> None:
+    """Every role that a sensor is chosen for belongs to one of the algorithms."""
+    names = [str(name) for name in experiment.algorithms.values]
+    roles = sorted({entry.role for name in names for entry in view.algorithms[name].inputs})
+    for choice in experiment.sensors:
+        if choice.role not in roles:
+            raise at(choice.place, unknown(f"role of {', '.join(names)}", choice.role, roles))
 
 
 def _check_steps(experiment: Experiment, view: CatalogueView, pairs: list[Pair]) -> None:

@@ -62,6 +62,7 @@ class _ConfigurationModel(BaseModel):
     algorithm: str
     dataset: str
     parameters: dict[str, bool | int | float | str | list[float]] = Field(default_factory=dict)
+    sensors: dict[str, str] = Field(default_factory=dict)
     variant: list[_StepModel] = Field(default_factory=list)
     playback: _PlaybackModel = Field(default_factory=_PlaybackModel)
 
@@ -79,6 +80,7 @@ def configuration_to_yaml(configuration: Configuration, name: str | None = None,
                 key: list(value) if isinstance(value, tuple) else value
                 for key, value in configuration.parameters.items()
             },
+            **({"sensors": dict(configuration.sensors)} if configuration.sensors else {}),
             "variant": [
                 {"step": step.kind, "sensors": list(step.sensors), **step.options} for step in configuration.variant
             ],
@@ -119,6 +121,7 @@ def _exported(content: Mapping[str, Any], view: CatalogueView) -> Imported:
             parameters=parse_settings(algorithm.name, algorithm.parameters, model.parameters),
             playback=Playback(model.playback.mode, model.playback.rate),
             variant=resolve_variant(view.steps, dataset, steps),
+            sensors=algorithm.stated_choice(dataset, model.sensors),
         ),
         name=model.name,
         note=model.note,
@@ -160,7 +163,7 @@ def _published(config: RunConfig, view: CatalogueView) -> Imported:
 
 def _without_known(configuration: Configuration, algorithm: Algorithm, seen: Dataset) -> Configuration:
     """``configuration`` without values that the sensors give anyway: only others are the user's."""
-    bound = match_of(algorithm, seen, configuration.parameters).bound
+    bound = match_of(algorithm, seen, configuration.parameters, configuration.sensors).bound
     same = {entry.key for entry in bound if entry.found is not None and entry.found == entry.value}
     kept = {key: value for key, value in configuration.parameters.items() if key not in same}
     return replace(configuration, parameters=kept)

@@ -83,6 +83,15 @@ class Where:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorChoice:
+    """The sensor for a role, in all algorithms that have it."""
+
+    role: str
+    sensor: str
+    place: Place
+
+
+@dataclass(frozen=True, slots=True)
 class Evaluation:
     """Whether runs are evaluated, and how; ``alignment`` None means that it is chosen from the sensors."""
 
@@ -125,6 +134,7 @@ class Experiment:
     executor: str | None = None
     priority: int = 0
     repeat_disturbed: int = 0
+    sensors: tuple[SensorChoice, ...] = ()
 
     @property
     def content_hash(self) -> str:
@@ -136,7 +146,7 @@ class Experiment:
         return content_hash in {self.content_hash, _hash(_content(self, yaml_1_1=True))}
 
 
-_LATER = (("repeat_disturbed", 0),)
+_LATER: tuple[tuple[str, object], ...] = (("repeat_disturbed", 0), ("sensors", ()))
 """Fields that came later, at their defaults: experiments that were stored before keep their hash."""
 
 

@@ -19,6 +19,7 @@ from slamhive.sweep.experiment import (
     Link,
     ParameterAxis,
     PlaybackAxes,
+    SensorChoice,
     StepDeclaration,
     StepOption,
     Where,
@@ -78,6 +79,7 @@ def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experimen
         else Evaluation(enabled=evaluate),
         executor=model.executor,
         priority=model.priority,
+        sensors=tuple(SensorChoice(role, name, places.of("sensors", role)) for role, name in model.sensors.items()),
     )
 
 

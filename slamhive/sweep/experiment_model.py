@@ -195,6 +195,10 @@ class ExperimentModel(_Model):
         default_factory=dict,
         description="By key or general name, for each algorithm that knows it; below an algorithm's name for it alone.",
     )
+    sensors: dict[str, str] = Field(
+        default_factory=dict,
+        description="The sensor for a role where several fit (left: cam2), for each algorithm that has the role.",
+    )
     linked: list[list[str]] = Field(default_factory=list, description="Lists of axes whose values move together.")
     tied: list[list[str]] = Field(default_factory=list, description="Lists of axes that always have the same value.")
     where: Conditions = Field(default=(), description="Conditions that every combination must meet.")

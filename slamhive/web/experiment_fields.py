@@ -121,6 +121,7 @@ def fields_from_yaml(text: str) -> ExperimentFields:
         entries = content.get(name)
         if isinstance(entries, list):
             values[name] = "\n".join(", ".join(_texts(entry)) for entry in entries)
+    values["sensors"] = "\n".join(f"{role}={_text(name)}" for role, name in _mapping(content.get("sensors")).items())
     values |= _evaluation_texts(content.get("evaluate"))
     for key, entry in _mapping(content.get("parameters")).items():
         if isinstance(entry, dict):
@@ -142,6 +143,7 @@ def yaml_from_fields(fields: ExperimentFields) -> str:
     content["datasets"] = _one_or_list(fields.datasets)
     content["steps"] = {step.name.strip(): _step_content(step) for step in fields.steps}
     content["parameters"] = _parameter_content(fields)
+    content["sensors"] = _sensor_content(fields.value("sensors"))
     for name in _SETS:
         content[name] = [[word.strip() for word in line.split(",")] for line in _lines(fields.value(name))]
     content["where"] = _one_or_list(_lines(fields.value("where")))
@@ -185,7 +187,7 @@ def _field_name(path: KeyPath, fields: ExperimentFields) -> str | None:
     if path[0] == "steps":
         number = next((number for number, step in enumerate(fields.steps) if path[1:2] == (step.name,)), None)
         return None if number is None else "/".join(["steps", str(number), *map(str, path[2:3] or ("name",))])
-    if path[0] in (*_SETS, "where", "algorithms", "datasets"):
+    if path[0] in (*_SETS, "sensors", "where", "algorithms", "datasets"):
         return str(path[0])
     return "/".join(map(str, path[:3]))
 
@@ -222,6 +224,12 @@ def _parameter_content(fields: ExperimentFields) -> dict[str, Any]:
         else:
             content[owner] = _value(text)
     return dict(sorted(content.items(), key=lambda entry: isinstance(entry[1], dict)))
+
+
+def _sensor_content(text: str) -> dict[str, str]:
+    """``ROLE=SENSOR`` lines; for one without a sensor, the check of the experiment names the sensors that fit."""
+    parts = (line.partition("=") for line in _lines(text))
+    return {role.strip(): name.strip() or role.strip() for role, _, name in parts}
 
 
 def _evaluation_texts(raw: object) -> dict[str, str]:
@@ -289,6 +297,6 @@ def _mapping(raw: object) -> dict[str, Any]:
 
 
 _NAMES = frozenset([
-    *_WORDS, *_VALUES, *_SETS, "where", "evaluate", "evaluate/alignment",
+    *_WORDS, *_VALUES, *_SETS, "sensors", "where", "evaluate", "evaluate/alignment",
     *(f"{section}/{key}" for section, keys in _SECTIONS.items() for key in keys),
 ])  # fmt: skip

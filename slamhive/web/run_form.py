@@ -20,7 +20,8 @@ from slamhive.settings import Settings
 from slamhive.web.formatting import duration, plural, value_text
 
 PARAMETER_PREFIX = "parameter."
-_OWN_FIELDS = ("algorithm", "dataset", "parameters", "variant")
+SENSOR_PREFIX = "sensor."
+_OWN_FIELDS = ("algorithm", "dataset", "parameters", "variant", "sensors")
 """Fields that need the catalogue; the field ``steps`` contains ``variant``."""
 _TYPED = [option for option in OPTIONS.values() if option.name not in _OWN_FIELDS]
 CONTENT_OPTIONS = [option for option in _TYPED if option.group == CONTENT]
@@ -49,6 +50,12 @@ class RunForm:
             return self.values.get(name, "")
         default = OPTIONS[name].default
         return "" if default is None else _switch(default) if isinstance(default, bool) else value_text(default)
+
+    @property
+    def used(self) -> dict[str, str]:
+        """The sensor in each role, by name of the field."""
+        found = {} if self.match is None else self.match.sensors
+        return {SENSOR_PREFIX + role: sensor.name for role, sensor in found.items()}
 
     @property
     def cleared(self) -> dict[str, Value]:
@@ -95,13 +102,15 @@ def read_form(services: Hive, values: Mapping[str, str], *, content_only: bool =
         return form
     variant = _checked(form, "steps", lambda: services.variants.resolve(dataset, read_steps(form.value("steps"))))
     seen = services.variants.planned(dataset, variant or ())
-    form.match = _checked(form, "dataset", lambda: match_of(algorithm, seen, parameters))
+    chosen = _checked(form, "sensors", lambda: algorithm.stated_choice(dataset, _read_choices(form, algorithm))) or {}
+    form.match = _checked(form, "dataset", lambda: match_of(algorithm, seen, parameters, chosen))
     if not form.errors and run_fields is not None:
         submission = Submission(
             algorithm=algorithm.name,
             dataset=dataset.name,
             parameters=parameters,
             variant=variant or (),
+            sensors=chosen,
             **nested(run_fields),
         )
         _checked(form, "", submission.check)
@@ -123,6 +132,7 @@ def form_values(submission: Submission) -> dict[str, str]:
         "steps": "\n".join(step_text(step) for step in submission.variant),
         "playback_mode": submission.playback_mode,
         "playback_rate": value_text(submission.playback_rate),
+        **{SENSOR_PREFIX + role: name for role, name in submission.sensors.items()},
         **parameters,
     }
 
@@ -158,6 +168,12 @@ def _read_parameters(form: RunForm, algorithm: Algorithm) -> dict[str, Value]:
         except InvalidInput as error:
             form.errors[name] = str(error)
     return parameters
+
+
+def _read_choices(form: RunForm, algorithm: Algorithm) -> dict[str, str]:
+    """The sensor that is chosen for each role; an empty field follows the rule."""
+    names = {entry.role: form.value(SENSOR_PREFIX + entry.role).strip() for entry in algorithm.inputs}
+    return {role: name for role, name in names.items() if name}
 
 
 def _read_options(form: RunForm, options: Iterable[Option]) -> dict[str, Any] | None:

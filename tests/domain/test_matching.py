@@ -15,9 +15,10 @@ from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.matching import Origin, check_known, match_of
 from slamhive.domain.parameters import Parameter, ParameterType, check_stored, parse_settings
+from slamhive.domain.requirement import Requirement
 from slamhive.domain.sensor_property import SensorProperty
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind, SensorSetup
-from slamhive.errors import InvalidInput
+from slamhive.errors import InvalidInput, SlamHiveError
 
 CAMERA, IMU, LIDAR = SensorKind.CAMERA, SensorKind.IMU, SensorKind.LIDAR
 FLOAT, INT, MATRIX, STRING = ParameterType.FLOAT, ParameterType.INT, ParameterType.MATRIX, ParameterType.STRING
@@ -174,3 +175,84 @@ def test_the_configuration_of_a_run_has_every_value() -> None:
     config = build_run_config(eye, seen, configuration, 1, 0, kitti())
     assert config.algorithm_parameters == {"features": 500, "fx": 353.5456}
     assert config.general_parameter["focal_length"] == 353.5456
+
+
+ONE_OF_THEM = "choose another for one of them"
+CAMERAS = [replace(LEFT, name=f"cam{place}", topic=f"/cam{place}") for place in range(4)]
+
+
+@pytest.mark.parametrize(
+    ("chosen", "assigned", "stated"),
+    [
+        ({}, ["cam0", "cam1"], {}),
+        ({"left": "cam0"}, ["cam0", "cam1"], {}),
+        ({"left": "cam2"}, ["cam2", "cam3"], {"left": "cam2", "right": "cam3"}),
+        ({"left": "cam3"}, ["cam3", "cam0"], {"left": "cam3", "right": "cam0"}),
+        ({"right": "cam0"}, ["cam1", "cam0"], {"left": "cam1", "right": "cam0"}),
+        ({"right": "cam2"}, ["cam0", "cam2"], {"left": "cam0", "right": "cam2"}),
+    ],
+)
+def test_choosing_among_several_sensors(chosen: dict[str, str], assigned: list[str], stated: dict[str, str]) -> None:
+    eye, dataset = stereo(), kitti(*CAMERAS)
+    assert [sensor.name for sensor in eye.assign(dataset, chosen).values()] == assigned
+    assert eye.stated_choice(dataset, chosen) == stated
+    assert eye.stated_choice(dataset, stated) == stated
+    assert eye.assign(dataset, stated) == eye.assign(dataset, chosen)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message", "remedy"),
+    [
+        (
+            {"left": "imu0"},
+            "'imu0' is no sensor of dataset kitti_06 that fits left of eye",
+            "use cam0, cam1, cam2, cam3",
+        ),
+        ({"lefd": "cam0"}, "eye has no role 'lefd'; did you mean 'left'?", ""),
+        (
+            {"left": "cam1", "right": "cam1"},
+            "sensor cam1 is chosen for two roles of eye",
+            "choose another for one of them",
+        ),
+    ],
+)
+def test_a_choice_that_makes_no_sense_is_refused(chosen: dict[str, str], message: str, remedy: str) -> None:
+    with pytest.raises(SlamHiveError) as caught:
+        stereo().assign(kitti(*CAMERAS), chosen)
+    assert (caught.value.message, caught.value.remedy or "") == (message, remedy)
+
+
+def test_the_choice_is_part_of_the_identity_only_if_the_rule_says_otherwise() -> None:
+    plain = Configuration("eye", "kitti_06", {})
+    assert plain.content_hash == "bbf3b6cc2e95d84df40eca182ddfdc747c3a9085d6220b5c7029595dbb43d741"
+    assert replace(plain, sensors={"left": "cam2"}).content_hash != plain.content_hash
+
+
+def required(*entries: tuple[str, tuple[str, ...]]) -> Algorithm:
+    requires = tuple(Requirement(SensorProperty.parse(text), allowed) for text, allowed in entries)
+    return replace(stereo(), requires=requires)
+
+
+def test_what_a_package_has_to_know_is_said_with_the_key() -> None:
+    eye = required(("left.exposure_s", ()), ("left.gamma", ()), ("right.fx", ()))
+    with pytest.raises(InvalidInput) as caught:
+        eye.assign(kitti())
+    assert caught.value.message == (
+        "eye needs exposure_s, gamma of its left; cam0 of dataset kitti_06 does not state them"
+    )
+    assert caught.value.remedy == "add exposure_s, gamma to the calibration of cam0 in dataset.yaml"
+
+
+def test_a_sensor_that_has_what_is_needed_goes_first() -> None:
+    known = replace(CAMERAS[2], calibration={**KITTI_06, "exposure_s": 0.01})
+    eye, dataset = required(("left.exposure_s", ())), kitti(*CAMERAS[:2], known, CAMERAS[3])
+    assert [sensor.name for sensor in eye.fitting(dataset)["left"]] == ["cam2"]
+    assert eye.assign(dataset)["left"].name == "cam2"
+
+
+def test_a_lens_that_a_package_has_no_model_for_is_refused() -> None:
+    eye = required(("left.model", ("pinhole", "pinhole-radtan")))
+    fisheye = replace(LEFT, calibration={**KITTI_06, "model": "fisheye-kb", "distortion": (0.1, 0.2, 0.3, 0.4)})
+    assert eye.assign(kitti())["left"].name == "cam0"
+    with pytest.raises(InvalidInput, match=r"needs left\.model to be pinhole or pinhole-radtan; it is fisheye-kb"):
+        eye.assign(kitti(fisheye, replace(fisheye, name="cam1")))

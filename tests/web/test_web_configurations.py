@@ -59,7 +59,12 @@ def test_the_form_stores_and_tells_what_is_the_same(web: Web):
 def test_the_preview_knows_what_is_there(shown: Web):
     known = {"algorithm": "eye-slam-stereo", "dataset": "room", "parameter.nFeatures": "2000"}
     answer = shown.client.get("/configurations/new/preview", query_string=known).get_json()
-    assert answer == {"preview": "Identical to configuration 1.", "errors": {}, "bound": {}}
+    assert answer == {
+        "preview": "Identical to configuration 1.",
+        "errors": {},
+        "bound": {},
+        "used": {"sensor.left": "camera0", "sensor.right": "camera1"},
+    }
     new = shown.client.get("/configurations/new/preview", query_string=FORM).get_json()
     assert new["preview"] == "This configuration does not exist yet."
 

@@ -9,10 +9,19 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from slamhive.bags.variants.rules import RegisteredSteps
+from slamhive.catalogue.run_config import build_run_config
 from slamhive.cli import main
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.schema.record import Request
 from slamhive.schema.submission import Submission
 from slamhive.services.configurations.changes import Changes
 from slamhive.services.executors import Executors
+from slamhive.services.ledger.lines import configurations_of, record_line
+from slamhive.sweep.expand import expand
+from slamhive.sweep.experiment_file import parse_experiment
+from slamhive.sweep.view import CatalogueView
+from slamhive.web.experiment_fields import fields_from_yaml, yaml_from_fields
 from slamhive.web.security import API_HEADER
 from tests.services.tiny_project import environment
 from tests.web.web_world import Web
@@ -91,6 +100,64 @@ def test_a_copy_takes_its_values_from_its_own_dataset(bound: Web) -> None:
     form = {**FORM, "csrf_token": bound.token, "parameter.fx": "", "parameter.exposure": ""}
     answer = bound.client.post(f"/configurations/{made.id}/edit", data=form)
     assert answer.location.endswith(f"/configurations/{plain.id}")
+
+
+STEREO = ("eye-slam-stereo", "room")
+SWAPPED = {"left": "camera1", "right": "camera0"}
+
+
+def test_a_chosen_sensor_is_stored_with_the_configuration_and_its_runs(bound: Web) -> None:
+    hive = bound.hive
+    form = {"algorithm": STEREO[0], "dataset": STEREO[1], "csrf_token": bound.token, "sensor.left": "camera1"}
+    assert bound.client.post("/runs/new", data=form).status_code == 303
+    (run,) = hive.runs.page(limit=1).records
+    assert run.sensors == SWAPPED
+    assert "left: camera1 (chosen)" in bound.client.get(f"/runs/{run.id}").text
+    stored = hive.configurations.get(run.configuration_id)
+    assert stored.configuration.sensors == SWAPPED
+    line = json.loads(
+        json.dumps({**record_line(stored), "configurations": list(record_line(stored)["configurations"])})
+    )
+    assert [entry.configuration for entry in configurations_of(line)] == [stored.configuration]
+    assert Request.of(run, protocol=None).configuration == stored.configuration
+    again = hive.configurations.import_yaml(hive.configurations.export_yaml(stored.id), "x.yaml")
+    assert (again.created, again.record.id) == (False, stored.id)
+    config = build_run_config(
+        hive.catalogue.algorithm("eye-slam-stereo"), hive.catalogue.dataset("room"), stored.configuration, 1, 0
+    )
+    assert config.dataset_remap == {"/left": "/camera1", "/right": "/camera0"}
+
+
+def test_choosing_what_the_rule_gives_is_the_same_configuration(bound: Web) -> None:
+    configurations = bound.hive.configurations
+    plain = configurations.create(Submission(*STEREO))
+    assert not configurations.create(Submission(*STEREO, sensors={"left": "camera0"})).created
+    swapped = configurations.create(Submission(*STEREO, sensors={"left": "camera1"}))
+    assert (swapped.created, swapped.record.id == plain.record.id) == (True, False)
+    assert configurations.copy(swapped.record.id, Changes(sensors={})).record.id == plain.record.id
+
+
+def test_an_experiment_chooses_sensors_as_a_run_does(bound: Web) -> None:
+    text = "name: swapped\nalgorithms: [eye-slam-stereo, eye-slam-mono]\ndatasets: room\nsensors: {left: camera1}\n"
+    view = CatalogueView(
+        {entry.name: entry for entry in bound.hive.catalogue.algorithms()},
+        {"room": bound.hive.catalogue.dataset("room")},
+        RegisteredSteps(),
+    )
+    planned = [run.configuration for run in expand(parse_experiment(text), view)]
+    assert [configuration.sensors for configuration in planned] == [SWAPPED, {}]
+    assert fields_from_yaml(text).value("sensors") == "left=camera1"
+    assert (
+        parse_experiment(yaml_from_fields(fields_from_yaml(text))).content_hash == parse_experiment(text).content_hash
+    )
+    with pytest.raises(
+        NotFound, match=r"experiment.yaml line 4: unknown role of eye-slam-stereo, eye-slam-mono 'lift'"
+    ):
+        expand(parse_experiment(text.replace("{left", "{lift")), view)
+    with pytest.raises(
+        InvalidInput, match=r"experiment.yaml line 4: 'imu2' is no sensor of dataset room that fits left"
+    ):
+        expand(parse_experiment(text.replace("camera1", "imu2")), view)
 
 
 def test_a_value_that_nobody_knows_is_said_before_anything_starts(bound: Web) -> None:

@@ -36,12 +36,13 @@ EXAMPLE = Submission(
     timeout_s=60.0,
     priority=3,
     variant=(VariantStep("resolution", ("camera0", "camera1"), {"scale": 0.5, "interpolation": "area"}),),
+    sensors={"left": "camera1", "right": "camera0"},
     stop_when=StopWhen(lost_tracking_s=2.5, memory_mb=400, time_s=50.0, failures_of_configuration=3),
     repeat_disturbed=1,
 )
 """Every field differs from its default."""
 STEP = "resolution@camera0,camera1 scale=0.5 interpolation=area"
-FORM_NAMES = {"parameters": "parameter.nFeatures", "variant": "steps"}
+FORM_NAMES = {"parameters": "parameter.nFeatures", "variant": "steps", "sensors": "sensor.left"}
 EXPERIMENT_KEYS = {
     "algorithm": "algorithms",
     "dataset": "datasets",
@@ -73,6 +74,7 @@ def test_the_command_sets_every_option():
         *("--cpus", "1.5", "--memory", "512", "--timeout", "60", "--priority", "3", "--step", STEP),
         *("--stop-when", "lost_tracking_s=2.5", "--stop-when", "memory_mb=400", "--stop-when", "time_s=50"),
         *("--stop-when", "failures_of_configuration=3", "--repeat-disturbed", "1"),
+        *("--sensor", "left=camera1", "--sensor", "right=camera0"),
     ]
     values = submission_values(command.make_context("run", arguments).params)
     steps = (VariantStep("resolution", ("camera0", "camera1"), {"scale": "0.5", "interpolation": "area"}),)
@@ -88,6 +90,7 @@ def test_the_web_form_shows_and_sets_every_option(shown: Web):
         "evaluate": "no",
         "parameter.nFeatures": "1234",
         "steps": STEP,
+        "sensor.left": "camera1",
     }
     read = read_form(shown.hive, values)
     assert read.errors == {}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.parameters import Value
+from slamhive.domain.sensor_choice import Chosen
 from slamhive.domain.variant import Variant
 from slamhive.services.configurations.words import check_label, check_note
 from slamhive.store import ConfigurationRecord
@@ -20,6 +21,7 @@ class Changes:
     dataset: str | None = None
     parameters: Mapping[str, Value] | None = None
     variant: Variant | None = None
+    sensors: Chosen | None = None
     playback_mode: PlaybackMode | None = None
     playback_rate: float | None = None
 

@@ -103,8 +103,9 @@ class Configurations:
         configuration = submission.configuration(algorithm)
         variant = self._variants.resolve(dataset, configuration.variant)
         self._variants.check(dataset, variant)
-        match = match_of(algorithm, self._variants.planned(dataset, variant), configuration.parameters)
-        return Checked(algorithm, dataset, replace(configuration, variant=variant), match)
+        chosen = algorithm.stated_choice(dataset, configuration.sensors)
+        match = match_of(algorithm, self._variants.planned(dataset, variant), configuration.parameters, chosen)
+        return Checked(algorithm, dataset, replace(configuration, variant=variant, sensors=chosen), match)
 
     def same_as(self, submission: Submission) -> ConfigurationRecord | None:
         """The stored configuration identical to ``submission``, if any; raises as :meth:`check`."""
@@ -120,7 +121,7 @@ class Configurations:
         """How algorithm and dataset of this configuration fit, as they are now; raises NotFound or InvalidInput."""
         stored = self.get(configuration_id).configuration
         algorithm, dataset = self._catalogue.algorithm(stored.algorithm), self._catalogue.dataset(stored.dataset)
-        return match_of(algorithm, self._variants.planned(dataset, stored.variant), stored.parameters)
+        return match_of(algorithm, self._variants.planned(dataset, stored.variant), stored.parameters, stored.sensors)
 
     def check_runnable(self, configuration_id: int) -> ConfigurationRecord:
         """The configuration, if its stored values are still valid.
@@ -162,6 +163,7 @@ class Configurations:
             playback_mode=changes.playback_mode or stored.playback.mode,
             playback_rate=stored.playback.rate if changes.playback_rate is None else changes.playback_rate,
             variant=stored.variant if changes.variant is None else changes.variant,
+            sensors=stored.sensors if changes.sensors is None else changes.sensors,
         )
         return submission, tuple(notes)
 
@@ -222,6 +224,7 @@ class Configurations:
             playback_mode=content.playback.mode,
             playback_rate=content.playback.rate,
             variant=content.variant,
+            sensors=content.sensors,
         )
         own = Label(imported.name if label.name is None else label.name, imported.note, label.group)
         if label.note is not None:

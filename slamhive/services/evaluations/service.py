@@ -274,7 +274,8 @@ class Evaluations:
         if run.executor == IMPORTED:
             return IDENTITY4
         algorithm = self._catalogue.algorithm(run.algorithm)
-        return algorithm.assign(self._catalogue.dataset(run.dataset))[algorithm.trajectory_role].T_body_sensor
+        assigned = algorithm.assign(self._catalogue.dataset(run.dataset), run.sensors)
+        return assigned[algorithm.trajectory_role].T_body_sensor
 
     def protocol_of(self, run: RunRecord, asked: ProtocolRequest | None = None) -> Protocol:
         """The protocol for evaluating ``run``: as requested, as submitted, or the default for its sensors."""

@@ -81,6 +81,7 @@ def _configuration_line(
             entry.playback.mode,
             entry.playback.rate,
             dump(Variant, entry.variant),
+            dict(entry.sensors),
         )
         for number, entry in configurations
     )

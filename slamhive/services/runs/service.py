@@ -61,7 +61,7 @@ class Runs:
         check_writable(self._settings)
         checked = self._configurations.check(submission)
         algorithm, dataset = checked.algorithm, checked.dataset
-        check_recorded(dataset, algorithm, recorded_topics(dataset))
+        check_recorded(dataset, algorithm, recorded_topics(dataset), checked.configuration.sensors)
         check_disk(self._settings)
         executor = self._executors.choose(submission.executor)
         asked = RunLimits(submission.cpu_cores, submission.memory_mb)

@@ -18,6 +18,7 @@ from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.matching import match_of
+from slamhive.domain.sensor_choice import BY_RULE, Chosen
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.executors.base import Capabilities, Executor, ImageMissing
 from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
@@ -89,9 +90,11 @@ def recorded_topics(dataset: Dataset) -> dict[str, int]:
     return {entry.topic: entry.count for entry in inspect_bag(dataset.bag_path).topics}
 
 
-def check_recorded(dataset: Dataset, algorithm: Algorithm, recorded: Mapping[str, int]) -> None:
+def check_recorded(
+    dataset: Dataset, algorithm: Algorithm, recorded: Mapping[str, int], chosen: Chosen = BY_RULE
+) -> None:
     """Raise InvalidInput if the recording lacks a topic that ``algorithm`` needs; see :func:`recorded_topics`."""
-    for role, sensor in algorithm.assign(dataset).items():
+    for role, sensor in algorithm.assign(dataset, chosen).items():
         if not recorded.get(sensor.topic):
             raise InvalidInput(
                 f"{dataset.bag_path} holds no messages on {sensor.topic}, which {algorithm.name} needs as {role}",
@@ -175,7 +178,7 @@ def time_limit_s(job: Job, settings: Settings) -> float:
 def provenance(job: Job, identity: str) -> dict[str, Any]:
     """The provenance of the run for ``run.json``."""
     package = job.algorithm.package
-    match = match_of(job.algorithm, job.seen, job.configuration.parameters)
+    match = match_of(job.algorithm, job.seen, job.configuration.parameters, job.configuration.sensors)
     return {
         "software": f"slamhive {__version__}",
         "algorithm": {

@@ -97,8 +97,8 @@ class Preparing:
         context, run = self._hand.context, self._hand.run
         algorithm = context.catalogue.algorithm(run.algorithm)
         dataset = context.catalogue.dataset(run.dataset)
-        algorithm.assign(dataset)
         configuration = context.store.read(lambda t: t.configurations.get(run.configuration_id))
+        algorithm.assign(dataset, configuration.sensors)
         check_stored(algorithm.name, algorithm.parameters, configuration.parameters)
         limits = RunLimits(run.cpu_cores, run.memory_mb, run.timeout_s)
         return Job(run.id, run.uid, algorithm, dataset, configuration, run.seed, limits)

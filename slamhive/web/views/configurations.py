@@ -53,11 +53,13 @@ def show(configuration_id: int) -> str:
     service = hive().configurations
     record = service.get(configuration_id)
     algorithm = _algorithms().get(record.configuration.algorithm)
+    match = match_of_configuration(hive(), configuration_id)
     return render_template(
         "configurations/show.html",
         record=record,
         held_by=presenter.held_by(record),
-        parameters=presenter.parameter_rows(record, algorithm, match_of_configuration(hive(), configuration_id)),
+        parameters=presenter.parameter_rows(record, algorithm, match),
+        match=match,
         outdated=presenter.outdated(record, algorithm),
         runs=presenter.run_rows(service.latest_runs(configuration_id, RUNS_SHOWN), _algorithms().values()),
         columns=presenter.RUN_COLUMNS,
@@ -87,7 +89,7 @@ def create() -> Response | tuple[str, int]:
 def check() -> Response:
     """JSON for the open page: does this configuration exist already, and which fields are invalid?"""
     form = _read(request.args.to_dict())
-    return make_response(jsonify(preview=_preview(form), errors=form.errors, bound=form.bound))
+    return make_response(jsonify(preview=_preview(form), errors=form.errors, bound=form.bound, used=form.used))
 
 
 @blueprint.get(f"/{CONFIGURATION_ID}/edit")
@@ -111,6 +113,7 @@ def modify(configuration_id: int) -> Response | tuple[str, int]:
             dataset=submission.dataset,
             parameters={**form.cleared, **submission.parameters},
             variant=submission.variant,
+            sensors=submission.sensors,
             playback_mode=submission.playback_mode,
             playback_rate=submission.playback_rate,
         )

@@ -29,7 +29,7 @@ def form() -> str:
 def check() -> Response:
     """The preview and the invalid fields, as JSON for the open page."""
     filled = read_form(hive(), request.args.to_dict())
-    return make_response(jsonify(preview=_preview(filled), errors=filled.errors, bound=filled.bound))
+    return make_response(jsonify(preview=_preview(filled), errors=filled.errors, bound=filled.bound, used=filled.used))
 
 
 @blueprint.post("")
