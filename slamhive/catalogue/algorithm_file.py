@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from slamhive import strict_yaml
+from slamhive.catalogue.algorithm_parameters import ParameterModel, PlainValue, check_general_names, read_parameter
 from slamhive.catalogue.foreign_model import TopicModel
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input, RunUser
 from slamhive.domain.bounds import Bound
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.domain.lidar_layout import PointOrder
 from slamhive.domain.lidar_needs import LidarNeeds, Need
-from slamhive.domain.numbers import plain
-from slamhive.domain.parameters import Parameter, ParameterType, parse_settings
+from slamhive.domain.parameters import Parameter, parse_settings
 from slamhive.domain.protocol_choices import Alignment
 from slamhive.domain.remaps import TopicOf
 from slamhive.domain.requirement import Requirement
@@ -30,34 +29,6 @@ from slamhive.schema.validation import check_name_in, first_problem
 
 ALGORITHM_FILE = "algorithm.yaml"
 MAPPING_SCRIPT = "slamhive/mapping.py"
-
-PlainValue = bool | int | float | str | list[float]
-
-
-class _ParameterModel(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-    type: ParameterType
-    default: PlainValue | None = None
-    source: str | None = Field(default=None, alias="from")
-    required: bool = False
-    help: str
-    unit: str = ""
-    minimum: float | None = None
-    maximum: float | None = None
-    choices: list[str] = Field(default_factory=list)
-    general: str | None = None
-
-    @model_validator(mode="after")
-    def _definition_makes_sense(self) -> _ParameterModel:
-        if self.minimum is not None and self.maximum is not None and self.minimum > self.maximum:
-            raise ValueError(f"minimum {plain(self.minimum)} is larger than maximum {plain(self.maximum)}")
-        if not self.required and self.default is None and self.source is None:
-            raise ValueError("give a default, the property of a sensor that it is taken from, or required: true")
-        if self.required and not (self.default is None and self.source is None):
-            raise ValueError("a required parameter has neither a default nor a property of a sensor")
-        if self.type is ParameterType.ENUM and not self.choices:
-            raise ValueError("an enum needs choices")
-        return self
 
 
 class _ModeModel(BaseModel):
@@ -129,7 +100,7 @@ class _PackageModel(BaseModel):
     lidar: _LidarModel = Field(default_factory=_LidarModel)
     requires: dict[str, list[str] | None] = Field(default_factory=dict)
     modes: dict[str, _ModeModel] = Field(min_length=1)
-    parameters: dict[str, _ParameterModel] = Field(default_factory=dict)
+    parameters: dict[str, ParameterModel] = Field(default_factory=dict)
     bounds: dict[str, dict[str, _BoundModel]] = Field(default_factory=dict)
 
 
@@ -205,8 +176,8 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
     for key in [*keys, *model.defaults, *(topic.parameter for topic in model.topics.values() if topic.parameter)]:
         if key not in whole.parameters:
             raise InvalidInput(f"{path}: mode {mode} names parameter {key!r}, which is not defined")
-    _check_general_names(path, mode, {key: whole.parameters[key] for key in keys})
-    parameters = tuple(_parameter(path, key, whole.parameters[key], model) for key in keys)
+    check_general_names(path, mode, {key: whole.parameters[key] for key in keys})
+    parameters = tuple(read_parameter(path, key, whole.parameters[key], model) for key in keys)
     name = model.name or (package.name if len(whole.modes) == 1 else f"{package.name}-{mode}")
     bounds = {dataset: modes[mode] for dataset, modes in whole.bounds.items() if mode in modes}
     return Algorithm(
@@ -249,58 +220,3 @@ def _requirements(path: Path, model: _PackageModel) -> Iterator[Requirement]:
                 f"{path}: requires: {text} is no property of an input", f"use {', '.join(sorted(roles))}"
             )
         yield Requirement(source, tuple(allowed or ()))
-
-
-def _check_general_names(path: Path, mode: str, parameters: dict[str, _ParameterModel]) -> None:
-    """A name leads to one parameter, whether it is a key or a general name."""
-    owners: dict[str, str] = {}
-    for key, model in parameters.items():
-        general = model.general
-        if general is None:
-            continue
-        other = owners.get(general) or (general if general in parameters and general != key else None)
-        if other is not None:
-            raise InvalidInput(
-                f"{path}: mode {mode}: the general name {general!r} of {key} is also that of {other}",
-                "give each parameter of a mode a name of its own",
-            )
-        owners[general] = key
-
-
-def _parameter(path: Path, key: str, model: _ParameterModel, mode: _ModeModel) -> Parameter:
-    raw = mode.defaults.get(key, model.default)
-    parameter = Parameter(
-        key=key,
-        type=model.type,
-        default=None,
-        help=model.help,
-        unit=model.unit,
-        minimum=model.minimum,
-        maximum=model.maximum,
-        choices=tuple(model.choices),
-        general=model.general,
-        source=_source(path, key, model, mode),
-    )
-    if raw is None:
-        return parameter
-    try:
-        return replace(parameter, default=parameter.parse(raw))
-    except InvalidInput as error:
-        raise InvalidInput(f"{path}: default of {error.message}", error.remedy) from None
-
-
-def _source(path: Path, key: str, model: _ParameterModel, mode: _ModeModel) -> SensorProperty | None:
-    """The property of a sensor that the parameter is taken from; raises InvalidInput for a role that is no input."""
-    if model.source is None:
-        return None
-    try:
-        source = SensorProperty.parse(model.source)
-    except InvalidInput as error:
-        raise InvalidInput(f"{path}: parameter {key}: {error.message}", error.remedy) from None
-    missing = [role for role in source.roles if role not in mode.inputs]
-    if missing and key not in mode.defaults and model.default is None:
-        raise InvalidInput(
-            f"{path}: {mode.title}: parameter {key} is taken from {source}, but there is no input {missing[0]}",
-            "name the parameters of the mode, or give the parameter a default",
-        )
-    return None if missing else source
