@@ -119,6 +119,9 @@ class Settings(BaseSettings):
     )
     no_new_analysis: bool = setting(False, "View-only mode takes no analyses of visitors: true or false")
     orb_vocabulary: str = setting("", "ORB vocabulary file for ORB-SLAM3; empty means the small one of the image")
+    source_archives: str = setting(
+        "", "Folder with sources as NAME-COMMIT.tar.xz for building images offline; empty means their repositories"
+    )
 
     @classmethod
     def settings_customise_sources(cls, *_: Any, **sources: Any) -> tuple[PydanticBaseSettingsSource, ...]:

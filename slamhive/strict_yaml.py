@@ -6,6 +6,7 @@ YAML 1.2. The controller uses this module, and the runtime uses it inside algori
 
 from __future__ import annotations
 
+import functools
 import io
 import re
 from collections.abc import Iterator
@@ -15,7 +16,6 @@ from typing import Any
 
 from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.tag import Tag
 
 from slamhive import input_bounds
 from slamhive.errors import InvalidInput
@@ -247,7 +247,9 @@ def _events(value: Any) -> Iterator[events.Event]:
         yield events.SequenceEndEvent()
     elif isinstance(value, str):
         style = '"' if _LINE_BREAKS.search(value) else None
-        yield events.ScalarEvent(None, _TEXT, (not _NEEDS_QUOTES.fullmatch(value), True, True), value, style=style)
+        yield events.ScalarEvent(
+            None, _text_tag(), (not _NEEDS_QUOTES.fullmatch(value), True, True), value, style=style
+        )
     else:
         yield events.ScalarEvent(None, None, (True, False, True), _scalar(value))
 
@@ -257,10 +259,17 @@ _YAML_1_1 = r"""
     | [-+]? [0-9] [0-9_]* ( : [0-5]? [0-9] )* ( \. [0-9_]* )? ( [eE] [-+]? [0-9]+ )? | [-+]? \. [0-9_]+
     | [-+]? 0b [01_]+ | [-+]? 0x [0-9a-fA-F_]+
     | [0-9]{4} - [0-9]{1,2} - [0-9]{1,2} ( ( [Tt] | [ \t]+ ) [0-9] .* )?"""
-_TEXT = Tag(suffix="tag:yaml.org,2002:str")
 _LINE_BREAKS = re.compile("[\n\x85\u2028\u2029]")
 _NEEDS_QUOTES = re.compile(f"{_CORE_SCHEMA.pattern} | {_YAML_1_1}", re.VERBOSE)
 """Text that a reader of either version takes for something else, unless it is in quotation marks."""
+
+
+@functools.cache
+def _text_tag() -> Any:
+    """Only for writing: Debian's older ruamel.yaml, with which images of ROS read, does not have it."""
+    from ruamel.yaml.tag import Tag  # noqa: PLC0415
+
+    return Tag(suffix="tag:yaml.org,2002:str")
 
 
 def _scalar(value: bool | float | None) -> str:

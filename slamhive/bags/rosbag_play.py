@@ -3,7 +3,7 @@
 A copy of this file lies in every dataset folder: algorithm images with ROS inside start it as
 ``python3 /slamhive/dataset/rosbag_play.py``, or with ``python`` in older ones. It runs in their Python, 2.7 or 3.5 at
 the oldest, and needs only PyYAML. Images start it in the background and go on without it, so it reports a failure in
-``playback.json``, which fails the run.
+``playback.json``, which fails the run. Its own arguments are passed on to ``rosbag play``.
 """
 
 import glob
@@ -78,7 +78,7 @@ def play(command):
 
 def main():
     """Play the bag with the remaps and the rate of the run."""
-    play(play_command(os.path.dirname(os.path.abspath(__file__)), read_config()))
+    play(play_command(os.path.dirname(os.path.abspath(__file__)), read_config()) + sys.argv[1:])
 
 
 if __name__ == "__main__":

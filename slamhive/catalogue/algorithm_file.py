@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from slamhive import strict_yaml
 from slamhive.catalogue.algorithm_parameters import ParameterModel, PlainValue, check_general_names, read_parameter
 from slamhive.catalogue.foreign_model import TopicModel
-from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input, RunUser
+from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Base, Input, RunUser
 from slamhive.domain.bounds import Bound
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.domain.lidar_layout import PointOrder
@@ -97,6 +97,7 @@ class _PackageModel(BaseModel):
     resources: _ResourcesModel = Field(default_factory=_ResourcesModel)
     reports_tracking: bool = False
     user: RunUser = RunUser.WORKER
+    base: Base = Base.PYTHON
     lidar: _LidarModel = Field(default_factory=_LidarModel)
     requires: dict[str, list[str] | None] = Field(default_factory=dict)
     modes: dict[str, _ModeModel] = Field(min_length=1)
@@ -137,6 +138,7 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         cpu_cores=model.resources.cpu_cores,
         memory_mb=model.resources.memory_mb,
         reports_tracking=model.reports_tracking,
+        base=model.base,
         lidar=LidarNeeds(**model.lidar.model_dump()),
         user=model.user,
     )

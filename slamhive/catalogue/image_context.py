@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import slamhive
+from slamhive.catalogue.base_images import BaseImage, base_images, stage_sources
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.files import hash_files
@@ -54,12 +55,19 @@ def dockerfile_of(package: AlgorithmPackage, project_root: Path) -> Path | None:
     return path if path.is_file() else None
 
 
+def images_of(package: AlgorithmPackage, project_root: Path) -> tuple[BaseImage, ...]:
+    """The parts of its base that the Dockerfile of a package starts from."""
+    dockerfile = dockerfile_of(package, project_root)
+    return () if dockerfile is None else base_images(dockerfile, package.base, project_root)
+
+
 def stage_context(
     package: AlgorithmPackage,
     project_root: Path,
     target: Path,
     certificates: Path = HOST_CERTIFICATES,
     environment: Mapping[str, str] = os.environ,
+    archives: Path | None = None,
 ) -> BuildContext:
     """Write the build context of a package to ``target``, which must not exist.
 
@@ -69,6 +77,7 @@ def stage_context(
         target: The context; ``docker/base/README.md`` explains its layout.
         certificates: Folder whose ``*.crt`` files the image trusts during the build; may be absent.
         environment: Its ``BASE_IMAGE`` and index settings of pip become build arguments.
+        archives: Folder with sources as archives, for hosts that do not reach the repositories.
 
     Raises:
         InvalidInput: the package has no Dockerfile.
@@ -83,12 +92,10 @@ def stage_context(
         shutil.copy(dockerfile, target / "Dockerfile")
         copy_parts(source, RUNTIME_PARTS, target / "runtime" / "slamhive")
         copy_parts(source, RENDERING_PARTS, target / "rendering" / "slamhive")
-        base = target / "base"
-        (base / "ca-certificates").mkdir(parents=True)
-        shutil.copy(project_root / BASE_SCRIPT, base)
-        shutil.copy(source / "runtime" / "requirements.txt", base)
-        for certificate in sorted(certificates.glob("*.crt")):
-            shutil.copy(certificate, base / "ca-certificates")
+        _stage_certificates(certificates, target / "base")
+        shutil.copy(project_root / BASE_SCRIPT, target / "base")
+        shutil.copy(source / "runtime" / "requirements.txt", target / "base")
+        stage_sources(dockerfile, archives, target / "sources")
         _set_plain_modes(target)
     except OSError as error:
         raise Unavailable(f"the build context {target} cannot be made: {error}", "check space and rights") from None
@@ -96,6 +103,18 @@ def stage_context(
     if package.standard_image and package.system_packages:
         arguments["SYSTEM_PACKAGES"] = " ".join(package.system_packages)
     return BuildContext(target, "Dockerfile", arguments)
+
+
+def stage_base_context(image: BaseImage, target: Path, archives: Path | None = None) -> BuildContext:
+    """Write the build context of a part of a base to ``target``, which must not exist. Raises Unavailable."""
+    try:
+        shutil.copytree(image.folder, target / "part", ignore=_LEFT_OUT)
+        _stage_certificates(HOST_CERTIFICATES, target / "base")
+        stage_sources(image.folder / "Dockerfile", archives, target / "sources")
+        _set_plain_modes(target)
+    except OSError as error:
+        raise Unavailable(f"the build context {target} cannot be made: {error}", "check space and rights") from None
+    return BuildContext(target, "part/Dockerfile", build_arguments())
 
 
 def build_arguments(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
@@ -110,6 +129,7 @@ def context_hash(package: AlgorithmPackage, project_root: Path) -> str:
     parts = [hash_files(package.folder), hash_files(source, RUNTIME_PARTS), hash_files(project_root, project_parts)]
     if (package.folder / "prepare.py").is_file():
         parts.append(hash_files(source, RENDERING_PARTS))
+    parts += [image.content for image in images_of(package, project_root)]
     return "sha256:" + hashlib.sha256("".join(parts).encode()).hexdigest()
 
 
@@ -122,6 +142,12 @@ def copy_parts(source: Path, parts: tuple[str, ...], target: Path) -> None:
             shutil.copytree(source / part, copy, ignore=_LEFT_OUT)
         else:
             shutil.copy(source / part, copy)
+
+
+def _stage_certificates(certificates: Path, base: Path) -> None:
+    (base / "ca-certificates").mkdir(parents=True)
+    for certificate in sorted(certificates.glob("*.crt")):
+        shutil.copy(certificate, base / "ca-certificates")
 
 
 def _set_plain_modes(folder: Path) -> None:

@@ -7,6 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from slamhive.domain.bounds import Bound
+from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.lidar_needs import LidarNeeds
 from slamhive.domain.parameters import Parameter
@@ -42,13 +43,25 @@ class RunUser(StrEnum):
         return words.get(self, "the user of the image, without capabilities")
 
 
+ROS1_SUFFIX = ".bag"
+
+
+class Base(StrEnum):
+    """What the image of a package is based on, which decides who plays the recording."""
+
+    PYTHON = "python"
+    """The runtime plays any recording, in real time or sequentially."""
+    ROS1 = "ros1"
+    """``rosbag play`` plays ROS 1 bags, in real time."""
+
+
 @dataclass(frozen=True, slots=True)
 class AlgorithmPackage:
     """One folder below ``algorithms/``: code, image and provenance shared by all modes of an upstream project.
 
     ``standard_image``: its image is made by the Dockerfile that packages of Python modules share. ``reports_tracking``:
     while it runs it says for how long it has found no pose (``progress.json``). ``lidar``: what its modes with a LiDAR
-    need of the points. ``user``: who its runs are in a container.
+    need of the points. ``user``: who its runs are in a container. ``base``: what its image is based on.
     """
 
     name: str
@@ -64,6 +77,7 @@ class AlgorithmPackage:
     cpu_cores: float = 2.0
     memory_mb: int = 4096
     reports_tracking: bool = False
+    base: Base = Base.PYTHON
     lidar: LidarNeeds = field(default_factory=LidarNeeds)
     user: RunUser = RunUser.WORKER
 
@@ -71,6 +85,22 @@ class AlgorithmPackage:
     def image(self) -> str:
         """The Docker image that holds this package."""
         return f"slam-hive-algorithm:{self.name}"
+
+    def check_recording(self, dataset: Dataset) -> None:
+        """Raise InvalidInput if the package cannot play the format of the recording of ``dataset``."""
+        if self.base is Base.ROS1 and not dataset.bag.endswith(ROS1_SUFFIX):
+            raise InvalidInput(
+                f"{self.name} plays ROS 1 bags, dataset {dataset.name} holds {dataset.bag}",
+                f"make one: slamhive dataset export {dataset.name} --format ros1",
+            )
+
+    def check_playback(self, playback: Playback) -> None:
+        """Raise InvalidInput if the package cannot be played in this way."""
+        if self.base is Base.ROS1 and playback.mode is not PlaybackMode.REALTIME:
+            raise InvalidInput(
+                f"{self.name} cannot be played {playback.mode}: ROS 1 systems take messages when they come",
+                "play it realtime, with a low rate if it is too slow",
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +131,7 @@ class Algorithm:
         sensor, what the algorithm has to know of one, or a recording.
         """
         dataset.check_recorded()
+        self.package.check_recording(dataset)
         fitting = self.fitting(dataset)
         check_choice(self.name, dataset.name, fitting, chosen)
         assigned: dict[str, Sensor] = {}

@@ -87,12 +87,14 @@ class ExecutorContext:
         project_root: The folder with ``algorithms/`` and ``docker/``.
         installation: Distinguishes the runs of this data root from those of another on the same engine.
         log_max_bytes: How much of a run's output is kept.
+        source_archives: Folder with archives of sources, for images that are built without the internet.
     """
 
     data: Path
     project_root: Path
     installation: str
     log_max_bytes: int = 10_000_000
+    source_archives: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -119,12 +119,14 @@ class Synchroniser:
 
 @dataclass(frozen=True, slots=True)
 class FrameTimes:
-    """One line of ``frames.csv``; ``done_s`` is None for a frame that was dropped."""
+    """One line of ``frames.csv``; ``done_s`` is None for a frame that was dropped, or that was taken and ``silent``."""
 
     number: int
     stamp_s: float
     received_s: float
     done_s: float | None
+    silent: bool = False
+    """The algorithm took the frame, but gave no pose for it."""
 
 
 def write_frames_csv(path: Path, frames: list[FrameTimes]) -> None:
@@ -135,7 +137,8 @@ def write_frames_csv(path: Path, frames: list[FrameTimes]) -> None:
     lines = ["timestamp,received,done,dropped\n"]
     for entry in sorted(frames, key=lambda frame: frame.number):
         done = "" if entry.done_s is None else f"{entry.done_s:.6f}"
-        lines.append(f"{entry.stamp_s:.9f},{entry.received_s:.6f},{done},{int(entry.done_s is None)}\n")
+        dropped = entry.done_s is None and not entry.silent
+        lines.append(f"{entry.stamp_s:.9f},{entry.received_s:.6f},{done},{int(dropped)}\n")
     write_aside(path, "".join(lines))
 
 

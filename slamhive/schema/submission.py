@@ -159,11 +159,13 @@ class Submission:
 
     def configuration(self, algorithm: Algorithm) -> Configuration:
         """The checked configuration, its variant as it was given; raises NotFound or InvalidInput naming the value."""
+        playback = Playback(PlaybackMode(self.playback_mode), self.playback_rate)
+        algorithm.package.check_playback(playback)
         return Configuration(
             algorithm=algorithm.name,
             dataset=self.dataset,
             parameters=parse_settings(algorithm.name, algorithm.parameters, self.parameters),
-            playback=Playback(PlaybackMode(self.playback_mode), self.playback_rate),
+            playback=playback,
             variant=self.variant,
             sensors=self.sensors,
         )

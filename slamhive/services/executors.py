@@ -67,10 +67,11 @@ class Executors:
         self.opened.clear()
 
     def _context(self) -> ExecutorContext:
-        data = self._settings.data
+        data, archives = self._settings.data, self._settings.source_archives
         return ExecutorContext(
             data=data,
             project_root=self._project_root,
             installation=installation_id(data) if data.is_dir() else NO_INSTALLATION,
             log_max_bytes=self._settings.log_max_bytes,
+            source_archives=Path(archives) if archives else None,
         )

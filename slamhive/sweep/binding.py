@@ -124,11 +124,13 @@ class Pair:
         parameters = default_values(self.algorithm.parameters)
         for name, key in self.parameters.items():
             parameters[key] = row[name]
+        playback = Playback(PlaybackMode(str(row[PLAYBACK_MODE])), float(row[PLAYBACK_RATE]))  # type: ignore[arg-type]
+        self.algorithm.package.check_playback(playback)
         return Configuration(
             algorithm=self.algorithm.name,
             dataset=self.dataset.name,
             parameters=parameters,
-            playback=Playback(PlaybackMode(str(row[PLAYBACK_MODE])), float(row[PLAYBACK_RATE])),  # type: ignore[arg-type]
+            playback=playback,
             variant=self.variant(row),
             sensors=self.sensors,
         )

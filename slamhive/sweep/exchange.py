@@ -156,6 +156,7 @@ def _published(config: RunConfig, view: CatalogueView) -> Imported:
         playback=Playback(PlaybackMode(config.playback_mode), config.playback_rate),
         variant=resolve_variant(view.steps, dataset, steps),
     )
+    algorithm.package.check_playback(configuration.playback)
     configuration = _without_known(configuration, algorithm, seen_dataset(view.steps, dataset, configuration.variant))
     ours = build_run_config(algorithm, dataset, configuration, config.run_id, config.seed)
     return Imported(configuration, config.seed, tuple(_notes(config, ours, algorithm)))

@@ -11,6 +11,7 @@ import pytest
 from slamhive.bags.importing import ImportOptions
 from slamhive.bags.room import RoomOptions
 from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.domain.algorithm import Base
 from slamhive.domain.protocol_choices import Alignment
 from slamhive.domain.sensors import SensorKind
 from slamhive.project import project_root
@@ -44,7 +45,7 @@ def all_tests() -> list[Any]:
     found = []
     for folder in sorted((project_root() / "algorithms").glob("*/algorithm.yaml")):
         algorithms = load_algorithms(folder.parent)
-        mark = "classical" if getattr(algorithms[0].package, "base", "python") == "ros1" else "packages"
+        mark = "classical" if algorithms[0].package.base is Base.ROS1 else "packages"
         for entry in bound_tests(algorithms):
             name = f"{entry.algorithm.name}-{entry.bound.dataset}"
             found.append(pytest.param(entry, id=name, marks=getattr(pytest.mark, mark)))

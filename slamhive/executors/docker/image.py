@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import docker
 import docker.errors
 
-from slamhive.catalogue.image_context import context_hash, dockerfile_of, stage_context
+from slamhive.catalogue.base_images import BaseImage
+from slamhive.catalogue.image_context import context_hash, dockerfile_of, images_of, stage_base_context, stage_context
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import ExecutorContext, ImageMissing, ProgressCallback
 from slamhive.executors.docker.build import build_image, content_of, get_image, name_image
@@ -43,8 +45,10 @@ def make_image(
     if dockerfile_of(package, project_root) is None:
         return _pull(client, package, progress)
     content = context_hash(package, project_root)
+    arguments = _make_base_images(client, images_of(package, project_root), context, progress)
     with temporary_folder() as folder:
-        staged = stage_context(package, project_root, folder / "context")
+        staged = stage_context(package, project_root, folder / "context", archives=context.source_archives)
+        staged.build_args.update(arguments)
         digest = build_image(client, package.image, staged, content, project_root, progress)
     check_mapping_script(client, digest, package.image, context.installation)
     name_image(client, digest, package.image)
@@ -65,6 +69,26 @@ def check_mapping_script(client: docker.DockerClient, digest: str, name: str, in
             ) from None
         finally:
             container.remove(force=True)
+
+
+def _make_base_images(
+    client: docker.DockerClient, images: Iterable[BaseImage], context: ExecutorContext, progress: ProgressCallback
+) -> dict[str, str]:
+    """Build the images that are missing or out of date; {build argument: digest}. Raises ImageMissing."""
+    arguments: dict[str, str] = {}
+    for image in images:
+        found = get_image(client, image.name)
+        if found is not None and content_of(found) == image.content:
+            arguments[image.argument] = str(found.id)
+            continue
+        needed = _make_base_images(client, image.needs, context, progress)
+        with temporary_folder() as folder:
+            staged = stage_base_context(image, folder / "context", context.source_archives)
+            staged.build_args.update(needed)
+            digest = build_image(client, image.name, staged, image.content, context.project_root, progress)
+        name_image(client, digest, image.name)
+        arguments[image.argument] = digest
+    return arguments
 
 
 def _pull(client: docker.DockerClient, package: AlgorithmPackage, progress: ProgressCallback) -> str:

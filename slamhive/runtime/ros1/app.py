@@ -1,0 +1,82 @@
+"""The main program of a ``mapping.py`` of a ROS 1 system.
+
+Example::
+
+    if __name__ == "__main__":
+        sys.exit(run(make))
+
+where ``make`` takes the configuration of the run and returns a :class:`~slamhive.runtime.ros1.system.Ros1System`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.files import write_aside
+from slamhive.runtime.config import RunConfig, load
+from slamhive.runtime.frames import write_frames_csv
+from slamhive.runtime.paths import RunPaths, find_recording, run_paths
+from slamhive.runtime.pcd import write_pcd
+from slamhive.runtime.progress import json_text, say
+from slamhive.runtime.ros1.session import Played, Session
+from slamhive.runtime.ros1.system import Ros1System
+from slamhive.runtime.ros1.timing import frame_times, queue_drops
+from slamhive.runtime.trajectory import Poses, write_trajectory
+
+MAP_POINTS_MAX = 10_000_000
+"""120 MB of a PCD file. Of larger maps every n-th point is kept."""
+
+MakeSystem = Callable[[RunConfig], Ros1System]
+
+
+def run(make: MakeSystem) -> int:
+    """Run the system that ``make`` describes; returns the exit code. Each known error is one line on stderr."""
+    try:
+        _run(make, run_paths())
+    except SlamHiveError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)  # noqa: T201 - the program's own output
+        return 1
+    return 0
+
+
+def _run(make: MakeSystem, paths: RunPaths) -> None:
+    config = load(paths.config)
+    recording = find_recording(paths.dataset)
+    if recording.suffix != ".bag" or config.playback_mode != "realtime":
+        raise InvalidInput(
+            f"{recording.name} cannot be played {config.playback_mode} by rosbag play",
+            "it plays ROS 1 bags in real time",
+        )
+    system = make(config)
+    write_aside(paths.result / "about.json", json_text(dict(system.about)))
+    with Session(system, config, recording, paths) as session:
+        session.start()
+        played = session.play()
+    _write_results(system, config, played, paths.result)
+
+
+def _write_results(system: Ros1System, config: RunConfig, played: Played, result: Path) -> None:
+    arrivals = played.poses.arrivals
+    lines = frame_times(played.frames, arrivals, played.clock, config.playback_rate, every=system.every_frame)
+    write_frames_csv(result / "frames.csv", lines)
+    summary = {
+        "cpu_s": played.player_cpu_s,
+        "lag_max_s": max(0.0, played.clock.lag_max_s(config.playback_rate)),
+        "dropped_by_nodes": played.dropped_by_nodes,
+        "queues": queue_drops(played.statistics),
+    }
+    write_aside(result / "playback.json", json_text(summary))
+    if played.map_points_m is not None and config.general_parameter.get("save_map"):
+        step = -(-len(played.map_points_m) // MAP_POINTS_MAX) or 1
+        write_pcd(result / "Map.pcd", played.map_points_m[::step])
+    poses = played.poses.poses
+    write_trajectory(result / "traj.txt", Poses(poses.stamps_s + system.pose_delay_s, poses.T_world_sensor))
+    in_queues = sum(queue["dropped"] for queue in summary["queues"])  # type: ignore[attr-defined]
+    say(
+        f"done: {len(poses.stamps_s)} poses from {len(lines)} frames; dropped in queues: {in_queues}, "
+        f"reported by nodes: {played.dropped_by_nodes}"
+    )
+    write_aside(result / "finished", "")
