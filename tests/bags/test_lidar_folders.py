@@ -26,10 +26,13 @@ def test_an_nclt_session_is_turned_so_that_z_points_up(tmp_path):
     lidar, imu, gnss = dataset.sensors
     seen = recorded(dataset)
     cloud = to_points(seen[lidar.topic][1])
-    assert cloud.points_m == pytest.approx(np.array([[0, 1, -1], [0.01, -100, 100]]), abs=1e-5)
+    T_body_lidar = np.array(lidar.T_body_sensor).reshape(4, 4)
+    in_body_m = cloud.points_m @ T_body_lidar[:3, :3].T + T_body_lidar[:3, 3]
+    assert in_body_m == pytest.approx(np.array([[0, -1, 1], [0.01, 100, -100]]), abs=1e-4)
+    assert T_body_lidar[2, 2] > 0.99
     assert (cloud.field("intensity").tolist(), cloud.field("laser").tolist()) == ([7, 255], [31, 0])
     assert LidarLayout.of(lidar).times == PointTimes(0.1, stamp=SweepInstant.MIDDLE)
-    assert np.array(lidar.T_body_sensor).reshape(4, 4)[:3, 3] == pytest.approx([0.002, 0.004, 0.957])
+    assert T_body_lidar[:3, 3] == pytest.approx([0.002, 0.004, 0.957])
     sample = seen[imu.topic][0]
     assert (sample.angular_velocity.x, sample.linear_acceleration.z) == (0.01, -9.8)
     assert sample.header.stamp.nanosec == NCLT_START_US % 1_000_000 * 1000

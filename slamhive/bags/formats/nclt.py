@@ -2,7 +2,9 @@
 
 Columns and units are those of the dataset's own readers (``read_vel_sync.py``, ``read_ms25.py``, ``read_gps.py``),
 extrinsics those of its paper as ``ethz-asl/nclt_tools`` lists them. The body of NCLT has x to the front, y to the right
-and z down. Here both body and world are turned: y points to the left and z up.
+and z down. Here body, world and LiDAR are turned: z points up. The scans of ``velodyne_sync`` are in NCLT's body frame,
+as ``project_vel_to_cam.py`` uses them. They are moved back to the LiDAR, because packages expect its centre as the
+origin.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ _FILE_POINT = np.dtype([("x", "<u2"), ("y", "<u2"), ("z", "<u2"), ("intensity", 
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("laser", "<u2")])
 _SCALE_M, _OFFSET_M = 0.005, -100.0
 _UP = np.diag([1.0, -1.0, -1.0])
+_LIDAR_POSITION_M, _LIDAR_ANGLES_DEG = (0.002, -0.004, -0.957), (0.807, 0.166, -90.703)
 _FIRST_FIX = 2
 """The least ``mode`` of a row of ``gps.csv`` with a position."""
 
@@ -70,16 +73,19 @@ def _lidar(folder: Path) -> Stream:
     """The HDL-32E; with the timestamp of a scan as its middle, poses of scans without times belong to the timestamp."""
     times_ns, paths = timed_files(folder, ".bin", _NS_PER_US)
     layout = LidarLayout(PointTimes(scan_duration_s=0.1, stamp=SweepInstant.MIDDLE), beams=32, maximum_range_m=100.0)
-    T_body_lidar = _T_body((0.002, -0.004, -0.957), (0.807, 0.166, -90.703))
-    sensor = Sensor("lidar0", SensorKind.LIDAR, "/points", rate_hz(times_ns), T_body_lidar, layout.calibration())
+    T_body_lidar = transform(_UP, [0.0, 0.0, 0.0]) @ _T_nclt_lidar() @ transform(_UP, [0.0, 0.0, 0.0])
+    sensor = Sensor("lidar0", SensorKind.LIDAR, "/points", rate_hz(times_ns), _flat(T_body_lidar), layout.calibration())
     return point_stream(sensor, times_ns, paths, _read_scan, _POINT.itemsize / _FILE_POINT.itemsize)
 
 
 def _read_scan(path: Path) -> Array:
     hits = read_records(path, _FILE_POINT)
     points: Array = np.zeros(len(hits), dtype=_POINT)
-    for axis in "xyz":
-        points[axis] = hits[axis] * _SCALE_M + _OFFSET_M
+    T_nclt_lidar = _T_nclt_lidar()
+    body_m = np.column_stack([hits[axis] * _SCALE_M + _OFFSET_M for axis in "xyz"])
+    lidar_m = (body_m - T_nclt_lidar[:3, 3]) @ T_nclt_lidar[:3, :3] @ _UP
+    for number, axis in enumerate("xyz"):
+        points[axis] = lidar_m[:, number]
     points["intensity"], points["laser"] = hits["intensity"], hits["laser"]
     return points
 
@@ -135,7 +141,15 @@ def _finite_rows(rows: TimedList, start: int, count: int) -> TimedList:
 
 def _T_body(position_m: tuple[float, float, float], angles_deg: tuple[float, float, float]) -> Matrix4:
     T_nclt = transform(rotation_xyz(*np.deg2rad(angles_deg)), list(position_m))
-    return tuple(float(value) for value in (transform(_UP, [0.0, 0.0, 0.0]) @ T_nclt).reshape(-1))
+    return _flat(transform(_UP, [0.0, 0.0, 0.0]) @ T_nclt)
+
+
+def _T_nclt_lidar() -> Array:
+    return transform(rotation_xyz(*np.deg2rad(_LIDAR_ANGLES_DEG)), list(_LIDAR_POSITION_M))
+
+
+def _flat(T: Array) -> Matrix4:
+    return tuple(float(value) for value in T.reshape(-1))
 
 
 def _text(source: Path) -> DatasetText:
