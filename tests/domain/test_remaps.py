@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -37,7 +38,7 @@ BY_PARAMETER = "    topics: {left: {parameter: image0_topic}, imu: {parameter: i
 
 
 def dataset(tmp_path: Path) -> Dataset:
-    camera = {"width": 752, "height": 480, "fx": 458.0, "fy": 457.0, "cx": 367.0, "cy": 248.0}
+    camera: dict[str, Any] = {"width": 752, "height": 480, "fx": 458.0, "fy": 457.0, "cx": 367.0, "cy": 248.0}
     sensors = (
         Sensor("cam0", SensorKind.CAMERA, "/cam0/image_raw", 20.0, calibration=camera),
         Sensor("imu0", SensorKind.IMU, "/imu0", 200.0),
