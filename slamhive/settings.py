@@ -156,6 +156,11 @@ class Settings(BaseSettings):
         return self.data / "experiments"
 
     @property
+    def versions_folder(self) -> Path:
+        """Where the folders of packages are kept as they were, version by version."""
+        return self.data / "versions"
+
+    @property
     def ledger_folder(self) -> Path:
         """Where facts are recorded that only the database knows otherwise."""
         return self.data / "ledger"

@@ -64,6 +64,7 @@ FACTS = (
     Column("variant", "Variant", ColumnKind.FACT, numeric=False),
     Column("executor", "Executor", ColumnKind.FACT, numeric=False),
     Column("host", "Host", ColumnKind.FACT, numeric=False),
+    Column("version", "Version", ColumnKind.FACT, numeric=False),
     Column("protocol", "Protocol", ColumnKind.FACT, numeric=False),
     Column("protocol_label", "Protocol in words", ColumnKind.FACT, numeric=False),
     Column("evaluation", "Evaluation", ColumnKind.FACT, numeric=False),

@@ -39,6 +39,7 @@ class _ModeModel(BaseModel):
     trajectory_role: str
     name: str | None = None
     parameters: list[str] | None = None
+    map_input: bool = False
     defaults: dict[str, PlainValue] = Field(default_factory=dict)
     topics: dict[str, TopicModel] = Field(default_factory=dict)
 
@@ -100,6 +101,7 @@ class _PackageModel(BaseModel):
     base: Base = Base.PYTHON
     lidar: _LidarModel = Field(default_factory=_LidarModel)
     requires: dict[str, list[str] | None] = Field(default_factory=dict)
+    map_output: str | None = None
     modes: dict[str, _ModeModel] = Field(min_length=1)
     parameters: dict[str, ParameterModel] = Field(default_factory=dict)
     bounds: dict[str, dict[str, _BoundModel]] = Field(default_factory=dict)
@@ -141,6 +143,7 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         base=model.base,
         lidar=LidarNeeds(**model.lidar.model_dump()),
         user=model.user,
+        map_output=model.map_output,
     )
     algorithms = tuple(_algorithm(path, package, name, mode, model) for name, mode in model.modes.items())
     names = [algorithm.name for algorithm in algorithms]
@@ -158,6 +161,10 @@ def package_hash(folder: Path) -> str:
 def _check_names(path: Path, model: _PackageModel) -> None:
     """All names that become paths, labels, keys of the configuration or elements of a page are plain."""
     named = [("package", model.package)]
+    named += [] if model.map_output is None else [("map_output", model.map_output)]
+    takers = [mode for mode, content in model.modes.items() if content.map_input]
+    if takers and model.map_output is None:
+        raise InvalidInput(f"{path}: mode {takers[0]} has map_input, but the package has no map_output")
     for mode, content in model.modes.items():
         named += [("mode", mode), *(("role", role) for role in content.inputs)]
         named += [] if content.name is None else [("algorithm", content.name)]
@@ -194,6 +201,7 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
         topics=tuple(TopicOf(role, **topic.model_dump()) for role, topic in model.topics.items()),
         requires=tuple(entry for entry in _requirements(path, whole) if entry.source.role in model.inputs),
         bounds=tuple(_bound(path, dataset, bound, parameters) for dataset, bound in bounds.items()),
+        map_input=model.map_input,
     )
 
 

@@ -1,4 +1,4 @@
-"""``slamhive algorithm``: list, show, build; ``test`` has a module of its own."""
+"""``slamhive algorithm``: list, show, build; ``test`` and versions have modules of their own."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from slamhive.cli.algorithm_test import test
+from slamhive.cli.algorithm_versions import VERSION_COMMANDS
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.domain.parameters import Parameter
@@ -16,7 +17,7 @@ from slamhive.schema.catalogue import Algorithm
 
 @click.group()
 def algorithm() -> None:
-    """List, show, build and test algorithms."""
+    """List, show, build and test algorithms; list, verify and move their versions."""
 
 
 @algorithm.command("list")
@@ -80,7 +81,7 @@ def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | N
     """Build the images (for the process executor: the environments) of the algorithms or packages NAMES."""
     if bool(names) == all_:
         raise InvalidInput("name the algorithms to build, or give --all", "slamhive algorithm list shows them")
-    hive = cli.hive(indexed=False)
+    hive = cli.hive()
     hive.check_writable()
     packages = hive.catalogue.packages() if all_ else {hive.catalogue.package(name) for name in names}
     chosen = hive.executors.get(hive.executors.choose(executor))
@@ -93,12 +94,14 @@ def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | N
             failures.append(error)
             tell(f"error: {error}", style="red")
         else:
-            click.echo(f"{package.name}: {identity}")
+            record = hive.versions.register(chosen, package, identity)
+            click.echo(f"{record.label}: {identity}")
     if failures:
         raise click.exceptions.Exit(1)
 
 
-algorithm.add_command(test)
+for _command in (test, *VERSION_COMMANDS):
+    algorithm.add_command(_command)
 
 
 def _default(parameter: Parameter) -> str:

@@ -66,8 +66,9 @@ def run(cli: CliContext, as_json: bool, wait: bool, preview: bool, **options: An
         return
     submitted = hive.runs.submit(submission)
     unseen = unwatchable(submission.stop_when, [hive.catalogue.algorithm(submission.algorithm)])
-    if unseen is not None:
-        tell(f"note: {unseen}")
+    for note in (unseen, hive.configurations.map_note(submission)):
+        if note is not None:
+            tell(f"note: {note}")
     run_ids = [entry.id for entry in submitted]
     if wait:
         run_to_end(hive, run_ids, evaluate=submission.evaluate)

@@ -15,6 +15,7 @@ from slamhive.domain.remaps import TopicOf
 from slamhive.domain.requirement import Requirement, check_requirements
 from slamhive.domain.sensor_choice import BY_RULE, Chosen, assign_in_order, check_choice
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
+from slamhive.domain.versions import version_label
 from slamhive.errors import InvalidInput
 
 
@@ -59,9 +60,10 @@ class Base(StrEnum):
 class AlgorithmPackage:
     """One folder below ``algorithms/``: code, image and provenance shared by all modes of an upstream project.
 
-    ``standard_image``: its image is made by the Dockerfile that packages of Python modules share. ``reports_tracking``:
-    while it runs it says for how long it has found no pose (``progress.json``). ``lidar``: what its modes with a LiDAR
-    need of the points. ``user``: who its runs are in a container. ``base``: what its image is based on.
+        ``standard_image``: its image is made by the Dockerfile that packages of Python modules share. ``reports_tracking``:
+        while it runs it says for how long it has found no pose (``progress.json``). ``lidar``: what its modes with a LiDAR
+        need of the points. ``user``: who its runs are in a container. ``base``: what its image is based on. ``map_output``: the file in the result with the
+    map that another run of the same algorithm can start with; it is there if the run saves its map.
     """
 
     name: str
@@ -80,6 +82,7 @@ class AlgorithmPackage:
     base: Base = Base.PYTHON
     lidar: LidarNeeds = field(default_factory=LidarNeeds)
     user: RunUser = RunUser.WORKER
+    map_output: str | None = None
 
     @property
     def image(self) -> str:
@@ -110,6 +113,8 @@ class Algorithm:
     ``trajectory_role`` names the input whose frame the poses in ``traj.txt`` describe. ``bounds`` is what its runs
     keep on some datasets, in the order of ``algorithm.yaml``. ``topics`` says how it learns of the topic of a role; a
     role that is not in it is played as ``/<role>``. ``requires`` is what must be known of the sensors.
+    ``version`` is the number of the version of the package, None for the package as it is now. ``map_input``: it can
+    start with the map of another run.
     """
 
     name: str
@@ -123,6 +128,13 @@ class Algorithm:
     bounds: tuple[Bound, ...] = ()
     topics: tuple[TopicOf, ...] = ()
     requires: tuple[Requirement, ...] = ()
+    version: int | None = None
+    map_input: bool = False
+
+    @property
+    def label(self) -> str:
+        """How users ask for it: ``aloam``, or ``aloam@2`` for a version."""
+        return self.name if self.version is None else version_label(self.name, self.version)
 
     def assign(self, dataset: Dataset, chosen: Chosen = BY_RULE) -> dict[str, Sensor]:
         """Which sensor of ``dataset`` serves which role: as ``chosen``, the others in the dataset's order.

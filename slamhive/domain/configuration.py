@@ -10,6 +10,7 @@ from enum import StrEnum
 from slamhive.domain.parameters import Value
 from slamhive.domain.sensor_choice import Chosen
 from slamhive.domain.variant import Variant
+from slamhive.domain.versions import version_label
 
 _as_json = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
 
@@ -30,11 +31,20 @@ class Playback:
 
 
 @dataclass(frozen=True, slots=True)
+class InputMap:
+    """The map that a run starts with: the uid of the run that saved it, and the hash of the map, ``sha256:<hex>``."""
+
+    run: str
+    content: str
+
+
+@dataclass(frozen=True, slots=True)
 class Configuration:
     """An algorithm, a dataset and what is done to it beforehand, the values of parameters, and how the data is fed.
 
     ``parameters`` lacks those that are taken from sensors. ``sensors`` is what the user chose in place of the rule, in
-    the form of :meth:`~slamhive.domain.algorithm.Algorithm.stated_choice`.
+    the form of :meth:`~slamhive.domain.algorithm.Algorithm.stated_choice`. ``version`` is the version of the package
+    that was asked for, None for the newest at the time of the run. ``map`` is the map that the algorithm starts with.
     """
 
     algorithm: str
@@ -43,6 +53,13 @@ class Configuration:
     playback: Playback = Playback()
     variant: Variant = ()
     sensors: Chosen = field(default_factory=dict)
+    version: int | None = None
+    map: InputMap | None = None
+
+    @property
+    def algorithm_label(self) -> str:
+        """The algorithm as it is asked for: ``aloam``, or ``aloam@2`` for a version."""
+        return self.algorithm if self.version is None else version_label(self.algorithm, self.version)
 
     @property
     def content_hash(self) -> str:
@@ -57,6 +74,10 @@ class Configuration:
             content["variant"] = [step.content for step in self.variant]
         if self.sensors:
             content["sensors"] = dict(self.sensors)
+        if self.version is not None:
+            content["version"] = self.version
+        if self.map is not None:
+            content["map"] = self.map.content
         return hashlib.sha256(_as_json(content).encode()).hexdigest()
 
 

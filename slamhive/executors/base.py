@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import ClassVar
 
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.errors import SlamHiveError, Unavailable
+from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.evaluation.batch import BatchStarter
 from slamhive.evaluation.process_starter import ProcessStarter
 from slamhive.executors.spec import Limit, Limits, RunSpec
@@ -141,6 +141,29 @@ class Executor(ABC):
     @abstractmethod
     def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
         """Make the image or environment unless it exists; returns its identity. Raises ImageMissing."""
+
+    def has(self, package: AlgorithmPackage, identity: str) -> bool:
+        """Whether a run of ``package`` could start with this image or environment, which may be an older one."""
+        return self.identity(package) == identity
+
+    def named_image(self, package: AlgorithmPackage) -> str | None:  # noqa: ARG002 - the signature of the seam
+        """The image with the name of the package, up to date or not; None if there is none, or names play no role."""
+        return None
+
+    def keep(self, package: AlgorithmPackage, identity: str, number: int) -> None:  # noqa: B027 - nothing is cleaned up
+        """Keep the image or environment of version ``number``, so that no clean-up of the engine takes it."""
+
+    def forget(self, package: str, identity: str, number: int) -> None:  # noqa: ARG002 - the signature of the seam
+        """Remove the image or environment of version ``number``. Does nothing if it is gone. Raises InvalidInput."""
+        raise InvalidInput(f"the executor {self.name} removes no versions", "remove them in its engine")
+
+    def save_image(self, identity: str) -> Iterator[bytes]:  # noqa: ARG002 - as above
+        """The image as ``docker save`` writes it. Raises InvalidInput if this executor has no images."""
+        raise InvalidInput(f"the executor {self.name} has no images to export", "use --executor docker")
+
+    def load_image(self, chunks: Iterable[bytes]) -> str:  # noqa: ARG002 - as above
+        """Take the image that :meth:`save_image` gave; its identity. Raises InvalidInput."""
+        raise InvalidInput(f"the executor {self.name} takes no images", "use --executor docker")
 
     # -- the life of a run ---------------------------------------------------------------------------------------------
 

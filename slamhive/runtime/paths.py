@@ -15,6 +15,9 @@ RESULT_VARIABLE = "SLAMHIVE_RESULT"
 ORB_VOCABULARY_VARIABLE = "SLAMHIVE_ORB_VOCABULARY"
 """Names the ORB vocabulary file to use in place of the small one that comes with the package."""
 
+MAP_VARIABLE = "SLAMHIVE_MAP"
+"""Names the map that the run starts with, a read-only file; not set for a run without one."""
+
 
 @dataclass(frozen=True, slots=True)
 class RunPaths:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator
+from pydantic import AliasPath, BeforeValidator, Field
 
 from slamhive.domain.configuration import Playback
 from slamhive.domain.parameters import ParameterType, Value
@@ -26,6 +26,25 @@ class Package(Document):
     licence: str
     citation: str
     image: Annotated[str, described("The Docker image.")]
+
+
+class Version(Document):
+    """One version of a package, and what is here of it."""
+
+    version: Annotated[str, described("How filters and commands name it: aloam@2.")] = Field(
+        validation_alias=AliasPath("record", "label")
+    )
+    number: int = Field(validation_alias=AliasPath("record", "number"))
+    upstream_version: str = Field(validation_alias=AliasPath("record", "version"))
+    identity: Annotated[str, described("Digest of the image, or hash of the environment.")] = Field(
+        validation_alias=AliasPath("record", "identity")
+    )
+    package_hash: str = Field(validation_alias=AliasPath("record", "package_hash"))
+    created_at: Timestamp = Field(validation_alias=AliasPath("record", "created_at"))
+    removed_at: Timestamp | None = Field(validation_alias=AliasPath("record", "removed_at"))
+    runs: Annotated[int, described("How many runs used it.")] = Field(validation_alias=AliasPath("record", "runs"))
+    runs_on: Annotated[tuple[str, ...], described("Executors that can run it now.")]
+    kept: Annotated[bool, described("The folder of the package is kept as it was.")]
 
 
 class Parameter(Document):

@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 from pydantic import AliasChoices, Field, FiniteFloat
 from pydantic import StrictInt as Whole
 
-from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
+from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode
 from slamhive.domain.variant import Variant
 from slamhive.schema.fields import described
 from slamhive.schema.model import Document
@@ -27,12 +27,15 @@ class ConfigurationRow(NamedTuple):
     rate: FiniteFloat
     variant: Variant
     sensors: dict[str, str] = {}  # noqa: RUF012 - a field of a named tuple, which nobody changes
+    version: Whole | None = None
+    map: InputMap | None = None
 
     @property
     def configuration(self) -> Configuration:
         """What exactly is run."""
-        playback = Playback(self.mode, self.rate)
-        return Configuration(self.algorithm, self.dataset, self.parameters, playback, self.variant, self.sensors)
+        playback, steps = Playback(self.mode, self.rate), self.variant
+        more = (self.sensors, self.version, self.map)
+        return Configuration(self.algorithm, self.dataset, self.parameters, playback, steps, *more)
 
 
 class ConfigurationsLine(Document):
@@ -136,7 +139,7 @@ class EndedLine(Document):
 
 
 class VersionRow(Document):
-    """A version of an algorithm that runs have used."""
+    """A version without a number, as lines of algorithms held it before versions had numbers."""
 
     identity: str
     package_hash: str
@@ -150,10 +153,28 @@ class AlgorithmLine(Document):
     algorithm: str = Field(validation_alias=AliasChoices("name", "algorithm"))
     package: str
     mode: str
-    versions: tuple[VersionRow, ...]
+    versions: tuple[VersionRow, ...] = ()
+
+
+class VersionLine(VersionRow):
+    """A version of a package."""
+
+    versions_of: Annotated[str, described("The package.")] = Field(
+        validation_alias=AliasChoices("package", "versions_of")
+    )
+    number: Annotated[int, described("Counts the versions of the package.")]
+    removed_at: Annotated[Moment | None, described("When its image was removed on purpose.")] = None
 
 
 LedgerLine = (
-    AlgorithmLine | ConfigurationsLine | LabelLine | CellsLine | RunsLine | CancelledLine | AskedLine | EndedLine
+    AlgorithmLine
+    | VersionLine
+    | ConfigurationsLine
+    | LabelLine
+    | CellsLine
+    | RunsLine
+    | CancelledLine
+    | AskedLine
+    | EndedLine
 )
 """Lines of all books of the ledger, apart from bare lists of numbers."""

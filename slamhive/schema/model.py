@@ -41,7 +41,7 @@ def _attributes(kind: type[Document], record: object) -> dict[str, Any]:
     """The attributes of ``record`` that ``kind`` has fields for."""
     found = {}
     for name, field in kind.model_fields.items():
-        keys = (name, *getattr(field.validation_alias, "choices", ()))
+        keys = (*getattr(field.validation_alias, "choices", ()), name)  # in the order in which pydantic tries them
         key = next((key for key in keys if hasattr(record, key)), None)
         if key is not None:
             found[name] = getattr(record, key)

@@ -9,7 +9,7 @@ from pydantic import StrictBool as Flag
 from pydantic import StrictFloat as Number
 from pydantic import StrictInt as Whole
 
-from slamhive.domain.configuration import Configuration, Playback
+from slamhive.domain.configuration import Configuration, InputMap, Playback
 from slamhive.domain.run import FailureReason, RunEvent, RunState
 from slamhive.domain.variant import Variant
 from slamhive.schema.fields import described
@@ -34,11 +34,18 @@ class ConfigurationContent(Document):
     sensors: Annotated[dict[str, str], described("Sensors that were chosen in place of the rule, by role.")] = Field(
         default_factory=dict
     )
+    version: Annotated[Whole | None, described("Version of the package that was asked for; null for the newest.")] = (
+        Field(default=None, validation_alias=AliasChoices("asked_version", "version"))
+    )
+    map: Annotated[InputMap | None, described("The map that the algorithm starts with.")] = Field(
+        default=None, validation_alias=AliasChoices("input_map", "map")
+    )
 
     @property
     def configuration(self) -> Configuration:
         """The configuration with this content."""
-        return Configuration(self.algorithm, self.dataset, self.parameters, self.playback, self.variant, self.sensors)
+        more = (self.sensors, self.version, self.map)
+        return Configuration(self.algorithm, self.dataset, self.parameters, self.playback, self.variant, *more)
 
 
 class Request(ConfigurationContent):
@@ -95,6 +102,7 @@ class AlgorithmVersion(Document):
     identity: Annotated[str | None, described("Digest of the image, or hash of the environment.")] = None
     package_hash: str | None = None
     version: str | None = None
+    number: Annotated[Whole | None, described("Number of the version within its package.")] = None
 
     @model_validator(mode="after")
     def _whole(self) -> Self:

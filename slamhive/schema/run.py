@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import AliasChoices, Field, ValidatorFunctionWrapHandler, WrapValidator
 from typing_extensions import TypedDict
 
-from slamhive.domain.configuration import Playback
+from slamhive.domain.configuration import InputMap, Playback
 from slamhive.domain.hint import Hint
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import FailureReason, RunState
@@ -76,6 +76,9 @@ class Run(Document):
     id: Annotated[int, described("Number in this installation.")]
     uid: Annotated[str, described("Identifies the run in every installation.")]
     algorithm: str
+    version: Annotated[str | None, described("The version of its package that ran, such as aloam@2.")] = Field(
+        validation_alias=AliasChoices("version_label", "version")
+    )
     dataset: str
     configuration: Annotated[int, described("Number of the configuration.")] = Field(
         validation_alias=AliasChoices("configuration_id", "configuration")
@@ -84,6 +87,9 @@ class Run(Document):
     playback: Playback
     variant: Annotated[Variant, described("Pre-processing steps of the dataset, in order.")]
     sensors: Annotated[dict[str, str], described("Sensors that were chosen in place of the rule, by role.")]
+    map: Annotated[InputMap | None, described("The map that the algorithm started with.")] = Field(
+        default=None, validation_alias=AliasChoices("input_map", "map")
+    )
     executor: str
     seed: int
     state: RunState

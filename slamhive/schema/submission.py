@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, with_config
 
 from slamhive.domain.algorithm import Algorithm
-from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
+from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode
 from slamhive.domain.parameters import Value, parse_settings
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.variant import Variant
@@ -55,6 +55,14 @@ TimeoutS = Annotated[
 ]
 Executor = Annotated[str | None, described("Where runs are executed; by default the executor in force.")]
 Priority = Annotated[int, described("Runs with a higher priority start first.", ge=-1000, le=1000)]
+StartingMap = Annotated[
+    str | None,
+    described(
+        "Number or uid of the run whose saved map the algorithm starts with, to find itself in it.",
+        title="Start with the map of run",
+        group=CONTENT,
+    ),
+]
 RequestedAlignment = Annotated[
     Alignment | None,
     described("How the estimate is aligned to the ground truth; by default as the sensors require."),
@@ -122,7 +130,9 @@ class Submission:
     Commands and forms build it from text; :meth:`check` refuses values that are not allowed.
     """
 
-    algorithm: Annotated[str, described("Name of the algorithm.", group=CONTENT)]
+    algorithm: Annotated[
+        str, described("Name of the algorithm; NAME@2 is version 2 of its package, NAME the newest.", group=CONTENT)
+    ]
     dataset: Annotated[str, described("Name of the dataset.", group=CONTENT)]
     parameters: Annotated[
         Mapping[str, Value],
@@ -154,11 +164,15 @@ class Submission:
             "The sensor for a role, where several fit; the other roles follow the order of the dataset.", group=CONTENT
         ),
     ] = field(default_factory=dict)
+    map: StartingMap = None
     stop_when: Annotated[StopWhen, described("Rules that end a run early.")] = NEVER
     repeat_disturbed: RepeatDisturbed = 0
 
-    def configuration(self, algorithm: Algorithm) -> Configuration:
-        """The checked configuration, its variant as it was given; raises NotFound or InvalidInput naming the value."""
+    def configuration(self, algorithm: Algorithm, input_map: InputMap | None = None) -> Configuration:
+        """The checked configuration, its variant as it was given; raises NotFound or InvalidInput naming the value.
+
+        ``input_map`` is what ``map`` names.
+        """
         playback = Playback(PlaybackMode(self.playback_mode), self.playback_rate)
         algorithm.package.check_playback(playback)
         return Configuration(
@@ -168,6 +182,8 @@ class Submission:
             playback=playback,
             variant=self.variant,
             sensors=self.sensors,
+            version=algorithm.version,
+            map=input_map,
         )
 
     def check(self) -> None:

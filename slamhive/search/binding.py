@@ -17,6 +17,7 @@ from slamhive.search.parser import nothing_compared, parse_filter
 from slamhive.search.reader import FilterError, Place
 from slamhive.search.syntax import PRESENCE, Comparison, Filter, Sign, Word, filter_text, reversed_range
 from slamhive.search.units import moments, number, units_of
+from slamhive.search.versions import with_versions
 
 Value = int | float | str | bool | datetime
 LONGEST_TEXT = 190
@@ -88,7 +89,7 @@ def bind(tree: Filter | None, source: str, vocabulary: Vocabulary) -> Search:
         return EVERYTHING
     binder = _Binder(source, vocabulary)
     rest, protocol = binder.split_protocol(tree)
-    bound = None if rest is None else mapped(rest, binder.condition)
+    bound = None if rest is None else mapped(with_versions(rest, source), binder.condition)
     return Search(bound, protocol, filter_text(tree))
 
 

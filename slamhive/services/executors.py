@@ -7,7 +7,7 @@ from pathlib import Path
 
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.base import Executor, ExecutorContext
-from slamhive.executors.registry import AUTO, choose_executor, installation_id, open_executor
+from slamhive.executors.registry import AUTO, candidates, choose_executor, installation_id, open_executor
 from slamhive.settings import Settings
 
 NO_INSTALLATION = "none"
@@ -49,6 +49,10 @@ class Executors:
             return wanted
         executor, _ = choose_executor(wanted, self.get)
         return executor.name
+
+    def usable(self) -> list[Executor]:
+        """The executors that can be used now without being asked for by name, the preferred one first."""
+        return [entry for entry in candidates(AUTO, self.get) if entry.unavailable_because() is None]
 
     def default(self) -> tuple[str, str]:
         """The name of the executor in use and the reason for it in words."""

@@ -19,6 +19,7 @@ from slamhive.services.imports import Imports
 from slamhive.services.ledger import Ledger
 from slamhive.services.runs import Runs
 from slamhive.services.searches import Searches
+from slamhive.services.versions import Versions
 from slamhive.services.worker import Worker, WorkerLock
 from slamhive.settings import Mode, Settings, load_settings
 from slamhive.store import Store
@@ -50,6 +51,7 @@ class Hive:
         self.dataset_checks = DatasetChecks(settings)
         self.searches = Searches(settings, store, catalogue)
         self.configurations = Configurations(settings, store, catalogue, self.variants)
+        self.versions = Versions(settings, store, catalogue, self.executors)
         self.runs = Runs(settings, store, self.configurations, self.executors)
         self.protocols = Protocols(store)
         self.evaluations = Evaluations(settings, store, catalogue, self.protocols, self.executors.evaluation_runner)

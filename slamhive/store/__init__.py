@@ -27,6 +27,7 @@ from slamhive.store.records import (
     RunRequest,
     RunSnapshot,
     RunSort,
+    VersionRecord,
 )
 from slamhive.store.store import AbsentStore, Store, open_store
 from slamhive.store.transaction import Transaction
@@ -58,5 +59,6 @@ __all__ = [
     "Store",
     "StoredParameter",
     "Transaction",
+    "VersionRecord",
     "open_store",
 ]

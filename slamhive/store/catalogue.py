@@ -1,4 +1,4 @@
-"""What runs refer to: algorithms and their versions, datasets, hosts, protocols."""
+"""What runs refer to: algorithms, datasets, hosts, protocols."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from slamhive.domain.algorithm import Algorithm as AlgorithmDefinition
 from slamhive.domain.dataset import Dataset as DatasetDefinition
 from slamhive.errors import unknown
 from slamhive.store.changes import changes_of
-from slamhive.store.models import Algorithm, AlgorithmVersion, Dataset, Host, Protocol
+from slamhive.store.models import Algorithm, Dataset, Host, Protocol
 from slamhive.store.records import AlgorithmRecord, DatasetRecord
-from slamhive.store.records import AlgorithmVersion as VersionRecord
 from slamhive.store.records import Host as HostRecord
 from slamhive.store.rows import Repository, cut, get_or_insert
 
@@ -37,14 +36,6 @@ class CatalogueRepository(Repository):
                 update(Algorithm.__table__).where(Algorithm.__table__.c.id == algorithm_id).values(values)
             )
         return algorithm_id
-
-    def put_version(self, algorithm_id: int, version: VersionRecord, now: datetime) -> int:
-        """The id of this version of the algorithm, stored if it is new."""
-        keys = {"algorithm_id": algorithm_id, "identity": version.identity, "package_hash": version.package_hash}
-        values = {"version": version.version, "created_at": now}
-        version_id, created = get_or_insert(self._session, AlgorithmVersion, keys, values)
-        changes_of(self._session).catalogue |= created
-        return version_id
 
     def put_dataset(self, dataset: DatasetDefinition, now: datetime, *, gone: bool = False) -> int:
         """The id of ``dataset``. A dataset that was made again under its name replaces what the row says.

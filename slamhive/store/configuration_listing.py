@@ -9,11 +9,8 @@ from typing import Any
 from sqlalchemy import ColumnElement, Select, and_, exists, func, literal, or_, select
 from sqlalchemy.orm import Session
 
-from slamhive.domain import configuration as domain
 from slamhive.domain.parameters import ParameterType
-from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput, unknown
-from slamhive.schema.model import load
 from slamhive.store.configuration_models import ConfigurationGroup, ConfigurationLabel
 from slamhive.store.configuration_records import (
     ConfigurationFilter,
@@ -22,7 +19,7 @@ from slamhive.store.configuration_records import (
     ParameterCondition,
     StoredParameter,
 )
-from slamhive.store.configurations import ConfigurationRepository
+from slamhive.store.configurations import ConfigurationRepository, configuration_of
 from slamhive.store.models import (
     TEXT_VALUE_LENGTH,
     Algorithm,
@@ -93,14 +90,7 @@ def _records(session: Session, ids: Sequence[int]) -> list[ConfigurationRecord]:
     return [
         ConfigurationRecord(
             id=row.id,
-            configuration=domain.Configuration(
-                row.algorithm,
-                row.dataset,
-                values[row.id],
-                domain.Playback(row.playback_mode, row.playback_rate),
-                load(Variant, row.variant) if row.variant else (),
-                row.sensors or {},
-            ),
+            configuration=configuration_of(row, values[row.id]),
             created_at=row.created_at,
             name=row.name,
             note=row.note or "",
@@ -121,6 +111,8 @@ def _query() -> Select[Any]:
             Configuration.playback_rate,
             Configuration.variant,
             Configuration.sensors,
+            Configuration.version,
+            Configuration.map,
             Configuration.created_at,
             Algorithm.name.label("algorithm"),
             Dataset.name.label("dataset"),

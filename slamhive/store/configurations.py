@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import insert, select, update
+from sqlalchemy import Row, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
 from slamhive.domain import configuration as domain
@@ -90,6 +90,8 @@ class ConfigurationRepository(Repository):
                 Configuration.playback_rate,
                 Configuration.variant,
                 Configuration.sensors,
+                Configuration.version,
+                Configuration.map,
             )
             .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
             .join(Dataset, Dataset.id == Configuration.dataset_id)
@@ -97,10 +99,7 @@ class ConfigurationRepository(Repository):
         ).one_or_none()
         if row is None:
             raise NotFound(f"unknown configuration {configuration_id}")
-        playback = domain.Playback(row.playback_mode, row.playback_rate)
-        parameters = self.parameters_of(configuration_id)
-        variant = load(Variant, row.variant or ())
-        return domain.Configuration(row.algorithm, row.dataset, parameters, playback, variant, row.sensors or {})
+        return configuration_of(row, self.parameters_of(configuration_id))
 
     def parameters_of(self, configuration_id: int) -> dict[str, Value]:
         """Every parameter of one configuration with its value, typed as it was stored."""
@@ -220,7 +219,23 @@ def _row(entry: NewConfiguration) -> dict[str, Any]:
         "playback_rate": configuration.playback.rate,
         "variant": dump(Variant, configuration.variant) or None,
         "sensors": dict(configuration.sensors) or None,
+        "version": configuration.version,
+        "map": None if configuration.map is None else dump(domain.InputMap, configuration.map),
     }
+
+
+def configuration_of(row: Row[Any], parameters: dict[str, Value]) -> domain.Configuration:
+    """The configuration of a row with the names of its algorithm and dataset."""
+    return domain.Configuration(
+        algorithm=row.algorithm,
+        dataset=row.dataset,
+        parameters=parameters,
+        playback=domain.Playback(row.playback_mode, row.playback_rate),
+        variant=load(Variant, row.variant) if row.variant else (),
+        sensors=row.sensors or {},
+        version=row.version,
+        map=None if row.map is None else load(domain.InputMap, row.map),
+    )
 
 
 def _description(definition: Definition | None, value: Value) -> tuple[str, str, str | None]:

@@ -18,8 +18,6 @@ from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import AS_FILED, EndedEvaluation
 from slamhive.store.models import (
-    Algorithm,
-    AlgorithmVersion,
     Configuration,
     Evaluation,
     Experiment,
@@ -143,17 +141,6 @@ class LedgerRepository(Repository):
             AskedEvaluations(domain.protocol_from_content(definitions[protocol]), artefacts, at, run_ids)
             for (protocol, artefacts, at), run_ids in together.items()
         ]
-
-    def versions(self) -> dict[str, list[dict[str, Any]]]:
-        """The versions of each algorithm, by its name."""
-        query = select(AlgorithmVersion.__table__, Algorithm.name).join(
-            Algorithm, Algorithm.id == AlgorithmVersion.algorithm_id
-        )
-        found: dict[str, list[dict[str, Any]]] = defaultdict(list)
-        for row in self._session.execute(query.order_by(AlgorithmVersion.id)):
-            names = ("identity", "package_hash", "version", "created_at")
-            found[row.name].append({name: getattr(row, name) for name in names})
-        return found
 
     # -- in --------------------------------------------------------------------------------------------------------
 

@@ -69,16 +69,26 @@ class Algorithm(Base):
 
 
 class AlgorithmVersion(Base):
-    """What exactly ran: the image digest (or environment hash) and the hash of the package folder."""
+    """One version of a package: the image digest (or environment hash) and the hash of the package folder.
+
+    ``number`` counts the versions of a package from 1 and is never used twice: a version that was removed from the
+    engine keeps its row.
+    """
 
     __tablename__ = "algorithm_versions"
-    __table_args__ = (UniqueConstraint("algorithm_id", "identity", "package_hash"), TABLE_OPTIONS)
+    __table_args__ = (
+        UniqueConstraint("package", "number"),
+        UniqueConstraint("package", "identity", "package_hash"),
+        TABLE_OPTIONS,
+    )
     id: Mapped[int] = mapped_column(primary_key=True)
-    algorithm_id: Mapped[int] = mapped_column(ForeignKey("algorithms.id"))
+    package: Mapped[str] = mapped_column(String(NAME_LENGTH))
+    number: Mapped[int]
     identity: Mapped[str] = mapped_column(String(190))
     package_hash: Mapped[str] = mapped_column(String(80))
     version: Mapped[str] = mapped_column(String(190))
     created_at: Mapped[datetime]
+    removed_at: Mapped[datetime | None]
 
 
 class Dataset(Base):
@@ -115,6 +125,7 @@ class Configuration(Base):
     """What a run runs; equal content is one row. ``variant`` is NULL where the dataset is used unchanged.
 
     ``sensors`` is NULL where the rule assigns them.
+    ``version``: of the package, if one was asked for. ``map``: the map that the algorithm starts with, if any.
     """
 
     __tablename__ = "configurations"
@@ -126,6 +137,8 @@ class Configuration(Base):
     playback_rate: Mapped[float]
     variant: Mapped[Any | None] = mapped_column(JsonText)
     sensors: Mapped[Any | None] = mapped_column(JsonText)
+    version: Mapped[int | None]
+    map: Mapped[Any | None] = mapped_column(JsonText)
     created_at: Mapped[datetime]
 
 
@@ -218,7 +231,7 @@ class Run(Base):
     id: Mapped[int] = mapped_column(primary_key=True)
     uid: Mapped[str] = mapped_column(String(32), unique=True)
     configuration_id: Mapped[int] = mapped_column(ForeignKey("configurations.id"), index=True)
-    algorithm_version_id: Mapped[int | None] = mapped_column(ForeignKey("algorithm_versions.id"))
+    algorithm_version_id: Mapped[int | None] = mapped_column(ForeignKey("algorithm_versions.id"), index=True)
     host_id: Mapped[int | None] = mapped_column(ForeignKey("hosts.id"))
     dataset_checksum: Mapped[str | None] = mapped_column(String(80))
     executor: Mapped[str] = mapped_column(String(32), index=True)

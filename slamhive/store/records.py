@@ -9,7 +9,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Any, NamedTuple, TypedDict
 
-from slamhive.domain.configuration import Playback
+from slamhive.domain.configuration import InputMap, Playback
 from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Protocol
@@ -17,6 +17,7 @@ from slamhive.domain.run import FailureReason, RunEvent, RunState
 from slamhive.domain.sensor_choice import Chosen
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import Verdict, VerdictKind, ended_badly, judge, not_evaluable
+from slamhive.domain.versions import version_label
 from slamhive.errors import Conflict
 from slamhive.evaluation.job import Artefacts
 from slamhive.schema.submission import NEVER, Limits, StopWhen
@@ -53,11 +54,35 @@ class Host:
 
 @dataclass(frozen=True, slots=True)
 class AlgorithmVersion:
-    """What exactly ran. ``identity`` is the image digest, or the environment's hash for the process executor."""
+    """What exactly ran. ``identity`` is the image digest, or the environment's hash for the process executor.
+
+    ``version`` is that of upstream. ``number`` is the one within the package; for a version that is about to be stored,
+    it is the one that it should get, None for the next one.
+    """
 
     identity: str
     package_hash: str
     version: str
+    number: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class VersionRecord:
+    """A version of a package. ``removed_at``: when its image or environment was removed on purpose."""
+
+    package: str
+    number: int
+    identity: str
+    package_hash: str
+    version: str
+    created_at: datetime
+    removed_at: datetime | None = None
+    runs: int = 0
+
+    @property
+    def label(self) -> str:
+        """How users name it: ``aloam@2``."""
+        return version_label(self.package, self.number)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +174,8 @@ class RunRecord:
     ``protocol`` what the latest successful evaluation used. ``metrics`` holds the measured metrics and those of
     ``protocol``, {metric key: value}; None if they were not asked for. ``judged`` is the stored verdict, which comes
     with them. ``host`` and ``version`` are known once the run has started. ``disturbance`` is None where nothing was
-    recorded of the machine. ``experiment`` is the name of the one that it belongs to, ``cell`` its place there; for the
+    recorded of the machine. ``asked_version`` is the version that its configuration names, ``input_map`` the map
+    that it starts with. ``experiment`` is the name of the one that it belongs to, ``cell`` its place there; for the
     rest see :class:`RunRequest`.
     """
 
@@ -197,6 +223,8 @@ class RunRecord:
     stop_when: StopWhen
     disturbance: Disturbance | None = None
     repeat_disturbed: int = 0
+    asked_version: int | None = None
+    input_map: InputMap | None = None
     metrics: dict[str, float] | None = None
     judged: VerdictKind | None = None
 
@@ -204,6 +232,12 @@ class RunRecord:
     def limits(self) -> Limits:
         """The limits that were asked for or, once the run has started, set."""
         return Limits(self.cpu_cores, self.memory_mb, self.timeout_s)
+
+    @property
+    def version_label(self) -> str | None:
+        """The version that ran, such as ``aloam@2``; None if the run never started."""
+        number = None if self.version is None else self.version.number
+        return None if number is None else version_label(self.package, number)
 
     @property
     def verdict(self) -> Verdict | None:

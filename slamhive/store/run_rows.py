@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import Integer, Row, Select, func, literal, select
 from sqlalchemy.orm import Session
 
-from slamhive.domain.configuration import Playback
+from slamhive.domain.configuration import InputMap, Playback
 from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import protocol_from_content
@@ -45,11 +45,14 @@ def run_query(protocol_id: int | None = None) -> Select[Any]:
             Configuration.playback_rate,
             Configuration.variant,
             Configuration.sensors,
+            Configuration.version.label("asked_version"),
+            Configuration.map.label("input_map"),
             Protocol.fingerprint.label("protocol_fingerprint"),
             Protocol.label.label("protocol_label"),
             AlgorithmVersion.identity,
             AlgorithmVersion.package_hash,
             AlgorithmVersion.version,
+            AlgorithmVersion.number.label("version_number"),
             Host.cpu_model,
             Host.cpu_count,
             Host.memory_bytes,
@@ -93,9 +96,11 @@ def _record(
         playback=Playback(row.playback_mode, row.playback_rate),
         variant=load(Variant, row.variant) if row.variant else (),
         sensors=row.sensors or {},
+        asked_version=row.asked_version,
+        input_map=None if row.input_map is None else load(InputMap, row.input_map),
         protocol_override=None if override is None else protocol_from_content(override),
         protocol=None if fingerprint is None else ProtocolLabel(fingerprint, row.protocol_label),
-        version=None if row.identity is None else VersionRecord(row.identity, row.package_hash, row.version),
+        version=_version(row),
         host=None
         if row.cpu_model is None
         else HostRecord(row.cpu_model, row.cpu_count, row.memory_bytes, row.kernel, row.os),
@@ -105,3 +110,9 @@ def _record(
         metrics=metrics,
         judged=judged,
     )
+
+
+def _version(row: Row[Any]) -> VersionRecord | None:
+    if row.identity is None:
+        return None
+    return VersionRecord(row.identity, row.package_hash, row.version, row.version_number)

@@ -6,13 +6,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, and_, or_, select
+from sqlalchemy import ColumnElement, Select, String, and_, cast, or_, select
 
+from slamhive.domain.versions import VERSION_SIGN
 from slamhive.errors import unknown
 from slamhive.store.configuration_models import ConfigurationGroup
 from slamhive.store.models import (
     MEASURED_PROTOCOL_ID,
     Algorithm,
+    AlgorithmVersion,
     Configuration,
     ConfigurationValue,
     Dataset,
@@ -50,7 +52,7 @@ class RunTableRepository(Repository):
     def facts(self, run_ids: Sequence[int]) -> dict[str, list[Any]]:
         """The columns that every run has, by name and in the order of the ids; unknown runs are left out."""
         names = ("run_id", "configuration_id", "algorithm", "dataset", "state", "reason", "seed", "executor")
-        more = ("variant", "experiment", "host", "protocol", "protocol_label", "disturbed_by")
+        more = ("version", "variant", "experiment", "host", "protocol", "protocol_label", "disturbed_by")
         columns: dict[str, list[Any]] = {name: [] for name in (*names, *more)}
         for row in self._rows(_facts(), Run.id, run_ids):
             for name, value in zip(columns, row, strict=True):
@@ -191,6 +193,11 @@ class RunTableRepository(Repository):
                 yield row[:-1]
 
 
+def _version_label() -> ColumnElement[str]:
+    """``aloam@2``; NULL for a run that never started."""
+    return (AlgorithmVersion.package + VERSION_SIGN + cast(AlgorithmVersion.number, String(10))).label("version")
+
+
 def _facts() -> Select[Any]:
     return (
         select(
@@ -202,6 +209,7 @@ def _facts() -> Select[Any]:
             Run.reason,
             Run.seed,
             Run.executor,
+            _version_label(),
             Configuration.variant,
             Experiment.name.label("experiment"),
             Host.cpu_model.label("host"),
@@ -212,6 +220,7 @@ def _facts() -> Select[Any]:
         .join(Configuration, Configuration.id == Run.configuration_id)
         .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
         .join(Dataset, Dataset.id == Configuration.dataset_id)
+        .outerjoin(AlgorithmVersion, AlgorithmVersion.id == Run.algorithm_version_id)
         .outerjoin(Experiment, Experiment.id == Run.experiment_id)
         .outerjoin(Host, Host.id == Run.host_id)
         .outerjoin(Protocol, Protocol.id == Run.current_protocol_id)

@@ -35,6 +35,7 @@ from slamhive.search.syntax import PRESENCE, Sign
 from slamhive.store.metrics import VERDICT
 from slamhive.store.models import (
     Algorithm,
+    AlgorithmVersion,
     Base,
     Configuration,
     ConfigurationValue,
@@ -52,10 +53,12 @@ _RUN_COLUMNS = {
     "experiment": "experiment_id",
     "evaluated": "current_protocol_id",
     "disturbed": "disturbed_by",
+    "version": "algorithm_version_id",
 }
 SEARCHED = (
     *("id", "configuration_id", "experiment_id", "current_protocol_id", "executor", "state", "reason", "seed"),
     *("priority", "exit_code", "created_at", "started_at", "ended_at", "disturbed_by"),
+    "algorithm_version_id",
 )
 
 
@@ -67,6 +70,9 @@ def _plain(model: type[Base], *names: str) -> TableClause:
 RUNS = _plain(Run, *SEARCHED)
 FIGURES = _plain(MetricValue, "metric_id", "run_id", "protocol_id", "value", "is_current")
 NULLABLE = frozenset(name for name in SEARCHED if Run.__table__.c[name].nullable)
+_NAMED = {"experiment": Experiment.__table__.c.name, "version": AlgorithmVersion.__table__.c.number}
+"""Columns of runs that hold an id; what is compared is in its row."""
+
 _GUARDED = NULLABLE | {"state"}
 """With an index on the state, databases would sort all matches instead of walking along the order of a list."""
 
@@ -135,9 +141,9 @@ class Sql:
         if leaf.field.name == "evaluated":
             evaluated = leaf.values[0] is (leaf.sign is Sign.EQUAL)
             return value.is_not(None) if evaluated else value.is_(None)
-        if leaf.field.name == "experiment":
-            named = select(Experiment.id).where(self.compare(Experiment.__table__.c.name, leaf))
-            found: ColumnElement[bool] = value.in_(named)
+        if leaf.field.name in _NAMED:
+            row = _NAMED[leaf.field.name]
+            found: ColumnElement[bool] = value.in_(select(row.table.c.id).where(self.compare(row, leaf)))
         else:
             found = self.compare(value, leaf)
         return func.coalesce(found, false()) if guarded and name in _GUARDED else found
@@ -232,9 +238,9 @@ class Sql:
                 (algorithms, "algorithm_id") if leaf.field.source is Source.SETUP else (datasets, "dataset_id")
             )
             return rows.c[key].in_(select(owners.c.id).where(owners.c.name.in_(sorted(members_of(leaf)))))
-        if name == "variant":
+        if name in {"variant", "map"}:
             wanted = leaf.sign is Sign.HAS or leaf.values[0] is (leaf.sign is Sign.EQUAL)
-            return rows.c.variant.is_not(None) if wanted else rows.c.variant.is_(None)
+            return rows.c[name].is_not(None) if wanted else rows.c[name].is_(None)
         if leaf.sign is Sign.HAS:
             return true()
         if name == "dataset":

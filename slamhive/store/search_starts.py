@@ -16,7 +16,18 @@ from slamhive.store.search_sql import COMPLEMENTS, NEVER, RUNS, Sql
 from slamhive.store.search_verdicts import verdict_tree
 
 _INDEXED = frozenset(
-    {"id", "state", "reason", "executor", "configuration", "experiment", "created_at", "ended_at", "disturbed"}
+    {
+        "id",
+        "state",
+        "reason",
+        "executor",
+        "configuration",
+        "experiment",
+        "created_at",
+        "ended_at",
+        "disturbed",
+        "version",
+    }
 )
 _OF_CONFIGURATIONS = frozenset({Source.CONFIGURATION, Source.SETUP, Source.ATTRIBUTE, Source.PARAMETER})
 _LOOK_UP = 3

@@ -29,6 +29,7 @@ from slamhive.store.queue import RunQueue
 from slamhive.store.run_table import RunTableRepository
 from slamhive.store.runs import RunRepository
 from slamhive.store.searches import SearchRepository
+from slamhive.store.versions import VersionRepository
 
 T = TypeVar("T")
 
@@ -41,6 +42,7 @@ class Transaction:
         self._clock = clock
         # What is run, and with what.
         self.catalogue = CatalogueRepository(session)
+        self.versions = VersionRepository(session)
         self.configurations = ConfigurationRepository(session)
         self.configuration_book = ConfigurationBook(session)
         self.experiments = ExperimentRepository(session)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from slamhive.domain.algorithm import Algorithm
-from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
+from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.matching import check_known
 from slamhive.domain.parameters import Parameter, Scalar, Value, default_values, find_parameter
@@ -100,6 +100,7 @@ class Pair:
     rules: StepRules
     variants: dict[tuple[Value, ...], Variant]
     sensors: Chosen
+    map: InputMap | None = None
 
     @property
     def size(self) -> int:
@@ -133,6 +134,8 @@ class Pair:
             playback=playback,
             variant=self.variant(row),
             sensors=self.sensors,
+            version=self.algorithm.version,
+            map=self.map,
         )
 
     def variant(self, row: Row) -> Variant:
@@ -200,7 +203,17 @@ def bind(experiment: Experiment, view: CatalogueView, algorithm: Algorithm, data
         rules=view.steps,
         variants=shared.setdefault(_treatment(dataset, steps), {}),
         sensors=chosen,
+        map=_map(experiment, view, algorithm),
     )
+
+
+def _map(experiment: Experiment, view: CatalogueView, algorithm: Algorithm) -> InputMap | None:
+    if experiment.map is None:
+        return None
+    try:
+        return view.find_map(experiment.map, algorithm)
+    except SlamHiveError as error:
+        raise at(experiment.place, error) from None
 
 
 def _chosen(experiment: Experiment, algorithm: Algorithm, dataset: Dataset) -> Chosen:
@@ -221,7 +234,7 @@ def _treatment(dataset: Dataset, steps: Sequence[BoundStep]) -> tuple[object, ..
 
 
 def _fixed(algorithm: Algorithm, dataset: Dataset) -> dict[str, Value]:
-    fixed: dict[str, Value] = {"algorithm": algorithm.name, "dataset": dataset.name}
+    fixed: dict[str, Value] = {"algorithm": algorithm.label, "dataset": dataset.name}
     defaults = default_values(algorithm.parameters)
     for parameter in algorithm.parameters:
         if parameter.key not in defaults:
@@ -278,7 +291,7 @@ def _parameter_axes(experiment: Experiment, algorithm: Algorithm) -> list[tuple[
     bound: list[tuple[Axis, Parameter]] = []
     taken: dict[str, Axis] = {}
     for axis in experiment.parameters:
-        if axis.algorithm not in (None, algorithm.name):
+        if axis.algorithm not in (None, algorithm.name, algorithm.label):
             continue
         parameter = find_parameter(algorithm.parameters, axis.key)
         if parameter is None:

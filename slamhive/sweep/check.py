@@ -95,9 +95,9 @@ def _axes_by_name(experiment: Experiment) -> dict[str, Axis]:
 def _check_parameters(experiment: Experiment, view: CatalogueView) -> None:
     names = [str(name) for name in experiment.algorithms.values]
     for axis in experiment.parameters:
-        if axis.algorithm is not None and axis.algorithm not in names:
-            raise at(axis.place, unknown("algorithm of this experiment", axis.algorithm, names))
-        owners = names if axis.algorithm is None else [axis.algorithm]
+        owners = [name for name in names if axis.algorithm in (None, name, view.algorithms[name].name)]
+        if not owners:
+            raise at(axis.place, unknown("algorithm of this experiment", str(axis.algorithm), names))
         definitions = [parameter for name in owners for parameter in view.algorithms[name].parameters]
         if find_parameter(definitions, axis.key) is None:
             known = {parameter.key for parameter in definitions}

@@ -65,6 +65,7 @@ class _ConfigurationModel(BaseModel):
     sensors: dict[str, str] = Field(default_factory=dict)
     variant: list[_StepModel] = Field(default_factory=list)
     playback: _PlaybackModel = Field(default_factory=_PlaybackModel)
+    map: str | None = None
 
 
 def configuration_to_yaml(configuration: Configuration, name: str | None = None, note: str = "") -> str:
@@ -74,7 +75,7 @@ def configuration_to_yaml(configuration: Configuration, name: str | None = None,
         {
             "format": FORMAT,
             **said,
-            "algorithm": configuration.algorithm,
+            "algorithm": configuration.algorithm_label,
             "dataset": configuration.dataset,
             "parameters": {
                 key: list(value) if isinstance(value, tuple) else value
@@ -85,6 +86,7 @@ def configuration_to_yaml(configuration: Configuration, name: str | None = None,
                 {"step": step.kind, "sensors": list(step.sensors), **step.options} for step in configuration.variant
             ],
             "playback": {"mode": configuration.playback.mode.value, "rate": configuration.playback.rate},
+            **({} if configuration.map is None else {"map": configuration.map.run}),
         }
     )
 
@@ -122,6 +124,8 @@ def _exported(content: Mapping[str, Any], view: CatalogueView) -> Imported:
             playback=Playback(model.playback.mode, model.playback.rate),
             variant=resolve_variant(view.steps, dataset, steps),
             sensors=algorithm.stated_choice(dataset, model.sensors),
+            version=algorithm.version,
+            map=None if model.map is None else view.find_map(model.map, algorithm),
         ),
         name=model.name,
         note=model.note,

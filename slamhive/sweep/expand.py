@@ -89,7 +89,7 @@ class Expansion(Iterator[PlannedRun]):
         seen: set[bytes] = set()
         number = 0
         for pair in pairs:
-            heading: dict[str, Value] = {"algorithm": pair.algorithm.name, "dataset": pair.dataset.name}
+            heading: dict[str, Value] = {"algorithm": pair.algorithm.label, "dataset": pair.dataset.name}
             for row in _rows(pair, conditions):
                 configuration = pair.configuration(row)
                 content_hash = configuration.content_hash

@@ -113,7 +113,8 @@ class Experiment:
 
     ``repeat_disturbed``: how often a run is repeated at most because it was measured on a disturbed machine.
     The combinations are algorithms x datasets x steps x parameters x playback, each of them run with every seed,
-    ``repeats`` times. ``algorithms`` and ``datasets`` are axes of names.
+    ``repeats`` times. ``algorithms`` and ``datasets`` are axes of names. ``map`` is the number or uid of the run whose
+    map all runs start with.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Experiment:
     priority: int = 0
     repeat_disturbed: int = 0
     sensors: tuple[SensorChoice, ...] = ()
+    map: str | None = None
 
     @property
     def content_hash(self) -> str:
@@ -146,7 +148,7 @@ class Experiment:
         return content_hash in {self.content_hash, _hash(_content(self, yaml_1_1=True))}
 
 
-_LATER: tuple[tuple[str, object], ...] = (("repeat_disturbed", 0), ("sensors", ()))
+_LATER: tuple[tuple[str, object], ...] = (("repeat_disturbed", 0), ("sensors", ()), ("map", None))
 """Fields that came later, at their defaults: experiments that were stored before keep their hash."""
 
 

@@ -19,6 +19,7 @@ from slamhive.schema.submission import (
     Priority,
     RepeatDisturbed,
     RequestedAlignment,
+    StartingMap,
     StopWhen,
 )
 from slamhive.schema.validation import PLAIN, SECTION, explained
@@ -206,6 +207,7 @@ class ExperimentModel(_Model):
     repeats: int = Field(default=1, ge=1, le=MAX_REPEATS, description="How often, with each seed.")
     repeat_disturbed: RepeatDisturbed = 0
     playback: PlaybackModel = Field(default_factory=PlaybackModel)
+    map: StartingMap = None
     stop_when: StopWhen = NEVER
     limits: Limits = Limits()
     evaluate: SwitchOrEvaluate = Field(default=True, description="false leaves the evaluation to you.")

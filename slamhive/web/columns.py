@@ -73,6 +73,7 @@ def all_columns() -> Mapping[str, Column]:
     own = (
         Column("id", "Run", Kind.RUN, lambda run: Cell(str(run.id)), sort="id"),
         Column("algorithm", "Algorithm", Kind.ALGORITHM, lambda run: Cell(run.algorithm), sort="algorithm"),
+        Column("version", "Version", Kind.TEXT, _version, help="version of the package that ran"),
         Column("dataset", "Dataset", Kind.DATASET, lambda run: Cell(run.dataset), sort="dataset"),
         Column("variant", "Pre-processing", Kind.TEXT, variant_cell, help="steps applied to the dataset"),
         Column(
@@ -158,6 +159,12 @@ def _parameters(run: RunRecord) -> Cell:
 
 def _experiment(run: RunRecord) -> Cell:
     return Cell(DASH, missing=True) if run.experiment is None else Cell(run.experiment)
+
+
+def _version(run: RunRecord) -> Cell:
+    if run.version is None:
+        return Cell(DASH, "not started", missing=True)
+    return Cell(run.version_label or DASH, f"{run.version.version}, {run.version.identity}")
 
 
 def _playback(run: RunRecord) -> Cell:

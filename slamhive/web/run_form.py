@@ -106,7 +106,7 @@ def read_form(services: Hive, values: Mapping[str, str], *, content_only: bool =
     form.match = _checked(form, "dataset", lambda: match_of(algorithm, seen, parameters, chosen))
     if not form.errors and run_fields is not None:
         submission = Submission(
-            algorithm=algorithm.name,
+            algorithm=algorithm.label,
             dataset=dataset.name,
             parameters=parameters,
             variant=variant or (),
@@ -133,6 +133,7 @@ def form_values(submission: Submission) -> dict[str, str]:
         "playback_mode": submission.playback_mode,
         "playback_rate": value_text(submission.playback_rate),
         **{SENSOR_PREFIX + role: name for role, name in submission.sensors.items()},
+        "map": submission.map or "",
         **parameters,
     }
 

@@ -8,6 +8,7 @@ Its folder ``listed`` holds what the commands of that version printed of it as J
 from __future__ import annotations
 
 import json
+import shutil
 import tarfile
 import zipfile
 from pathlib import Path
@@ -92,6 +93,20 @@ def test_lists_say_the_same_after_a_new_index_of_the_folders(old: Path) -> None:
     (old / "data" / "slamhive.db").unlink()
     assert "10 runs and 10 evaluations" in call("reindex")
     check_lists(old / "listed")
+
+
+def test_versions_are_numbered_alike_by_the_upgrade_and_by_a_new_index(old: Path) -> None:
+    upgraded = {run["id"]: run["version"] for run in json.loads(call("runs", "--json"))}
+    assert upgraded[1] == "kiss-icp@1"
+    call("runs", "cancel", "11")  # a command that writes: it upgrades the database itself
+    (old / "data" / "slamhive.db").unlink()
+    call("reindex")
+    assert {run["id"]: run["version"] for run in json.loads(call("runs", "--json"))} == upgraded
+    shutil.rmtree(old / "data" / "ledger")
+    (old / "data" / "slamhive.db").unlink()
+    call("reindex")
+    found = {run["id"]: run["version"] for run in json.loads(call("runs", "--json"))}
+    assert found == {run_id: upgraded[run_id] for run_id in found}
 
 
 def test_exports_and_imports(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -142,11 +142,42 @@ def test_of_runs_of_the_seventh_version_no_disturbance_is_known(engine: Engine) 
         assert connection.exec_driver_sql("SELECT uid FROM runs").all() == [("u",)]
 
 
-def _add_run(engine: Engine) -> None:
+def test_versions_of_modes_become_versions_of_packages_in_the_order_of_their_runs(engine: Engine) -> None:
+    migrate.upgrade(engine, "0011")
+    _add_configuration(engine)
+    columns = "(id, algorithm_id, identity, package_hash, version, created_at)"
+    rows = [(1, 1, "late"), (2, 1, "early"), (3, 2, "late"), (4, 1, "unused")]
+    with engine.begin() as connection:
+        connection.exec_driver_sql("INSERT INTO algorithms (id, name, package, mode) VALUES (2, 'b', 'a', 'other')")
+        for number, algorithm, identity in rows:
+            values = f"({number}, {algorithm}, '{identity}', 'h', '1', '2026-05-04 03:02:01')"
+            connection.exec_driver_sql(f"INSERT INTO algorithm_versions {columns} VALUES {values}")
+    for run, version in ((5, 2), (6, 3), (7, 1), (8, 2)):
+        _add_run(engine, run, version)
+    migrate.upgrade(engine)
+    query = (
+        "SELECT runs.id, package, number, identity FROM runs "
+        "JOIN algorithm_versions AS used ON used.id = algorithm_version_id ORDER BY runs.id"
+    )
+    with engine.connect() as connection:
+        package = connection.exec_driver_sql("SELECT package FROM algorithms WHERE id = 1").scalar_one()
+        found = [tuple(row) for row in connection.exec_driver_sql(query)]
+        unused = "SELECT number FROM algorithm_versions WHERE identity = 'unused'"
+        last = connection.exec_driver_sql(unused).scalar_one()
+    assert package == "a"
+    assert found == [(5, "a", 1, "early"), (6, "a", 2, "late"), (7, "a", 2, "late"), (8, "a", 1, "early")]
+    assert last == 3
+    migrate.downgrade(engine, "0011")
+    assert migrate.current(engine) == "0011"
+
+
+def _add_run(engine: Engine, number: int = 1, version: int | None = None) -> None:
     with engine.begin() as connection:
         connection.exec_driver_sql(
-            "INSERT INTO runs (uid, configuration_id, executor, seed, priority, evaluate, created_at, state, attempt, "
-            "cancel_requested) VALUES ('u', 1, 'docker', 0, 0, 0, '2026-05-04 03:02:01', 'queued', 0, 0)"
+            "INSERT INTO runs (id, uid, configuration_id, executor, seed, priority, evaluate, created_at, state, "
+            "attempt, cancel_requested, algorithm_version_id) "
+            f"VALUES ({number}, 'u{'' if number == 1 else number}', 1, 'docker', 0, 0, 0, '2026-05-04 03:02:01', "
+            f"'queued', 0, 0, {'NULL' if version is None else version})"
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
@@ -186,9 +187,8 @@ def test_version_host_and_checksum_are_part_of_the_record(store: Store, samples:
     version = AlgorithmVersion("sha256:" + "a" * 64, "sha256:" + "b" * 64, "1.0")
 
     def work(tx) -> None:
-        algorithm_id = tx.catalogue.algorithm("orb-slam3-stereo").id
-        version_id = tx.catalogue.put_version(algorithm_id, version, NOW)
-        assert tx.catalogue.put_version(algorithm_id, version, LATER) == version_id
+        version_id, number = tx.versions.put("orb-slam3", version, NOW)
+        assert tx.versions.put("orb-slam3", version, LATER) == (version_id, number)
         host_id = tx.catalogue.put_host(host)
         assert tx.catalogue.put_host(host) == host_id
         fields = RunFields(algorithm_version_id=version_id, host_id=host_id, dataset_checksum="sha256:" + "c" * 64)
@@ -196,7 +196,8 @@ def test_version_host_and_checksum_are_part_of_the_record(store: Store, samples:
 
     store.write(work)
     run = store.read(lambda tx: tx.runs.get(run_id))
-    assert (run.version, run.host, run.dataset_checksum) == (version, host, "sha256:" + "c" * 64)
+    assert run.version_label == "orb-slam3@1"
+    assert (run.version, run.host, run.dataset_checksum) == (replace(version, number=1), host, "sha256:" + "c" * 64)
 
 
 def test_times_of_any_zone_come_back_in_utc_and_naive_ones_are_refused(store: Store, samples: Samples) -> None:

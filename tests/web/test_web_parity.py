@@ -37,6 +37,7 @@ EXAMPLE = Submission(
     priority=3,
     variant=(VariantStep("resolution", ("camera0", "camera1"), {"scale": 0.5, "interpolation": "area"}),),
     sensors={"left": "camera1", "right": "camera0"},
+    map="3",
     stop_when=StopWhen(lost_tracking_s=2.5, memory_mb=400, time_s=50.0, failures_of_configuration=3),
     repeat_disturbed=1,
 )
@@ -73,7 +74,7 @@ def test_the_command_sets_every_option():
         *("--seed", "7", "--playback", "sequential", "--rate", "2", "--no-evaluate", "--align", "sim3"),
         *("--cpus", "1.5", "--memory", "512", "--timeout", "60", "--priority", "3", "--step", STEP),
         *("--stop-when", "lost_tracking_s=2.5", "--stop-when", "memory_mb=400", "--stop-when", "time_s=50"),
-        *("--stop-when", "failures_of_configuration=3", "--repeat-disturbed", "1"),
+        *("--stop-when", "failures_of_configuration=3", "--repeat-disturbed", "1", "--map", "3"),
         *("--sensor", "left=camera1", "--sensor", "right=camera0"),
     ]
     values = submission_values(command.make_context("run", arguments).params)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -36,6 +36,7 @@ from slamhive.executors.base import (
 )
 from slamhive.executors.cgroup import cgroup_of
 from slamhive.executors.docker.batch import DockerStarter
+from slamhive.executors.docker.build import get_image, name_image
 from slamhive.executors.docker.container import container_options, scratch_folder
 from slamhive.executors.docker.engine import (
     INSTALLATION_LABEL,
@@ -46,6 +47,7 @@ from slamhive.executors.docker.engine import (
     engine_errors,
 )
 from slamhive.executors.docker.image import find_image, make_image
+from slamhive.executors.docker.kept_images import forget_image, has_image, kept_name, load_image, save_image
 from slamhive.executors.docker.refusals import RefusedProcesses, engine_protections
 from slamhive.executors.docker.run_user import in_words, open_to_user, take_back
 from slamhive.executors.docker.stats import DockerStatsSource
@@ -114,6 +116,31 @@ class DockerExecutor(Executor):
     def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
         """Find, pull or build the image; returns its digest. Raises ImageMissing."""
         return make_image(self._engine(), package, self._context, progress)
+
+    def has(self, package: AlgorithmPackage, identity: str) -> bool:  # noqa: ARG002 - a digest names one image
+        """Whether the engine has the image with this digest."""
+        return has_image(self._engine(), identity)
+
+    def named_image(self, package: AlgorithmPackage) -> str | None:
+        """The digest of the image with the package's name."""
+        image = get_image(self._engine(), package.image)
+        return None if image is None else str(image.id)
+
+    def keep(self, package: AlgorithmPackage, identity: str, number: int) -> None:
+        """Give the image a name of its own, which ``docker image prune`` leaves alone."""
+        name_image(self._engine(), identity, self._kept_name(package.name, number))
+
+    def forget(self, package: str, identity: str, number: int) -> None:
+        """Take the name away, and with it the image unless it has others."""
+        forget_image(self._engine(), identity, self._kept_name(package, number))
+
+    def save_image(self, identity: str) -> Iterator[bytes]:
+        """The image as ``docker save`` writes it, without names."""
+        return save_image(self._engine(), identity)
+
+    def load_image(self, chunks: Iterable[bytes]) -> str:
+        """Load an image; its digest."""
+        return load_image(self._engine(), chunks)
 
     def start(self, spec: RunSpec) -> RunHandle:
         """Create and start the run's container, or find it in whatever state it is."""
@@ -220,6 +247,9 @@ class DockerExecutor(Executor):
             if self._client is not None:
                 self._client.close()
                 self._client = None
+
+    def _kept_name(self, package: str, number: int) -> str:
+        return kept_name(package, number, self._context.installation)
 
     def _protections(self) -> Protections:
         with engine_errors("asking the Docker engine", EngineUnavailable):

@@ -102,6 +102,15 @@ class Environments:
                 _stage_runtime(environment.runtime)
         return identity
 
+    def remove(self, package_name: str, identity: str) -> None:
+        """Remove an environment; one that is being built stays. The runtime stays: all packages share it."""
+        folder = self.find(package_name, identity).folder
+        try:
+            with self._locked(folder.name, wait=False):
+                shutil.rmtree(folder, ignore_errors=True)
+        except BlockingIOError:
+            return
+
     def sweep(self) -> None:
         """Remove what killed builds have left behind."""
         for staged in self._root.glob(f"{_STAGED}*"):

@@ -107,6 +107,14 @@ class ProcessExecutor(Executor):
         """Make the package's environment unless it is there. Raises ImageMissing."""
         return self._environments.build(package, progress)
 
+    def has(self, package: AlgorithmPackage, identity: str) -> bool:
+        """Whether the environment with these hashes is there."""
+        return self._environments.find(package.name, identity).ready
+
+    def forget(self, package: str, identity: str, number: int) -> None:  # noqa: ARG002 - the hashes name it
+        """Remove the environment, but not the runtime, which all packages share."""
+        self._environments.remove(package, identity)
+
     def start(self, spec: RunSpec) -> RunHandle:
         """Start a supervisor for the run, or find the one that was started under the key."""
         work = _work_folder(spec)

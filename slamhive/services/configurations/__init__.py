@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from slamhive.services.configurations.changes import Changes, Label, Stored
+from slamhive.services.configurations.maps import FoundMap, find_map
 from slamhive.services.configurations.service import Checked, Configurations, put_configuration
 from slamhive.services.configurations.submission import unwatchable
 from slamhive.services.configurations.words import check_label, configuration_document, parse_conditions
@@ -11,10 +12,12 @@ __all__ = [
     "Changes",
     "Checked",
     "Configurations",
+    "FoundMap",
     "Label",
     "Stored",
     "check_label",
     "configuration_document",
+    "find_map",
     "parse_conditions",
     "put_configuration",
     "unwatchable",

@@ -24,6 +24,7 @@ class Changes:
     sensors: Chosen | None = None
     playback_mode: PlaybackMode | None = None
     playback_rate: float | None = None
+    map: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

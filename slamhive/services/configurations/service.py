@@ -9,13 +9,14 @@ from datetime import datetime
 from slamhive.bags.variants.rules import RegisteredSteps
 from slamhive.clock import utc_now
 from slamhive.domain.algorithm import Algorithm
-from slamhive.domain.configuration import Configuration
+from slamhive.domain.configuration import Configuration, InputMap
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.matching import Match, match_of
 from slamhive.domain.parameters import Value, check_stored, find_parameter
 from slamhive.errors import NotFound, unknown
 from slamhive.schema.submission import Submission
 from slamhive.services.configurations.changes import NO_LABEL, Changes, Label, Stored
+from slamhive.services.configurations.maps import FoundMap, find_map
 from slamhive.services.configurations.words import check_label
 from slamhive.services.datasets import Catalogue, Variants, check_writable
 from slamhive.settings import Settings
@@ -100,12 +101,26 @@ class Configurations:
         submission.check()
         algorithm = self._catalogue.algorithm(submission.algorithm)
         dataset = self._catalogue.dataset(submission.dataset)
-        configuration = submission.configuration(algorithm)
+        configuration = submission.configuration(algorithm, self._map_of(submission, algorithm))
         variant = self._variants.resolve(dataset, configuration.variant)
         self._variants.check(dataset, variant)
         chosen = algorithm.stated_choice(dataset, configuration.sensors)
         match = match_of(algorithm, self._variants.planned(dataset, variant), configuration.parameters, chosen)
         return Checked(algorithm, dataset, replace(configuration, variant=variant, sensors=chosen), match)
+
+    def find_map(self, reference: str, algorithm: Algorithm) -> FoundMap:
+        """The map of a run, for a run of ``algorithm``; raises NotFound or InvalidInput."""
+        return find_map(self._store, self._settings.runs_folder, reference, algorithm)
+
+    def _map_of(self, submission: Submission, algorithm: Algorithm) -> InputMap | None:
+        return None if submission.map is None else self.find_map(submission.map, algorithm).map
+
+    def map_note(self, submission: Submission) -> str | None:
+        """In words, that the map of a submission shows another dataset; None if there is nothing to say."""
+        if submission.map is None:
+            return None
+        found = self.find_map(submission.map, self._catalogue.algorithm(submission.algorithm))
+        return found.note(submission.dataset)
 
     def same_as(self, submission: Submission) -> ConfigurationRecord | None:
         """The stored configuration identical to ``submission``, if any; raises as :meth:`check`."""
@@ -120,7 +135,7 @@ class Configurations:
     def match(self, configuration_id: int) -> Match:
         """How algorithm and dataset of this configuration fit, as they are now; raises NotFound or InvalidInput."""
         stored = self.get(configuration_id).configuration
-        algorithm, dataset = self._catalogue.algorithm(stored.algorithm), self._catalogue.dataset(stored.dataset)
+        algorithm, dataset = self._catalogue.algorithm(stored.algorithm_label), self._catalogue.dataset(stored.dataset)
         return match_of(algorithm, self._variants.planned(dataset, stored.variant), stored.parameters, stored.sensors)
 
     def check_runnable(self, configuration_id: int) -> ConfigurationRecord:
@@ -129,7 +144,7 @@ class Configurations:
         Raises InvalidInput naming the invalid value, if the definition of the algorithm was edited since.
         """
         record = self.get(configuration_id)
-        algorithm = self._catalogue.algorithm(record.configuration.algorithm)
+        algorithm = self._catalogue.algorithm(record.configuration.algorithm_label)
         check_stored(algorithm.name, algorithm.parameters, record.configuration.parameters)
         return record
 
@@ -140,7 +155,7 @@ class Configurations:
         """
         record, changes = self.get(configuration_id), changes or Changes()
         stored = record.configuration
-        algorithm = self._catalogue.algorithm(changes.algorithm or stored.algorithm)
+        algorithm = self._catalogue.algorithm(changes.algorithm or stored.algorithm_label)
         own: dict[str, Value] = {}
         for name, value in (changes.parameters or {}).items():
             parameter = find_parameter(algorithm.parameters, name)
@@ -157,13 +172,14 @@ class Configurations:
             else:
                 settings[parameter.key] = value
         submission = Submission(
-            algorithm=algorithm.name,
+            algorithm=algorithm.label,
             dataset=changes.dataset or stored.dataset,
             parameters={**settings, **own},
             playback_mode=changes.playback_mode or stored.playback.mode,
             playback_rate=stored.playback.rate if changes.playback_rate is None else changes.playback_rate,
             variant=stored.variant if changes.variant is None else changes.variant,
             sensors=stored.sensors if changes.sensors is None else changes.sensors,
+            map=changes.map or (None if stored.map is None else stored.map.run),
         )
         return submission, tuple(notes)
 
@@ -218,13 +234,14 @@ class Configurations:
         imported = self.read_yaml(text, source)
         content = imported.configuration
         submission = Submission(
-            content.algorithm,
+            content.algorithm_label,
             content.dataset,
             content.parameters,
             playback_mode=content.playback.mode,
             playback_rate=content.playback.rate,
             variant=content.variant,
             sensors=content.sensors,
+            map=None if content.map is None else content.map.run,
         )
         own = Label(imported.name if label.name is None else label.name, imported.note, label.group)
         if label.note is not None:
@@ -235,9 +252,10 @@ class Configurations:
     def read_yaml(self, text: str, source: str) -> Imported:
         """Parse a configuration in YAML, without storing it."""
         view = CatalogueView(
-            algorithms={entry.name: entry for entry in self._catalogue.algorithms()},
+            algorithms=self._catalogue.versioned_algorithms(),
             datasets={entry.name: entry for entry in self._catalogue.datasets()},
             steps=RegisteredSteps(),
+            find_map=lambda reference, algorithm: self.find_map(reference, algorithm).map,
         )
         return configuration_from_yaml(text, view, source)
 

@@ -14,9 +14,11 @@ from slamhive.bags.room import RoomOptions, render_room
 from slamhive.catalogue.algorithm_file import ALGORITHM_FILE, load_algorithms
 from slamhive.catalogue.algorithm_folders import ALGORITHM_FOLDERS
 from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
+from slamhive.catalogue.version_folders import kept_algorithm, kept_algorithms
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.names import check_name
+from slamhive.domain.versions import split_version
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable, unknown
 from slamhive.schema import catalogue as schema
 from slamhive.settings import Mode, Settings
@@ -80,7 +82,13 @@ class Catalogue:
         return tuple(sorted(found, key=lambda algorithm: algorithm.name))
 
     def algorithm(self, name: str) -> Algorithm:
-        """The algorithm called ``name``; raises NotFound, or InvalidInput if its package is broken."""
+        """The algorithm called ``name``; raises NotFound, or InvalidInput if its package is broken.
+
+        ``NAME@2`` is the algorithm as it was in version 2 of its package.
+        """
+        name, number = split_version(name)
+        if number is not None:
+            return kept_algorithm(self._settings.versions_folder, name, number)
         found, broken = self._scan_algorithms()
         by_name = {algorithm.name: algorithm for algorithm in found}
         if name in by_name:
@@ -93,6 +101,11 @@ class Catalogue:
                 raise InvalidInput(f"algorithm {name!r} cannot be used: {entry.problem}")
         ALGORITHM_FOLDERS.refuse_broken(name)
         raise unknown("algorithm", name, list(by_name), "slamhive algorithm list shows all")
+
+    def versioned_algorithms(self) -> dict[str, Algorithm]:
+        """All algorithms by the name that users ask for: as they are now, and as they were in kept versions."""
+        kept = kept_algorithms(self._settings.versions_folder)
+        return {algorithm.label: algorithm for algorithm in (*self.algorithms(), *kept)}
 
     def packages(self) -> tuple[AlgorithmPackage, ...]:
         """All algorithm packages, each once, sorted by name."""

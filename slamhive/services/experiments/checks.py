@@ -15,6 +15,7 @@ from slamhive.services.evaluations import protocol_for
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.views import VariantNeed
 from slamhive.services.runs import RunLimits, check_disk, check_executor, check_recorded, recorded_topics
+from slamhive.services.versions import check_version
 from slamhive.sweep.binding import at
 from slamhive.sweep.expand import Expansion
 from slamhive.sweep.experiment import Experiment
@@ -74,6 +75,7 @@ def pair_problems(
             if algorithm.package.name not in packages:
                 packages.add(algorithm.package.name)
                 check_executor(context.executors.get(executor), algorithm.package, asked)
+            check_version(context.store, context.executors.get(executor), algorithm)
             protocol_of_pair(context, experiment, expansion, (algorithm.name, dataset.name))
         except SlamHiveError as error:
             yield at(experiment.datasets.place, error)

@@ -9,6 +9,7 @@ from slamhive.bags.variants.rules import RegisteredSteps
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.errors import InvalidInput
 from slamhive.search.datasets import matching_datasets
+from slamhive.services.configurations import find_map
 from slamhive.services.datasets import Catalogue, Variants
 from slamhive.services.executors import Executors
 from slamhive.services.experiments.folder import ExperimentFolder
@@ -63,9 +64,10 @@ class ExperimentContext:
         """
         self._explain_broken(experiment)
         view = CatalogueView(
-            {algorithm.name: algorithm for algorithm in self.catalogue.algorithms()},
+            self.catalogue.versioned_algorithms(),
             {dataset.name: dataset for dataset in self.catalogue.datasets()},
             RegisteredSteps(),
+            lambda reference, algorithm: find_map(self.store, self.settings.runs_folder, reference, algorithm).map,
         )
         return expand(experiment, view)
 

@@ -51,7 +51,7 @@ def put_experiment(
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Ids of algorithms and datasets, the protocol of each pair, and whether only cells are stored."""
+    """Ids of algorithms (by label) and datasets, the protocol of each pair, and whether only cells are stored."""
 
     algorithms: Mapping[str, tuple[int, Algorithm]]
     datasets: Mapping[str, int]
@@ -86,14 +86,14 @@ def fill(
 
 
 def _prepare(context: ExperimentContext, experiment: Experiment, expansion: Expansion, *, cells_only: bool) -> _Rows:
-    algorithms = {algorithm.name: algorithm for algorithm, _ in expansion.pairs}
+    algorithms = {algorithm.label: algorithm for algorithm, _ in expansion.pairs}
     datasets = {dataset.name: dataset for _, dataset in expansion.pairs}
     pairs = [(algorithm.name, dataset.name) for algorithm, dataset in expansion.pairs]
     now = utc_now()
 
     def work(transaction: Transaction) -> _Rows:
         return _Rows(
-            {name: (transaction.catalogue.put_algorithm(entry), entry) for name, entry in algorithms.items()},
+            {label: (transaction.catalogue.put_algorithm(entry), entry) for label, entry in algorithms.items()},
             {name: transaction.catalogue.put_dataset(dataset, now) for name, dataset in datasets.items()},
             {pair: protocol_of_pair(context, experiment, expansion, pair) for pair in pairs},
             cells_only,
@@ -142,7 +142,7 @@ def _store(
 
 
 def _new(head: PlannedRun, rows: _Rows) -> NewConfiguration:
-    algorithm_id, algorithm = rows.algorithms[head.configuration.algorithm]
+    algorithm_id, algorithm = rows.algorithms[head.configuration.algorithm_label]
     dataset_id = rows.datasets[head.configuration.dataset]
     return NewConfiguration(head.configuration, head.content_hash, algorithm_id, dataset_id, algorithm.parameters)
 
@@ -157,7 +157,7 @@ def _requests(
     held: bool,
 ) -> Iterator[RunRequest]:
     configuration = cell[0].configuration
-    package = rows.algorithms[configuration.algorithm][1].package.name
+    package = rows.algorithms[configuration.algorithm_label][1].package.name
     affinity = run_affinity(configuration.dataset, configuration.variant, package)
     for run in cell:
         yield RunRequest(

@@ -17,6 +17,7 @@ from slamhive.store.records import RunRecord
 _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
     "id": lambda run: run.id,
     "algorithm": lambda run: run.algorithm,
+    "version": lambda run: run.version_label,
     "dataset": lambda run: run.dataset,
     "variant": lambda run: "; ".join(map(str, run.variant)) or None,
     "parameters": lambda run: json.dumps(run.parameters, sort_keys=True),

@@ -9,7 +9,7 @@ from itertools import groupby
 from operator import attrgetter
 from typing import Any
 
-from slamhive.domain.configuration import Configuration
+from slamhive.domain.configuration import Configuration, InputMap
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput
@@ -82,10 +82,16 @@ def _configuration_line(
             entry.playback.rate,
             dump(Variant, entry.variant),
             dict(entry.sensors),
+            *_since_versions(entry),
         )
         for number, entry in configurations
     )
     return {**ConfigurationsLine(at=at, parameters=definitions).content, "configurations": rows}
+
+
+def _since_versions(entry: Configuration) -> tuple[Any, ...]:
+    """Version and map of a configuration, which rows of before did not have and few have now."""
+    return () if entry.version is None and entry.map is None else (entry.version, dump(InputMap | None, entry.map))
 
 
 def configurations_of(line: Line) -> Iterator[LedgerConfiguration]:

@@ -11,7 +11,7 @@ from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.archive import DatasetLine, SearchLine
-from slamhive.schema.ledger import AlgorithmLine
+from slamhive.schema.ledger import AlgorithmLine, VersionLine
 from slamhive.services.ledger.book import Line
 from slamhive.services.ledger.evaluation_lines import asked_line, ended_lines, read_evaluations
 from slamhive.services.ledger.files import LedgerFiles
@@ -161,17 +161,15 @@ class Missing:
 
 
 def catalogue_lines(store: Store) -> Iterator[Line]:
-    """Algorithms with their versions, and datasets."""
+    """Algorithms, versions of packages, and datasets."""
 
     def work(t: Transaction) -> list[Line]:
-        versions = t.ledger.versions()
-        algorithms: list[Line] = [
-            AlgorithmLine.of(entry, versions=versions.get(entry.name, ())).content for entry in t.catalogue.algorithms()
-        ]
+        algorithms = [AlgorithmLine.of(entry, versions=()).content for entry in t.catalogue.algorithms()]
+        versions = [VersionLine.of(entry, version=entry.version).content for entry in t.versions.all()]
         datasets = [
             {"dataset": DatasetLine.of(entry).content, "folder": entry.folder} for entry in t.catalogue.datasets()
         ]
-        return [*algorithms, *datasets]
+        return [*algorithms, *versions, *datasets]
 
     yield from store.read(work)
 

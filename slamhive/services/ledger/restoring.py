@@ -13,7 +13,7 @@ from slamhive.clock import utc_now
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.run import RunEvent, RunState
 from slamhive.errors import SlamHiveError
-from slamhive.schema.ledger import AlgorithmLine, CancelledLine, LabelLine
+from slamhive.schema.ledger import AlgorithmLine, CancelledLine, LabelLine, VersionLine, VersionRow
 from slamhive.services.archive import dataset_from_line, search_from_line
 from slamhive.services.datasets import Catalogue
 from slamhive.services.ledger.book import Book, Line
@@ -32,10 +32,11 @@ from slamhive.services.runs import dataset_of
 from slamhive.store import Store, Transaction
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import FiledRun
-from slamhive.store.records import AlgorithmVersion, RunFields, RunSnapshot
+from slamhive.store.records import AlgorithmVersion, RunFields, RunSnapshot, VersionRecord
 from slamhive.store.runs import queued_event
 
 _AT_ONCE = 500
+_VERSION_FIELDS = ("number", "identity", "package_hash", "version", "created_at", "removed_at")
 
 
 @dataclass
@@ -61,6 +62,7 @@ class LedgerRestore:
         self._files = files
         self._numbers: dict[int, int] = {}
         self._later: dict[int, int] = {}
+        self._unnumbered: list[tuple[str, VersionRow]] = []
         self.problems: list[str] = []
 
     @cached_property
@@ -95,6 +97,7 @@ class LedgerRestore:
 
     def restore_after_runs(self) -> int:
         """Runs without a folder, sizes of experiments, evaluations, labels and searches; how many runs there were."""
+        self._versions()
         restored = self._runs()
         self._store.write(lambda t: t.ledger.repeat(self._later))
         self._sizes()
@@ -121,15 +124,14 @@ class LedgerRestore:
             row = {**values, "folder": str(line["folder"])}
             self._store.write(lambda t: t.archive.dataset_if_absent(name, row))
             return
+        if "versions_of" in line:
+            version = VersionLine.read(line)
+            record = VersionRecord(version.versions_of, **{name: getattr(version, name) for name in _VERSION_FIELDS})
+            self._store.write(lambda t: t.versions.restore(record))
+            return
         stated = AlgorithmLine.read(line)
-
-        def work(t: Transaction) -> None:
-            algorithm_id = t.archive.algorithm_if_absent(stated.algorithm, stated.package, stated.mode)
-            for entry in stated.versions:
-                version = AlgorithmVersion(entry.identity, entry.package_hash, entry.version)
-                t.catalogue.put_version(algorithm_id, version, entry.created_at)
-
-        self._store.write(work)
+        self._unnumbered += [(stated.package, entry) for entry in stated.versions]
+        self._store.write(lambda t: t.archive.algorithm_if_absent(stated.algorithm, stated.package, stated.mode))
 
     def _configurations(self, last: Mapping[int, int]) -> Iterator[LedgerConfiguration]:
         book = self._files.configurations
@@ -252,6 +254,16 @@ class LedgerRestore:
             state, fields = RunState.CANCELLED, RunFields(ended_at=at)
             events.append(RunEvent(at, RunState.QUEUED, state, why))
         return FiledRun(RunSnapshot(run.id, request, state, run.created_at, fields, 0, tuple(events)))
+
+    def _versions(self) -> None:
+        """Versions that an older ledger lists without a number: after those of runs, in the order of their times."""
+
+        def work(t: Transaction) -> None:
+            for package, entry in sorted(self._unnumbered, key=lambda found: found[1].created_at):
+                version = AlgorithmVersion(entry.identity, entry.package_hash, entry.version)
+                t.versions.put(package, version, entry.created_at)
+
+        self._store.write(work)
 
     # -- what users have said --------------------------------------------------------------------------------------
 

@@ -61,7 +61,7 @@ class Filed:
         known = self.file.algorithm
         if known.identity is None:
             return None
-        return AlgorithmVersion(known.identity, known.package_hash or "", known.version or "")
+        return AlgorithmVersion(known.identity, known.package_hash or "", known.version or "", known.number)
 
     @property
     def host(self) -> Host | None:
@@ -98,23 +98,22 @@ def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -
 
     Returns those that repeat a missing run, see :meth:`FiledRunRepository.file`.
     """
-    now = utc_now()
     places = put_configurations(t, catalogue, [run.filed for run in runs])
     named = {run.filed.file.request.experiment for run in runs}
     experiments = {name: found.id for name in named if name and (found := t.experiments.find(name)) is not None}
     machines = {run.filed.host for run in runs if run.filed.host is not None}
     hosts = {host: t.catalogue.put_host(host) for host in machines}
-    versions: dict[tuple[int, AlgorithmVersion], int] = {}
+    versions: dict[tuple[str, AlgorithmVersion], int] = {}
     rows = []
-    for run, (algorithm_id, configuration_id) in zip(runs, places, strict=True):
+    for run, (_, configuration_id) in zip(runs, places, strict=True):
         experiment_id = experiments.get(run.filed.file.request.experiment or "")
         snapshot = snapshot_of(run.filed.file, configuration_id, experiment_id)
         fields = snapshot.fields.copy()
         version = run.filed.version
         if version is not None:
-            key = algorithm_id, version
+            key = run.filed.package, version
             if key not in versions:
-                versions[key] = t.catalogue.put_version(algorithm_id, version, now)
+                versions[key], _ = t.versions.put(*key, run.filed.file.created_at)
             fields["algorithm_version_id"] = versions[key]
         if run.filed.host is not None:
             fields["host_id"] = hosts[run.filed.host]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +25,9 @@ from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.files import hash_files, write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.runtime.config import to_yaml
-from slamhive.runtime.paths import ORB_VOCABULARY_VARIABLE
+from slamhive.runtime.paths import MAP_VARIABLE, ORB_VOCABULARY_VARIABLE
 from slamhive.schema.matching import Match as MatchDocument
+from slamhive.services.configurations import FoundMap
 from slamhive.services.datasets import IDENTITY, UsedVariant
 from slamhive.settings import Settings
 
@@ -50,7 +51,8 @@ class RunLimits:
 class Job:
     """One run with its algorithm and dataset resolved, ready to be prepared.
 
-    ``used`` is the variant of the dataset that the run sees, None for the dataset as it is.
+    ``used`` is the variant of the dataset that the run sees, None for the dataset as it is. ``input_map`` is the map
+    that it starts with.
     """
 
     run_id: int
@@ -61,6 +63,7 @@ class Job:
     seed: int
     limits: RunLimits
     used: UsedVariant | None = None
+    input_map: FoundMap | None = None
 
     @property
     def seen(self) -> Dataset:
@@ -159,12 +162,21 @@ def build_spec(
         command=COMMAND,
         inputs=tuple(_inputs(job, folder, settings)),
         outputs=(results,),
-        environment={ORB_VOCABULARY_VARIABLE: CONTAINER_VOCABULARY} if settings.orb_vocabulary else {},
+        environment=_environment(job, settings),
         limits=limits,
         timeout_s=time_limit_s(job, settings),
         work=folder.work,
         user=job.algorithm.package.user,
     )
+
+
+def _environment(job: Job, settings: Settings) -> dict[str, str]:
+    variables = {ORB_VOCABULARY_VARIABLE: CONTAINER_VOCABULARY} if settings.orb_vocabulary else {}
+    return variables if job.input_map is None else {**variables, MAP_VARIABLE: _map_target(job.input_map)}
+
+
+def _map_target(found: FoundMap) -> str:
+    return f"{CONTAINER_ROOT}/map/{found.path.name}"
 
 
 def time_limit_s(job: Job, settings: Settings) -> float:
@@ -175,8 +187,8 @@ def time_limit_s(job: Job, settings: Settings) -> float:
     return settings.run_timeout_factor * duration_s + settings.run_timeout_slack_s
 
 
-def provenance(job: Job, identity: str) -> dict[str, Any]:
-    """The provenance of the run for ``run.json``."""
+def provenance(job: Job, identity: str, number: int) -> dict[str, Any]:
+    """The provenance of the run for ``run.json``; ``number`` is that of the package's version."""
     package = job.algorithm.package
     match = match_of(job.algorithm, job.seen, job.configuration.parameters, job.configuration.sensors)
     return {
@@ -188,6 +200,7 @@ def provenance(job: Job, identity: str) -> dict[str, Any]:
             "package_hash": package_hash(package.folder),
             "image": package.image,
             "identity": identity,
+            "number": number,
         },
         "dataset": {
             "checksum": job.dataset.checksum,
@@ -196,7 +209,12 @@ def provenance(job: Job, identity: str) -> dict[str, Any]:
             "variant_checksum": job.seen.checksum,
         },
         "match": MatchDocument.of_match(match).content,
+        **_map_provenance(job.input_map),
     }
+
+
+def _map_provenance(found: FoundMap | None) -> dict[str, Any]:
+    return {} if found is None else {"map": {**asdict(found.map), "dataset": found.dataset}}
 
 
 def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInput]:
@@ -212,6 +230,9 @@ def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInpu
             yield _input(name, current_script(dataset.folder / name), f"{inside}/{name}")
     if settings.orb_vocabulary:
         yield _input("vocabulary", Path(settings.orb_vocabulary), CONTAINER_VOCABULARY)
+    if job.input_map is not None:
+        found = job.input_map
+        yield _input("map", found.path, _map_target(found), content=found.map.content)
 
 
 def _input(name: str, source: Path, target: str, *, content: str | None = None, own_copy: bool = False) -> RunInput:

@@ -13,6 +13,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.executors.base import ImageMissing
 from slamhive.runs.early_end import EarlyEnd, skipped
+from slamhive.services.configurations import find_map
 from slamhive.services.runs import (
     Job,
     RunLimits,
@@ -23,6 +24,7 @@ from slamhive.services.runs import (
     spec_to_json,
     write_config,
 )
+from slamhive.services.versions import identity_of_version, keep_version
 from slamhive.services.worker.evidence import STARTED_BY
 from slamhive.services.worker.host import describe_host
 from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
@@ -83,25 +85,31 @@ class Preparing:
         hand.folder.create()
         hand.keeper.begin(hand.run)
         job = self._with_variant(job)
-        identity = hand.executor.build(job.algorithm.package, self._show_build_line)
+        identity = self._identity(job)
         write_config(job, hand.folder)
         capabilities = hand.executor.capabilities
         spec = build_spec(job, hand.folder, hand.context.settings, identity, hand.cores, capabilities)
         # Record the attempt before the start: a worker that dies during the start may have started the run.
-        prepared = {**provenance(job, identity), "spec": spec_to_json(spec), STARTED_BY: hand.run.attempt}
-        host = self._register_version(job, identity)
+        host, number = self._register_version(job, identity)
+        keep_version(hand.context.settings.versions_folder, hand.executor, job.algorithm.package, identity, number)
+        prepared = {**provenance(job, identity, number), "spec": spec_to_json(spec), STARTED_BY: hand.run.attempt}
         why = f"prepared with {identity[:19]}"
         hand.move(RunState.STARTING, why, record={**prepared, "host": asdict(host)}, timeout_s=spec.timeout_s)
 
     def _job(self) -> Job:
         context, run = self._hand.context, self._hand.run
-        algorithm = context.catalogue.algorithm(run.algorithm)
-        dataset = context.catalogue.dataset(run.dataset)
         configuration = context.store.read(lambda t: t.configurations.get(run.configuration_id))
+        algorithm = context.catalogue.algorithm(configuration.algorithm_label)
+        dataset = context.catalogue.dataset(run.dataset)
         algorithm.assign(dataset, configuration.sensors)
         check_stored(algorithm.name, algorithm.parameters, configuration.parameters)
         limits = RunLimits(run.cpu_cores, run.memory_mb, run.timeout_s)
-        return Job(run.id, run.uid, algorithm, dataset, configuration, run.seed, limits)
+        found = None
+        if configuration.map is not None:
+            found = find_map(context.store, context.settings.runs_folder, configuration.map.run, algorithm)
+            if found.map != configuration.map:
+                raise InvalidInput(f"the map {found.path} has changed since the run was queued", "submit the run again")
+        return Job(run.id, run.uid, algorithm, dataset, configuration, run.seed, limits, input_map=found)
 
     def _with_variant(self, job: Job) -> Job:
         """The variant of the run, made if necessary and held until the driver releases the run."""
@@ -116,25 +124,34 @@ class Preparing:
         holding = hand.context.variants.hold(job.dataset, job.configuration.variant, progress)
         return replace(job, used=self._held.enter_context(holding))
 
-    def _register_version(self, job: Job, identity: str) -> Host:
+    def _identity(self, job: Job) -> str:
+        """The image or environment: that of the version that was asked for, else of the package as it is now."""
+        hand, package = self._hand, job.algorithm.package
+        if job.algorithm.version is None:
+            return hand.executor.build(package, self._show_build_line)
+        return identity_of_version(hand.context.store, hand.executor, job.algorithm)
+
+    def _register_version(self, job: Job, identity: str) -> tuple[Host, int]:
+        """The machine, and the number of the version that the run uses."""
         hand = self._hand
         package = job.algorithm.package
         version = AlgorithmVersion(identity, package_hash(package.folder), package.version)
         host = describe_host()
         now = hand.context.now()
 
-        def work(transaction: Transaction) -> None:
-            algorithm_id = transaction.catalogue.put_algorithm(job.algorithm)
+        def work(transaction: Transaction) -> int:
+            transaction.catalogue.put_algorithm(job.algorithm)
+            version_id, number = transaction.versions.put(package.name, version, now)
             transaction.runs.update(
                 hand.run.id,
                 hand.context.owner,
-                algorithm_version_id=transaction.catalogue.put_version(algorithm_id, version, now),
+                algorithm_version_id=version_id,
                 host_id=transaction.catalogue.put_host(host),
                 dataset_checksum=job.dataset.checksum,
             )
+            return number
 
-        hand.context.store.write(work)
-        return host
+        return host, hand.context.store.write(work)
 
     def _show_build_line(self, line: str) -> None:
         logger.info("run %d: %s", self._hand.run.id, line)

@@ -116,6 +116,7 @@ def modify(configuration_id: int) -> Response | tuple[str, int]:
             sensors=submission.sensors,
             playback_mode=submission.playback_mode,
             playback_rate=submission.playback_rate,
+            map=submission.map,
         )
         said = Label(_changed("name", record.name or ""), _changed("note", record.note), label.group)
         return hive().configurations.modify(configuration_id, changes, said)

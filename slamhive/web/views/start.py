@@ -29,7 +29,8 @@ def form() -> str:
 def check() -> Response:
     """The preview and the invalid fields, as JSON for the open page."""
     filled = read_form(hive(), request.args.to_dict())
-    return make_response(jsonify(preview=_preview(filled), errors=filled.errors, bound=filled.bound, used=filled.used))
+    words = _preview(filled)
+    return make_response(jsonify(preview=words, errors=filled.errors, bound=filled.bound, used=filled.used))
 
 
 @blueprint.post("")
@@ -56,7 +57,13 @@ def _preview(filled: RunForm) -> str | None:
         return None
     counts = hive().runs.counts()
     waiting = counts.get(RunState.QUEUED, 0)
-    return preview(filled.submission, filled.dataset, hive().settings, waiting)
+    what = preview(filled.submission, filled.dataset, hive().settings, waiting)
+    try:
+        note = hive().configurations.map_note(filled.submission)
+    except SlamHiveError as error:
+        filled.errors["map"] = str(error)
+        return None
+    return what if note is None else f"{what} Note: {note}."
 
 
 def _page(filled: RunForm) -> str:
