@@ -1,0 +1,162 @@
+"""Pipelines of evalio under the container contract: LiDAR scans, and for DLIO IMU samples, in; a trajectory out."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from slamhive.errors import InvalidInput
+from slamhive.runtime.app import run
+from slamhive.runtime.calibration import transform
+from slamhive.runtime.config import RunConfig
+from slamhive.runtime.point_times import SweepInstant
+from slamhive.runtime.scan_odometry import ScanOdometry, Sweep
+
+PIPELINES = {
+    "mad-icp": ("MadICP", SweepInstant.END),
+    "ct-icp": ("CTICP", SweepInstant.START),
+    "form": ("FORM", SweepInstant.MIDDLE),
+    "loam-evalio": ("LOAM", SweepInstant.MIDDLE),
+    "dlio": ("DLIO", SweepInstant.MIDDLE),
+}
+"""The class of each algorithm, and the instant of a sweep that its poses describe."""
+
+POINT = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("intensity", "<f4"), ("t", "<u4"), ("ring", "<u2")])
+"""A point as evalio reads it; ``t`` in ns after the start of the sweep."""
+
+
+def import_native(name: str) -> Any:
+    """A compiled module of evalio. Its Python modules, which need large packages, are not imported."""
+    if "evalio" not in sys.modules:
+        spec = find_spec("evalio")
+        if spec is None or spec.submodule_search_locations is None:
+            raise InvalidInput("evalio is not installed", "build the package again")
+        package = ModuleType("evalio")
+        package.__path__ = list(spec.submodule_search_locations)
+        sys.modules["evalio"] = package
+    return import_module(f"evalio._cpp.{name}")
+
+
+types, pipelines, helpers = import_native("types"), import_native("pipelines"), import_native("helpers")
+
+DATA_TYPES = {
+    "<f8": helpers.DataType.FLOAT64,
+    "<f4": helpers.DataType.FLOAT32,
+    "<u4": helpers.DataType.UINT32,
+    "<u2": helpers.DataType.UINT16,
+}
+
+
+class EvalioOdometry(ScanOdometry):
+    """Feeds IMU samples and sweeps to one pipeline of evalio.
+
+    evalio gives every pose the timestamp of the start of the sweep. What a pose describes follows from the pipeline,
+    see :data:`PIPELINES`. Pipelines without an IMU are given the LiDAR's frame as that of the IMU, so that their poses
+    describe the LiDAR.
+    """
+
+    package = "evalio"
+
+    def __init__(self, config: RunConfig) -> None:
+        super().__init__(config)
+        name, self.pose_at = PIPELINES[config.algorithm]
+        self._pipeline = getattr(pipelines, name)()
+        self._rings = self._columns = 0
+
+    def register(self, sweep: Sweep) -> np.ndarray | None:
+        """Register the sweep; none of its poses is kept for later."""
+        if not self._columns:
+            self._begin(sweep)
+        for row in sweep.imu:
+            self._pipeline.add_imu(types.ImuMeasurement(stamp_of(row[0]), row[1:4], row[4:7]))
+        self._pipeline.add_lidar(measurement(sweep, self._in_image_order(sweep)))
+        found = self._pipeline.saved_estimates()
+        return np.array(found[-1][1].to_mat()) if found else None
+
+    def _begin(self, sweep: Sweep) -> None:
+        """Set up the pipeline with the parameters of the run and the rings and columns of the first sweep.
+
+        CT-ICP reads uninitialised values unless all parameters are set.
+        """
+        values, pipeline = self.values, self._pipeline
+        counts = np.bincount(self._rings_of(sweep))
+        self._rings, self._columns = max(int(values.get("points_beams", 0)), len(counts)), int(counts.max())
+        chosen = {key: type(old)(values.get(key, old)) for key, old in pipeline.default_params().items()}
+        pipeline.set_params(chosen)
+        pipeline.set_imu_params(imu_parameters(values))
+        pipeline.set_lidar_params(
+            types.LidarParams(
+                num_rows=self._rings,
+                num_columns=self._columns,
+                min_range=values["min_range"],
+                max_range=values["max_range"],
+                rate=float(values["points_rate_hz"]),
+            )
+        )
+        T_imu_lidar = transform(values, "imu", "points") if "imu_T_body_sensor" in values else np.eye(4)
+        pipeline.set_imu_T_lidar(types.SE3.from_mat(T_imu_lidar))
+        pipeline.initialize()
+
+    def _rings_of(self, sweep: Sweep) -> np.ndarray:
+        rings: np.ndarray = sweep.cloud.field(str(self.values["points_ring_field"])).astype(np.int64)
+        return rings
+
+    def _in_image_order(self, sweep: Sweep) -> np.ndarray:
+        """The points (n,) as evalio expects them: ring after ring, a place for each instant, zeros without a return."""
+        image = np.zeros((self._rings, self._columns), POINT)
+        image["ring"] = np.arange(self._rings)[:, None]
+        image["t"] = np.arange(self._columns) * (sweep.duration_s * 1e9 / self._columns)
+        columns = np.minimum(np.rint(sweep.fractions * self._columns).astype(np.int64), self._columns - 1)
+        places = self._rings_of(sweep), columns
+        for index, axis in enumerate("xyz"):
+            image[axis][places] = sweep.points_m[:, index]
+        image["t"][places] = np.rint(sweep.offsets_s * 1e9)
+        return image.reshape(-1)
+
+
+def measurement(sweep: Sweep, points: np.ndarray) -> Any:
+    """Evalio's measurement of a sweep with ``points`` (n,)."""
+    size = points.itemsize * len(points)
+    header = helpers.PointCloudMetadata(
+        stamp=stamp_of(sweep.start_s),
+        width=len(points),
+        height=1,
+        point_step=points.itemsize,
+        row_step=size,
+        is_bigendian=0,
+        is_dense=1,
+    )
+    fields = [
+        helpers.Field(name=name, datatype=DATA_TYPES[POINT[name].str], offset=int(POINT.fields[name][1]))  # type: ignore[index]
+        for name in POINT.fields or ()
+    ]
+    found = helpers.pc2_to_evalio(header, fields, points.tobytes())
+    helpers.fill_col_row_major(found)
+    return found
+
+
+def imu_parameters(values: dict[str, Any]) -> Any:
+    """The noise of the IMU where the dataset states it, evalio's defaults elsewhere. Gravity points down."""
+    noise = {
+        "gyro": "gyroscope_noise_density",
+        "accel": "accelerometer_noise_density",
+        "gyro_bias": "gyroscope_random_walk",
+        "accel_bias": "accelerometer_random_walk",
+    }
+    stated = {name: float(values[f"imu_{key}"]) for name, key in noise.items() if f"imu_{key}" in values}
+    rate = {"rate": float(values["imu_rate_hz"])} if "imu_rate_hz" in values else {}
+    return types.ImuParams(gravity=np.array([0.0, 0.0, -9.81]), **stated, **rate)
+
+
+def stamp_of(time_s: float) -> Any:
+    """Evalio's timestamp."""
+    return types.Stamp.from_nsec(round(time_s * 1e9))
+
+
+if __name__ == "__main__":
+    sys.exit(run(EvalioOdometry))
