@@ -14,6 +14,7 @@ from slamhive.catalogue.foreign_model import TopicModel
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Base, Input, RunUser
 from slamhive.domain.bounds import Bound
 from slamhive.domain.configuration import Playback, PlaybackMode
+from slamhive.domain.gpu import GpuNeed
 from slamhive.domain.lidar_layout import PointOrder
 from slamhive.domain.lidar_needs import LidarNeeds, Need
 from slamhive.domain.parameters import Parameter, parse_settings
@@ -61,6 +62,8 @@ class _ResourcesModel(BaseModel):
     model_config = ConfigDict(extra="forbid")
     cpu_cores: float = Field(default=2.0, gt=0)
     memory_mb: int = Field(default=4096, gt=0)
+    shm_mb: int | None = Field(default=None, gt=0)
+    time_factor: float = Field(default=0.0, ge=0, le=1000)
 
 
 class _LidarModel(BaseModel):
@@ -99,6 +102,8 @@ class _PackageModel(BaseModel):
     reports_tracking: bool = False
     user: RunUser = RunUser.WORKER
     base: Base = Base.PYTHON
+    playback: tuple[PlaybackMode, ...] = Field(default=tuple(PlaybackMode), min_length=1)
+    gpu: GpuNeed = GpuNeed.NONE
     lidar: _LidarModel = Field(default_factory=_LidarModel)
     requires: dict[str, list[str] | None] = Field(default_factory=dict)
     map_output: str | None = None
@@ -144,6 +149,10 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         lidar=LidarNeeds(**model.lidar.model_dump()),
         user=model.user,
         map_output=model.map_output,
+        playback=model.playback,
+        gpu=model.gpu,
+        shm_mb=model.resources.shm_mb,
+        time_factor=model.resources.time_factor,
     )
     algorithms = tuple(_algorithm(path, package, name, mode, model) for name, mode in model.modes.items())
     names = [algorithm.name for algorithm in algorithms]

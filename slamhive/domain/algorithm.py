@@ -9,6 +9,7 @@ from pathlib import Path
 from slamhive.domain.bounds import Bound
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.gpu import GpuNeed
 from slamhive.domain.lidar_needs import LidarNeeds
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.remaps import TopicOf
@@ -64,7 +65,8 @@ class AlgorithmPackage:
     while it runs it says for how long it has found no pose (``progress.json``). ``lidar``: what its modes with a LiDAR
     need of the points. ``user``: who its runs are in a container. ``base``: what its image is based on. ``map_output``:
     the file in the result with the map that another run of the same algorithm can start with; it is there if the run
-    saves its map.
+    saves its map. ``playback``: how recordings can be played. ``gpu``: whether its runs get a GPU. ``shm_mb``: size of
+    ``/dev/shm`` in its containers, None for the default of the engine. ``time_factor``: the time limit of its runs is at least this many times the duration of the recording.
     """
 
     name: str
@@ -84,6 +86,10 @@ class AlgorithmPackage:
     lidar: LidarNeeds = field(default_factory=LidarNeeds)
     user: RunUser = RunUser.WORKER
     map_output: str | None = None
+    playback: tuple[PlaybackMode, ...] = tuple(PlaybackMode)
+    gpu: GpuNeed = GpuNeed.NONE
+    shm_mb: int | None = None
+    time_factor: float = 0.0
 
     @property
     def image(self) -> str:
@@ -105,6 +111,10 @@ class AlgorithmPackage:
                 f"{self.name} cannot be played {playback.mode}: ROS 1 systems take messages when they come",
                 "play it realtime, with a low rate if it is too slow",
             )
+        if playback.mode not in self.playback:
+            supported = " or ".join(self.playback)
+            problem = f"{self.name} takes {supported} playback only, not {playback.mode}"
+            raise InvalidInput(problem, f"choose {supported} playback")
 
 
 @dataclass(frozen=True, slots=True)

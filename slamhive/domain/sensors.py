@@ -58,6 +58,8 @@ class SensorSetup(StrEnum):
     STEREO_INERTIAL = "stereo-inertial"
     LIDAR = "lidar"
     LIDAR_INERTIAL = "lidar-inertial"
+    LASER = "laser"
+    """A laser scanner in one plane, with or without wheel odometry."""
 
 
 def setups_of(counts: Mapping[SensorKind, int]) -> tuple[SensorSetup, ...]:
@@ -75,6 +77,7 @@ def setups_of(counts: Mapping[SensorKind, int]) -> tuple[SensorSetup, ...]:
         SensorSetup.STEREO_INERTIAL: cameras > 1 and inertial,
         SensorSetup.LIDAR: counts.get(SensorKind.LIDAR, 0) > 0,
         SensorSetup.LIDAR_INERTIAL: counts.get(SensorKind.LIDAR, 0) > 0 and inertial,
+        SensorSetup.LASER: counts.get(SensorKind.LASER, 0) > 0,
     }
     return tuple(setup for setup in SensorSetup if served[setup])
 

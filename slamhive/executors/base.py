@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import ClassVar
 
 from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.domain.gpu import Gpu
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.evaluation.batch import BatchStarter
 from slamhive.evaluation.process_starter import ProcessStarter
+from slamhive.executors.gpu import GpuUse
 from slamhive.executors.spec import Limit, Limits, RunSpec
 from slamhive.executors.status import RunHandle, RunStatus, UsageSource
 
@@ -59,6 +61,7 @@ class Capabilities:
         needs: What it needs from a package.
         shares_files: Runs read and write the files of the controller, on the cores of its machine. Otherwise the
             executor transfers inputs, outputs and the files that are watched meanwhile.
+        gpu: It can give a run a GPU of this machine.
         several_at_once: One worker may start several runs at the same time.
         evaluates_in: Where evaluations take place.
         preference: ``auto`` takes the usable executor with the lowest number; None if it must be asked for by name.
@@ -68,6 +71,7 @@ class Capabilities:
     limits: frozenset[Limit] = frozenset()
     needs: PackageNeed = PackageNeed.ENVIRONMENT
     shares_files: bool = True
+    gpu: bool = False
     several_at_once: bool = True
     evaluates_in: EvaluationPlace = EvaluationPlace.PROCESS
     preference: int | None = None
@@ -202,6 +206,18 @@ class Executor(ABC):
     def usage_source(self, handle: RunHandle) -> UsageSource | None:  # noqa: ARG002 - the signature of the seam
         """Measures the CPU and memory of the run; None if it has ended, or cannot be measured."""
         return None
+
+    def gpus(self) -> tuple[Gpu, ...]:
+        """The GPUs that a run can get, at least one. Raises Unavailable with the reason if there is none."""
+        raise Unavailable(f"the executor {self.name} gives runs no GPU", "choose the executor docker")
+
+    def gpus_in_use(self, key: str) -> frozenset[str]:  # noqa: ARG002 - as above
+        """The UUIDs of the GPUs of all runs that run now, of any installation, except the run of ``key``."""
+        return frozenset()
+
+    def gpu_use(self, handle: RunHandle, uuid: str) -> GpuUse:
+        """What the run uses of its GPU now. Raises Unavailable."""
+        raise Unavailable(f"the executor {self.name} does not measure GPU {uuid} of {handle.data}")
 
     def hidden_bytes(self, handle: RunHandle) -> int:  # noqa: ARG002 - as above
         """How much the run has written where only the executor can see it."""

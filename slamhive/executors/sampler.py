@@ -16,6 +16,7 @@ from typing import IO
 from slamhive.clock import monotonic_s
 from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.energy import EnergyLog
+from slamhive.executors.gpu import GpuLog
 from slamhive.executors.host_counters import HostLog
 from slamhive.executors.status import UsageSource
 
@@ -30,6 +31,7 @@ class MachineLogs:
 
     energy: EnergyLog
     host: HostLog
+    gpu: GpuLog | None = None
 
 
 class Sampler:
@@ -121,6 +123,8 @@ class Sampler:
             before = (now_s, cpu_s)
             if self._machine is not None:
                 self._machine.host.sample(now_s - self._origin_s, cpu_s)
+                if self._machine.gpu is not None:
+                    self._machine.gpu.sample(now_s - self._origin_s)
             self._note_energy()
             peak_bytes = self._source.peak_memory_bytes()
             if peak_bytes is not None:

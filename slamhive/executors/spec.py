@@ -127,6 +127,8 @@ class RunSpec:
         environment: Variables for the algorithm; values may be paths of the container contract.
         limits: What it may use.
         timeout_s: The wall-clock limit. The worker enforces it; executors with ``Limit.TIME`` do so on their own too.
+        gpu: The UUID of the GPU that the run has; None for none.
+        shm_bytes: The size of ``/dev/shm``; None for the default of the executor.
         work: A folder on the controller for the executor's own use, removed when the run is over.
         user: Who the run is in its container. Executors without containers take ``worker`` only.
     """
@@ -145,6 +147,8 @@ class RunSpec:
     timeout_s: float
     work: Path
     user: RunUser = RunUser.WORKER
+    gpu: str | None = None
+    shm_bytes: int | None = None
 
     def output(self, name: str) -> RunOutput:
         """The output called ``name``."""

@@ -55,6 +55,11 @@ class RunFolder:
         return self.root / "host.csv"
 
     @property
+    def gpu(self) -> Path:
+        """``gpu.csv``: ``time,memory_bytes,utilisation`` of the run's GPU, or why it is not measured."""
+        return self.root / "gpu.csv"
+
+    @property
     def profiling_cpu_plot(self) -> Path:
         """``profiling_cpu.png``."""
         return self.root / "profiling_cpu.png"

@@ -82,6 +82,7 @@ def measure_run(
     metrics.update(_usage_metrics(profile, peak_memory_bytes))
     metrics.update(_frame_metrics(folder.frames, profile))
     metrics.update(_energy_metrics(folder.energy, duration_s))
+    metrics.update(_gpu_metrics(folder.gpu))
     metrics.update(_playback_metrics(folder.playback, duration_s))
     metrics.update(host_metrics(read_host_load(folder.host)))
     return {key: value for key, value in metrics.items() if math.isfinite(value)}
@@ -162,6 +163,20 @@ def _energy_metrics(path: Path, run_duration_s: float) -> dict[str, float]:
         steps_uj = np.diff(counts_uj)
         total_uj += float(np.where(steps_uj < 0, steps_uj + ranges_uj[1:], steps_uj).sum())
     return {"energy": total_uj * 1e-6} if total_uj > 0 else {}
+
+
+def _gpu_metrics(path: Path) -> dict[str, float]:
+    """Peak and mean of the samples in ``gpu.csv``; the driver's samples have equal intervals."""
+    rows = read_numeric_columns(path, ("time", "memory_bytes", "utilisation"), _MAX_CSV_BYTES)
+    memory_bytes, utilisation = (column[np.isfinite(column)] for column in (rows[:, 1], rows[:, 2]))
+    metrics: dict[str, float] = {}
+    if len(memory_bytes) > 0:
+        metrics["gpu.memory_max"] = float(memory_bytes.max())
+        metrics["gpu.memory_mean"] = float(memory_bytes.mean())
+    if len(utilisation) > 0:
+        metrics["gpu.utilisation_mean"] = float(utilisation.mean())
+        metrics["gpu.utilisation_max"] = float(utilisation.max())
+    return metrics
 
 
 def _playback_metrics(path: Path, run_duration_s: float) -> dict[str, float]:

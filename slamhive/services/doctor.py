@@ -11,6 +11,7 @@ from enum import StrEnum
 
 from slamhive.errors import NotFound, SlamHiveError, Unavailable
 from slamhive.executors.energy import read_packages
+from slamhive.executors.gpu import list_gpus
 from slamhive.executors.host_counters import HostCounters, read_or_why, sources
 from slamhive.executors.registry import open_all
 from slamhive.registry import Origin
@@ -121,6 +122,17 @@ def _energy(_: Hive) -> list[Check]:
     return [Check("energy", Verdict.OK, found)]
 
 
+def _gpus(_: Hive) -> list[Check]:
+    try:
+        gpus = list_gpus()
+    except Unavailable as error:
+        return [Check("GPU", Verdict.OK, error.message)]
+    return [
+        Check("GPU", Verdict.OK, f"{gpu.model}, {gpu.memory_bytes / 1e9:.1f} GB, driver {gpu.driver}, {gpu.uuid}")
+        for gpu in gpus
+    ]
+
+
 def _disturbance(_: Hive) -> list[Check]:
     """What of a disturbed machine can be seen here."""
     counters = HostCounters()
@@ -177,6 +189,7 @@ _EXAMINATIONS: tuple[Callable[[Hive], list[Check]], ...] = (
     _executor,
     _executor_findings,
     _energy,
+    _gpus,
     _disturbance,
     _algorithms,
     _broken_folders,

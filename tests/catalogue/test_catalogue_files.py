@@ -169,6 +169,16 @@ def test_bounds_are_read_with_sequential_playback_unless_stated(tmp_path):
     assert algorithm.bounds[0].playback == Playback(PlaybackMode.REALTIME, 0.5)
 
 
+def test_an_offline_package_refuses_playback_in_real_time(tmp_path):
+    folder = tiny(tmp_path)
+    path = folder / "algorithm.yaml"
+    path.write_text(path.read_text() + "\nplayback: [sequential]\n")
+    (algorithm,) = load_algorithms(folder)
+    algorithm.package.check_playback(Playback(PlaybackMode.SEQUENTIAL))
+    with pytest.raises(InvalidInput, match="takes sequential playback only, not realtime; choose sequential"):
+        algorithm.package.check_playback(Playback(PlaybackMode.REALTIME))
+
+
 def test_a_package_without_its_mapping_script_is_refused(tmp_path):
     folder = tiny(tmp_path)
     (folder / "slamhive" / "mapping.py").unlink()

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from slamhive.domain.configuration import PlaybackMode
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.sweep.expand import count, expand
 from slamhive.sweep.experiment_file import parse_experiment
-from tests.sweep.sweep_world import CAMERA, dataset, view
+from tests.sweep.sweep_world import CAMERA, algorithm, dataset, view
 
 HEAD = "name: t\nalgorithms: mono | stereo\ndatasets: room\n"
 RATE = "steps:\n  r:\n    step: rate\n    sensors: camera\n    hz: 20 | 10\n"
@@ -91,6 +94,15 @@ def test_an_algorithm_that_lacks_a_sensor_is_told_with_the_place():
     catalogue = view(datasets=[dataset("one-eyed", ("cam0", CAMERA, 20))])
     with pytest.raises(InvalidInput, match=r"e\.yaml line 3: stereo needs 2 camera sensors, dataset one-eyed has 1"):
         count(parse_experiment(text, "e.yaml"), catalogue)
+
+
+def test_an_offline_algorithm_needs_sequential_playback():
+    offline = algorithm("offline", {"left": CAMERA})
+    offline = replace(offline, package=replace(offline.package, playback=(PlaybackMode.SEQUENTIAL,)))
+    text = "name: t\nalgorithms: offline\ndatasets: room\nplayback: {mode: sequential | realtime}\n"
+    with pytest.raises(InvalidInput, match="takes sequential playback only, not realtime"):
+        expand(parse_experiment(text, "e.yaml"), view([offline]))
+    assert expand(parse_experiment(text.replace(" | realtime", ""), "e.yaml"), view([offline])).cells
 
 
 def test_a_thousand_million_combinations_are_refused_at_once_with_what_makes_them():

@@ -8,6 +8,7 @@ _SAMPLER = "CPU time and memory of the run's control group or process tree, samp
 _PLAYER = "playback.json of the player"
 _FRAMES = "frames.csv of the player"
 _RAPL = "Intel RAPL through /sys/class/powercap (Linux kernel, power capping framework)"
+_NVML = "NVIDIA Management Library (NVML), sampled twice a second"
 _CLOCK = "Clock of the machine"
 _STAT = "/proc/stat and the run's CPU time, once a second"
 _PSI = "Linux pressure stall information, /proc/pressure"
@@ -60,6 +61,38 @@ MEASURED_METRICS = (
         "idling included. Unverified on real hardware.",
         _USAGE,
         _RAPL,
+    ),
+    _measured(
+        "gpu.memory_max",
+        "GPU memory max",
+        "bytes",
+        "Largest sample of the GPU memory of the run's processes. Unverified on real hardware.",
+        _USAGE,
+        _NVML,
+    ),
+    _measured(
+        "gpu.memory_mean",
+        "GPU memory mean",
+        "bytes",
+        "Mean of the samples of the GPU memory of the run's processes. Unverified on real hardware.",
+        _USAGE,
+        _NVML,
+    ),
+    _measured(
+        "gpu.utilisation_mean",
+        "GPU utilisation mean",
+        "",
+        "Mean share of the time in which the run's GPU computed. Unverified on real hardware.",
+        _USAGE,
+        _NVML,
+    ),
+    _measured(
+        "gpu.utilisation_max",
+        "GPU utilisation max",
+        "",
+        "Largest sample of the share of the time in which the run's GPU computed. Unverified on real hardware.",
+        _USAGE,
+        _NVML,
     ),
     _measured("duration", "Wall time", "s", "From the algorithm's start to its end.", _TIMING, _CLOCK),
     higher(

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from docker.types import LogConfig, Mount, Ulimit
+from docker.types import DeviceRequest, LogConfig, Mount, Ulimit
 
 from slamhive.domain.algorithm import RunUser
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.docker.engine import (
+    GPU_LABEL,
     HARDENING,
     INSTALLATION_LABEL,
     KEY_LABEL,
@@ -58,6 +59,11 @@ def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]
         options["ulimits"] = [Ulimit(name="fsize", soft=limits.file_bytes, hard=limits.file_bytes)]
     if limits.cpuset is not None:
         options["cpuset_cpus"] = ",".join(map(str, limits.cpuset))
+    if spec.shm_bytes is not None:
+        options["shm_size"] = spec.shm_bytes
+    if spec.gpu is not None:
+        options["device_requests"] = [DeviceRequest(device_ids=[spec.gpu], capabilities=[["gpu"]])]
+        options["labels"][GPU_LABEL] = spec.gpu
     return options
 
 

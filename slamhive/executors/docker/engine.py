@@ -24,6 +24,8 @@ from slamhive.executors.identity import worker_identity
 KEY_LABEL = "slamhive.key"
 RUN_LABEL = "slamhive.run"
 INSTALLATION_LABEL = "slamhive.installation"
+GPU_LABEL = "slamhive.gpu"
+"""Holds the UUID of the GPU that a run has."""
 
 OWNER_LABEL = "slamhive.owner"
 """The process that a container serves. Containers of runs do not have it: they outlive their worker."""

@@ -19,6 +19,7 @@ import docker.errors
 
 from slamhive.clock import monotonic_s, utc_now
 from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.domain.gpu import Gpu
 from slamhive.errors import Unavailable
 from slamhive.evaluation.batch import BatchStarter
 from slamhive.executors.base import (
@@ -39,6 +40,7 @@ from slamhive.executors.docker.batch import DockerStarter
 from slamhive.executors.docker.build import get_image, name_image
 from slamhive.executors.docker.container import container_options, scratch_folder
 from slamhive.executors.docker.engine import (
+    GPU_LABEL,
     INSTALLATION_LABEL,
     KEY_LABEL,
     OWNER_LABEL,
@@ -51,6 +53,7 @@ from slamhive.executors.docker.kept_images import forget_image, has_image, kept_
 from slamhive.executors.docker.refusals import RefusedProcesses, engine_protections
 from slamhive.executors.docker.run_user import in_words, open_to_user, take_back
 from slamhive.executors.docker.stats import DockerStatsSource
+from slamhive.executors.gpu import GpuUse, gpu_use, in_container, list_gpus
 from slamhive.executors.identity import owner_is_dead
 from slamhive.executors.local_files import make_own_copies
 from slamhive.executors.spec import Limit, RunSpec
@@ -86,6 +89,7 @@ class DockerExecutor(Executor):
         isolates=True,
         limits=frozenset({Limit.CORES, Limit.MEMORY, Limit.PROCESSES, Limit.DISK}),
         needs=PackageNeed.IMAGE,
+        gpu=True,
         evaluates_in=EvaluationPlace.CONTAINER,
         preference=10,
     )
@@ -219,6 +223,20 @@ class DockerExecutor(Executor):
             return None
         group = cgroup_of(int(container.attrs["State"]["Pid"]), container.id)
         return group or DockerStatsSource(container)
+
+    def gpus(self) -> tuple[Gpu, ...]:
+        """The GPUs of this machine, which the driver lists."""
+        return list_gpus()
+
+    def gpus_in_use(self, key: str) -> frozenset[str]:
+        """What the labels of running containers say."""
+        with engine_errors("listing containers with a GPU", EngineUnavailable):
+            found = self._engine().containers.list(filters={"label": GPU_LABEL}, ignore_removed=True)
+        return frozenset(entry.labels[GPU_LABEL] for entry in found if entry.labels.get(KEY_LABEL) != key)
+
+    def gpu_use(self, handle: RunHandle, uuid: str) -> GpuUse:
+        """As the driver reports it; processes are told apart by their control group."""
+        return gpu_use(uuid, in_container(handle.data["container"]))
 
     def hidden_bytes(self, handle: RunHandle) -> int:
         """The size of the container's own layer."""

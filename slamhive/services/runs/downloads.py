@@ -85,6 +85,7 @@ def _known(folder: RunFolder, fingerprints: Iterable[str]) -> list[tuple[str, Pa
             (folder.frames, table),
             (folder.profiling, table),
             (folder.host, table),
+            (folder.gpu, table),
             (folder.profiling_cpu_plot, "image/png"),
             (folder.profiling_ram_plot, "image/png"),
             (folder.playback, "application/json"),

@@ -17,10 +17,11 @@ from slamhive.catalogue.run_config import build_run_config
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.gpu import Gpu, GpuNeed
 from slamhive.domain.matching import match_of
 from slamhive.domain.sensor_choice import BY_RULE, Chosen
 from slamhive.errors import InvalidInput, Unavailable
-from slamhive.executors.base import Capabilities, Executor, ImageMissing
+from slamhive.executors.base import Capabilities, EngineUnavailable, Executor, ImageMissing
 from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.files import hash_files, write_aside
 from slamhive.runs.folder import RunFolder
@@ -52,7 +53,7 @@ class Job:
     """One run with its algorithm and dataset resolved, ready to be prepared.
 
     ``used`` is the variant of the dataset that the run sees, None for the dataset as it is. ``input_map`` is the map
-    that it starts with.
+    that it starts with. ``gpu`` is what it leased.
     """
 
     run_id: int
@@ -64,6 +65,7 @@ class Job:
     limits: RunLimits
     used: UsedVariant | None = None
     input_map: FoundMap | None = None
+    gpu: Gpu | None = None
 
     @property
     def seen(self) -> Dataset:
@@ -111,11 +113,23 @@ def check_executor(executor: Executor, package: AlgorithmPackage, asked: RunLimi
         executor.check_package(package)
     except ImageMissing as error:
         raise InvalidInput(error.message, error.remedy) from None
+    check_gpu(executor, package)
     memory_bytes = None if asked.memory_mb is None else asked.memory_mb * 1_000_000
     limits = Limits(asked.cpu_cores, memory_bytes, pids=None)
     refusal = executor.capabilities.refusal(executor.name, limits)
     if refusal is not None:
         raise InvalidInput(refusal, "leave the limit out, or choose another executor")
+
+
+def check_gpu(executor: Executor, package: AlgorithmPackage) -> None:
+    """Raise InvalidInput if the package requires a GPU and ``executor`` has none."""
+    if package.gpu is GpuNeed.REQUIRED:
+        try:
+            executor.gpus()
+        except EngineUnavailable:
+            raise
+        except Unavailable as error:
+            raise InvalidInput(f"{package.name} requires a GPU: {error.message}", error.remedy) from None
 
 
 def write_config(job: Job, folder: RunFolder) -> None:
@@ -167,6 +181,8 @@ def build_spec(
         timeout_s=time_limit_s(job, settings),
         work=folder.work,
         user=job.algorithm.package.user,
+        gpu=None if job.gpu is None else job.gpu.uuid,
+        shm_bytes=None if job.algorithm.package.shm_mb is None else job.algorithm.package.shm_mb * 1_000_000,
     )
 
 
@@ -184,7 +200,8 @@ def time_limit_s(job: Job, settings: Settings) -> float:
     if job.limits.timeout_s is not None:
         return job.limits.timeout_s
     duration_s = job.dataset.duration_s / min(job.configuration.playback.rate, 1.0)
-    return settings.run_timeout_factor * duration_s + settings.run_timeout_slack_s
+    factor = max(settings.run_timeout_factor, job.algorithm.package.time_factor)
+    return factor * duration_s + settings.run_timeout_slack_s
 
 
 def provenance(job: Job, identity: str, number: int) -> dict[str, Any]:
@@ -208,6 +225,7 @@ def provenance(job: Job, identity: str, number: int) -> dict[str, Any]:
             "variant": IDENTITY if job.used is None else job.used.key,
             "variant_checksum": job.seen.checksum,
         },
+        **({} if job.gpu is None else {"gpu": asdict(job.gpu)}),
         "match": MatchDocument.of_match(match).content,
         **_map_provenance(job.input_map),
     }

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from datetime import datetime
 
+from slamhive.domain.gpu import Gpu
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import EngineUnavailable, ImageMissing, StartFailed
@@ -19,6 +20,7 @@ from slamhive.services.worker.collecting import Collecting
 from slamhive.services.worker.context import DriverContext
 from slamhive.services.worker.disk import remove_scratch, settle_result
 from slamhive.services.worker.evidence import ENGINE_AWAY
+from slamhive.services.worker.gpu import hold_gpu
 from slamhive.services.worker.preparing import Preparing
 from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
 from slamhive.services.worker.watching import Watch
@@ -49,6 +51,7 @@ class RunDriver:
         hand = self._hand
         with ExitStack() as held:
             self._keep_variant(held)
+            self._keep_gpu(held)
             steps: dict[RunState, Callable[[], None]] = {
                 RunState.PREPARING: Preparing(hand, held).prepare,
                 RunState.STARTING: self._start,
@@ -89,6 +92,14 @@ class RunDriver:
             key = variant_key(hand.saved())
             if key is not None:
                 held.enter_context(self._context.variants.hold_made(key))
+
+    def _keep_gpu(self, held: ExitStack) -> None:
+        """Lease the GPU of a run that another worker prepared."""
+        hand = self._hand
+        if hand.run.state in (RunState.STARTING, RunState.RUNNING) and hand.keeper.readable():
+            gpu = hand.saved().get("gpu")
+            if gpu is not None:
+                held.enter_context(hold_gpu(hand, [Gpu(**gpu)]))
 
     def _start(self) -> None:
         hand = self._hand

@@ -8,9 +8,10 @@ from contextlib import ExitStack
 from dataclasses import asdict, replace
 
 from slamhive.catalogue.algorithm_file import package_hash
+from slamhive.domain.gpu import GpuNeed
 from slamhive.domain.parameters import check_stored
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import InvalidInput, NotFound, SlamHiveError
+from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.executors.base import ImageMissing
 from slamhive.runs.early_end import EarlyEnd, skipped
 from slamhive.services.configurations import find_map
@@ -20,12 +21,14 @@ from slamhive.services.runs import (
     build_spec,
     check_dataset_files,
     check_disk,
+    check_gpu,
     provenance,
     spec_to_json,
     write_config,
 )
 from slamhive.services.versions import identity_of_version, keep_version
 from slamhive.services.worker.evidence import STARTED_BY
+from slamhive.services.worker.gpu import hold_gpu
 from slamhive.services.worker.host import describe_host
 from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
 from slamhive.store import Transaction
@@ -84,8 +87,10 @@ class Preparing:
         check_dataset_files(job.dataset)
         hand.folder.create()
         hand.keeper.begin(hand.run)
+        check_gpu(hand.executor, job.algorithm.package)
         job = self._with_variant(job)
         identity = self._identity(job)
+        job = self._with_gpu(job)
         write_config(job, hand.folder)
         capabilities = hand.executor.capabilities
         spec = build_spec(job, hand.folder, hand.context.settings, identity, hand.cores, capabilities)
@@ -116,13 +121,30 @@ class Preparing:
         hand = self._hand
 
         def progress(fraction: float, text: str) -> None:
-            if hand.cancel_requested():
-                raise PreparationCancelled(CANCELLED_BY_USER)
+            self._check_cancelled()
             hand.check_still_ours()
             logger.debug("run %d: %s (%.0f %%)", hand.run.id, text, 100 * fraction)
 
         holding = hand.context.variants.hold(job.dataset, job.configuration.variant, progress)
         return replace(job, used=self._held.enter_context(holding))
+
+    def _with_gpu(self, job: Job) -> Job:
+        """A GPU if the package uses one, leased until the driver releases the run."""
+        hand = self._hand
+        need = job.algorithm.package.gpu
+        if need is GpuNeed.NONE or (need is GpuNeed.OPTIONAL and not hand.executor.capabilities.gpu):
+            return job
+        try:
+            gpus = hand.executor.gpus()
+        except Unavailable:
+            if need is GpuNeed.REQUIRED:
+                raise
+            return job
+        return replace(job, gpu=self._held.enter_context(hold_gpu(hand, gpus, self._check_cancelled)))
+
+    def _check_cancelled(self) -> None:
+        if self._hand.cancel_requested():
+            raise PreparationCancelled(CANCELLED_BY_USER)
 
     def _identity(self, job: Job) -> str:
         """The image or environment: that of the version that was asked for, else of the package as it is now."""

@@ -9,6 +9,7 @@ from typing import Any
 
 from slamhive.domain.run import RunState
 from slamhive.executors.energy import EnergyLog
+from slamhive.executors.gpu import GpuLog
 from slamhive.executors.host_counters import HostCounters, HostLog
 from slamhive.executors.sampler import MachineLogs, Sampler
 from slamhive.executors.status import Gone, Running, UsageSource
@@ -79,7 +80,11 @@ class Watch:
     def _machine_logs(self, source: UsageSource) -> MachineLogs:
         hand = self._hand
         counters = HostCounters(hand.spec.limits.cpuset) if source.on_this_machine else None
-        return MachineLogs(EnergyLog(hand.folder.energy), HostLog(hand.folder.host, counters))
+        energy, host = EnergyLog(hand.folder.energy), HostLog(hand.folder.host, counters)
+        uuid = hand.spec.gpu
+        if uuid is None:
+            return MachineLogs(energy, host)
+        return MachineLogs(energy, host, GpuLog(hand.folder.gpu, lambda: hand.executor.gpu_use(hand.handle, uuid)))
 
     def _wait_for_end(self) -> str:
         """Why the run has ended: ``exited``, ``gone``, ``cancelled``, or the value under :data:`STOPPED_BECAUSE`."""

@@ -168,6 +168,14 @@ def protections(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
+def gpu(record: Mapping[str, Any]) -> Cell | None:
+    """The GPU that the run had; None if it had none."""
+    told = record.get("gpu")
+    if not isinstance(told, Mapping):
+        return None
+    return Cell(str(told.get("model")), f"driver {told.get('driver')}, {told.get('uuid')}")
+
+
 def wall_time_s(run: RunRecord, now: datetime) -> float | None:
     """Time from the start to the end, or to now for an active run."""
     if run.started_at is None:

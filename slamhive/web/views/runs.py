@@ -161,6 +161,7 @@ def show(run_id: int) -> str:
         tools_waiting=protocols.waiting(tools),
         measured=presenter.metric_rows(run, needs_protocol=False),
         protections=presenter.protections(record),
+        gpu=presenter.gpu(record),
         provenance=presenter.flatten(record),
         events=services.runs.events(run_id),
         evaluations=evaluations,

@@ -1,0 +1,144 @@
+"""The GPUs of this machine, and what a run uses of one, from NVIDIA's management library (NVML).
+
+The Python package ``nvidia-ml-py`` (extra ``gpu``) loads ``libnvidia-ml.so.1``, which comes with the driver. NVML
+reports process ids of the machine, so a process in a container is recognised by its control group. Unverified on real
+hardware.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+from slamhive.domain.gpu import Gpu
+from slamhive.errors import Unavailable
+
+logger = logging.getLogger(__name__)
+
+HEADER = "time,memory_bytes,utilisation\n"
+NOT_MEASURED = "# not measured: "
+PROC = Path("/proc")
+
+BelongsToRun = Callable[[int], bool]
+"""Whether the process with an id of this machine belongs to the run."""
+
+
+@dataclass(frozen=True, slots=True)
+class GpuUse:
+    """What a run uses of its GPU.
+
+    Attributes:
+        memory_bytes: Memory of the run's processes; None where the driver does not say, as under virtualisation.
+        utilisation: Share (0 to 1) of the last sampling period of the driver in which the GPU computed for anybody.
+    """
+
+    memory_bytes: int | None
+    utilisation: float
+
+
+@contextmanager
+def _nvml(doing: str) -> Iterator[ModuleType]:
+    """NVML, ready; raises Unavailable with the reason where there is none."""
+    try:
+        import pynvml  # noqa: PLC0415 - few machines have it
+    except ImportError:
+        raise Unavailable(f"{doing}: nvidia-ml-py is not installed", "pip install 'slamhive[gpu]'") from None
+    try:
+        pynvml.nvmlInit()
+        try:
+            yield pynvml
+        finally:
+            pynvml.nvmlShutdown()
+    except pynvml.NVMLError as error:
+        raise Unavailable(f"{doing}: {error}", "install NVIDIA's driver, or choose a machine with a GPU") from None
+
+
+def list_gpus() -> tuple[Gpu, ...]:
+    """All GPUs in the driver's order; raises Unavailable, with the reason, if there is none."""
+    with _nvml("there is no GPU here") as nvml:
+        driver = _text(nvml.nvmlSystemGetDriverVersion())
+        handles = [nvml.nvmlDeviceGetHandleByIndex(number) for number in range(nvml.nvmlDeviceGetCount())]
+        found = tuple(
+            Gpu(
+                _text(nvml.nvmlDeviceGetUUID(handle)),
+                _text(nvml.nvmlDeviceGetName(handle)),
+                driver,
+                int(nvml.nvmlDeviceGetMemoryInfo(handle).total),
+            )
+            for handle in handles
+        )
+    if not found:
+        raise Unavailable("there is no GPU here: the driver finds none", "choose a machine with a GPU")
+    return found
+
+
+def gpu_use(uuid: str, belongs: BelongsToRun) -> GpuUse:
+    """What the processes that ``belongs`` names use of the GPU; raises Unavailable."""
+    with _nvml(f"GPU {uuid} cannot be measured") as nvml:
+        handle = nvml.nvmlDeviceGetHandleByUUID(uuid)
+        computing = nvml.nvmlDeviceGetComputeRunningProcesses(handle)
+        own = [process.usedGpuMemory for process in computing if belongs(process.pid)]
+        known = [int(used) for used in own if used is not None]
+        utilisation = nvml.nvmlDeviceGetUtilizationRates(handle).gpu / 100
+    return GpuUse(sum(known) if len(known) == len(own) else None, utilisation)
+
+
+def in_container(container_id: str, proc: Path = PROC) -> BelongsToRun:
+    """Recognises the processes of a container: their control group is named after it."""
+
+    def belongs(pid: int) -> bool:
+        try:
+            return container_id in (proc / str(pid) / "cgroup").read_text(encoding="ascii", errors="replace")
+        except OSError:
+            return False  # it has ended
+
+    return belongs
+
+
+class GpuLog:
+    """Appends what a run uses of its GPU to ``gpu.csv``; where it cannot be measured, one line that says why.
+
+    Args:
+        path: ``gpu.csv``.
+        read: One reading; raises Unavailable.
+        interval_s: Samples closer together than this are left out.
+    """
+
+    def __init__(self, path: Path, read: Callable[[], GpuUse], interval_s: float = 0.5) -> None:
+        self._path = path
+        self._read = read
+        self._interval_s = interval_s
+        self._next_s: float | None = None
+        self._given_up = False
+
+    def sample(self, time_s: float) -> None:
+        """Append a reading at ``time_s`` since the run's start, if it is time for it."""
+        if self._given_up or (self._next_s is not None and time_s < self._next_s):
+            return
+        self._next_s = time_s + self._interval_s
+        try:
+            use = self._read()
+        except Unavailable as error:
+            self._given_up = True
+            self._append(f"{NOT_MEASURED}{error}\n")
+            return
+        memory = "" if use.memory_bytes is None else use.memory_bytes
+        self._append(f"{time_s:.4f},{memory},{use.utilisation:.4f}\n", HEADER)
+
+    def _append(self, text: str, header: str = "") -> None:
+        try:
+            new = not self._path.exists()
+            with self._path.open("a", encoding="utf-8") as stream:
+                stream.write(header + text if new else text)
+        except OSError as error:
+            self._given_up = True
+            logger.warning("%s: the GPU is not measured: %s", self._path, error.strerror)
+
+
+def _text(value: str | bytes) -> str:
+    """Older versions of the binding return bytes."""
+    return value.decode() if isinstance(value, bytes) else value
