@@ -66,7 +66,8 @@ class AlgorithmPackage:
     need of the points. ``user``: who its runs are in a container. ``base``: what its image is based on. ``map_output``:
     the file in the result with the map that another run of the same algorithm can start with; it is there if the run
     saves its map. ``playback``: how recordings can be played. ``gpu``: whether its runs get a GPU. ``shm_mb``: size of
-    ``/dev/shm`` in its containers, None for the default of the engine. ``time_factor``: the time limit of its runs is at least this many times the duration of the recording.
+    ``/dev/shm`` in its containers, None for the default of the engine. ``time_factor``: the time limit of its runs is
+    at least this many times the duration of the recording.
     """
 
     name: str

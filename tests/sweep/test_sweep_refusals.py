@@ -101,8 +101,8 @@ def test_an_offline_algorithm_needs_sequential_playback():
     offline = replace(offline, package=replace(offline.package, playback=(PlaybackMode.SEQUENTIAL,)))
     text = "name: t\nalgorithms: offline\ndatasets: room\nplayback: {mode: sequential | realtime}\n"
     with pytest.raises(InvalidInput, match="takes sequential playback only, not realtime"):
-        expand(parse_experiment(text, "e.yaml"), view([offline]))
-    assert expand(parse_experiment(text.replace(" | realtime", ""), "e.yaml"), view([offline])).cells
+        list(expand(parse_experiment(text, "e.yaml"), view([offline])))
+    assert count(parse_experiment(text.replace(" | realtime", ""), "e.yaml"), view([offline]))
 
 
 def test_a_thousand_million_combinations_are_refused_at_once_with_what_makes_them():
