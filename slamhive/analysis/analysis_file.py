@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from slamhive import strict_yaml
 from slamhive.analysis.analysis_model import AnalysisModel, SetModel
-from slamhive.analysis.paper_file import PaperNames, convert, is_paper_file
+from slamhive.analysis.paper_file import PaperNames, convert, is_paper_file, only_analysis
 from slamhive.analysis.plot_types import PLOT_TYPES, PlotOptions, PlotType
 from slamhive.analysis.selection import Expression, check_names, in_words, parse_expression, union_of
 from slamhive.domain.verdict import FailureRule
@@ -89,7 +89,7 @@ def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames |
     Raises:
         InvalidInput: with the line.
     """
-    content, lines = strict_yaml.parse_with_lines(text, source)
+    content, lines = strict_yaml.parse_with_lines(only_analysis(text, source), source)
     places = strict_yaml.Places(source, lines)
     if is_paper_file(content):
         content = convert(content, places, names or PaperNames())

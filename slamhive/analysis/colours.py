@@ -16,8 +16,11 @@ MARKERS = (
 )  # fmt: skip
 """The markers of datasets."""
 
-MARKERS_IN_SPACE = 8
+MARKERS_IN_SPACE = 7
 """The first ones can be drawn in three dimensions."""
+
+FAILED_MARKER = "failed"
+"""The marker of failed runs where they are points, in three dimensions."""
 
 
 def algorithm_colours(names: Iterable[str], known: Iterable[str] = ()) -> dict[str, str]:

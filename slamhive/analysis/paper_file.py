@@ -8,8 +8,10 @@ the paper (first repeat only, failed runs at invented values, ``best`` without e
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from slamhive import strict_yaml
@@ -37,6 +39,25 @@ _PREFIXES = {
     "dataset_resolution": "variant.resolution.scale",
     "dataset_frequency": "variant.rate.every",
 }
+_KEYS: dict[tuple[str, ...], frozenset[str]] = {
+    (): frozenset({"group_name", "group_description", MARK, "configuration_choose", "is_visualized"}),
+    ("configuration_choose",): frozenset(
+        {
+            "configuration_id",
+            "comb_configuration_id",
+            "trajectory_length_lower_bound",
+            "limitation_rules",
+            "combination_rule",
+        }
+    ),
+    ("configuration_choose", "limitation_rules"): frozenset(
+        {"algorithm_id", "dataset_id", "parameters_value", "evaluation_value"}
+    ),
+    ("configuration_choose", "combination_rule"): frozenset({"first_one", "first_rule", "second_one", "second_rule"}),
+}
+"""The keys of each section with fixed keys."""
+_SEPARATOR = re.compile(r"-{3,}\s*$")
+_TOP_KEY = re.compile(r"(group_name|group_description|evaluation_form|configuration_choose|is_visualized)\s*:")
 _STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
 
 
@@ -67,6 +88,7 @@ def convert(content: Mapping[str, Any], places: strict_yaml.Places, names: Paper
         NotFound: for an unknown number.
     """
     paper = _Paper(content, places, names)
+    paper.check_keys()
     sets = dict(paper.sets())
     use = paper.expression(sets)
     converted: dict[str, Any] = {
@@ -94,11 +116,47 @@ def our_key(name: str) -> str:
     return _PREFIXES.get(prefix, rest) if plus else name
 
 
+def only_analysis(text: str, source: str) -> str:
+    """The one analysis in a text that may also hold prose and other documents, which become empty lines.
+
+    Published files have prose before the first key, lines of dashes between documents, and sometimes two analyses, each
+    with its ``group_name``. Raises InvalidInput if there are two analyses, with the line of the second.
+    """
+    lines = text.split("\n")
+    starts = [0, *(number for number, line in enumerate(lines) if _SEPARATOR.match(line)), len(lines)]
+    parts = [part for first, last in pairwise(starts) for part in _split_at_names(lines, first, last)]
+    holding = [part for part in parts if any(line.startswith(f"{MARK}:") for line in lines[slice(*part)])]
+    if len(holding) > 1:
+        raise InvalidInput(
+            f"{source}, line {holding[1][0] + 1}: a second analysis begins", "give each a file of its own"
+        )
+    if not holding:
+        return text
+    first, last = holding[0]
+    while not _TOP_KEY.match(lines[first]):
+        first += 1
+    return "\n".join(line if first <= number < last else "" for number, line in enumerate(lines))
+
+
+def _split_at_names(lines: Sequence[str], first: int, last: int) -> Iterator[tuple[int, int]]:
+    """The lines from ``first`` to ``last``, cut before each ``group_name`` after the first one."""
+    named = [number for number in range(first, last) if lines[number].startswith("group_name:")]
+    yield from pairwise([first, *named[1:], last])
+
+
 class _Paper:
     def __init__(self, content: Mapping[str, Any], places: strict_yaml.Places, names: PaperNames) -> None:
         self._content = content
         self._places = places
         self._names = names
+
+    def check_keys(self) -> None:
+        """Raise InvalidInput for a key that means nothing: without it, the selection would be another one."""
+        for path, known in _KEYS.items():
+            for key in self.chosen(*path):
+                if key not in known:
+                    place = self._places.of(*path, key)
+                    raise InvalidInput(f"{place}: {unknown('key', key, sorted(known)).message}")
 
     def text(self, key: str, *, optional: bool = False) -> str:
         value = self._content.get(key)

@@ -25,6 +25,7 @@ from slamhive.analysis.chart import (
     crowded,
     line_width,
 )
+from slamhive.analysis.colours import FAILED_MARKER
 from slamhive.analysis.density import failed_rows
 from slamhive.analysis.plotly_grids import SCALE, cells, density
 from slamhive.analysis.plotly_values import (
@@ -295,8 +296,8 @@ def _parallel(mark: Parallel, _chart: Chart) -> list[Json]:
 
 
 _SYMBOLS_3D = {
-    "square": "square", "diamond": "diamond", "cross": "cross", "star": "x",
-    "triangle-up": "diamond-open", "triangle-down": "square-open", "pentagon": "circle-open",
+    "square": "square", "diamond": "diamond", "cross": "cross", "star": "circle-open",
+    "triangle-up": "diamond-open", "triangle-down": "square-open", FAILED_MARKER: "x",
 }  # fmt: skip
 
 _DRAWN_BY: dict[type[Any], Callable[[Any, Chart], list[Json]]] = {

@@ -26,6 +26,7 @@ from slamhive.analysis.chart import (
     crowded,
     line_width,
 )
+from slamhive.analysis.colours import FAILED_MARKER
 from slamhive.analysis.density import failed_rows
 
 MOST_LEVEL_LABELS = 20
@@ -36,6 +37,7 @@ _MARKERS = {
     "circle": "o", "square": "s", "triangle-up": "^", "diamond": "D",
     "cross": "P", "star": "*", "triangle-down": "v", "pentagon": "p",
     "triangle-left": "<", "triangle-right": ">", "hexagon": "h", "diamond-tall": "d",
+    FAILED_MARKER: "x",
 }  # fmt: skip
 
 

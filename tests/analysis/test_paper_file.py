@@ -80,6 +80,30 @@ def test_the_type_says_what_there_is_one_of(kind, one):
 
 
 @pytest.mark.parametrize(
+    "text",
+    [
+        f"Fig. 5: rates of mono\nmade on 2023-08-01\n{PAPER}",
+        f"notes: not an analysis\n--------------------\n{PAPER}",
+        f"{PAPER}\n---\nold text: of a form\n",
+        f"group_name: only a title\n{PAPER}",
+    ],
+    ids=["prose", "dashes", "second document", "second group_name"],
+)
+def test_an_analysis_is_found_among_other_text(text):
+    assert parse_analysis(text, names=NAMES).selection_words == parse_analysis(PAPER, names=NAMES).selection_words
+
+
+def test_two_analyses_in_one_file_are_refused_with_the_line():
+    with pytest.raises(InvalidInput, match=r"analysis.yaml, line 30: a second analysis begins; give each a file"):
+        parse_analysis(PAPER.strip() + "\n" + PAPER, names=NAMES)
+
+
+def test_lines_of_messages_count_from_the_start_of_the_file():
+    with pytest.raises(InvalidInput, match="line 8: algorithm_dataset_type must be"):
+        parse_analysis("Some\nprose\n---\n" + changed("dataset_type: 3", "dataset_type: 9"), names=NAMES)
+
+
+@pytest.mark.parametrize(
     ("name", "ours"),
     [
         ("ate_sse", "ate.sse"),
@@ -114,6 +138,12 @@ def test_names(name, ours):
         ("metric: ate_rmse, algorithm_id", "metric: 3, algorithm_id", "metric names a metric or a parameter, found 3"),
         ("first_one: [0, 1]", "first_one: []", "its first part has no set"),
         ("nFeatures < 4000", "nFeatures", "expected a condition such as"),
+        (
+            "trajectory_length_lower_bound",
+            "trajectory_length_lowerbound",
+            "did you mean 'trajectory_length_lower_bound'",
+        ),
+        ("limitation_rules", "limitation_rule", "unknown key 'limitation_rule'; did you mean 'limitation_rules'"),
     ],
 )
 def test_what_cannot_be_understood_is_one_line(old, new, words):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -152,6 +153,39 @@ def test_failure_rates_stand_beside_the_means():
     assert rates["kiss-icp"].tolist() == [0.0] * len(DATASETS)
 
 
+def test_an_algorithm_is_summed_up_over_its_datasets():
+    """Each dataset counts once: mean and spread are those of the means of the datasets, as in the published paper."""
+    result = build("form: by_algorithm")
+    chart = next(chart for chart in result.charts if chart.key == "over_groups_ate.rmse")
+    bars: Any = chart.marks[0]
+    assert chart.x.categories == tuple(sorted(ALGORITHMS))
+    frame = sweep_table().frame
+    means = frame[frame["failed"].isna()].groupby(["algorithm", "dataset"])["ate.rmse"].mean().unstack()
+    assert bars.heights == pytest.approx(means.mean(axis=1).to_numpy())
+    assert bars.high - bars.heights == pytest.approx(means.std(axis=1).to_numpy())
+    assert bars.texts == ("3 groups, 0 % failed", "3 groups, 20 % failed", "3 groups, 0 % failed")
+    (table,) = (table for table in result.tables if table.key == "over_groups")
+    assert [row[-1] for row in table.rows] == [0.0, 20.0, 0.0]
+
+
+def test_the_best_configurations_have_settings_and_costs():
+    (table,) = (table for table in build("form: by_algorithm").tables if table.key == "best")
+    keys = [column.key for column in table.columns]
+    rows: list[dict[str, Any]] = [dict(zip(keys, row, strict=True)) for row in table.rows]
+    assert {row["settings"].split(",")[0] for row in rows} == {"image_rate 20"}
+    assert all(0.2 <= row["cpu.mean"] <= 1.2 and 6e7 <= row["ram.max"] <= 3e8 for row in rows)
+
+
+def test_failed_runs_float_above_the_others_in_space():
+    (chart,) = build("form: scatter_3d, x: image_rate, y: scale, z: ate.rmse").charts
+    marks: list[Any] = [mark for mark in chart.marks if isinstance(mark, Points) and mark.z is not None]
+    failed = [mark for mark in marks if mark.marker == "failed"]
+    assert [mark.name for mark in failed] == ["orb-slam3-stereo, failed"]
+    highest = max(float(np.max(mark.z)) for mark in marks if mark.marker != "failed" and len(mark.z))
+    assert failed[0].z.tolist() == pytest.approx([1.2 * highest] * len(failed[0].x))
+    assert set(failed[0].x) == {1.0}
+
+
 def test_the_front_is_what_nothing_beats():
     costs = np.array([[1.0, 5.0], [2.0, 3.0], [2.0, 3.0], [3.0, 4.0], [4.0, 1.0], [1.0, 6.0]])
     assert pareto_front(costs).tolist() == [True, True, True, False, True, False]
@@ -295,7 +329,7 @@ def test_markers_that_cannot_be_told_apart_mean_nothing():
     (space,) = build("form: scatter_3d, x: image_rate, y: scale, z: ate.rmse", dataset=names).charts
     assert flat.legend_entries == 3 + 9
     assert space.legend_entries == 3
-    assert {mark.marker for mark in space.marks if isinstance(mark, Points)} == {"circle"}
+    assert {mark.marker for mark in space.marks if isinstance(mark, Points)} == {"circle", "failed"}
 
 
 def test_maps_of_several_algorithms_share_their_colours():

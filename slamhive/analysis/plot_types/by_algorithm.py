@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from slamhive.analysis.chart import Axis, Bars, Chart, Mark
+from slamhive.analysis.chart import REFERENCE, Array, Axis, Bars, Chart, Mark
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.places import failed_marks
+from slamhive.analysis.plot_types.places import failed_marks, settings_words
 from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, RunTable
 from slamhive.domain.metrics import Direction
+
+_COSTS = ("cpu.mean", "ram.max")
+"""What the table of the best configurations says besides the metric."""
 
 
 class ByAlgorithmOptions(base.PlotOptions):
@@ -35,11 +38,12 @@ class ByAlgorithm(base.PlotType[ByAlgorithmOptions]):
     key = "by_algorithm"
     title = "By algorithm and dataset"
     description = (
-        "Mean, spread and failures of each algorithm on each dataset, or in another group; a table of the best "
-        "configurations."
+        "Mean, spread and failures of each algorithm on each dataset, or in another group, and over all groups; a "
+        "table of the best configurations with what they cost."
     )
     options = ByAlgorithmOptions
     column_options = ("metric",)
+    reads = frozenset(_COSTS)
 
     def build(self, data: base.PlotData, options: ByAlgorithmOptions) -> PlotResult:
         """Bars of means with spread, bars of failure rates, a table of the best configurations."""
@@ -76,12 +80,16 @@ class ByAlgorithm(base.PlotType[ByAlgorithmOptions]):
             marks=tuple(_failure_rates(table, x, by)),
             caption=base.caption(table, len(table.frame), protocol),
         )
+        overall = _over_groups(table, options.metric, by)
+        several = bool(shown) and len(x.categories or ()) > 1
+        over_groups = [_overall_chart(table, options, overall, protocol)] if several else []
         result = base.result_of(
             table,
             protocol,
-            [*([means] if shown else []), *([failures] if len(table.failed()) else [])],
+            [*([means] if shown else []), *([failures] if len(table.failed()) else []), *over_groups],
             (
                 base.summary_table("by_algorithm", table, [options.metric], ["algorithm", by]),
+                *([_overall_table(table, options, overall)] if several else []),
                 _best_table(everything, options.metric, chosen),
                 base.raw_table("by_algorithm_raw", table, [options.metric]),
             ),
@@ -155,23 +163,118 @@ def _failure_rates(table: RunTable, x: Axis, by: str) -> Iterator[Bars]:
         yield Bars(str(algorithm), np.array(rates), colour=colour, striped=True, texts=tuple(texts))
 
 
+@dataclass(frozen=True, slots=True)
+class _Overall:
+    """The groups of one algorithm together. ``means`` are those of the groups that have a good run with a value."""
+
+    algorithm: str
+    means: Array
+    runs: int
+    failed: int
+
+    @property
+    def mean(self) -> float:
+        return float(self.means.mean()) if len(self.means) else np.nan
+
+    @property
+    def std(self) -> float:
+        return float(self.means.std(ddof=1)) if len(self.means) > 1 else np.nan
+
+    @property
+    def words(self) -> str:
+        return f"{len(self.means)} groups, {100 * self.failed / self.runs:.0f} % failed"
+
+
+def _over_groups(table: RunTable, metric: str, by: str) -> list[_Overall]:
+    found = []
+    for algorithm, rows in table.frame.groupby("algorithm", sort=True):
+        values = [base.good_values(group, metric) for _, group in rows.groupby(by, sort=True)]
+        means = np.array([group.mean() for group in values if len(group)])
+        found.append(_Overall(str(algorithm), means, len(rows), base.failed_count(rows)))
+    return found
+
+
+def _overall_chart(
+    table: RunTable, options: ByAlgorithmOptions, overall: Sequence[_Overall], protocol: str | None
+) -> Chart:
+    column, group = table.column(options.metric), table.column(options.by).label.lower()
+    means = np.array([entry.mean for entry in overall])
+    spread = np.nan_to_num(np.array([entry.std for entry in overall]))
+    bars = Bars(
+        name="mean",
+        heights=means,
+        low=np.maximum(means - spread, 0.0),
+        high=means + spread,
+        colour=REFERENCE,
+        texts=tuple(entry.words for entry in overall),
+    )
+    return Chart(
+        key=f"over_groups_{options.metric}",
+        title=f"{column.label} over each {group}",
+        x=Axis("Algorithm", categories=tuple(entry.algorithm for entry in overall)),
+        y=Axis(f"{column.label}, mean of means", column.unit),
+        marks=(bars,),
+        caption=base.caption(
+            table,
+            len(table.good().dropna(subset=[options.metric])),
+            protocol,
+            f"Bars: mean of the means of each {group}; whiskers: one standard deviation of these means. "
+            "The hover text has the share of runs that failed.",
+        ),
+    )
+
+
+def _overall_table(table: RunTable, options: ByAlgorithmOptions, overall: Sequence[_Overall]) -> ResultTable:
+    column = table.column(options.metric)
+    columns = (
+        TableColumn("algorithm", "Algorithm"),
+        TableColumn("groups", "Groups"),
+        TableColumn("mean", f"{column.label} mean of means", column.unit),
+        TableColumn("std", f"{column.label} std of means", column.unit),
+        TableColumn("runs", "Runs"),
+        TableColumn("failed", "Failed"),
+        TableColumn("failure_rate", "Failed", "%"),
+    )
+    rows = tuple(
+        (
+            entry.algorithm,
+            len(entry.means),
+            base.plain_cell(entry.mean),
+            base.plain_cell(entry.std),
+            entry.runs,
+            entry.failed,
+            100 * entry.failed / entry.runs,
+        )
+        for entry in overall
+    )
+    note = "Each group counts once, however many good runs it has. Groups without a good run are left out of the mean."
+    return ResultTable("over_groups", f"Over each {table.column(options.by).label.lower()}", columns, rows, note)
+
+
 def _best_table(table: RunTable, metric: str, chosen: dict[tuple[str, str], int]) -> ResultTable:
     column = table.column(metric)
+    known_costs = [cost for cost in _COSTS if cost in table.columns]
     columns = (
         TableColumn("algorithm", "Algorithm"),
         TableColumn("dataset", "Dataset"),
         TableColumn("configuration_id", "Best configuration"),
+        TableColumn("settings", "Settings"),
         TableColumn("mean", f"{column.label} mean", column.unit),
         TableColumn("median", f"{column.label} median", column.unit),
         TableColumn("std", f"{column.label} std", column.unit),
+        *(TableColumn(cost.key, f"{cost.label} (mean)", cost.unit) for cost in map(table.column, known_costs)),
         TableColumn("runs", "Runs"),
         TableColumn("failed", "Failed"),
     )
+    settings = dict(zip(table.frame["configuration_id"], settings_words(table), strict=True))
     rows: list[tuple[Cell, ...]] = []
     for (algorithm, dataset), configuration in sorted(chosen.items()):
         group = table.frame[(table.frame["configuration_id"] == configuration) & (table.frame["dataset"] == dataset)]
         summary = summarise(base.good_values(group, metric))
         spread = (None, None, None) if summary is None else (summary.mean, summary.median, summary.std)
-        rows.append((algorithm, dataset, configuration, *spread, len(group), base.failed_count(group)))
+        costs = [summarise(base.good_values(group, cost)) for cost in known_costs]
+        means = [None if cost is None else cost.mean for cost in costs]
+        counts = len(group), base.failed_count(group)
+        rows.append((algorithm, dataset, configuration, settings[configuration], *spread, *means, *counts))
     note = "The configuration with the fewest failures on the dataset; among equals, the one with the best mean."
     return ResultTable("best", "Best configurations", columns, tuple(rows), note)

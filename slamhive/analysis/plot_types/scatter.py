@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pandas as pd
 from pydantic import Field
 
 from slamhive.analysis.chart import Axis, Chart, Points
-from slamhive.analysis.colours import MARKERS, MARKERS_IN_SPACE
+from slamhive.analysis.colours import FAILED_MARKER, MARKERS, MARKERS_IN_SPACE
 from slamhive.analysis.density import rule_words
 from slamhive.analysis.plot_types import base
 from slamhive.analysis.plot_types.coverage_scale import CoverageScaleOptions, scaled_by_coverage
@@ -19,6 +20,8 @@ from slamhive.analysis.table import Column, RunTable
 from slamhive.errors import InvalidInput
 
 _NAMES = "xyz"
+_FAILED_HEIGHT = 1.2
+"""Where the paper of SLAM Hive draws failed runs, times the largest value."""
 
 
 class ScatterOptions(CoverageScaleOptions):
@@ -85,12 +88,12 @@ class Scatter3d(base.PlotType[Scatter3dOptions]):
             x=cloud.axes[0],
             y=cloud.axes[1],
             z=cloud.axes[2],
-            marks=(*cloud.points(), *legend(cloud.table)),
+            marks=(*cloud.points(), *cloud.failed_points(), *legend(cloud.table)),
             caption=base.caption(
                 cloud.table,
                 len(cloud.shown),
                 cloud.protocol,
-                "The raw data lists the failed runs.",
+                "Crosses: failed runs, at 1.2 times the largest value.",
                 cloud.scaling,
                 rule_words(len(cloud.shown), space=True),
             ),
@@ -139,6 +142,27 @@ class _Cloud:
 
         places = [places_on(axis, self.shown[key]) for axis, key in zip(self.axes, self.keys, strict=True)]
         yield from disturbed_rings(self.shown, *places)
+
+    def failed_points(self) -> Iterator[Points]:
+        """Failed runs in space, above all others: they have parameters, but no value on the last axis.
+
+        Those without a value on another axis are left out; the raw data lists them.
+        """
+        heights = base.number_column(self.shown, self.keys[-1])
+        failed = self.table.failed().dropna(subset=self.keys[:-1])
+        for algorithm, rows in failed.groupby("algorithm", sort=True) if len(heights) else ():
+            x, y = (places_on(axis, rows[key]) for axis, key in zip(self.axes[:2], self.keys[:2], strict=True))
+            yield Points(
+                f"{algorithm}, failed",
+                x,
+                y,
+                z=np.full(len(rows), _FAILED_HEIGHT * heights.max()),
+                colour=self.table.colours[str(algorithm)],
+                marker=FAILED_MARKER,
+                runs=rows["run_id"].to_numpy(dtype=int),
+                in_legend=False,
+                group=str(algorithm),
+            )
 
     def result(self, chart: Chart) -> PlotResult:
         """The plot with its raw data."""
