@@ -84,7 +84,7 @@ def test_the_type_says_what_there_is_one_of(kind, one):
     [
         f"Fig. 5: rates of mono\nmade on 2023-08-01\n{PAPER}",
         f"notes: not an analysis\n--------------------\n{PAPER}",
-        f"{PAPER}\n---\nold text: of a form\n",
+        f"{PAPER}\n---\nold text: of an analysis\n",
         f"group_name: only a title\n{PAPER}",
     ],
     ids=["prose", "dashes", "second document", "second group_name"],
