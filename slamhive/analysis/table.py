@@ -69,6 +69,7 @@ FACTS = (
     Column("protocol_label", "Protocol in words", ColumnKind.FACT, numeric=False),
     Column("evaluation", "Evaluation", ColumnKind.FACT, numeric=False),
     Column("disturbed", "Disturbed by", ColumnKind.FACT, numeric=False),
+    Column("trajectory", "Trajectory", ColumnKind.FACT, numeric=False),
 )
 """The columns of every table, in this order."""
 

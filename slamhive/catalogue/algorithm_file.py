@@ -23,6 +23,7 @@ from slamhive.domain.remaps import TopicOf
 from slamhive.domain.requirement import Requirement
 from slamhive.domain.sensor_property import SensorProperty
 from slamhive.domain.sensors import SensorKind, SensorSetup
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import InvalidInput, lacks
 from slamhive.files import hash_files
 from slamhive.runtime.point_times import TimeReference, TimeUnit
@@ -38,6 +39,7 @@ class _ModeModel(BaseModel):
     setup: SensorSetup
     inputs: dict[str, SensorKind]
     trajectory_role: str
+    trajectory: TrajectoryKind | None = None
     name: str | None = None
     parameters: list[str] | None = None
     map_input: bool = False
@@ -206,6 +208,7 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
         setup=model.setup,
         inputs=tuple(Input(role, kind) for role, kind in model.inputs.items()),
         trajectory_role=model.trajectory_role,
+        trajectory=model.trajectory,
         parameters=parameters,
         topics=tuple(TopicOf(role, **topic.model_dump()) for role, topic in model.topics.items()),
         requires=tuple(entry for entry in _requirements(path, whole) if entry.source.role in model.inputs),

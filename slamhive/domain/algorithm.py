@@ -16,6 +16,7 @@ from slamhive.domain.remaps import TopicOf
 from slamhive.domain.requirement import Requirement, check_requirements
 from slamhive.domain.sensor_choice import BY_RULE, Chosen, assign_in_order, check_choice
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.versions import version_label
 from slamhive.errors import InvalidInput
 
@@ -127,6 +128,7 @@ class Algorithm:
     role that is not in it is played as ``/<role>``. ``requires`` is what must be known of the sensors.
     ``version`` is the number of the version of the package, None for the package as it is now. ``map_input``: it can
     start with the map of another run.
+    ``trajectory`` says which trajectory ``traj.txt`` is, None if the package does not.
     """
 
     name: str
@@ -140,6 +142,7 @@ class Algorithm:
     bounds: tuple[Bound, ...] = ()
     topics: tuple[TopicOf, ...] = ()
     requires: tuple[Requirement, ...] = ()
+    trajectory: TrajectoryKind | None = None
     version: int | None = None
     map_input: bool = False
 

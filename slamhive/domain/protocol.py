@@ -19,6 +19,7 @@ from slamhive.domain.protocol_choices import (
     SegmentRule,
 )
 from slamhive.domain.sensors import Matrix4, SensorSetup, is_rigid
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import InvalidInput, nearest
 
 __all__ = [
@@ -102,6 +103,10 @@ class Protocol:
         None, "Longest step of the ground truth that counts with hold; left out: any (s)", 1e-6, _LARGEST_S
     )
 
+    trajectory: TrajectoryKind | None = option(
+        None, "Which trajectory of a run is judged; left out: traj.txt, whatever kind the algorithm says it is."
+    )
+
     def __post_init__(self) -> None:
         for entry in fields(self):
             self._check_number(entry)
@@ -180,7 +185,7 @@ def protocol_from_content(content: Mapping[str, Any]) -> Protocol:
     if "alignment" not in values:
         raise InvalidInput("a protocol needs an alignment", f"use one of {', '.join(Alignment)}")
     for name, kind in _ENUMS.items():
-        if name in values:
+        if name in values and (name != "trajectory" or values[name] is not None):
             values[name] = _member(kind, name, values[name])
     try:
         for name in ("T_body_sensor", "segment_lengths_m"):
@@ -199,6 +204,7 @@ _ENUMS: dict[str, type[StrEnum]] = {
     "rpe_pairs": RpePairs,
     "duplicates": Duplicates,
     "segment_rule": SegmentRule,
+    "trajectory": TrajectoryKind,
 }
 
 
@@ -235,10 +241,7 @@ def _words(protocol: Protocol) -> list[str]:
         words.append(f"time offset searched within {protocol.offset_search_s:g} s{around}")
     elif protocol.time_offset_s:
         words.append(f"time offset {protocol.time_offset_s:+g} s")
-    if protocol.T_body_sensor is not None:
-        words.append("own T_body_sensor")
-    if protocol.reference is not None:
-        words.append(f"against {protocol.reference}")
+    words += _compared_words(protocol)
     words.append(f"RPE over {protocol.rpe_delta_m:g} m")
     if protocol.rpe_pairs is not RpePairs.ALL:
         words.append("pairs as TUM counts" if protocol.rpe_pairs is RpePairs.TUM else "consecutive pairs")
@@ -249,6 +252,15 @@ def _words(protocol: Protocol) -> list[str]:
     for name in ("gap_threshold_s", "rpe_delta_s", "rpe_delta_frames", "rpe_delta_deg"):
         if getattr(protocol, name) != defaults[name]:
             words.append(f"{name} {getattr(protocol, name):g}")
+    return words
+
+
+def _compared_words(protocol: Protocol) -> list[str]:
+    words = [] if protocol.T_body_sensor is None else ["own T_body_sensor"]
+    if protocol.trajectory is not None:
+        words.append(f"{protocol.trajectory} trajectory")
+    if protocol.reference is not None:
+        words.append(f"against {protocol.reference}")
     return words
 
 

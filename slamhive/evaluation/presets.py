@@ -54,6 +54,17 @@ PRESETS.register(
     ),
 )
 PRESETS.register(
+    "slam-hive",
+    Preset(
+        title="SLAM Hive: evo_ape -as, evo_rpe -as --all_pairs -d 1 -u m",
+        protocol=Protocol(Alignment.SIM3, gap_threshold_s=30.0, duplicates=Duplicates.KEEP),
+        metrics=("ate.rmse", "rpe.rmse", "tracked_fraction"),
+        differs="Sim(3) for all sensors; association as evo. Only gaps above 30 s interrupt a trajectory, so keyframe "
+        "trajectories are complete. In the published system the tracked share of time may exceed 1; here it does not.",
+        source="https://github.com/SLAM-Hive/SLAM-Hive",
+    ),
+)
+PRESETS.register(
     "tum",
     Preset(
         title="TUM RGB-D benchmark: evaluate_ate.py, evaluate_rpe.py --fixed_delta",

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import NotFound, Unavailable
 from slamhive.files import write_aside
 from slamhive.input_bounds import read_record
@@ -94,6 +95,10 @@ class RunFolder:
         """``result/traj.txt``: the estimate, TUM format."""
         return self.result / "traj.txt"
 
+    def trajectory_of(self, kind: TrajectoryKind) -> Path:
+        """The file of a further trajectory: ``traj.live.txt``, ``traj.final.txt`` or ``keyframe.txt``."""
+        return self.keyframes if kind is TrajectoryKind.KEYFRAMES else self.result / f"traj.{kind}.txt"
+
     @property
     def covariances(self) -> Path:
         """``result/covariances.txt``: the covariance of each pose, if the algorithm gives any."""
@@ -143,7 +148,8 @@ class RunFolder:
     def contract_files(self) -> tuple[Path, ...]:
         """The files in ``result/`` that the container contract names, the most important first."""
         own = (self.trajectory, self.finished, self.about, self.playback, self.progress, self.frames)
-        return (*own, self.covariances, self.keyframes, self.grid, self.map)
+        further = (self.trajectory_of(kind) for kind in TrajectoryKind)
+        return (*own, self.covariances, *further, self.grid, self.map)
 
     @property
     def watched_files(self) -> tuple[Path, ...]:

@@ -21,7 +21,7 @@ from slamhive.runtime.frames import Frame, FrameTimes, write_frames_csv
 from slamhive.runtime.paths import RunPaths, find_recording, run_paths
 from slamhive.runtime.playback import Player, player_options
 from slamhive.runtime.progress import Progress, json_text, say
-from slamhive.runtime.trajectory import Poses, write_trajectory
+from slamhive.runtime.trajectory import Poses, Trajectories, write_trajectories
 
 
 class Algorithm(Protocol):
@@ -33,8 +33,8 @@ class Algorithm(Protocol):
         Returns whether its pose was found, None where the algorithm does not say.
         """
 
-    def finish(self) -> Poses:
-        """Return the trajectory, after the end of the recording."""
+    def finish(self) -> Poses | Trajectories:
+        """Return the trajectory, or several, after the end of the recording."""
 
     def about(self) -> dict[str, Any]:
         """What the run should record of the algorithm: package, version, files used."""
@@ -61,9 +61,8 @@ def _run(make: MakeAlgorithm, paths: RunPaths) -> None:
         processed = _process_all(algorithm, player, paths.result)
     write_aside(paths.result / "playback.json", json_text(player.summary))
     write_frames_csv(paths.result / "frames.csv", processed + player.dropped_frames)
-    poses = algorithm.finish()
     # Without a pose the file is empty: that the algorithm found none is a result, unlike an exit code.
-    write_trajectory(paths.result / "traj.txt", poses)
+    poses = write_trajectories(paths.result, algorithm.finish())
     say(f"done: {len(poses.stamps_s)} poses from {len(processed)} frames, {len(player.dropped_frames)} dropped")
     write_aside(paths.result / "finished", "")
 

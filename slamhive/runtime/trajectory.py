@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,33 @@ class Poses:
 
     stamps_s: Array
     T_world_sensor: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectories:
+    """Several trajectories of one run.
+
+    Attributes:
+        main: What ``algorithm.yaml`` calls the trajectory of the mode.
+        others: Further ones, by kind: ``live``, ``final`` or ``keyframes``.
+    """
+
+    main: Poses
+    others: Mapping[str, Poses]
+
+
+FILES = {"live": "traj.live.txt", "final": "traj.final.txt", "keyframes": "keyframe.txt"}
+"""Where further trajectories are written."""
+
+
+def write_trajectories(folder: Path, found: Poses | Trajectories) -> Poses:
+    """Write ``traj.txt`` and the others, if they hold poses; returns the main one. Raises InvalidInput."""
+    main, others = (found, {}) if isinstance(found, Poses) else (found.main, found.others)
+    for kind, poses in others.items():
+        if len(poses.stamps_s):
+            write_trajectory(folder / FILES[kind], poses)
+    write_trajectory(folder / "traj.txt", main)
+    return main
 
 
 def write_trajectory(path: Path, poses: Poses) -> None:

@@ -10,6 +10,7 @@ from slamhive.domain.configuration import Playback
 from slamhive.domain.parameters import ParameterType, Value
 from slamhive.domain.protocol_choices import Alignment
 from slamhive.domain.sensors import SensorKind, SensorSetup
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.variant import Variant
 from slamhive.schema.fields import described
 from slamhive.schema.model import Document
@@ -101,6 +102,9 @@ class Algorithm(Document):
         BeforeValidator(lambda raw: raw if isinstance(raw, dict) else {entry.role: entry.kind for entry in raw}),
         described("The kind of sensor that each role needs."),
     ]
+    trajectory: Annotated[
+        TrajectoryKind | None, described("Which trajectory traj.txt is: live, final, keyframes; null if not stated.")
+    ] = None
     package: Package
     parameters: Annotated[
         dict[str, Parameter],

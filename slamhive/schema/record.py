@@ -11,6 +11,7 @@ from pydantic import StrictInt as Whole
 
 from slamhive.domain.configuration import Configuration, InputMap, Playback
 from slamhive.domain.run import FailureReason, RunEvent, RunState
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.variant import Variant
 from slamhive.schema.fields import described
 from slamhive.schema.imports import Origin
@@ -134,6 +135,9 @@ class RunFile(Outcome, RunStart):
     algorithm: AlgorithmVersion = AlgorithmVersion()
     dataset: DatasetVersion = DatasetVersion()
     host: Machine | None = None
+    trajectory: Annotated[
+        TrajectoryKind | None, described("Which trajectory traj.txt is; null if it is not stated.")
+    ] = None
     metrics: Annotated[dict[str, FiniteFloat], described("What was measured while the run was active.")] = Field(
         default_factory=dict
     )

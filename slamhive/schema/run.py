@@ -11,6 +11,7 @@ from slamhive.domain.configuration import InputMap, Playback
 from slamhive.domain.hint import Hint
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import VerdictKind
 from slamhive.schema.fields import described
@@ -100,6 +101,7 @@ class Run(Document):
     ended_at: Timestamp | None
     exit_code: int | None
     poses: Annotated[int | None, described("Poses of the estimated trajectory.")]
+    trajectory: Annotated[TrajectoryKind | None, described("Which trajectory that is; null if it is not stated.")]
     limits: Limits
     retry_of: Annotated[int | None, described("Number of the run that this one repeats.")]
     experiment: str | None

@@ -12,6 +12,7 @@ from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.verdict import GROUPS as VERDICT_GROUPS
 from slamhive.domain.verdict import VerdictKind
 from slamhive.errors import nearest
@@ -113,6 +114,7 @@ BUILT_IN: dict[str, Field] = {
         _run("executor", "Executor", Kind.TEXT, "docker, process, ..."),
         _run("experiment", "Experiment", Kind.TEXT, "name of the experiment that asked for the run"),
         _run("configuration", "Configuration", Kind.NUMBER, "number shared by all repeats"),
+        _run("trajectory", "Trajectory", Kind.CHOICE, "which trajectory the run gives as its main one", TrajectoryKind),
         _configuration("playback", "Playback", Kind.CHOICE, "how the recording was fed", PlaybackMode),
         _configuration("rate", "Playback rate", Kind.NUMBER, "1 is real time"),
         _configuration("variant", "Variant", Kind.FLAG, "whether the recording went through pre-processing"),

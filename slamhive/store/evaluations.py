@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, exists, func, insert, select, update
+from sqlalchemy import ColumnElement, Row, Select, exists, false, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
 from slamhive.domain import protocol as domain
@@ -189,10 +189,13 @@ class EvaluationRepository(LeaseQueue[int]):
         return self._records(_TABLE.c.run_id == run_id)
 
     def _store_figures(self, run_id: int, protocol_id: int, result: EvaluationResult) -> bool:
-        """Whether the protocol has become the run's current one: only where it had none."""
+        """Whether the protocol has become the run's current one: only where it had none, and for ``traj.txt`` alone."""
         MetricRepository(self._session).replace(run_id, result.fingerprint, result.metrics)
         runs = Run.__table__
+        definition = self._session.execute(select(Protocol.definition).where(Protocol.id == protocol_id)).scalar_one()
         first = update(runs).where(runs.c.id == run_id, runs.c.current_protocol_id.is_(None))
+        if "trajectory" in definition:
+            first = first.where(false())
         became_current = changed(self._session, first.values(current_protocol_id=protocol_id)) == 1
         MetricRepository(self._session).follow_protocols([run_id])
         return became_current

@@ -10,6 +10,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.evaluation.job import Artefacts
 from slamhive.store.analysis_records import AnalysisState
 from slamhive.store.experiment_records import ExperimentState
@@ -51,6 +52,7 @@ class Base(DeclarativeBase):
                 EvaluationState,
                 ExperimentState,
                 AnalysisState,
+                TrajectoryKind,
             )
         },
     }
@@ -265,6 +267,7 @@ class Run(Base):
     disturbed_by: Mapped[str | None] = mapped_column(String(120), index=True)
     disturbance: Mapped[Any | None] = mapped_column(JsonText)
     repeat_disturbed: Mapped[int] = mapped_column(server_default=text("0"))
+    trajectory: Mapped[TrajectoryKind | None]
 
 
 class RunEvent(Base):

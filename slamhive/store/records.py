@@ -15,6 +15,7 @@ from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunEvent, RunState
 from slamhive.domain.sensor_choice import Chosen
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import Verdict, VerdictKind, ended_badly, judge, not_evaluable
 from slamhive.domain.versions import version_label
@@ -156,6 +157,7 @@ class RunFields(TypedDict, total=False):
     memory_mb: int | None
     timeout_s: float | None
     disturbance: Disturbance | None
+    trajectory: TrajectoryKind | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,10 +175,11 @@ class RunRecord:
     ``attempt`` counts the times a worker took the run. ``protocol_override`` is what the user asked for,
     ``protocol`` what the latest successful evaluation used. ``metrics`` holds the measured metrics and those of
     ``protocol``, {metric key: value}; None if they were not asked for. ``judged`` is the stored verdict, which comes
-    with them. ``host`` and ``version`` are known once the run has started. ``disturbance`` is None where nothing was
-    recorded of the machine. ``asked_version`` is the version that its configuration names, ``input_map`` the map
-    that it starts with. ``experiment`` is the name of the one that it belongs to, ``cell`` its place there; for the
-    rest see :class:`RunRequest`.
+    with them. ``trajectory`` says which one ``traj.txt`` is, None if it is not stated. ``host`` and ``version`` are
+    known once the run has started. ``disturbance`` is None where nothing was recorded of the machine.
+    ``asked_version`` is the version that its configuration names, ``input_map`` the map that it starts with.
+    ``experiment`` is the name of the one that it belongs to, ``cell`` its place there; for the rest see
+    :class:`RunRequest`.
     """
 
     id: int
@@ -193,6 +196,7 @@ class RunRecord:
     state: RunState
     reason: FailureReason | None
     detail: str | None
+    trajectory: TrajectoryKind | None
     seed: int
     priority: int
     evaluate: bool

@@ -52,7 +52,7 @@ class RunTableRepository(Repository):
     def facts(self, run_ids: Sequence[int]) -> dict[str, list[Any]]:
         """The columns that every run has, by name and in the order of the ids; unknown runs are left out."""
         names = ("run_id", "configuration_id", "algorithm", "dataset", "state", "reason", "seed", "executor")
-        more = ("version", "variant", "experiment", "host", "protocol", "protocol_label", "disturbed_by")
+        more = ("version", "variant", "experiment", "host", "protocol", "protocol_label", "disturbed_by", "trajectory")
         columns: dict[str, list[Any]] = {name: [] for name in (*names, *more)}
         for row in self._rows(_facts(), Run.id, run_ids):
             for name, value in zip(columns, row, strict=True):
@@ -216,6 +216,7 @@ def _facts() -> Select[Any]:
             Protocol.fingerprint.label("protocol"),
             Protocol.label.label("protocol_label"),
             Run.disturbed_by,
+            Run.trajectory,
         )
         .join(Configuration, Configuration.id == Run.configuration_id)
         .join(Algorithm, Algorithm.id == Configuration.algorithm_id)

@@ -77,6 +77,13 @@ def all_columns() -> Mapping[str, Column]:
         Column("dataset", "Dataset", Kind.DATASET, lambda run: Cell(run.dataset), sort="dataset"),
         Column("variant", "Pre-processing", Kind.TEXT, variant_cell, help="steps applied to the dataset"),
         Column(
+            "trajectory",
+            "Trajectory",
+            Kind.TEXT,
+            lambda run: Cell(run.trajectory) if run.trajectory else Cell(DASH, "not stated", missing=True),
+            help="live, final or keyframes",
+        ),
+        Column(
             "parameters", "Parameters", Kind.PARAMETERS, _parameters, help="only values that differ from the default"
         ),
         Column(

@@ -21,6 +21,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.schema.run import Run
 from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, check_indexed, open_hive
+from slamhive.services.reindex import reindex
 from slamhive.services.worker import worker as worker_module
 from slamhive.services.worker.run_in_hand import RunInHand
 from slamhive.store import Lease, LeaseLost
@@ -66,6 +67,27 @@ def test_a_good_run_goes_through_all_states(hive):
     assert executor.removed == 1
     assert hive.runs.record(run.id)["protections"]["does_not_hold"] == {"cgroup": "it is a fake"}
     assert hive.runs.log(run.id) == "hello\n"
+
+
+def test_each_trajectory_that_a_run_leaves_is_to_be_evaluated(hive):
+    path = hive.catalogue.project_root / "algorithms" / "tiny" / "algorithm.yaml"
+    role = "    trajectory_role: points"
+    path.write_text(path.read_text().replace(role, f"{role}\n    trajectory: final"))
+
+    def leave_two(spec: RunSpec) -> None:
+        write_trajectory(3)(spec)
+        result = spec.output("result").destination
+        (result / "traj.live.txt").write_text((result / "traj.txt").read_text())
+
+    hive.executors.opened["process"] = FakeExecutor(on_start=leave_two)
+    (run,) = hive.runs.submit(Submission("tiny", "track"))
+    hive.worker().run(until_idle=True)
+    assert hive.runs.get(run.id).trajectory == "final"
+    assert hive.runs.record(run.id)["trajectory"] == "final"
+    ended = hive.evaluations.of_run(run.id)
+    assert [(entry.protocol.trajectory, entry.reason) for entry in ended] == [(None, None), ("live", None)]
+    reindex(hive, lambda done, total: None)
+    assert hive.runs.get(run.id).trajectory == "final"
 
 
 @pytest.mark.parametrize(

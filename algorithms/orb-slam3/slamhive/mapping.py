@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 from orb_settings import settings_text
-from orb_trajectory import save_trajectory, without_repeats
+from orb_trajectory import KEYFRAMES, read_tum, save_trajectory
 from pyorbslam3 import Sensor, Slam, TrackResult
 
 from slamhive.errors import InvalidInput
@@ -23,7 +23,7 @@ from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import Frame
 from slamhive.runtime.messages import to_grey
 from slamhive.runtime.orb_vocabulary import about_vocabulary, vocabulary_path
-from slamhive.runtime.trajectory import Poses, transform_from
+from slamhive.runtime.trajectory import Poses, Trajectories
 
 SENSORS = {
     frozenset({"left"}): Sensor.MONOCULAR,
@@ -35,11 +35,11 @@ SENSORS = {
 
 
 class OrbSlam3:
-    """Tracks frame by frame; the trajectory is the one after all optimisation.
+    """Tracks frame by frame; the main trajectory is the one after all optimisation.
 
     ORB-SLAM3's final trajectory (``SaveTrajectoryEuRoC``) is used in every mode: the live poses of the inertial modes
     jump between world frames, and ``SaveTrajectoryTUM`` does not serve monocular runs. It describes the left camera,
-    in the inertial modes the IMU.
+    in the inertial modes the IMU. The live poses and those of the keyframes are given besides.
     """
 
     def __init__(self, config: RunConfig) -> None:
@@ -57,6 +57,8 @@ class OrbSlam3:
         self._track = self._tracker()
         self._imu = np.empty((0, 7))
         self._stamps_s: list[float] = []
+        self._live: list[np.ndarray] = []
+        self._live_stamps_s: list[float] = []
         self._tracked = False
 
     def process(self, frame: Frame) -> bool:
@@ -68,20 +70,35 @@ class OrbSlam3:
         self._stamps_s.append(frame.stamp_s)
         self._tracked = self._tracked or bool(result.pose_valid)
         # A pose is "valid" also while it is guessed (RECENTLY_LOST), which is not tracking.
+        if result.ok:
+            self._live_stamps_s.append(frame.stamp_s)
+            self._live.append(np.array(result.pose_wc, dtype=np.float64))
         return bool(result.ok)
 
-    def finish(self) -> Poses:
+    def finish(self) -> Trajectories:
         """Stop all threads, then take the final trajectory: none where nothing was tracked, or the map was lost."""
         self._slam.shutdown()
-        path = save_trajectory(self._slam, Path(self._work.name)) if self._tracked else None
+        folder = Path(self._work.name)
+        final = self._final(save_trajectory(self._slam, folder) if self._tracked else None)
+        T = self._T_tracked_main()
+        live = Poses(np.array(self._live_stamps_s), np.array(self._live).reshape(-1, 4, 4) @ T)
+        stamps_s, keyframes = read_tum(folder / KEYFRAMES)
+        at_frames = Poses(self._nearest_stamps_s(stamps_s), keyframes @ T)
+        return Trajectories(final, {"live": live, "keyframes": at_frames})
+
+    def _final(self, path: Path | None) -> Poses:
         if path is None:
             return Poses(np.empty(0), np.empty((0, 4, 4)))
         # For a frame that it could not place, ORB-SLAM3 writes the last pose once more, timestamp and all.
-        table = without_repeats(np.loadtxt(path, ndmin=2, comments="#").reshape(-1, 8))
-        poses = np.array([transform_from(row[1:4], row[4:8]) for row in table]).reshape(-1, 4, 4)
+        stamps_ns, poses = read_tum(path)
         if self._roles == {"left", "right"}:
             poses = poses @ self._T_rectified_left()
-        return Poses(self._nearest_stamps_s(table[:, 0] * 1e-9), poses)
+        return Poses(self._nearest_stamps_s(stamps_ns * 1e-9), poses)
+
+    def _T_tracked_main(self) -> np.ndarray:
+        """The frame of the trajectory in that of the camera that ORB-SLAM3 tracks, which is rectified in stereo."""
+        T = self._T_rectified_left() if "right" in self._roles else np.eye(4)
+        return T @ transform(self._values, "left", "imu") if "imu" in self._roles else T
 
     def about(self) -> dict[str, Any]:
         """The package that ran and the vocabulary it used."""

@@ -14,9 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamhive.errors import InvalidInput
+from slamhive.runtime.trajectory import transform_from
 
 SAVING_LIMIT_S = 30.0
 _LOOK_EVERY_S = 0.01
+KEYFRAMES = "keyframes.txt"
+"""The file with the keyframes of the current map, which :func:`save_trajectory` leaves in its folder."""
 _KEYFRAMES = re.compile(r"Map \d+ has (\d+) KFs")
 
 
@@ -40,7 +43,7 @@ def save_trajectory(slam: Savable, folder: Path, limit_s: float = SAVING_LIMIT_S
 
     Raises InvalidInput if there are keyframes, but saving crashes or takes more than ``limit_s``.
     """
-    path, keyframes, log = (folder / name for name in ("trajectory.txt", "keyframes.txt", "saving.log"))
+    path, keyframes, log = (folder / name for name in ("trajectory.txt", KEYFRAMES, "saving.log"))
     slam.save_keyframe_trajectory_tum(str(keyframes))
     if keyframes.stat().st_size:
         slam.save_trajectory_euroc(str(path))
@@ -50,6 +53,16 @@ def save_trajectory(slam: Savable, folder: Path, limit_s: float = SAVING_LIMIT_S
     if any(int(count) for count in _KEYFRAMES.findall(log.read_text(errors="replace"))):
         raise InvalidInput(f"ORB-SLAM3 has keyframes, but did not save its trajectory within {limit_s:g} s")
     return None
+
+
+def read_tum(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Timestamps (n,) in the unit of the file, and poses (n, 4, 4), once for each timestamp; none without a file."""
+    text = path.read_text(encoding="ascii") if path.is_file() else ""
+    if not text.strip():
+        return np.empty(0), np.empty((0, 4, 4))
+    table = without_repeats(np.loadtxt(text.splitlines(), ndmin=2, comments="#").reshape(-1, 8))
+    poses = np.array([transform_from(row[1:4], row[4:8]) for row in table]).reshape(-1, 4, 4)
+    return table[:, 0], poses
 
 
 def without_repeats(table: NDArray[np.float64]) -> NDArray[np.float64]:

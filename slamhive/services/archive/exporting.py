@@ -55,7 +55,16 @@ class Part(StrEnum):
     PICTURES = "pictures"
 
 
-_OF_TRAJECTORIES = (".tum", "/traj.txt", "/keyframe.txt", "/errors.csv", "pe.zip", "kitti_poses.txt")
+_OF_TRAJECTORIES = (
+    ".tum",
+    "/traj.txt",
+    "/traj.live.txt",
+    "/traj.final.txt",
+    "/keyframe.txt",
+    "/errors.csv",
+    "pe.zip",
+    "kitti_poses.txt",
+)
 _LEFT_OUT: dict[Part, Callable[[str], bool]] = {
     Part.TRAJECTORIES: lambda name: name.endswith(_OF_TRAJECTORIES),
     Part.MAPS: lambda name: name.endswith(".pcd"),

@@ -69,6 +69,7 @@ def row_as_record(run: RunRecord, mode: str, events: list[RunEvent]) -> dict[str
         **Outcome.of(run).content,
         "algorithm": {"package": run.package, "mode": mode, **version},
         "dataset": {"checksum": run.dataset_checksum},
+        "trajectory": run.trajectory,
         "host": None if run.host is None else asdict(run.host),
         "events": events_to_json(events),
     }

@@ -8,6 +8,7 @@ from slamhive.services.evaluations.notes import evaluation_notes
 from slamhive.services.evaluations.protocols import Protocols, UsedProtocol, fitting_protocol, presets, protocol_for
 from slamhive.services.evaluations.scratch import sweep_scratch
 from slamhive.services.evaluations.service import PROTOCOL_FILE, Evaluations
+from slamhive.services.evaluations.trajectories import protocols_of_all
 
 __all__ = [
     "NOT_EVALUATED",
@@ -22,5 +23,6 @@ __all__ = [
     "fitting_protocol",
     "presets",
     "protocol_for",
+    "protocols_of_all",
     "sweep_scratch",
 ]

@@ -24,6 +24,7 @@ from slamhive.services.datasets import Catalogue, algorithm_here_or_elsewhere, c
 from slamhive.services.evaluations.files import evaluation_files
 from slamhive.services.evaluations.protocols import Protocols, fitting_protocol, reference_path
 from slamhive.services.evaluations.scratch import scratch_folder
+from slamhive.services.evaluations.trajectories import estimate_of, protocols_of_all
 from slamhive.settings import Settings
 from slamhive.store import Store
 from slamhive.store.records import EvaluationRecord, LeaseLost, RunRecord
@@ -73,9 +74,9 @@ class Evaluations:
     ) -> list[int]:
         """Queue an evaluation of each run, or with None of each that has none; returns the ids of the evaluations.
 
-        ``asked`` is a protocol or the name of one; None means the one that the run was submitted with, or else the
-        default for its sensors. Raises NotFound for an unknown run, algorithm or protocol, Conflict for a run that
-        did not succeed; nothing is queued then.
+        ``asked`` is a protocol or the name of one. None means the one that the run was submitted with, or else the
+        default for its sensors, and the same for each other trajectory that the run left. Raises NotFound for an
+        unknown run, algorithm or protocol, Conflict for a run that did not succeed; nothing is queued then.
         """
         check_writable(self._settings)
         if isinstance(asked, str):
@@ -103,7 +104,12 @@ class Evaluations:
             own = None if run.protocol_override is None else run.protocol_override.fingerprint
             alike[run.algorithm, run.dataset, own].append(run)
         for members in alike.values():
-            yield self.protocol_of(members[0], asked), [run.id for run in members]
+            protocol = self.protocol_of(members[0], asked)
+            yield protocol, [run.id for run in members]
+            if asked is None:
+                for run in members:
+                    for other in protocols_of_all(run, self._folder(run.id), protocol)[1:]:
+                        yield other, [run.id]
 
     def of_run(self, run_id: int) -> tuple[EvaluationRecord, ...]:
         """The evaluations of a run, oldest first."""
@@ -256,7 +262,7 @@ class Evaluations:
         write_aside(output / PROTOCOL_FILE, json.dumps(entry.protocol.content, indent=1))
         return EvaluationTask(
             id=str(entry.id),
-            estimate=folder.trajectory,
+            estimate=estimate_of(run, folder, entry.protocol),
             reference=reference,
             output=output,
             protocol=entry.protocol,

@@ -19,6 +19,7 @@ _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
     "algorithm": lambda run: run.algorithm,
     "version": lambda run: run.version_label,
     "dataset": lambda run: run.dataset,
+    "trajectory": lambda run: run.trajectory,
     "variant": lambda run: "; ".join(map(str, run.variant)) or None,
     "parameters": lambda run: json.dumps(run.parameters, sort_keys=True),
     "configuration": lambda run: run.configuration_id,

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import NotFound
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.untrusted import open_regular_file
@@ -81,7 +82,7 @@ def _known(folder: RunFolder, fingerprints: Iterable[str]) -> list[tuple[str, Pa
             (folder.config, "application/yaml"),
             (folder.log, text),
             (folder.trajectory, text),
-            (folder.keyframes, text),
+            *((folder.trajectory_of(kind), text) for kind in TrajectoryKind),
             (folder.frames, table),
             (folder.profiling, table),
             (folder.host, table),

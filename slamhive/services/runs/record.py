@@ -98,6 +98,7 @@ def snapshot_of(file: RunFile, configuration_id: int, experiment_id: int | None 
             handle=file.handle,
             disturbance=file.disturbance,
             dataset_checksum=file.dataset.checksum,
+            trajectory=file.trajectory,
         ),
         events=file.moves,
     )

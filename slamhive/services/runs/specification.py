@@ -226,6 +226,7 @@ def provenance(job: Job, identity: str, number: int) -> dict[str, Any]:
             "variant_checksum": job.seen.checksum,
         },
         **({} if job.gpu is None else {"gpu": asdict(job.gpu)}),
+        "trajectory": job.algorithm.trajectory,
         "match": MatchDocument.of_match(match).content,
         **_map_provenance(job.input_map),
     }

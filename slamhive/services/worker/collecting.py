@@ -16,6 +16,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.runs.host_load import read_host_load
 from slamhive.runs.outcome import Evidence, Outcome, decide
 from slamhive.runs.profiling import measure_run, write_plots
+from slamhive.services.evaluations import protocols_of_all
 from slamhive.services.json_values import exact
 from slamhive.services.runs import repeat_if_disturbed
 from slamhive.services.worker.disk import remove_scratch, settle_result
@@ -85,7 +86,7 @@ class Collecting:
         why = outcome.detail or outcome.state.value
         hand.save(ending, RunEvent(now, hand.run.state, outcome.state, why))
 
-        protocol = self._evaluation_protocol() if outcome.succeeded and hand.run.evaluate else None
+        protocols = self._evaluation_protocols() if outcome.succeeded and hand.run.evaluate else []
 
         def work(transaction: Transaction) -> None:
             transaction.runs.move(
@@ -102,19 +103,21 @@ class Collecting:
                 disturbance=disturbance,
             )
             transaction.metrics.put(hand.run.id, None, metrics)
-            if protocol is not None:
+            for protocol in protocols:
                 transaction.evaluations.queue([hand.run.id], protocol, now)
             repeat_if_disturbed(transaction, transaction.runs.get(hand.run.id), now)
 
         hand.context.store.write(work)
         hand.reload()
 
-    def _evaluation_protocol(self) -> Protocol | None:
+    def _evaluation_protocols(self) -> list[Protocol]:
+        """That of the run, and the same for each other trajectory that it left."""
+        hand = self._hand
         try:
-            return self._hand.context.protocol_of(self._hand.run)
+            return protocols_of_all(hand.run, hand.folder, hand.context.protocol_of(hand.run))
         except SlamHiveError as error:
-            logger.warning("run %d will not be evaluated: %s", self._hand.run.id, error)
-            return None
+            logger.warning("run %d will not be evaluated: %s", hand.run.id, error)
+            return []
 
 
 def judge_run(folder: RunFolder, metrics: Mapping[str, float], settings: Settings) -> Disturbance:

@@ -170,6 +170,7 @@ class Preparing:
                 algorithm_version_id=version_id,
                 host_id=transaction.catalogue.put_host(host),
                 dataset_checksum=job.dataset.checksum,
+                trajectory=job.algorithm.trajectory,
             )
             return number
 

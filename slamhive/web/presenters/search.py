@@ -13,7 +13,7 @@ from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.verdict import GROUPS, VerdictKind
 from slamhive.executors.registry import EXECUTORS
 from slamhive.services.exports import by_protocol
-from slamhive.store.records import GroupRecord, ProtocolLabel, SavedSearchRecord, Spread
+from slamhive.store.records import GroupRecord, ProtocolLabel, RunRecord, SavedSearchRecord, Spread
 from slamhive.web.formatting import DASH, Cell, display_unit, mean_text, median_text, plural, significant, value_text
 
 GONE = "no longer exists"
@@ -120,6 +120,17 @@ def protocol_warning(labels: Iterable[ProtocolLabel | None]) -> str:
         return ""
     choice = " or ".join(f"protocol = {fingerprint}" for fingerprint in several[:3])
     return f"This list mixes errors of {len(several)} protocols, which are not comparable. Filter by {choice}."
+
+
+def trajectory_warning(runs: Iterable[RunRecord]) -> str:
+    """A warning if a list mixes errors of several kinds of trajectory; empty otherwise."""
+    several = sorted({run.trajectory for run in runs if run.protocol is not None and run.trajectory is not None})
+    if len(several) < 2:
+        return ""
+    return (
+        f"This list mixes {' and '.join(several)} trajectories, which are not comparable. "
+        f"Filter by trajectory = {several[0]}, or evaluate under a protocol that names one."
+    )
 
 
 def _rows_of(group: GroupRecord, columns: Sequence[GroupColumn]) -> list[GroupRow]:

@@ -74,7 +74,8 @@ def index() -> Response:
             columns=shown,
             next_key=page.next_key,
             summary=summary(query, len(page.records), page.count, left_out),
-            warning=search.protocol_warning(run.protocol for run in page.records),
+            warning=search.protocol_warning(run.protocol for run in page.records)
+            or search.trajectory_warning(page.records),
             total=left_out.total,
         )
     )
