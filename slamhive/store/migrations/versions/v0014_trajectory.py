@@ -13,7 +13,7 @@ depends_on = None
 
 def upgrade() -> None:
     """Add the column; runs of before do not state it."""
-    op.add_column("runs", sa.Column("trajectory", sa.String(16), nullable=True))
+    op.add_column("runs", sa.Column("trajectory", sa.String(32), nullable=True))
 
 
 def downgrade() -> None:
