@@ -7,6 +7,7 @@ import pytest
 
 from slamhive.catalogue.protocol_file import load_protocol, parse_protocol, protocol_schema
 from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol, RpePairs, SegmentRule
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import InvalidInput
 
 WHOLE = """\
@@ -31,6 +32,7 @@ segment_tolerance_m: 0.5
 duplicates: mean
 segment_rule: rpg
 hold_interval_s: 0.1
+trajectory: live
 """
 
 
@@ -59,6 +61,7 @@ def test_every_field_is_read(tmp_path: Path) -> None:
         duplicates=Duplicates.MEAN,
         segment_rule=SegmentRule.RPG,
         hold_interval_s=0.1,
+        trajectory=TrajectoryKind.LIVE,
     )
     fields = {line.partition(":")[0] for line in WHOLE.splitlines() if not line.startswith("#")}
     assert set(json.loads(protocol_schema())["properties"]) == fields
