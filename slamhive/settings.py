@@ -161,6 +161,11 @@ class Settings(BaseSettings):
         return self.data / "versions"
 
     @property
+    def algorithms_folder(self) -> Path:
+        """Where imported algorithm packages lie."""
+        return self.data / "algorithms"
+
+    @property
     def ledger_folder(self) -> Path:
         """Where facts are recorded that only the database knows otherwise."""
         return self.data / "ledger"

@@ -164,11 +164,13 @@ def seal(aside: Path, dataset: Dataset) -> None:
 
 
 def current_script(path: Path) -> Path:
-    """The play script that ships with this version in place of its copy at ``path``; ``path`` for anything else.
+    """The play script that ships with this version in place of its copy at ``path``, or of none; else ``path``.
 
     Copies of earlier versions do not run in the Python of old images. A script that somebody else wrote is theirs.
     """
     shipped = Path(__file__).with_name(PLAY_SCRIPT)
+    if not path.is_file():
+        return shipped
     with path.open("rb") as copy, shipped.open("rb") as own:
         return shipped if copy.readline(_LONGEST_TITLE) == own.readline() else path
 

@@ -10,13 +10,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from slamhive import strict_yaml
 from slamhive.catalogue.algorithm_parameters import ParameterModel, PlainValue, check_general_names, read_parameter
-from slamhive.catalogue.foreign_model import TopicModel
+from slamhive.catalogue.foreign_model import OriginModel, TopicModel
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Base, Input, RunUser
 from slamhive.domain.bounds import Bound
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.domain.gpu import GpuNeed
 from slamhive.domain.lidar_layout import PointOrder
 from slamhive.domain.lidar_needs import LidarNeeds, Need
+from slamhive.domain.package_origin import PackageOrigin
 from slamhive.domain.parameters import Parameter, parse_settings
 from slamhive.domain.protocol_choices import Alignment
 from slamhive.domain.remaps import TopicOf
@@ -106,6 +107,7 @@ class _PackageModel(BaseModel):
     base: Base = Base.PYTHON
     playback: tuple[PlaybackMode, ...] = Field(default=tuple(PlaybackMode), min_length=1)
     gpu: GpuNeed = GpuNeed.NONE
+    imported: OriginModel | None = None
     lidar: _LidarModel = Field(default_factory=_LidarModel)
     requires: dict[str, list[str] | None] = Field(default_factory=dict)
     map_output: str | None = None
@@ -155,6 +157,7 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         gpu=model.gpu,
         shm_mb=model.resources.shm_mb,
         time_factor=model.resources.time_factor,
+        origin=None if model.imported is None else PackageOrigin(**model.imported.model_dump()),
     )
     algorithms = tuple(_algorithm(path, package, name, mode, model) for name, mode in model.modes.items())
     names = [algorithm.name for algorithm in algorithms]

@@ -7,6 +7,18 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 _TOPIC = r"^/[A-Za-z][\w/]{0,200}$"
 
 
+class OriginModel(BaseModel):
+    """Where the package was imported from; see :class:`slamhive.domain.algorithm.PackageOrigin`."""
+
+    model_config = ConfigDict(extra="forbid")
+    source: str
+    commit: str | None = None
+    checksum: str | None = None
+    image: str | None = None
+    added: tuple[str, ...] = ()
+    imported_at: str | None = None
+
+
 class TopicModel(BaseModel):
     """How the algorithm learns of the topic of a role; see :class:`slamhive.domain.remaps.TopicOf`."""
 

@@ -6,10 +6,12 @@ from typing import Any
 
 import click
 
+from slamhive.cli.algorithm_import import IMPORT_COMMANDS
 from slamhive.cli.algorithm_test import test
 from slamhive.cli.algorithm_versions import VERSION_COMMANDS
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.domain.algorithm import Algorithm as Entry
 from slamhive.domain.parameters import Parameter
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.schema.catalogue import Algorithm
@@ -45,7 +47,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
             entry.title,
             entry.package.version,
             entry.package.licence,
-            problems.get(entry.package.name) or ("built" if identities[entry.package.name] else "not built"),
+            problems.get(entry.package.name) or _state(entry, identities[entry.package.name]),
         )
         for entry in found
     ]
@@ -66,6 +68,12 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
         return
     click.echo(f"{entry.name}: {entry.title} ({entry.package.title} {entry.package.version}, {entry.package.licence})")
     click.echo(f"needs {', '.join(f'{i.role} ({i.kind})' for i in entry.inputs)}; {entry.package.upstream}")
+    if entry.package.origin is not None:
+        click.echo(f"imported from {entry.package.origin.words}; runs are {entry.package.user.in_words}")
+    for topic in entry.topics:
+        click.echo(f"{topic.role}: {topic.words}")
+    if entry.unknown:
+        click.echo(f"not known: {', '.join(entry.unknown)}; fill in {entry.package.folder / 'algorithm.yaml'}")
     rows = [(p.key, _default(p), p.expectation, p.general, p.help) for p in entry.parameters]
     print_table(("parameter", "default", "expected", "general name", "help"), rows, right=("default",))
     for bound in entry.bounds:
@@ -104,6 +112,12 @@ for _command in (test, *VERSION_COMMANDS):
     algorithm.add_command(_command)
 
 
+def _state(entry: Entry, identity: str | None) -> str:
+    if entry.package.origin is not None:
+        return "imported" if identity else "imported, but its image is gone"
+    return "built" if identity else "not built"
+
+
 def _default(parameter: Parameter) -> str:
     if parameter.source is not None:
         return f"from {parameter.source}"
@@ -113,5 +127,8 @@ def _default(parameter: Parameter) -> str:
 def _text(value: Any) -> str:
     return ", ".join(f"{number:g}" for number in value) if isinstance(value, tuple) else str(value)
 
+
+for _command in IMPORT_COMMANDS:
+    algorithm.add_command(_command)
 
 COMMANDS = (algorithm,)

@@ -11,6 +11,7 @@ from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.gpu import GpuNeed
 from slamhive.domain.lidar_needs import LidarNeeds
+from slamhive.domain.package_origin import UNKNOWN, PackageOrigin
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.remaps import TopicOf
 from slamhive.domain.requirement import Requirement, check_requirements
@@ -68,7 +69,8 @@ class AlgorithmPackage:
     the file in the result with the map that another run of the same algorithm can start with; it is there if the run
     saves its map. ``playback``: how recordings can be played. ``gpu``: whether its runs get a GPU. ``shm_mb``: size of
     ``/dev/shm`` in its containers, None for the default of the engine. ``time_factor``: the time limit of its runs is
-    at least this many times the duration of the recording.
+    at least this many times the duration of the recording. ``origin``: where it was imported from;
+    None for a package that was written for SLAM Hive.
     """
 
     name: str
@@ -92,6 +94,7 @@ class AlgorithmPackage:
     gpu: GpuNeed = GpuNeed.NONE
     shm_mb: int | None = None
     time_factor: float = 0.0
+    origin: PackageOrigin | None = None
 
     @property
     def image(self) -> str:
@@ -150,6 +153,13 @@ class Algorithm:
     def label(self) -> str:
         """How users ask for it: ``aloam``, or ``aloam@2`` for a version."""
         return self.name if self.version is None else version_label(self.name, self.version)
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """What an import did not find and nobody has filled in since, in words."""
+        texts = {"upstream": self.package.upstream, "licence": self.package.licence, "citation": self.package.citation}
+        missing = [key for key, text in texts.items() if text == UNKNOWN]
+        return (*missing, *(f"default of {entry.key}" for entry in self.parameters if entry.must_be_given))
 
     def assign(self, dataset: Dataset, chosen: Chosen = BY_RULE) -> dict[str, Sensor]:
         """Which sensor of ``dataset`` serves which role: as ``chosen``, the others in the dataset's order.

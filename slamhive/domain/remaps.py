@@ -32,6 +32,14 @@ class TopicOf:
         return value if value.startswith("/") or not value else f"/{value}"
 
     @property
+    def words(self) -> str:
+        """How the recording reaches the algorithm, for people."""
+        if self.parameter is not None:
+            return f"the recording is played under the value of the parameter {self.parameter}"
+        way = f"launch argument {self.argument}" if self.argument else "always"
+        return f"the recording is played as {self.default} ({way})"
+
+    @property
     def default(self) -> str:
         """The topic that an argument or a parameter names unless the user sets it."""
         return self.fixed or f"/{self.role}"

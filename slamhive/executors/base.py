@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.domain.gpu import Gpu
@@ -17,6 +17,9 @@ from slamhive.evaluation.process_starter import ProcessStarter
 from slamhive.executors.gpu import GpuUse
 from slamhive.executors.spec import Limit, Limits, RunSpec
 from slamhive.executors.status import RunHandle, RunStatus, UsageSource
+
+if TYPE_CHECKING:
+    from slamhive.executors.images import ImageTools
 
 ProgressCallback = Callable[[str], None]
 """Takes one line about what is going on, such as a build step."""
@@ -168,6 +171,10 @@ class Executor(ABC):
     def load_image(self, chunks: Iterable[bytes]) -> str:  # noqa: ARG002 - as above
         """Take the image that :meth:`save_image` gave; its identity. Raises InvalidInput."""
         raise InvalidInput(f"the executor {self.name} takes no images", "use --executor docker")
+
+    def image_tools(self) -> ImageTools:
+        """What imports of packages that somebody else made need. Raises InvalidInput if this executor has no images."""
+        raise InvalidInput(f"the executor {self.name} has no images", "use --executor docker")
 
     # -- the life of a run ---------------------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.errors import Conflict, Unavailable
 from slamhive.project import project_root
+from slamhive.services.algorithms import AlgorithmImports
 from slamhive.services.analyses import AnalysisJobs, StoredAnalyses
 from slamhive.services.configurations import Configurations
 from slamhive.services.data_root import DataRoot, open_data_root
@@ -58,6 +59,7 @@ class Hive:
         self.current_protocols = CurrentProtocols(store, self.evaluations, settings.runs_folder)
         self.comparisons = Comparisons(store, self.evaluations, settings.runs_folder)
         self.experiments = Experiments(ExperimentContext(settings, store, catalogue, self.variants, self.executors))
+        self.algorithms = AlgorithmImports(settings, catalogue, self.executors)
         self.imports = Imports(settings, store, catalogue)
         self.stored_analyses = StoredAnalyses(settings, store, lambda text: self.analyses.read(text).name)
         self.analysis_jobs = AnalysisJobs(settings, store, catalogue.project_root)

@@ -9,6 +9,7 @@ import socket
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from typing import Any
 
 import docker
@@ -34,6 +35,7 @@ _TIMEOUT_S = 60
 _SOCKET_TIMEOUT_S = 5
 _NAME_LIMIT = 63
 _SERVER_ERROR = 500
+_UNSET_TIME = "0001-"
 
 HARDENING: dict[str, Any] = {
     "cap_drop": ["ALL"],
@@ -109,3 +111,12 @@ def _no_answer(doing: str, error: Exception) -> EngineUnavailable:
     return EngineUnavailable(
         f"{doing}: no Docker engine answers ({type(error).__name__})", "start it, or check DOCKER_HOST and your rights"
     )
+
+
+def engine_time(text: str | None) -> datetime | None:
+    """Parse a time of the engine, which has nanoseconds; None if it is not set."""
+    if not text or text.startswith(_UNSET_TIME):
+        return None
+    seconds, _, fraction = text.rstrip("Z").partition(".")
+    moment = datetime.fromisoformat(seconds).replace(tzinfo=UTC)
+    return moment.replace(microsecond=int(fraction[:6].ljust(6, "0"))) if fraction else moment

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,9 @@ from slamhive.executors.docker.engine import (
     connect,
     container_name,
     engine_errors,
+    engine_time,
 )
+from slamhive.executors.docker.foreign_images import DockerImages
 from slamhive.executors.docker.image import find_image, make_image
 from slamhive.executors.docker.kept_images import forget_image, has_image, kept_name, load_image, save_image
 from slamhive.executors.docker.refusals import RefusedProcesses, engine_protections
@@ -55,12 +57,12 @@ from slamhive.executors.docker.run_user import in_words, open_to_user, take_back
 from slamhive.executors.docker.stats import DockerStatsSource
 from slamhive.executors.gpu import GpuUse, gpu_use, in_container, list_gpus
 from slamhive.executors.identity import owner_is_dead
+from slamhive.executors.images import ImageTools
 from slamhive.executors.local_files import make_own_copies
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
 from slamhive.files import remedy_of, write_aside
 
-_UNSET_TIME = "0001-"
 OWNER_PATIENCE = timedelta(minutes=5)
 """How long a container is kept that does not run, but whose process may live."""
 _CREATION_PATIENCE_S = 30.0
@@ -77,7 +79,7 @@ def _is_live(container: Any, live_keys: Collection[str]) -> bool:
     if container.status == "running":
         return True
     # Its owner is about to start it, or reads how it ended.
-    since = _time(container.attrs["State"].get("FinishedAt")) or _time(container.attrs.get("Created"))
+    since = engine_time(container.attrs["State"].get("FinishedAt")) or engine_time(container.attrs.get("Created"))
     return since is not None and utc_now() - since < OWNER_PATIENCE
 
 
@@ -146,6 +148,10 @@ class DockerExecutor(Executor):
         """Load an image; its digest."""
         return load_image(self._engine(), chunks)
 
+    def image_tools(self) -> ImageTools:
+        """Takes images that somebody else made."""
+        return DockerImages(self._engine(), self._context.installation)
+
     def start(self, spec: RunSpec) -> RunHandle:
         """Create and start the run's container, or find it in whatever state it is."""
         container = self._find(container_name(spec.key)) or self._create(spec)
@@ -156,7 +162,7 @@ class DockerExecutor(Executor):
             self._start_created(container, spec)
         data = {"container": str(container.id), "key": spec.key}
         started = self._find(data["container"])
-        started_at = None if started is None else _time(started.attrs["State"].get("StartedAt"))
+        started_at = None if started is None else engine_time(started.attrs["State"].get("StartedAt"))
         if started_at is not None:
             data["started_at"] = started_at.isoformat()
         found = self._protections()
@@ -176,8 +182,8 @@ class DockerExecutor(Executor):
             exit_code=int(state["ExitCode"]),
             out_of_memory=bool(state.get("OOMKilled")),
             refused_processes=self._refused.were_refused(str(container.id)),
-            started_at=_time(state.get("StartedAt")),
-            ended_at=_time(state.get("FinishedAt")),
+            started_at=engine_time(state.get("StartedAt")),
+            ended_at=engine_time(state.get("FinishedAt")),
         )
 
     def stop(self, handle: RunHandle, grace_s: float) -> None:
@@ -332,12 +338,3 @@ class DockerExecutor(Executor):
             except docker.errors.APIError as error:
                 if error.status_code != 409:  # 409: it is being removed already
                     raise
-
-
-def _time(text: str | None) -> datetime | None:
-    """Parse a time of the engine, which has nanoseconds; None if it is not set."""
-    if not text or text.startswith(_UNSET_TIME):
-        return None
-    seconds, _, fraction = text.rstrip("Z").partition(".")
-    moment = datetime.fromisoformat(seconds).replace(tzinfo=UTC)
-    return moment.replace(microsecond=int(fraction[:6].ljust(6, "0"))) if fraction else moment

@@ -94,6 +94,8 @@ def _make_base_images(
 def _pull(client: docker.DockerClient, package: AlgorithmPackage, progress: ProgressCallback) -> str:
     name, _, tag = package.image.rpartition(":")
     remedy = f"load it with docker load, or add a Dockerfile to {package.folder}"
+    if package.origin is not None:
+        remedy = f"import it again: slamhive algorithm import {package.origin.source} --name {package.name} --replace"
     problem = "the registry does not have it"
     try:
         with engine_errors(f"pulling {package.image}", ImageMissing):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,6 +20,7 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.names import check_name
 from slamhive.domain.versions import split_version
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable, unknown
+from slamhive.foreign.folder import MAPPING, SCRIPTS
 from slamhive.schema import catalogue as schema
 from slamhive.settings import Mode, Settings
 
@@ -226,12 +227,26 @@ class Catalogue:
                 found.extend(algorithms)
             except SlamHiveError as error:
                 broken.append(BrokenEntry(name, folder, str(error), is_algorithm=True))
-        return found, broken
+        known = {algorithm.package.name for algorithm in found}
+        return found, [*broken, *self._not_imported(known)]
 
     def _algorithm_folders(self) -> list[tuple[str, Path]]:
-        """Those of the project, then those of plug-ins; the name is what the package must be called."""
-        own = sorted((self.project_root / "algorithms").glob(f"*/{ALGORITHM_FILE}"))
+        """Those of the project, imported ones, those of plug-ins; the name is what the package must be called."""
+        own = [path for root in self._algorithm_roots for path in sorted(root.glob(f"[!.]*/{ALGORITHM_FILE}"))]
         return [*((path.parent.name, path.parent) for path in own), *ALGORITHM_FOLDERS]
+
+    @property
+    def _algorithm_roots(self) -> tuple[Path, Path]:
+        return self.project_root / "algorithms", self._settings.algorithms_folder
+
+    def _not_imported(self, known: set[str]) -> Iterator[BrokenEntry]:
+        """Folders of algorithms without ``algorithm.yaml``, as the published SLAM Hive has them."""
+        for root in self._algorithm_roots:
+            for path in sorted(root.glob(f"[!.]*/{SCRIPTS}/{MAPPING}")):
+                folder = path.parent.parent
+                if folder.name not in known and not (folder / ALGORITHM_FILE).exists():
+                    problem = f"{folder} has no {ALGORITHM_FILE}; import it: slamhive algorithm import {folder}"
+                    yield BrokenEntry(folder.name, folder, problem, is_algorithm=True)
 
     def _scan_datasets(self) -> tuple[list[Dataset], list[BrokenEntry]]:
         found: list[Dataset] = []

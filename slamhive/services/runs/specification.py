@@ -244,9 +244,9 @@ def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInpu
         yield _input("slamhive", package.folder / "slamhive", CONTAINER_ROOT, own_copy=True)
     yield _input("config", folder.config, f"{CONTAINER_ROOT}/config.yaml")
     yield _input("recording", dataset.bag_path, f"{inside}/{dataset.bag}", content=dataset.checksum)
-    for name in (DATASET_FILE, PLAY_SCRIPT):
-        if (dataset.folder / name).is_file():
-            yield _input(name, current_script(dataset.folder / name), f"{inside}/{name}")
+    if (dataset.folder / DATASET_FILE).is_file():
+        yield _input(DATASET_FILE, dataset.folder / DATASET_FILE, f"{inside}/{DATASET_FILE}")
+    yield _input(PLAY_SCRIPT, current_script(dataset.folder / PLAY_SCRIPT), f"{inside}/{PLAY_SCRIPT}")
     if settings.orb_vocabulary:
         yield _input("vocabulary", Path(settings.orb_vocabulary), CONTAINER_VOCABULARY)
     if job.input_map is not None:

@@ -45,6 +45,8 @@ def sweep_leftovers(settings: Settings, store: Store, variants: Variants, execut
     for aside in settings.analyses_folder.glob(".*"):
         sweep_folder(aside)
     sweep_partial_folders(settings.datasets_folder)
+    for aside in settings.algorithms_folder.glob(".import-*"):
+        sweep_folder(aside)
     variants.sweep()
     sweep_imports(settings.runs_folder)
     for run in store.read(lambda t: t.runs.get_many(t.queue.lately(LATEST))):

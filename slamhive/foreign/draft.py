@@ -1,0 +1,196 @@
+"""Drafts ``algorithm.yaml`` for a folder of somebody else. What could not be known is marked and listed."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from slamhive.domain.algorithm import Base, RunUser
+from slamhive.domain.names import check_name
+from slamhive.domain.package_origin import UNKNOWN, PackageOrigin
+from slamhive.domain.sensors import SensorKind, SensorSetup
+from slamhive.errors import InvalidInput
+from slamhive.foreign.facts import FolderFacts, choose_user
+from slamhive.foreign.folder import MAPPING, SCRIPTS, ForeignFolder
+from slamhive.foreign.parameters import DraftParameter, draft_parameters
+from slamhive.foreign.topics import SETUPS, setup_of_name, setup_of_roles
+
+_LICENCES = (
+    ("GNU AFFERO GENERAL PUBLIC LICENSE", "AGPL-3.0-or-later"),
+    ("GNU LESSER GENERAL PUBLIC LICENSE", "LGPL-3.0-or-later"),
+    ("GNU GENERAL PUBLIC LICENSE", "GPL-3.0-or-later"),
+    ("Apache License", "Apache-2.0"),
+    ("MIT License", "MIT"),
+    ("BSD 3-Clause", "BSD-3-Clause"),
+    ("Redistribution and use in source and binary forms", "BSD"),
+)
+_HEAD_CHARACTERS = 1500
+_OLD_GPL = re.compile(r"Version 2\b")
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """A drafted ``algorithm.yaml``.
+
+    Attributes:
+        text: The file.
+        unknown: What could not be known, in words.
+        notes: What the user should know or check, in words.
+    """
+
+    text: str
+    unknown: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DraftRequest:
+    """What an import knows besides the folder.
+
+    Attributes:
+        name: The name of the package.
+        origin: Where it comes from.
+        setup: What the user says about the sensors; None to find out.
+        image_user: The user that the image names; None if it is not known yet.
+    """
+
+    name: str
+    origin: PackageOrigin
+    setup: SensorSetup | None = None
+    image_user: str | None = None
+
+
+@dataclass
+class _Lines:
+    """The file that is being written, and what is said about it."""
+
+    lines: list[str] = field(default_factory=list)
+    unknown: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, line: str, comment: str = "") -> None:
+        self.lines.append(f"{line}  # {comment}" if comment else line)
+
+    def fact(self, key: str, value: str | None) -> None:
+        """A field of the package that is either known or marked."""
+        self.add(f"{key}: {_quoted(value or UNKNOWN)}", "" if value else "not known: please fill in")
+        if not value:
+            self.unknown.append(key)
+
+
+def draft(folder: ForeignFolder, facts: FolderFacts, request: DraftRequest) -> Draft:
+    """Draft ``algorithm.yaml``. Raises InvalidInput if the folder does not show the sensors."""
+    out = _Lines(notes=[*folder.notes])
+    if facts.mapping.problem is not None:
+        problem = f"{SCRIPTS}/{MAPPING} is no Python 3 ({facts.mapping.problem}), but python3 starts it"
+        out.notes.append(f"{problem}; keys may be missing here")
+    roles = _roles(facts, request)
+    _write_head(out, folder, facts, request)
+    _write_mode(out, facts, request, roles)
+    _write_parameters(out, list(draft_parameters(folder, facts, tuple(roles))))
+    return Draft("\n".join(out.lines) + "\n", tuple(out.unknown), tuple(out.notes))
+
+
+def _roles(facts: FolderFacts, request: DraftRequest) -> dict[str, SensorKind]:
+    """The roles of the mode, as the user says, else by the topics, else by the name of the folder."""
+    setup = request.setup or setup_of_roles(dict(facts.kinds)) or setup_of_name(request.name)
+    if setup is None:
+        found = ", ".join(f"{role} ({kind})" for role, kind in facts.kinds.items()) or "none"
+        raise InvalidInput(
+            f"the files of {request.name} do not show its sensors (found: {found})",
+            f"say them: --setup {'|'.join(SETUPS)}",
+        )
+    return dict(SETUPS[setup])
+
+
+def _write_head(out: _Lines, folder: ForeignFolder, facts: FolderFacts, request: DraftRequest) -> None:
+    origin = request.origin
+    out.add(f"# Drafted by `slamhive algorithm import` from {origin.words}.")
+    out.add("# Please check it. `not known` marks what could not be found.")
+    out.add("format: 1")
+    out.add(f"package: {_quoted(check_name('package', request.name))}")
+    out.add(f"title: {_quoted(request.name)}")
+    out.add(f"version: {_quoted((origin.commit or origin.checksum or 'imported')[:19])}")
+    out.fact("upstream", origin.source if "://" in origin.source else None)
+    out.fact("licence", licence_of(folder.licence))
+    out.fact("citation", None)
+    user, reason = choose_user(facts, folder, request.image_user)
+    out.add(f"user: {user.value}", _comment(reason))
+    if user is not RunUser.WORKER:
+        out.notes.append(f"runs are {user.in_words}: {reason}")
+    if facts.ros:
+        out.add(f"base: {Base.ROS1.value}", "it starts programs of ROS 1, so it is played in real time")
+        out.notes.append("it plays the recording with ROS 1: in real time only, and ROS 1 bags only")
+    out.add("imported:")
+    for key, value in origin.content.items():
+        out.add(f"  {key}: {json.dumps(value, ensure_ascii=True)}")
+
+
+def _write_mode(out: _Lines, facts: FolderFacts, request: DraftRequest, roles: dict[str, SensorKind]) -> None:
+    setup = setup_of_roles(roles)
+    assert setup is not None
+    frame = "imu" if "imu" in roles else next(iter(roles))
+    out.add("modes:")
+    out.add(f"  {setup.value}:")
+    out.add(f"    title: {_quoted(request.name)}")
+    out.add(f"    setup: {setup.value}")
+    out.add("    inputs:")
+    for role, kind in roles.items():
+        out.add(f"      {role}: {kind.value}")
+    out.add(f"    trajectory_role: {frame}", "guessed: the sensor whose poses are in traj.txt")
+    out.notes.append(f"guessed: traj.txt holds the poses of {frame} (trajectory_role)")
+    known = {role: topic for role, topic in facts.topics.items() if role in roles}
+    if known:
+        out.add("    topics:")
+    for role, topic in known.items():
+        way, name = next((way, name) for way in ("parameter", "argument", "fixed") if (name := getattr(topic, way)))
+        out.add(f"      {role}: {{{way}: {_quoted(name)}}}")
+        out.notes.append(f"{role}: {topic.words}")
+    for role in roles:
+        if role not in known:
+            out.add(f"    # not known: on which topic the algorithm gets {role}; without an entry it is /{role}")
+            out.unknown.append(f"topic of {role}")
+
+
+def _write_parameters(out: _Lines, parameters: list[DraftParameter]) -> None:
+    out.add("parameters:" if parameters else "parameters: {}")
+    for entry in parameters:
+        out.add(f"  {entry.key}:", entry.said_by)
+        out.add(f"    type: {entry.type}")
+        if entry.source is not None:
+            out.add(f"    from: {entry.source}")
+        elif entry.default is not None:
+            out.add(f"    default: {json.dumps(entry.default, ensure_ascii=True)}", entry.note)
+        else:
+            out.add("    required: true", "not known: give a default instead, or a value with each run")
+            out.unknown.append(f"default of {entry.key}")
+        out.add(f"    help: {_quoted(entry.help)}")
+        if entry.general is not None:
+            out.add(f"    general: {entry.general}")
+
+
+def licence_of(text: str | None) -> str | None:
+    """The licence whose text a file begins with; None if it is not known."""
+    head = (text or "")[:_HEAD_CHARACTERS]
+    for words, name in _LICENCES:
+        if words.lower() in head.lower():
+            return "GPL-2.0-or-later" if name.startswith("GPL") and _OLD_GPL.search(head) else name
+    return None
+
+
+def described(result: Draft) -> Iterator[str]:
+    """What to say about a draft, one line each."""
+    yield from result.notes
+    if result.unknown:
+        yield f"not known: {', '.join(result.unknown)}"
+
+
+def _quoted(text: str) -> str:
+    """Text as YAML that is also JSON."""
+    return json.dumps(text, ensure_ascii=True)
+
+
+def _comment(text: str) -> str:
+    return " ".join("".join(character if character.isprintable() else " " for character in text).split())

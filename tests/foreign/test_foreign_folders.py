@@ -1,0 +1,213 @@
+"""Folders of the published kind are read as text, and become packages."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+from pathlib import Path
+
+import pytest
+
+from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.domain.algorithm import Algorithm, RunUser
+from slamhive.domain.package_origin import PackageOrigin
+from slamhive.domain.sensors import SensorKind, SensorSetup
+from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.foreign.draft import Draft, DraftRequest, draft, licence_of
+from slamhive.foreign.facts import find_facts
+from slamhive.foreign.folder import MOST_TEXT_BYTES, copy_scripts, read_folder
+from slamhive.foreign.script import read_script
+from tests.foreign import folders
+from tests.fuzzing import mutated
+
+ORIGIN = PackageOrigin("https://example.org/slam/x", commit="0123456789abcdef")
+
+
+def drafted(path: Path, setup: SensorSetup | None = None, image_user: str | None = None) -> Draft:
+    folder = read_folder(path)
+    return draft(folder, find_facts(folder), DraftRequest(path.name, ORIGIN, setup, image_user))
+
+
+def package(path: Path) -> Algorithm:
+    (path / "algorithm.yaml").write_text(drafted(path).text)
+    (algorithm,) = load_algorithms(path)
+    return algorithm
+
+
+def test_a_template_becomes_parameters_that_the_dataset_fills(tmp_path):
+    algorithm = package(folders.orb_slam2(tmp_path))
+    sources = {entry.key: str(entry.source) for entry in algorithm.parameters if entry.source}
+    assert sources == {
+        **{key: f"left.{key}" for key in ("fx", "fy", "cx", "cy", "width", "height")},
+        "fps": "left.rate_hz",
+    }
+    known = {entry.key: (entry.default, entry.general) for entry in algorithm.parameters if not entry.source}
+    assert known == {"nFeatures": (1000, "features"), "gain": (None, None)}
+    assert algorithm.setup is SensorSetup.MONO
+    (topic,) = algorithm.topics
+    assert topic.words == "the recording is played as /left (launch argument mono_topic)"
+    assert algorithm.package.origin == ORIGIN
+    assert algorithm.unknown == ("licence", "citation", "default of gain")
+    assert algorithm.parameters[0].help == "focal length in pixels"
+
+
+def test_topics_that_are_parameters_and_templates_of_two_levels(tmp_path):
+    algorithm = package(folders.vins(tmp_path))
+    assert algorithm.setup is SensorSetup.STEREO_INERTIAL
+    assert {entry.role: entry.parameter for entry in algorithm.topics} == {
+        "imu": "imu_topic",
+        "left": "image0_topic",
+        "right": "image1_topic",
+    }
+    found = {entry.key: str(entry.source or entry.default) for entry in algorithm.parameters}
+    assert found["cam1_fx"] == "right.fx"
+    assert found["body_T_cam0"] == "imu.T(left)"
+    assert found["cam0_calib"] == "cam0_pinhole.yaml"
+    assert found["max_cnt"] == "150"
+    assert found["image0_topic"] == "/left"
+
+
+def test_launch_arguments_and_a_fixed_topic(tmp_path):
+    algorithm = package(folders.loam(tmp_path))
+    assert {entry.key: entry.default for entry in algorithm.parameters} == {"scanPeriod": 0.1, "lidar": "HDL-64E"}
+    assert algorithm.inputs[0].kind is SensorKind.LIDAR
+    assert algorithm.topics[0].fixed == "/points_raw"
+
+
+def test_values_of_examples_in_the_folder_are_taken(tmp_path):
+    path = folders.orb_slam2(tmp_path, mappingtask__yaml="ORBextractor.nFeatures: 1500\nOwn.gain: 0.5  # tuned\n")
+    assert {entry.key: entry.default for entry in package(path).parameters if entry.default is not None} == {
+        "nFeatures": 1500,
+        "gain": 0.5,
+    }
+    folders.write(path, config_temp__yaml="algorithm-parameters:\n  gain: 0.25\n  nFeatures: 2000\n")
+    assert package(path).parameters[-1].default == 0.25
+
+
+@pytest.mark.parametrize(
+    ("dockerfile", "image_user", "expected"),
+    [
+        (folders.DOCKERFILE, None, RunUser.ROOT),
+        ("FROM x\nUSER ubuntu\nRUN make\n", None, RunUser.IMAGE),
+        ("FROM x\nUSER ubuntu\nFROM y\nRUN make -C /opt\n", None, RunUser.WORKER),
+        ("FROM x\n", "1000:1000", RunUser.IMAGE),
+        ("FROM x\n", "root", RunUser.WORKER),
+    ],
+)
+def test_the_user_follows_from_the_dockerfile(tmp_path, dockerfile, image_user, expected):
+    path = folders.loam(tmp_path)
+    folders.write(path, Dockerfile=dockerfile)
+    assert f"\nuser: {expected}  # " in drafted(path, image_user=image_user).text
+
+
+def test_what_a_dockerfile_copies_and_the_folder_lacks_is_named(tmp_path):
+    path = folders.orb_slam2(tmp_path)
+    facts = find_facts(read_folder(path))
+    assert facts.dockerfile is not None
+    assert facts.dockerfile.missing == (("ORB_SLAM2", 3),)
+    (path / "ORB_SLAM2").mkdir()
+    steps = ["FROM x as y", "COPY --from=y /a /b", 'COPY ["ORB_SLAM2", "/b"]', "ADD https://x/y /c"]
+    folders.write(path, Dockerfile="\n".join([*steps, "COPY ../z *.patch /d", "COPY $A /e", ""]))
+    facts = find_facts(read_folder(path))
+    assert facts.dockerfile is not None
+    assert facts.dockerfile.missing == (("../z", 5), ("*.patch", 5))
+
+
+def test_older_python_is_read_by_patterns_and_said(tmp_path):
+    path = folders.orb_slam2(tmp_path, mapping__py=folders.MAPPING + 'print "done", values["extra"]\n')
+    result = drafted(path)
+    assert any("is no Python 3 (line " in note and "python3 starts it" in note for note in result.notes)
+    assert "  extra:  # mapping.py" in result.text
+    assert "default of extra" in result.unknown
+
+
+@pytest.mark.parametrize(
+    ("files", "problem"),
+    [
+        ({"mapping__py": "open('/slamhive/other.yaml').read()"}, "uses /slamhive/other.yaml, but .* does not hold it"),
+        ({"mapping__py": "import os\nos.system('roslaunch /slamhive/x.launch')"}, r"uses /slamhive/x\.launch"),
+        ({"template__yaml": "a: $\nfx: $fx\n"}, r"slamhive/template\.yaml line 1 has a \$ without a name"),
+    ],
+)
+def test_contradictions_between_script_and_files_are_named(tmp_path, files, problem):
+    with pytest.raises(InvalidInput, match=problem):
+        drafted(folders.orb_slam2(tmp_path, **files))
+
+
+def test_unknown_sensors_have_to_be_said(tmp_path):
+    path = folders.write(tmp_path / "thing", mapping__py="print(1)\n")
+    with pytest.raises(InvalidInput, match=r"files of thing do not show its sensors.*--setup mono\|stereo"):
+        drafted(path)
+    result = drafted(path, SensorSetup.STEREO)
+    assert result.unknown[-2:] == ("topic of left", "topic of right")
+
+
+def test_links_and_strange_files_are_not_copied(tmp_path):
+    path = folders.loam(tmp_path)
+    (path / "slamhive" / "passwd").symlink_to("/etc/passwd")
+    (path / "slamhive" / "up").symlink_to("../..")
+    (path / "slamhive" / "tool.sh").write_text("x")
+    (path / "slamhive" / "tool.sh").chmod(0o4755)
+    folder = read_folder(path)
+    assert folder.notes == ("not copied, since they are no plain files: passwd, up",)
+    copy_scripts(path, tmp_path / "copy")
+    assert sorted(entry.name for entry in (tmp_path / "copy").iterdir()) == ["loam.launch", "mapping.py", "tool.sh"]
+    assert (tmp_path / "copy" / "tool.sh").stat().st_mode & 0o7777 == 0o755
+
+
+def test_a_mapping_script_that_is_a_link_or_no_text_is_refused(tmp_path):
+    path = folders.loam(tmp_path)
+    (path / "slamhive" / "mapping.py").unlink()
+    (path / "slamhive" / "mapping.py").symlink_to("/etc/passwd")
+    with pytest.raises(InvalidInput, match=r"holds no slamhive/mapping\.py that can be read"):
+        read_folder(path)
+    for content in (b"\0", b"#" * (MOST_TEXT_BYTES + 1)):
+        (path / "slamhive" / "mapping.py").unlink()
+        (path / "slamhive" / "mapping.py").write_bytes(content)
+        with pytest.raises(InvalidInput):
+            read_folder(path)
+
+
+@pytest.mark.parametrize("text", ["(" * 100_000, "-" * 500_000 + "1", "x = [" * 3000, "\0", "x['a'" * 20_000])
+def test_scripts_that_no_parser_survives_are_read(text):
+    assert read_script(text).problem
+
+
+def test_nothing_in_a_name_or_comment_gets_into_the_yaml(tmp_path):
+    template = 'a: $fx  # "]}\n# x: &a [*a]\n\tb: $evil # \x1b[31m\u2028 <script>\n'
+    path = folders.orb_slam2(tmp_path, template__yaml=template)
+    evil = path.with_name("x")
+    path.rename(evil)
+    algorithm = package(evil)
+    assert [entry.key for entry in algorithm.parameters] == ["fx", "evil", "fps"]
+    assert algorithm.parameters[1].help == "[31m"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("GNU GENERAL PUBLIC LICENSE\n Version 3, 29 June 2007", "GPL-3.0-or-later"),
+        ("GNU GENERAL PUBLIC LICENSE\n Version 2, June 1991", "GPL-2.0-or-later"),
+        ("MIT License\n\nCopyright", "MIT"),
+        ("All rights reserved.", None),
+        (None, None),
+    ],
+)
+def test_licences(text, expected):
+    assert licence_of(text) == expected
+
+
+def test_mutated_folders_give_a_package_or_a_reason_and_run_nothing(tmp_path):
+    marker = tmp_path / "executed"
+    draw = random.Random(11)
+    for number in range(45):
+        make = draw.choice((folders.orb_slam2, folders.vins, folders.loam))
+        path = make(tmp_path / str(number))
+        mapping = path / "slamhive" / "mapping.py"
+        mapping.write_text(f"open({str(marker)!r}, 'w')\n" + mapping.read_text())
+        for file in sorted(entry for entry in path.rglob("*") if entry.is_file()):
+            if draw.random() < 0.6:
+                file.write_bytes(mutated(file.read_bytes(), draw))
+        with contextlib.suppress(SlamHiveError):
+            package(path)
+    assert not marker.exists()

@@ -1,0 +1,286 @@
+"""Importing algorithm packages of others: sources, archives, images, and a run of what was imported."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import random
+import subprocess
+import tarfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from slamhive.domain.algorithm import RunUser
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.errors import Conflict, InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.executors.base import ImageMissing
+from slamhive.schema.submission import Submission
+from slamhive.services.algorithms import ImportedPackage, ImportRequest
+from slamhive.services.algorithms.image_archive import ImageArchive
+from slamhive.services.algorithms.sources import SourceKind, check_folder, kind_of, opened, package_name
+from slamhive.services.hive import Hive
+from tests.foreign import folders
+from tests.fuzzing import mutated
+from tests.services.docker_base import run_docker
+
+DOCKER = ImportRequest(executor="docker")
+TOOLS = {
+    "roslaunch": 'echo "$@" > /home/output/arguments',
+    "rosbag": """
+echo "$@" > /slamhive/result/played
+if grep -q 'lidar: broken' /slamhive/config.yaml; then echo 'Error opening file' >&2; exit 1; fi
+""",
+}
+MAPPING = (
+    folders.LOAM_MAPPING
+    + """
+subprocess.run("bash -c 'python3 /slamhive/dataset/rosbag_play.py; true'", shell=True)
+open("/slamhive/scratch", "w").write("the run has a copy of its own")
+with open("/slamhive/result/traj.txt", "w") as trajectory:
+    for number in range(30):
+        trajectory.write("{} {} 0 0 0 0 0 1\\n".format(100 + number / 3, number))
+subprocess.run("bash -c 'mv /home/output/arguments /slamhive/result/; touch /slamhive/result/finished'", shell=True)
+"""
+)
+
+
+@pytest.mark.parametrize(
+    ("source", "kind", "name"),
+    [
+        ("https://github.com/SLAM-Hive/loam.git", SourceKind.REPOSITORY, "loam"),
+        ("git@github.com:SLAM-Hive/lio-sam", SourceKind.REPOSITORY, "lio-sam"),
+        ("slam-hive-algorithm:aloam", SourceKind.IMAGE, "aloam"),
+        ("registry.example:5000/team/loam@sha256:00", SourceKind.IMAGE, "loam"),
+    ],
+)
+def test_sources_are_told_apart(source, kind, name, monkeypatch):
+    assert kind_of(source) is kind
+    if kind is SourceKind.IMAGE:
+        with opened(source) as found:
+            assert package_name(found) == name
+
+
+@pytest.mark.parametrize("source", ["./nothing", "/nothing", "nothing.tar"])
+def test_a_path_that_is_not_there_is_no_image(source):
+    with pytest.raises(NotFound, match="does not exist"):
+        kind_of(source)
+
+
+@pytest.mark.parametrize("source", ["-v /:/host", "a b", "", "--upload-pack=x"])
+def test_options_and_commands_are_no_sources(source):
+    with pytest.raises(InvalidInput):
+        kind_of(source)
+
+
+def test_several_folders_and_own_packages_are_named(tmp_path):
+    folders.loam(tmp_path)
+    folders.vins(tmp_path)
+    with pytest.raises(InvalidInput, match="several algorithms: loam, vins-fusion-stereo-imu; import each"):
+        check_folder(tmp_path)
+    (tmp_path / "algorithm.yaml").touch()
+    with pytest.raises(InvalidInput, match="package of SLAM Hive already"):
+        check_folder(tmp_path)
+
+
+@pytest.mark.quick
+def test_a_repository_is_fetched_at_a_commit_without_running_its_hooks(tmp_path):
+    path, marker = folders.loam(tmp_path), tmp_path / "executed"
+    hook = path / ".githooks" / "post-checkout"
+    hook.parent.mkdir()
+    hook.write_text(f"#!/bin/sh\ntouch {marker}\n")
+    hook.chmod(0o755)
+    identity = ["-c", "user.name=x", "-c", "user.email=x@example.org"]
+    for command in (["init", "-q"], ["add", "."], [*identity, "commit", "-qm", "first"]):
+        subprocess.run(["git", "-C", str(path), *command], check=True, capture_output=True)
+    commit = subprocess.run(["git", "-C", str(path), "rev-parse", "HEAD"], check=True, capture_output=True, text=True)
+    with opened(f"file://{path}") as found:
+        assert found.commit == commit.stdout.strip()
+        assert found.path is not None
+        assert (found.path / "slamhive" / "mapping.py").is_file()
+    assert not marker.exists()
+    for reference in ("#nothing", "#--upload-pack=x"):
+        with pytest.raises((Unavailable, InvalidInput)), opened(f"file://{path}{reference}"):
+            pass
+
+
+def archive(path: Path, images: int = 1) -> Path:
+    manifest = [{"Config": "a.json", "RepoTags": ["slam-hive-algorithm:orb-slam3"], "Layers": []}] * images
+    with tarfile.open(path, "w:gz") as tar:
+        for name, content in (
+            ("manifest.json", json.dumps(manifest)),
+            ("index.json", json.dumps({"manifests": [{"annotations": {"io.containerd.image.name": "a:b"}}]})),
+            ("repositories", "{}"),
+            ("a.json", "x" * 1000),
+        ):
+            member = tarfile.TarInfo(name)
+            member.size = len(content)
+            tar.addfile(member, io.BytesIO(content.encode()))
+    return path
+
+
+def test_an_archive_gives_no_names_to_images(tmp_path):
+    saved = ImageArchive(archive(tmp_path / "x.tar.gz"))
+    saved.check()
+    rewritten = b"".join(saved.chunks(lambda _line: None))
+    with tarfile.open(fileobj=io.BytesIO(rewritten)) as tar:
+        assert tar.getnames() == ["manifest.json", "index.json", "a.json"]
+        content = [tar.extractfile(name) for name in ("manifest.json", "index.json", "a.json")]
+    texts = [stream.read().decode() for stream in content if stream is not None]
+    assert "orb-slam3" not in texts[0]
+    assert "a:b" not in texts[1]
+    assert texts[2] == "x" * 1000
+    assert saved.checksum.startswith("sha256:")
+
+
+def test_archives_of_no_or_several_images_are_refused(tmp_path):
+    with pytest.raises(InvalidInput, match="holds 2 images"):
+        ImageArchive(archive(tmp_path / "two.tar", 2)).check()
+    with tarfile.open(tmp_path / "none.tar", "w"):
+        pass
+    with pytest.raises(InvalidInput, match="no saved image"):
+        ImageArchive(tmp_path / "none.tar").check()
+
+
+def test_mutated_archives_give_a_reason(tmp_path):
+    draw, whole = random.Random(5), archive(tmp_path / "whole.tar").read_bytes()
+    for _ in range(60):
+        broken = tmp_path / "broken.tar"
+        broken.write_bytes(mutated(whole, draw))
+        with contextlib.suppress(SlamHiveError):
+            ImageArchive(broken).check()
+            for _chunk in ImageArchive(broken).chunks(lambda _line: None):
+                pass
+
+
+def test_folders_without_algorithm_yaml_are_listed(hive: Hive):
+    folder = folders.loam(hive.catalogue.project_root / "algorithms")
+    folders.vins(hive.settings.algorithms_folder)
+    problems = {entry.name: entry.problem for entry in hive.catalogue.broken()}
+    assert problems["loam"] == f"{folder} has no algorithm.yaml; import it: slamhive algorithm import {folder}"
+    assert "vins-fusion-stereo-imu" in problems
+
+
+def test_an_executor_without_images_takes_none(hive: Hive, tmp_path):
+    path = str(folders.loam(tmp_path))
+    with pytest.raises(InvalidInput, match="executor process has no images; use --executor docker"):
+        with_plan(hive, path, ImportRequest())
+
+
+def with_plan(hive: Hive, source: str, request: ImportRequest) -> ImportedPackage:
+    """Import, without asking what is planned."""
+    with hive.algorithms.planned(source, request) as planned:
+        return hive.algorithms.perform(planned, lambda _line: None)
+
+
+def test_only_imported_packages_can_be_removed(hive: Hive):
+    with pytest.raises(InvalidInput, match="tiny was not imported"):
+        hive.algorithms.remove("tiny")
+    with pytest.raises(InvalidInput, match="not allowed"):
+        hive.algorithms.remove("../datasets")
+
+
+@pytest.fixture
+def engine_hive(hive: Hive, base_image: str) -> Iterator[Hive]:
+    """An installation; the images that were imported into it are removed."""
+    yield hive
+    for folder in hive.settings.algorithms_folder.glob("[!.]*"):
+        run_docker("rmi", "--force", f"slam-hive-algorithm:{folder.name}")
+
+
+def built_folder(root: Path, base: str) -> Path:
+    """Like loam, with a Dockerfile whose sources are there. Its ROS is two scripts that note what they are told."""
+    path = folders.write(root / "loam-of-tests", mapping__py=MAPPING, loam__launch=folders.LOAM_LAUNCH)
+    folders.write(path, Dockerfile=f"FROM {base}\nCOPY tools /usr/local/bin\nRUN mkdir -p /home/output /root/.ros\n")
+    (path / "tools").mkdir()
+    for name, script in TOOLS.items():
+        (path / "tools" / name).write_text(f"#!/bin/sh\n{script}")
+        (path / "tools" / name).chmod(0o755)
+    return path
+
+
+@pytest.mark.docker
+def test_a_folder_is_built_and_runs_untouched(engine_hive: Hive, base_image: str, tmp_path):
+    hive, path = engine_hive, built_folder(tmp_path / "published", base_image)
+    before = {entry: entry.read_bytes() for entry in path.rglob("*") if entry.is_file()}
+    lines: list[str] = []
+    with hive.algorithms.planned(str(path), DOCKER) as planned:
+        made = hive.algorithms.perform(planned, lines.append)
+    (algorithm,) = made.algorithms
+    assert any("Step 1/3" in line for line in lines)
+    assert any("put on top of the image" in note and "PyYAML" in note for note in made.notes)
+    assert algorithm.package.user is RunUser.ROOT
+    assert algorithm.package.origin is not None
+    assert algorithm.package.origin.added == ("PyYAML",)
+    with pytest.raises(Conflict, match="was imported already"):
+        with_plan(hive, str(path), DOCKER)
+    asked = [
+        Submission("loam-of-tests", "track", {"lidar": value}, executor="docker", evaluate=False)
+        for value in ("VLP-16", "broken")
+    ]
+    with pytest.raises(InvalidInput, match="cannot be played sequential"):
+        hive.runs.submit(Submission("loam-of-tests", "track", executor="docker", playback_mode=PlaybackMode.SEQUENTIAL))
+    good, failed = (hive.runs.submit(entry)[0].id for entry in asked)
+    hive.worker().run(until_idle=True)
+    result = hive.settings.runs_folder / str(good) / "result"
+    assert hive.runs.get(good).state is RunState.SUCCEEDED, hive.runs.get(good).detail
+    told = (result / "arguments").read_text().split()
+    assert told == ["/slamhive/loam.launch", "rviz:=false", "scanPeriod:=0.1", "lidar:=VLP-16"]
+    assert (result / "played").read_text() == "play /slamhive/dataset/track.bag /points:=/points_raw --clock\n"
+    run = hive.runs.get(failed)
+    assert run.reason is FailureReason.PLAYER_FAILED
+    assert run.detail == "the recording was not played: rosbag play ended with exit code 1: Error opening file"
+    assert {entry: entry.read_bytes() for entry in path.rglob("*") if entry.is_file()} == before
+    assert hive.algorithms.remove("loam-of-tests", "docker") is None
+    assert hive.catalogue.broken() == ()
+
+
+@pytest.fixture
+def empty_image(tmp_path: Path) -> Iterator[str]:
+    """An image with one file and no program, as :func:`docker save` names it."""
+    name = "slam-hive-test:empty"
+    with tarfile.open(tmp_path / "files.tar", "w") as tar:
+        tar.addfile(tarfile.TarInfo("file"))
+    run_docker("import", str(tmp_path / "files.tar"), name)
+    yield name
+    run_docker("rmi", "--force", name)
+
+
+@pytest.mark.docker
+def test_an_archive_is_loaded_without_its_names(engine_hive: Hive, empty_image: str, tmp_path):
+    saved = tmp_path / "saved.tar"
+    run_docker("save", "--output", str(saved), empty_image)
+    run_docker("rmi", empty_image)
+    tools = engine_hive.executors.get("docker").image_tools()
+    digest = tools.load(ImageArchive(saved).chunks(lambda _line: None))
+    assert tools.find(digest) == digest
+    assert tools.find(empty_image) is None
+    request = ImportRequest("from-tar", None, str(saved), executor="docker")
+    with pytest.raises(ImageMissing, match=r"the contract's needs failed at Step 3/3 : RUN .*apt-get"):
+        with_plan(engine_hive, str(folders.loam(tmp_path)), request)
+    assert list(engine_hive.settings.algorithms_folder.iterdir()) == []
+    run_docker("rmi", "--force", digest)
+
+
+@pytest.mark.docker
+def test_what_has_no_image_or_no_scripts_says_what_to_give(engine_hive: Hive, base_image: str, tmp_path):
+    with pytest.raises(InvalidInput, match=r"has no Dockerfile; give the image: --image NAME, or --image FILE\.tar"):
+        with_plan(engine_hive, str(folders.loam(tmp_path)), DOCKER)
+    with pytest.raises(InvalidInput, match=r"line 3 copies ORB_SLAM2, which the folder does not hold; give the image"):
+        with_plan(engine_hive, str(folders.orb_slam2(tmp_path)), DOCKER)
+    with pytest.raises(InvalidInput, match=r"holds no /slamhive/mapping\.py.*with --image"):
+        with_plan(engine_hive, base_image, ImportRequest("by-name", executor="docker"))
+    assert not list(engine_hive.settings.algorithms_folder.glob("*"))
+
+
+@pytest.mark.docker
+def test_a_build_that_needs_the_net_names_the_step(engine_hive: Hive, base_image: str, tmp_path):
+    path = folders.loam(tmp_path)
+    fetch = "import socket; socket.create_connection((chr(120) + chr(46) + chr(105), 80))"
+    folders.write(path, Dockerfile=f"FROM {base_image}\nRUN python3 -c '{fetch}'\n")
+    with pytest.raises(ImageMissing, match=r"building loam failed at Step 2/2 : RUN python3 .*(resolution|not known)"):
+        with_plan(engine_hive, str(path), DOCKER)
+    assert not list(engine_hive.settings.algorithms_folder.glob("*"))
