@@ -30,8 +30,8 @@ def import_(cli: CliContext, source: str, preview: bool, as_json: bool, **asked:
     """Import an algorithm that was made for the published SLAM Hive, without changing its files.
 
     FOLDER holds slamhive/mapping.py, and a Dockerfile or image.tar. A Git address may end with #COMMIT. IMAGE and TAR
-    hold /slamhive themselves; TAR may also be what `slamhive algorithm export` wrote. `algorithm.yaml` is drafted from the
-    files, which are read and not executed.
+    hold /slamhive themselves; TAR may also be what `slamhive algorithm export` wrote. `algorithm.yaml` is drafted from
+    the files, which are read and not executed.
     """
     # Importing the services takes half a second, which `--help` need not wait for.
     from slamhive.services.algorithms import ImportRequest  # noqa: PLC0415
