@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 UNKNOWN = "unknown"
@@ -34,6 +34,12 @@ class PackageOrigin:
         """What is known, as plain JSON."""
         known = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         return {key: list(value) if isinstance(value, tuple) else value for key, value in known.items() if value}
+
+    @property
+    def public(self) -> PackageOrigin:
+        """The origin without the place of a folder or archive on this machine."""
+        is_path = self.source.startswith("/")
+        return replace(self, source=self.source.rstrip("/").rpartition("/")[2]) if is_path else self
 
     @property
     def words(self) -> str:

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import AliasPath, BeforeValidator, Field
 
+from slamhive.domain.algorithm import RunUser
 from slamhive.domain.configuration import Playback
 from slamhive.domain.parameters import ParameterType, Value
 from slamhive.domain.protocol_choices import Alignment
@@ -27,6 +28,12 @@ class Package(Document):
     licence: str
     citation: str
     image: Annotated[str, described("The Docker image.")]
+    user: Annotated[RunUser, described("Who its runs are in a container.")]
+    origin: Annotated[
+        str | None,
+        BeforeValidator(lambda origin: None if origin is None else origin.public.words),
+        described("Where it was imported from; null if it was written for SLAM Hive."),
+    ]
 
 
 class Version(Document):
@@ -106,6 +113,7 @@ class Algorithm(Document):
         TrajectoryKind | None, described("Which trajectory traj.txt is: live, final, keyframes; null if not stated.")
     ] = None
     package: Package
+    unknown: Annotated[tuple[str, ...], described("What an import did not find and nobody has filled in.")]
     parameters: Annotated[
         dict[str, Parameter],
         BeforeValidator(lambda raw: raw if isinstance(raw, dict) else {entry.key: entry for entry in raw}),

@@ -107,6 +107,14 @@ def test_a_repository_is_fetched_at_a_commit_without_running_its_hooks(tmp_path)
             pass
 
 
+@pytest.mark.quick
+def test_a_password_in_an_address_is_shown_nowhere():
+    with pytest.raises(Unavailable) as problem, opened("https://user:secret@localhost:9/x.git"):
+        pass
+    assert "secret" not in str(problem.value)
+    assert "https://localhost:9/x.git cannot be fetched" in str(problem.value)
+
+
 def archive(path: Path, images: int = 1) -> Path:
     manifest = [{"Config": "a.json", "RepoTags": ["slam-hive-algorithm:orb-slam3"], "Layers": []}] * images
     with tarfile.open(path, "w:gz") as tar:

@@ -189,3 +189,25 @@ def test_a_run_whose_dataset_is_gone_still_has_its_page(web: Web):
     page = web.client.get(f"/runs/{web.runs['done']}")
     assert page.status_code == 200
     assert "0.0457" in page.text
+
+
+def test_an_imported_package_says_where_it_comes_from_and_what_is_missing(empty: Web):
+    text = (
+        "format: 1\npackage: foreign\ntitle: Foreign\nversion: '1'\nupstream: unknown\nlicence: unknown\ncitation: x\n"
+        "user: root\nimported: {source: '/private/place/<b>foreign', commit: 0123456789abcdef, added: [PyYAML]}\n"
+        "modes: {lidar: {title: F, setup: lidar, inputs: {points: lidar}, trajectory_role: points,"
+        " topics: {points: {fixed: /points_raw}}}}\n"
+        "parameters: {gain: {type: float, required: true, help: Gain.}}\n"
+    )
+    folder = empty.hive.settings.algorithms_folder / "foreign"
+    (folder / "slamhive").mkdir(parents=True)
+    (folder / "slamhive" / "mapping.py").touch()
+    (folder / "algorithm.yaml").write_text(text)
+    page = empty.client.get("/algorithms/foreign").text
+    assert "&lt;b&gt;foreign, commit 0123456789ab; added: PyYAML" in page
+    assert "/private" not in page
+    assert "upstream, licence, default of gain: fill in" in page
+    assert "the recording is played as /points_raw" in page
+    assert "root without capabilities" in page
+    assert "must be given" in page
+    assert "(imported)" in empty.client.get("/algorithms").text

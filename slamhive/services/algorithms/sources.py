@@ -75,7 +75,7 @@ def opened(source: str) -> Iterator[OpenedSource]:
         address, _, reference = source.partition("#")
         with temporary_folder() as folder:
             path = folder / "repository"
-            yield OpenedSource(kind, address, path, fetch(address, reference or "HEAD", path))
+            yield OpenedSource(kind, _without_secret(address), path, fetch(address, reference or "HEAD", path))
         return
     path = Path(source).expanduser()
     yield OpenedSource(kind, source, None if kind is SourceKind.IMAGE else path.resolve())
@@ -89,6 +89,11 @@ def fetch(address: str, reference: str, target: Path) -> str:
     _git(["-C", str(target), "fetch", "--quiet", "--depth=1", "--no-tags", "--", address, reference], address)
     _git(["-C", str(target), "checkout", "--quiet", "FETCH_HEAD"], address)
     return _git(["-C", str(target), "rev-parse", "HEAD"], address).strip()
+
+
+def _without_secret(address: str) -> str:
+    """An address without the user and password that it may hold."""
+    return re.sub(r"(?<=://)[^/@]*@", "", address)
 
 
 def _git(arguments: list[str], address: str) -> str:
@@ -108,10 +113,12 @@ def _git(arguments: list[str], address: str) -> str:
     except FileNotFoundError:
         raise Unavailable("git is not installed", "apt-get install git, or import a folder") from None
     except subprocess.TimeoutExpired:
-        raise Unavailable(f"{address} did not answer within {_GIT_S} s", "try again, or import a folder") from None
+        problem = f"{_without_secret(address)} did not answer within {_GIT_S} s"
+        raise Unavailable(problem, "try again, or import a folder") from None
     if done.returncode != 0:
-        said = (done.stderr.strip().splitlines() or ["git gives no reason"])[-1]
-        raise Unavailable(f"{address} cannot be fetched: {said}", "check the address, or import a folder")
+        said = (done.stderr.strip().splitlines() or ["git gives no reason"])[-1].replace(address, "the address")
+        problem = f"{_without_secret(address)} cannot be fetched: {_without_secret(said)}"
+        raise Unavailable(problem, "check the address, or import a folder")
     return done.stdout
 
 
