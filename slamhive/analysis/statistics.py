@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import scipy  # loads scipy.stats when it is first used: a second, which most plots do not need
 from numpy.typing import NDArray
-from scipy import special, stats
 
 from slamhive.errors import InvalidInput
 
@@ -69,7 +69,7 @@ def bootstrap_mean(values: Numbers, seed: int = 0) -> Interval:
         values: (n,) finite, n >= 2.
         seed: Seed of the resampling.
     """
-    low, high = stats.bootstrap(
+    low, high = scipy.stats.bootstrap(
         (values,),
         np.mean,
         n_resamples=RESAMPLES,
@@ -132,7 +132,7 @@ def _half_width(variances: tuple[float, float], counts: tuple[int, int], confide
     if sum(parts) == 0:
         return 0.0
     freedom = sum(parts) ** 2 / sum(part**2 / (count - 1) for part, count in zip(parts, counts, strict=True))
-    return float(special.stdtrit(freedom, (1 + confidence) / 2)) * math.sqrt(sum(parts))
+    return float(scipy.special.stdtrit(freedom, (1 + confidence) / 2)) * math.sqrt(sum(parts))
 
 
 def _repeats(difference: float, variances: tuple[float, float], confidence: float) -> int | None:
@@ -200,21 +200,21 @@ def rank_test(scores: Numbers, test: str = "nemenyi", significance: float = 0.05
             f"Friedman's test needs three competitors over two datasets or more, found {competitors} over {blocks}",
             "widen the selection",
         )
-    mean_ranks = stats.rankdata(scores, axis=1).mean(axis=0)
+    mean_ranks = scipy.stats.rankdata(scores, axis=1).mean(axis=0)
     with np.errstate(invalid="ignore"):
-        p_value = float(stats.friedmanchisquare(*scores.T).pvalue)
+        p_value = float(scipy.stats.friedmanchisquare(*scores.T).pvalue)
     p_value = 1.0 if math.isnan(p_value) else p_value  # scipy divides 0 by 0 where all scores are tied
     if test == "wilcoxon-holm":
         return RankTest(mean_ranks, p_value, None, _wilcoxon_holm(scores), significance)
     unit = math.sqrt(competitors * (competitors + 1) / (12 * blocks))
-    critical = float(stats.studentized_range.ppf(1 - significance, competitors, np.inf)) * unit
+    critical = float(scipy.stats.studentized_range.ppf(1 - significance, competitors, np.inf)) * unit
     return RankTest(mean_ranks, p_value, critical, _nemenyi(mean_ranks, unit), significance)
 
 
 def _nemenyi(mean_ranks: Numbers, unit: float) -> dict[tuple[int, int], float]:
     pairs = list(combinations(range(len(mean_ranks)), 2))
     distances = [abs(mean_ranks[first] - mean_ranks[second]) / unit for first, second in pairs]
-    p_values = stats.studentized_range.sf(distances, len(mean_ranks), np.inf)
+    p_values = scipy.stats.studentized_range.sf(distances, len(mean_ranks), np.inf)
     return dict(zip(pairs, map(float, p_values), strict=True))
 
 
@@ -223,7 +223,7 @@ def _wilcoxon_holm(scores: Numbers) -> dict[tuple[int, int], float]:
     p_values: dict[tuple[int, int], float] = {}
     for first, second in combinations(range(scores.shape[1]), 2):
         differences = scores[:, first] - scores[:, second]
-        p_values[first, second] = float(stats.wilcoxon(differences).pvalue) if np.any(differences) else 1.0
+        p_values[first, second] = float(scipy.stats.wilcoxon(differences).pvalue) if np.any(differences) else 1.0
     corrected = 0.0
     for place, pair in enumerate(sorted(p_values, key=lambda pair: p_values[pair])):
         corrected = max(corrected, min(1.0, p_values[pair] * (len(p_values) - place)))

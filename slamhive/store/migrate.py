@@ -1,4 +1,8 @@
-"""Upgrades and downgrades the tables."""
+"""Upgrades and downgrades the tables.
+
+Every command asks for the revision of the tables. Loading Alembic takes longer than most commands, so that it is
+loaded only where tables change.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +10,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from alembic import command
-from alembic.config import Config
-from alembic.runtime.migration import MigrationContext
-from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, Engine, text
+from sqlalchemy import Connection, Engine, inspect, text
 
 from slamhive.errors import Unavailable
 from slamhive.store.engine import database_label, sqlite_file, writing
 
+if TYPE_CHECKING:
+    from alembic.config import Config
+
 LOCK_WAIT_S = 30
+_MIGRATIONS = Path(__file__).parent / "migrations"
+_VERSION_TABLE = "alembic_version"
 
 
 def upgrade(engine: Engine, revision: str = "head") -> None:
@@ -28,6 +34,8 @@ def upgrade(engine: Engine, revision: str = "head") -> None:
     _check_not_newer(engine, found)
     if revision == "head" and found == head():
         return
+    from alembic import command  # noqa: PLC0415
+
     with _locked(engine) as connection:
         command.upgrade(_config(connection), revision)
 
@@ -38,6 +46,8 @@ def downgrade(engine: Engine, revision: str = "base") -> None:
     A version that refuses stops the downgrade. SQLite is then unchanged. MySQL, where changing a table ends the
     transaction, is at the version that refused.
     """
+    from alembic import command  # noqa: PLC0415
+
     steps = [revision] if engine.dialect.name == "sqlite" else _downwards(current(engine), revision)
     for step in steps:
         with _locked(engine) as connection:
@@ -47,7 +57,9 @@ def downgrade(engine: Engine, revision: str = "base") -> None:
 def current(engine: Engine) -> str | None:
     """The revision of the tables; None if there are none."""
     with engine.connect() as connection:
-        return MigrationContext.configure(connection).get_current_revision()
+        if not inspect(connection).has_table(_VERSION_TABLE):
+            return None
+        return connection.execute(text(f"SELECT version_num FROM {_VERSION_TABLE}")).scalar()  # noqa: S608
 
 
 def has_tables(engine: Engine) -> bool:
@@ -75,8 +87,9 @@ def check_current(engine: Engine) -> None:
 
 @cache
 def _revisions() -> tuple[str, ...]:
-    """All revisions of the package, newest first."""
-    return tuple(script.revision for script in ScriptDirectory.from_config(_config(None)).walk_revisions())
+    """All revisions of the package, newest first: the numbers in the names of their files."""
+    files = (_MIGRATIONS / "versions").glob("v[0-9]*_*.py")
+    return tuple(sorted((path.name[1:].partition("_")[0] for path in files), reverse=True))
 
 
 def _downwards(found: str | None, revision: str) -> list[str]:
@@ -93,10 +106,11 @@ def _check_not_newer(engine: Engine, found: str | None) -> None:
         )
 
 
-def _config(connection: Connection | None) -> Config:
+def _config(connection: Connection) -> Config:
+    from alembic.config import Config  # noqa: PLC0415
+
     config = Config()
-    folder = Path(__file__).parent / "migrations"
-    config.set_main_option("script_location", str(folder).replace("%", "%%"))
+    config.set_main_option("script_location", str(_MIGRATIONS).replace("%", "%%"))
     config.set_main_option("path_separator", "os")
     config.attributes["connection"] = connection
     return config

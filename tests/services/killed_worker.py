@@ -17,7 +17,6 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from slamhive.runs.folder import RunFolder
@@ -66,8 +65,8 @@ def work(fatal_step: int) -> int:
     return countdown.step
 
 
-def serve() -> None:
-    """Answer each line of standard input."""
+def serve(work: Callable[[int], int]) -> None:
+    """Answer each line of standard input. ``work`` gets the fatal step and returns the number of its steps."""
     for line in sys.stdin:
         reading, writing = os.pipe()
         child = os.fork()
@@ -91,10 +90,13 @@ class Ended:
 
 
 @contextmanager
-def killed_workers() -> Iterator[Callable[[int], Ended]]:
-    """Yields what runs one worker up to a step. The environment of this moment says on which data root."""
+def killed_workers(script: str = __file__, *arguments: str) -> Iterator[Callable[[int], Ended]]:
+    """Yields what runs one worker up to a step. The environment of this moment says on which data root.
+
+    ``script`` is a program that calls :func:`serve`.
+    """
     with tempfile.TemporaryFile("w+") as errors:
-        program = [sys.executable, str(Path(__file__))]
+        program = [sys.executable, script, *arguments]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors, "text": True}
         with subprocess.Popen(program, env=dict(os.environ), **pipes) as server:  # type: ignore[call-overload]
 
@@ -114,4 +116,4 @@ def killed_workers() -> Iterator[Callable[[int], Ended]]:
 
 
 if __name__ == "__main__":
-    serve()
+    serve(work)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import random
 import resource
 from collections.abc import Callable, Iterator
@@ -38,7 +39,7 @@ from slamhive.services.experiments.folder import ExperimentFolder
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.imports.request import ImportRequest
-from slamhive.services.reindex import reindex
+from slamhive.services.reindex import reindex, run_folders
 from slamhive.services.runs.series import run_series
 from slamhive.settings import describe, load_settings
 from slamhive.trajectory.kitti import read_kitti
@@ -54,6 +55,9 @@ from tests.services.tiny_project import ALGORITHM, environment, make_dataset, ma
 pytestmark = pytest.mark.integration
 
 MUTATIONS = 300
+ARCHIVED_RUNS = 2
+FILED_RUNS = 30
+"""Of which every tenth has failed and has no evaluation."""
 MOST_GROWTH_KB = 700_000
 """Of the memory of the process over all mutations of a format."""
 
@@ -124,7 +128,7 @@ def written(folder: Path, name: str, data: bytes) -> Path:
 
 
 def text_of(data: bytes) -> str:
-    """What a form or a decoded file hands on."""
+    """What a web form or a decoded file hands on."""
     return data.decode("utf-8", "replace")
 
 
@@ -152,7 +156,7 @@ def read_columns(_hive: Hive, folder: Path, data: bytes) -> object:
 
 
 def imported(hive: Hive, request: ImportRequest) -> object:
-    """What an import would do; a file with a problem is told in the report, and counts as refused here."""
+    """What an import would do; the report names files with a problem, which count as refused here."""
     report = hive.imports.carry_out(request, ignore, dry_run=True)
     for problem in report.problems:
         raise SlamHiveError(problem.text)
@@ -164,7 +168,7 @@ def ignore(*_arguments: object) -> None:
 
 
 def import_as(kind: TrajectoryFormat) -> Reader:
-    """A folder with one trajectory, as an import takes it; problems of one file are told, not raised."""
+    """A folder with one trajectory, as an import takes it. The report names problems of single files."""
 
     def read(hive: Hive, folder: Path, data: bytes) -> object:
         written(folder, "s/seq1/groundtruth.txt", trajectory().encode())
@@ -176,33 +180,20 @@ def import_as(kind: TrajectoryFormat) -> Reader:
     return read
 
 
-def reindexed(name: str) -> Reader:
-    """A file of run 1, which is then filed with all others; a folder that cannot be filed is left out in words."""
-
-    def read(hive: Hive, _folder: Path, data: bytes) -> object:
-        path = hive.runs.folder(1).root / name
-        before = path.read_bytes()
-        path.write_bytes(data)
-        try:
-            report = reindex(hive, ignore)
-            run_series(hive.runs.get(1), hive.runs.folder(1))
-        finally:
-            path.write_bytes(before)
-        for _, reason in report.skipped:
-            raise SlamHiveError(reason)
-        return report
-
-    return read
-
-
 def archived(name: str) -> Reader:
     """A member of an archive whose checksums fit, checked as a whole and then imported."""
 
     def read(hive: Hive, folder: Path, data: bytes) -> object:
-        members = {**members_of(hive.settings.data.parent / "a.zip"), name: data}
-        return import_archive(hive, rewritten(folder / "b.zip", sealed(members)))
+        return import_archive(hive, rewritten(folder / "b.zip", sealed({**archive_members(hive), name: data})))
 
     return read
+
+
+def archive_members(hive: Hive) -> dict[str, bytes]:
+    return _members_of(hive.settings.data.parent / "a.zip")
+
+
+_members_of = functools.cache(members_of)
 
 
 def import_archive(hive: Hive, path: Path) -> object:
@@ -233,12 +224,12 @@ def zip_of(hive: Hive) -> bytes:
     return (hive.settings.data.parent / "a.zip").read_bytes()
 
 
-def in_run(name: str) -> Callable[[Hive], bytes]:
-    return lambda hive: (hive.runs.folder(1).root / name).read_bytes()
+def result_of_a_run(hive: Hive) -> bytes:
+    return (hive.runs.folder(1).root / EVALUATION / "result.json").read_bytes()
 
 
 def member(name: str) -> Callable[[Hive], bytes]:
-    return lambda hive: members_of(hive.settings.data.parent / "a.zip")[name]
+    return lambda hive: archive_members(hive)[name]
 
 
 def map_of(hive: Hive) -> bytes:
@@ -277,13 +268,7 @@ FORMATS: dict[str, tuple[bytes | Callable[[Hive], bytes], Reader]] = {
     "protocol YAML": (PROTOCOL_YAML.encode(), lambda _, f, d: load_protocol(written(f, "p.yaml", d))),
     "configuration YAML": (CONFIGURATION.encode(), read_configuration),
     "config.yaml": (CONFIG.encode(), lambda _, f, d: run_config.load(written(f, "config.yaml", d))),
-    "run.json": (in_run("run.json"), reindexed("run.json")),
-    "result.json": (in_run(f"{EVALUATION}/result.json"), reindexed(f"{EVALUATION}/result.json")),
-    "result.json of an engine": (in_run(f"{EVALUATION}/result.json"), lambda _h, _f, d: result_from_json(text_of(d))),
-    "protocol.json": (in_run(f"{EVALUATION}/protocol.json"), reindexed(f"{EVALUATION}/protocol.json")),
-    "current protocol": (in_run("evaluations/current"), reindexed("evaluations/current")),
-    "traj.tum of an evaluation": (in_run(f"{EVALUATION}/traj.tum"), reindexed(f"{EVALUATION}/traj.tum")),
-    "errors.csv of an evaluation": (in_run(f"{EVALUATION}/errors.csv"), reindexed(f"{EVALUATION}/errors.csv")),
+    "result.json of an engine": (result_of_a_run, lambda _h, _f, d: result_from_json(text_of(d))),
     "experiment.json": (stored_experiment, read_experiment_record),
     "state.json of an analysis": (lambda h: (stored_analysis(h).root / "state.json").read_bytes(), read_analysis_state),
     "archive": (zip_of, lambda h, f, d: import_archive(h, written(f, "b.zip", d))),
@@ -307,16 +292,23 @@ FORMATS: dict[str, tuple[bytes | Callable[[Hive], bytes], Reader]] = {
 }  # fmt: skip
 
 
-LENIENT = {
-    *("result.json", "protocol.json", "current protocol", "traj.tum of an evaluation", "errors.csv of an evaluation"),
-    *("frames.csv", "profiling.csv", "playback.json", "CSV columns"),
+FILES_OF_RUNS = {
+    "run.json": "run.json",
+    "result.json": f"{EVALUATION}/result.json",
+    "protocol.json": f"{EVALUATION}/protocol.json",
+    "current protocol": "evaluations/current",
+    "traj.tum of an evaluation": f"{EVALUATION}/traj.tum",
+    "errors.csv of an evaluation": f"{EVALUATION}/errors.csv",
 }
+"""Files below the folder of a run, which are read when it is filed."""
+
+LENIENT = {"frames.csv", "profiling.csv", "playback.json", "CSV columns", *FILES_OF_RUNS} - {"run.json"}
 """What cannot be read of these counts as not there: an algorithm, or a killed evaluation, may have left anything."""
 
 
 @pytest.fixture(scope="module")
 def hive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
-    """An installation with three runs, and beside it an archive of them."""
+    """An installation with runs and an experiment, and beside it an archive of all that and of the first runs."""
     root = tmp_path_factory.mktemp("fuzz")
     make_project(root / "project")
     make_dataset(root / "data")
@@ -325,10 +317,11 @@ def hive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
             patch.setenv(key, value)
         patch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
         hive = open_hive()
-        make_runs(hive, 3)
+        make_runs(hive, ARCHIVED_RUNS)
         stored_experiment(hive)
         stored_analysis(hive)
         export_archive(hive.settings, hive.store, ExportRequest(root / "a.zip"), ignore)
+        make_runs(hive, FILED_RUNS - ARCHIVED_RUNS, first=100)
         yield hive
         hive.close()
 
@@ -357,3 +350,36 @@ def test_no_mutation_of_a_file_breaks_its_reader(hive: Hive, tmp_path: Path, nam
     assert all(text.strip() and "\n" not in text for text in refused)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < MOST_GROWTH_KB
     assert bool(refused) == (name not in LENIENT)
+
+
+@pytest.mark.parametrize("name", FILES_OF_RUNS)
+def test_no_mutation_of_a_file_of_a_run_breaks_reindexing(hive: Hive, name: str):
+    """The file of every run is spoiled before each reindexing; a folder that cannot be filed is left out in words."""
+    folders = run_folders(hive.settings.runs_folder)
+    before = {path: path.read_bytes() for each in folders if (path := each.root / FILES_OF_RUNS[name]).exists()}
+    draw = random.Random(name)
+    refused = []
+    for _ in range(0, MUTATIONS, len(before)):
+        spoiled = {path: mutated(data, draw) for path, data in before.items()}
+        refused += reindexed(hive, folders, spoiled, before)
+    print(f"{name}: {len(refused)} refused")  # noqa: T201 - what the report counts
+    assert all(text.strip() and "\n" not in text for text in refused)
+    assert bool(refused) == (name not in LENIENT)
+
+
+def reindexed(hive: Hive, folders: list[RunFolder], spoiled: dict[Path, bytes], before: dict[Path, bytes]) -> list[str]:
+    """The reasons of what was left out. All folders are read as the page of a run does, and are then as before."""
+    for path, data in spoiled.items():
+        path.write_bytes(data)
+    try:
+        report = reindex(hive, ignore)
+        for folder in folders:
+            run_series(hive.runs.get(int(folder.root.name)), folder)
+    except Exception as error:
+        error.add_note(f"one of these: {[data[:2000] for data in spoiled.values()]!r}")
+        raise
+    finally:
+        for path, data in before.items():
+            path.write_bytes(data)
+    assert report.runs + len(report.skipped) == len(folders)
+    return [reason for _, reason in report.skipped]

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import Engine, inspect
 
 from slamhive.errors import Conflict, Unavailable
@@ -50,6 +51,10 @@ def test_up_down_and_up_again(engine: Engine) -> None:
         migrate.downgrade(engine)
         assert migrate.current(engine) is None
         assert tables(engine) == set()
+
+
+def test_the_newest_revision_of_the_file_names_is_that_of_alembic() -> None:
+    assert ScriptDirectory(str(Path(migrate.__file__).parent / "migrations")).get_current_head() == migrate.head()
 
 
 def test_the_migrations_make_what_the_models_say(engine: Engine) -> None:

@@ -121,5 +121,5 @@ def test_a_run_that_waits_is_not_unevaluated(web: Web):
 
 def test_the_server_does_not_load_what_computes_analyses():
     """They are computed by a process of their own; here they would be half of the memory."""
-    code = "import sys, slamhive.web.app; print(*{'pandas', 'scipy', 'matplotlib'} & set(sys.modules))"
+    code = "import sys, slamhive.web.app; print(*{'pandas', 'scipy', 'matplotlib', 'alembic'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, check=True).stdout == b"\n"

@@ -15,6 +15,7 @@ from slamhive.domain.affinity import run_affinity
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.external import IMPORTED
+from slamhive.domain.names import check_name
 from slamhive.domain.protocol import Protocol, protocol_from_content
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.job import RESULT_FILE, Artefacts, EvaluationResult, result_from_json
@@ -88,6 +89,8 @@ def read_filed(catalogue: Catalogue, record: dict[str, Any], source: str) -> Fil
     """Read a record; raises InvalidInput, naming ``source``, if it is incomplete or malformed."""
     try:
         file = RunFile.read(record)
+        check_name("algorithm", file.request.algorithm)
+        check_name("dataset", file.request.dataset)
     except InvalidInput as error:
         raise InvalidInput(f"{source} is not complete: {error.message}", "restore it, or remove the folder") from None
     return Filed(file, dataset_of(catalogue, file.request.dataset, record))

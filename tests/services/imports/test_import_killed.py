@@ -2,8 +2,6 @@
 
 import shutil
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,6 +12,7 @@ from slamhive.services.hive import open_hive
 from slamhive.services.imports.request import ImportRequest
 from slamhive.services.reindex import reindex
 from tests.services.imports.world import make_source, write
+from tests.services.killed_worker import killed_workers
 
 pytestmark = pytest.mark.integration
 
@@ -28,15 +27,16 @@ def test_whatever_kills_it_the_same_import_completes_it(hive, tmp_path):
     data, fresh = hive.settings.data, tmp_path / "fresh"
     shutil.copytree(data, fresh)
     killed = 0
-    for step in range(1, 1000, STEP_STRIDE):
-        shutil.rmtree(data)
-        shutil.copytree(fresh, data)
-        ended = subprocess.run([sys.executable, str(SCRIPT), str(source), str(step)], timeout=60, check=False)
-        if ended.returncode == 0:
-            break
-        assert ended.returncode == -signal.SIGKILL
-        killed += 1
-        _check_completed(source)
+    with killed_workers(str(SCRIPT), str(source)) as work:
+        for step in range(1, 1000, STEP_STRIDE):
+            shutil.rmtree(data)
+            shutil.copytree(fresh, data)
+            ended = work(step)
+            if ended.returncode == 0:
+                break
+            assert ended.returncode == -signal.SIGKILL, ended.errors
+            killed += 1
+            _check_completed(source)
     assert killed >= 5, "every kind of step was met"
 
 
