@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from slamhive.errors import InvalidInput
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import IMU_COLUMNS, Array, Frame
 from slamhive.runtime.messages import PointCloud
@@ -78,8 +79,8 @@ class ScanOdometry(ABC):
     """An algorithm that takes one sweep after the other.
 
     A subclass sets ``package``, the Python distribution that it wraps, and ``pose_at``, the instant of a sweep that a
-    pose describes, and implements :meth:`register`. A map is saved if the algorithm has a parameter ``save_map`` and
-    the subclass implements :meth:`map_points_m`.
+    pose describes, and implements :meth:`register`. One that corrects poses later implements :meth:`final_poses`. A map
+    is saved if the algorithm has a parameter ``save_map`` and the subclass implements :meth:`map_points_m`.
     """
 
     package: ClassVar[str]
@@ -100,6 +101,10 @@ class ScanOdometry(ABC):
         """The points (n, 3) of the map in the world, m."""
         raise NotImplementedError
 
+    def final_poses(self) -> Array:
+        """The poses (n, 4, 4) of all registered sweeps after the last one; by default those that were found live."""
+        return np.array(self._poses).reshape(-1, 4, 4)
+
     def process(self, frame: Frame) -> bool:
         """Register the sweep; an empty one has no pose."""
         self._imu = np.vstack((self._imu, frame.imu))
@@ -118,7 +123,10 @@ class ScanOdometry(ABC):
         """One pose for each registered sweep, and the map if it was asked for."""
         if self.values.get("save_map"):
             write_pcd(run_paths().result / "Map.pcd", self.map_points_m())
-        return Poses(np.array(self._stamps_s), np.array(self._poses).reshape(-1, 4, 4))
+        poses = self.final_poses() if self._poses else np.empty((0, 4, 4))
+        if len(poses) != len(self._stamps_s):
+            raise InvalidInput(f"{self.package} has {len(poses)} poses for {len(self._stamps_s)} registered sweeps")
+        return Poses(np.array(self._stamps_s), poses)
 
     def about(self) -> dict[str, Any]:
         """The package that ran."""

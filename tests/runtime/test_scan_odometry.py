@@ -7,6 +7,7 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 
+from slamhive.errors import InvalidInput
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import Frame
 from slamhive.runtime.messages import PointCloud
@@ -70,6 +71,18 @@ def test_poses_have_the_instant_that_the_adapter_states(instant, pose_s):
     poses = odometry.finish()
     assert poses.stamps_s == pytest.approx([pose_s, pose_s + 0.2]), "the second sweep has no pose"
     assert odometry.about() == {"package": "numpy", "version": version("numpy")}
+
+
+def test_poses_that_are_corrected_later_replace_the_live_ones(monkeypatch):
+    odometry = Odometry({"points_rate_hz": 10.0})
+    for number in range(3):
+        odometry.process(frame(number, 10.0 + 0.1 * number))
+    corrected = np.stack([np.eye(4), 2 * np.eye(4)])
+    monkeypatch.setattr(odometry, "final_poses", lambda: corrected)
+    assert odometry.finish().T_world_sensor is corrected
+    monkeypatch.setattr(odometry, "final_poses", lambda: corrected[:1])
+    with pytest.raises(InvalidInput, match="numpy has 1 poses for 2 registered sweeps"):
+        odometry.finish()
 
 
 def test_a_lidar_without_times_gives_none():

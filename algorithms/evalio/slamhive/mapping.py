@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import sys
-from importlib import import_module
-from importlib.util import find_spec
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from slamhive.errors import InvalidInput
 from slamhive.runtime.app import run
+from slamhive.runtime.bare_package import import_bare
 from slamhive.runtime.calibration import transform
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.point_times import SweepInstant
@@ -30,19 +27,8 @@ POINT = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("intensity", "<f4")
 """A point as evalio reads it; ``t`` in ns after the start of the sweep."""
 
 
-def import_native(name: str) -> Any:
-    """A compiled module of evalio. Its Python modules, which need large packages, are not imported."""
-    if "evalio" not in sys.modules:
-        spec = find_spec("evalio")
-        if spec is None or spec.submodule_search_locations is None:
-            raise InvalidInput("evalio is not installed", "build the package again")
-        package = ModuleType("evalio")
-        package.__path__ = list(spec.submodule_search_locations)
-        sys.modules["evalio"] = package
-    return import_module(f"evalio._cpp.{name}")
-
-
-types, pipelines, helpers = import_native("types"), import_native("pipelines"), import_native("helpers")
+# evalio's Python modules, which serve its datasets and command line, need large packages.
+types, pipelines, helpers = (import_bare("evalio", f"_cpp.{name}") for name in ("types", "pipelines", "helpers"))
 
 DATA_TYPES = {
     "<f8": helpers.DataType.FLOAT64,
