@@ -13,6 +13,9 @@ from slamhive.schema.catalogue import BoundResult
 from slamhive.schema.submission import Submission
 from slamhive.store import RunRecord
 
+TIME_LIMIT_S = 3600.0
+"""A bound is about the algorithm: a slow machine must not end the run."""
+
 
 @dataclass(frozen=True, slots=True)
 class BoundTest:
@@ -32,6 +35,7 @@ class BoundTest:
             playback_mode=bound.playback.mode,
             playback_rate=bound.playback.rate,
             alignment=bound.alignment,
+            timeout_s=TIME_LIMIT_S,
         )
 
     def result(self, run: RunRecord) -> BoundResult:

@@ -59,7 +59,7 @@ def hive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
     opened.close()
 
 
-@pytest.mark.timeout(1800)  # the first run of a package builds its image
+@pytest.mark.timeout(7200)  # the first run of a package builds its image
 @pytest.mark.parametrize("entry", all_tests())
 def test_each_algorithm_keeps_its_bounds(hive: Hive, entry: BoundTest) -> None:
     if not hive.catalogue.dataset_folder(entry.bound.dataset).is_dir():
