@@ -159,6 +159,9 @@ class Algorithm:
         """What an import did not find and nobody has filled in since, in words."""
         texts = {"upstream": self.package.upstream, "licence": self.package.licence, "citation": self.package.citation}
         missing = [key for key, text in texts.items() if text == UNKNOWN]
+        if self.package.origin is not None:
+            known = {topic.role for topic in self.topics}
+            missing += [f"topic of {entry.role}" for entry in self.inputs if entry.role not in known]
         return (*missing, *(f"default of {entry.key}" for entry in self.parameters if entry.must_be_given))
 
     def assign(self, dataset: Dataset, chosen: Chosen = BY_RULE) -> dict[str, Sensor]:

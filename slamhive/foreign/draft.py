@@ -11,6 +11,7 @@ from slamhive.domain.algorithm import Base, RunUser
 from slamhive.domain.names import check_name
 from slamhive.domain.package_origin import UNKNOWN, PackageOrigin
 from slamhive.domain.sensors import SensorKind, SensorSetup
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import InvalidInput
 from slamhive.foreign.facts import FolderFacts, choose_user
 from slamhive.foreign.folder import MAPPING, SCRIPTS, ForeignFolder
@@ -140,6 +141,8 @@ def _write_mode(out: _Lines, facts: FolderFacts, request: DraftRequest, roles: d
     for role, kind in roles.items():
         out.add(f"      {role}: {kind.value}")
     out.add(f"    trajectory_role: {frame}", "guessed: the sensor whose poses are in traj.txt")
+    if facts.keyframes:
+        out.add(f"    trajectory: {TrajectoryKind.KEYFRAMES.value}", "mapping.py takes a file of keyframes as traj.txt")
     out.notes.append(f"guessed: traj.txt holds the poses of {frame} (trajectory_role)")
     known = {role: topic for role, topic in facts.topics.items() if role in roles}
     if known:

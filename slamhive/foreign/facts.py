@@ -22,6 +22,7 @@ _TEMPLATE = re.compile(r"template\w*\.ya?ml")
 _EXAMPLE_FILES = ("mappingtask.yaml", "mappingtask.yml")
 _NAMED_FILE = re.compile(r"/slamhive/([\w.-]+\.(?:launch|py|sh|bash))")
 _ROS = re.compile(r"\broslaunch\b|\brosbag\b|\broscore\b|/opt/ros/|rosbag_play\.py")
+_KEYFRAMES = re.compile(r"(?:keyframe\w*\.txt|loop\.csv)\s+/slamhive/result/traj\.txt", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,7 @@ class FolderFacts:
         dockerfile: What the ``Dockerfile`` says; None without one.
         modules: What the scripts import, other than each other.
         ros: It starts programs of ROS 1.
+        keyframes: ``mapping.py`` takes a file of keyframes as the trajectory.
     """
 
     mapping: Script
@@ -49,6 +51,7 @@ class FolderFacts:
     dockerfile: DockerfileFacts | None
     modules: tuple[str, ...]
     ros: bool
+    keyframes: bool
 
 
 def find_facts(folder: ForeignFolder) -> FolderFacts:
@@ -77,6 +80,7 @@ def find_facts(folder: ForeignFolder) -> FolderFacts:
         dockerfile=None if folder.dockerfile is None else read_dockerfile(folder.dockerfile, folder.path),
         modules=tuple(module for module in imported if module not in known),
         ros=any(_ROS.search(text) for text in said),
+        keyframes=any(_KEYFRAMES.search(text) for text in mapping.texts),
     )
 
 

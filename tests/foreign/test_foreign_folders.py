@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import contextlib
 import random
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from slamhive.catalogue.algorithm_file import load_algorithms
-from slamhive.domain.algorithm import Algorithm, RunUser
+from slamhive.catalogue.run_config import build_run_config
+from slamhive.domain.algorithm import Algorithm, Base, RunUser
+from slamhive.domain.dataset import Dataset
 from slamhive.domain.package_origin import PackageOrigin
-from slamhive.domain.sensors import SensorKind, SensorSetup
+from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind, SensorSetup
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.executors.docker.foreign_images import PROBE, own_yaml
+from slamhive.executors.docker.run_user import HANDOVER
 from slamhive.foreign.draft import Draft, DraftRequest, draft, licence_of
 from slamhive.foreign.facts import find_facts
 from slamhive.foreign.folder import MOST_TEXT_BYTES, copy_scripts, read_folder
 from slamhive.foreign.script import read_script
+from slamhive.schema.submission import Submission
 from tests.foreign import folders
 from tests.fuzzing import mutated
 
@@ -47,8 +55,38 @@ def test_a_template_becomes_parameters_that_the_dataset_fills(tmp_path):
     (topic,) = algorithm.topics
     assert topic.words == "the recording is played as /left (launch argument mono_topic)"
     assert algorithm.package.origin == ORIGIN
+    assert algorithm.package.base is Base.ROS1
+    assert algorithm.trajectory is TrajectoryKind.KEYFRAMES
     assert algorithm.unknown == ("licence", "citation", "default of gain")
     assert algorithm.parameters[0].help == "focal length in pixels"
+
+
+def test_calibration_is_that_of_the_dataset_and_its_variant(tmp_path):
+    """The published defaults are EuRoC's; at half size they would be wrong by a factor of two."""
+    algorithm = package(folders.orb_slam2(tmp_path))
+    for scale in (1.0, 0.5):
+        calibration: dict[str, CalibrationValue] = {"width": int(640 * scale), "height": int(480 * scale)}
+        calibration |= {
+            key: value * scale for key, value in (("fx", 400.0), ("fy", 401.0), ("cx", 320.0), ("cy", 240.0))
+        }
+        camera = Sensor("cam0", SensorKind.CAMERA, "/cam0/image_raw", 20.0, calibration=calibration)
+        seen = Dataset("room", tmp_path, "room.bag", 10.0, (camera,), None, "sha256:0")
+        configuration = Submission(algorithm.name, "room", {"gain": "1"}).configuration(algorithm)
+        config = build_run_config(algorithm, seen, configuration, None, 0)
+        assert config.algorithm_parameters["fx"] == 400.0 * scale
+        assert config.algorithm_parameters["width"] == int(640 * scale)
+        assert config.algorithm_parameters["fps"] == 20.0
+        assert config.algorithm_remap == {"mono_topic": "/left"}
+        assert config.dataset_remap == {"/left": "/cam0/image_raw"}
+
+
+def test_what_runs_in_old_images_keeps_to_their_python(tmp_path):
+    (tmp_path / "probe.py").write_text(PROBE)
+    (tmp_path / "handover.py").write_text(HANDOVER)
+    vermin = [str(Path(sys.executable).with_name("vermin")), "--target=3.5-", "--no-tips", "--violations"]
+    paths = [str(tmp_path / "probe.py"), str(tmp_path / "handover.py"), *map(str, sorted(own_yaml().glob("*.py")))]
+    found = subprocess.run([*vermin, *paths], check=False, capture_output=True, text=True, timeout=60)
+    assert found.returncode == 0, found.stdout + found.stderr
 
 
 def test_topics_that_are_parameters_and_templates_of_two_levels(tmp_path):
@@ -140,6 +178,8 @@ def test_unknown_sensors_have_to_be_said(tmp_path):
         drafted(path)
     result = drafted(path, SensorSetup.STEREO)
     assert result.unknown[-2:] == ("topic of left", "topic of right")
+    (path / "algorithm.yaml").write_text(result.text)
+    assert load_algorithms(path)[0].unknown == ("licence", "citation", "topic of left", "topic of right")
 
 
 def test_links_and_strange_files_are_not_copied(tmp_path):

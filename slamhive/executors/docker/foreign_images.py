@@ -27,11 +27,11 @@ from slamhive.files import temporary_folder
 
 _USER = re.compile(r"[\w.-]+(?::[\w.-]+)?")
 _NOBODY = "65534:65534"
-_PROBE_S = 60
+PROBE_S = 60
 _PIDS = 64
 _MOST_SCRIPT_BYTES = 1_000_000_000
 _NOT_IN_CONTEXT = ("image.tar", ".git")
-_PROBE = """
+PROBE = """
 import importlib.util, json, sys
 missing = [name for name in sys.argv[1:] if importlib.util.find_spec(name) is None]
 places = [path for path in sys.path if path.endswith(("dist-packages", "site-packages"))]
@@ -159,7 +159,7 @@ class DockerImages:
         with temporary_folder() as folder:
             context = BuildContext(folder, "Dockerfile", {})
             (context.path / "Dockerfile").write_text("\n".join(lines) + "\n", encoding="utf-8")
-            shutil.copytree(_own_yaml(), folder / YAML, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
+            shutil.copytree(own_yaml(), folder / YAML, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
             with _context_of(folder, []) as packed:
                 return self._build(packed, "the contract's needs", progress)
 
@@ -170,21 +170,21 @@ class DockerImages:
         with engine_errors("looking for python3", ImageMissing):
             container = self._client.containers.create(
                 digest,
-                entrypoint=["python3", "-I", "-c", _PROBE, *names],
+                entrypoint=["python3", "-I", "-c", PROBE, *names],
                 command=[],
                 labels=labels_of_helper("check", self._installation),
                 **options,
             )
             try:
                 container.start()
-                code = int(container.wait(timeout=_PROBE_S)["StatusCode"])
+                code = int(container.wait(timeout=PROBE_S)["StatusCode"])
                 said = container.logs(stdout=True, stderr=False, tail=1).decode(errors="replace")
             except docker.errors.APIError as error:
                 if "executable file not found" in str(error) or "no such file" in str(error):
                     return None
                 raise
             except requests.exceptions.ConnectionError as error:
-                raise ImageMissing(f"python3 of the image does not end within {_PROBE_S} s") from error
+                raise ImageMissing(f"python3 of the image does not end within {PROBE_S} s") from error
             finally:
                 container.remove(force=True)
         return _answer(code, said)
@@ -206,7 +206,7 @@ def _answer(code: int, said: str) -> dict[str, Any] | None:
         raise ImageMissing(f"python3 of the image does not work (exit code {code})", "mend the image") from None
 
 
-def _own_yaml() -> Path:
+def own_yaml() -> Path:
     """The pure Python part of PyYAML that this installation has; it runs on Python 3.3 and later."""
     found = importlib.util.find_spec(YAML)
     assert found is not None

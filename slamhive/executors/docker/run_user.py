@@ -32,10 +32,10 @@ logger = logging.getLogger(__name__)
 
 ROOT = "0:0"
 _OTHERS = 0o007
-_HANDOVER_S = 120
-_HANDOVER_CAPABILITIES = ["CHOWN", "DAC_OVERRIDE", "FOWNER"]
+HANDOVER_S = 120
+HANDOVER_CAPABILITIES = ["CHOWN", "DAC_OVERRIDE", "FOWNER"]
 _PIDS = 16
-_HANDOVER = """
+HANDOVER = """
 import os, sys
 uid, gid = int(sys.argv[1]), int(sys.argv[2])
 for place in sys.argv[3:]:
@@ -115,8 +115,8 @@ def _hand_over(client: docker.DockerClient, places: Iterable[Path], image: str, 
         return
     mounts = [Mount(f"/handover/{number}", str(place), type="bind") for number, place in enumerate(strangers)]
     inside = [f"/handover/{number}" for number in range(len(strangers))]
-    options = {**HARDENING, "mounts": mounts, "user": ROOT, "cap_add": _HANDOVER_CAPABILITIES, "pids_limit": _PIDS}
-    command = ["python3", "-I", "-c", _HANDOVER, str(os.getuid()), str(os.getgid()), *inside]
+    options = {**HARDENING, "mounts": mounts, "user": ROOT, "cap_add": HANDOVER_CAPABILITIES, "pids_limit": _PIDS}
+    command = ["python3", "-I", "-c", HANDOVER, str(os.getuid()), str(os.getgid()), *inside]
     with engine_errors("handing over the files of a run", EngineUnavailable):
         if _has_user_namespaces(client):
             options["userns_mode"] = "host"  # inside the namespace, users of this machine have no number
@@ -125,7 +125,7 @@ def _hand_over(client: docker.DockerClient, places: Iterable[Path], image: str, 
         )
         try:
             container.start()
-            ended = container.wait(timeout=_HANDOVER_S)["StatusCode"]
+            ended = container.wait(timeout=HANDOVER_S)["StatusCode"]
             if ended != 0:
                 said = container.logs(tail=1).decode(errors="replace").strip()
                 logger.warning("files in %s could not be handed over: %s", strangers[0], said)
