@@ -73,6 +73,16 @@ def write_trajectory(path: Path, poses: Poses) -> None:
     write_aside(path, text)
 
 
+def read_poses(text: str) -> Poses:
+    """The poses of ``text`` in TUM format, as a program of the run wrote it. Raises InvalidInput for other text."""
+    try:
+        rows = np.array([line.split() for line in text.splitlines() if not line.startswith("#")], dtype=np.float64)
+        rows = rows.reshape(-1, 8)
+    except ValueError:
+        raise InvalidInput("the trajectory that the algorithm saved is not in TUM format") from None
+    return Poses(rows[:, 0], np.array([transform_from(row[1:4], row[4:8]) for row in rows]).reshape(-1, 4, 4))
+
+
 def nearest_rotations(matrices: Array) -> Array:
     """The rotations nearest to (n, 3, 3) ``matrices``, by singular value decomposition (rounding taken out).
 

@@ -13,6 +13,7 @@ from slamhive.errors import InvalidInput
 from slamhive.runtime.calibration import EQUIDISTANT, RADTAN, camera_matrix, check_model, distortion, transform
 from slamhive.runtime.opencv_yaml import opencv_yaml, real
 from slamhive.runtime.orb_vocabulary import about_vocabulary, vocabulary_path
+from slamhive.runtime.trajectory import Poses, read_poses, write_trajectory
 
 TURNED = [0.0, -1, 0, 0.1, 1, 0, 0, 0.2, 0, 0, 1, 0.3, 0, 0, 0, 1]
 VALUES: dict[str, Any] = {
@@ -72,3 +73,14 @@ def test_the_vocabulary_is_the_users_or_the_small_one(tmp_path: Path) -> None:
     assert about_vocabulary(path, own)["name"] == "small_vocabulary.txt"
     with pytest.raises(InvalidInput, match="does not exist"):
         vocabulary_path({"SLAMHIVE_ORB_VOCABULARY": str(tmp_path / "none.txt")})
+
+
+def test_poses_that_a_program_saved_are_read_back(tmp_path: Path) -> None:
+    T = np.stack([np.array(TURNED).reshape(4, 4), np.eye(4)])
+    write_trajectory(tmp_path / "traj.txt", Poses(np.array([1.5, 2.5]), T))
+    read = read_poses((tmp_path / "traj.txt").read_text())
+    assert read.stamps_s.tolist() == [1.5, 2.5]
+    assert np.allclose(read.T_world_sensor, T)
+    assert read_poses("").T_world_sensor.shape == (0, 4, 4)
+    with pytest.raises(InvalidInput, match="not in TUM format"):
+        read_poses("1 2 3\n")

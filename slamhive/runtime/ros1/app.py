@@ -21,8 +21,9 @@ from slamhive.runtime.frames import write_frames_csv
 from slamhive.runtime.paths import RunPaths, find_recording, run_paths
 from slamhive.runtime.pcd import write_pcd
 from slamhive.runtime.progress import json_text, say
+from slamhive.runtime.ros1.programs import SystemFailed
 from slamhive.runtime.ros1.session import Played, Session
-from slamhive.runtime.ros1.system import Ros1System
+from slamhive.runtime.ros1.system import FiledResults, Ros1System
 from slamhive.runtime.ros1.timing import frame_times, queue_drops
 from slamhive.runtime.trajectory import Poses, write_trajectory
 
@@ -59,8 +60,8 @@ def _run(make: MakeSystem, paths: RunPaths) -> None:
 
 
 def _write_results(system: Ros1System, config: RunConfig, played: Played, result: Path) -> None:
-    arrivals = played.poses.arrivals
-    lines = frame_times(played.frames, arrivals, played.clock, config.playback_rate, every=system.every_frame)
+    every = system.every_frame or bool(system.processed)
+    lines = frame_times(played.frames, played.arrivals, played.clock, config.playback_rate, every=every)
     write_frames_csv(result / "frames.csv", lines)
     summary = {
         "cpu_s": played.player_cpu_s,
@@ -69,14 +70,29 @@ def _write_results(system: Ros1System, config: RunConfig, played: Played, result
         "queues": queue_drops(played.statistics),
     }
     write_aside(result / "playback.json", json_text(summary))
-    if played.map_points_m is not None and config.general_parameter.get("save_map"):
-        step = -(-len(played.map_points_m) // MAP_POINTS_MAX) or 1
-        write_pcd(result / "Map.pcd", played.map_points_m[::step])
-    poses = played.poses.poses
-    write_trajectory(result / "traj.txt", Poses(poses.stamps_s + system.pose_delay_s, poses.T_world_sensor))
+    filed = _filed_results(system, played, result)
+    if filed.map_points_m is not None and config.general_parameter.get("save_map"):
+        step = -(-len(filed.map_points_m) // MAP_POINTS_MAX) or 1
+        write_pcd(result / "Map.pcd", filed.map_points_m[::step])
+    write_trajectory(result / "traj.txt", filed.poses)
     in_queues = sum(queue["dropped"] for queue in summary["queues"])  # type: ignore[attr-defined]
     say(
-        f"done: {len(poses.stamps_s)} poses from {len(lines)} frames; dropped in queues: {in_queues}, "
+        f"done: {len(filed.poses.stamps_s)} poses from {len(lines)} frames; dropped in queues: {in_queues}, "
         f"reported by nodes: {played.dropped_by_nodes}"
     )
     write_aside(result / "finished", "")
+
+
+def _filed_results(system: Ros1System, played: Played, result: Path) -> FiledResults:
+    """The results that the nodes saved; for nodes that save nothing what their topics held."""
+    poses = played.poses.poses
+    live = Poses(poses.stamps_s + system.pose_delay_s, poses.T_world_sensor)
+    if system.results is None:
+        return FiledResults(live, map_points_m=played.map_points_m)
+    filed = system.results()
+    if len(live.stamps_s) and not len(filed.poses.stamps_s):
+        raise SystemFailed(f"the nodes published {len(live.stamps_s)} poses, but ended without saving their trajectory")
+    write_trajectory(result / "traj.live.txt", live)
+    if filed.keyframes is not None:
+        write_trajectory(result / "keyframe.txt", filed.keyframes)
+    return filed

@@ -12,6 +12,7 @@ import roslib.message
 import rospy
 from rosgraph_msgs.msg import Clock, TopicStatistics
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 
 from slamhive.runtime.ros1.pose_messages import PoseLog
 from slamhive.runtime.ros1.system import Ros1System
@@ -45,6 +46,7 @@ class Recorder:
         self.poses = PoseLog(system.poses)
         self.statistics: list[Any] = []
         self.map: Any = None
+        self._processed: list[tuple[float, float]] | None = [] if system.processed else None
         self._over = False
         self._clock_arrivals_s: list[float] = []
         self._clock_times_s: list[float] = []
@@ -53,8 +55,15 @@ class Recorder:
         subscribe(system.poses.topic, kind, lambda message: self.poses.add(message, time.monotonic()))
         subscribe("/clock", Clock, self._take_clock)
         subscribe("/statistics", TopicStatistics, self.statistics.append)
+        if system.processed:
+            subscribe(system.processed, Header, self._take_processed)
         if system.map_topic:
             subscribe(system.map_topic, PointCloud2, self._take_map)
+
+    @property
+    def arrivals(self) -> list[tuple[float, float]]:
+        """Timestamp of each frame that the system is through with, and when it said so, both in s."""
+        return self.poses.arrivals if self._processed is None else self._processed
 
     @property
     def clock(self) -> PlayedClock:
@@ -104,6 +113,10 @@ class Recorder:
         if not self._clock_times_s or message.clock.to_sec() > self._clock_times_s[-1]:
             self._clock_arrivals_s.append(now_s)
             self._clock_times_s.append(message.clock.to_sec())
+
+    def _take_processed(self, header: Any) -> None:
+        if self._processed is not None:
+            self._processed.append((header.stamp.to_sec(), time.monotonic()))
 
     def _take_map(self, message: Any) -> None:
         if message.width * message.height:

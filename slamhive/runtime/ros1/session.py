@@ -21,7 +21,7 @@ from slamhive.runtime.ros1.bag_frames import bag_frames
 from slamhive.runtime.ros1.pose_messages import PoseLog
 from slamhive.runtime.ros1.programs import NodeWatch, Program, SystemFailed, children_cpu_s
 from slamhive.runtime.ros1.recorder import Recorder
-from slamhive.runtime.ros1.system import Ros1System, launch_command
+from slamhive.runtime.ros1.system import SAVING_PATIENCE_S, Ros1System, launch_command
 from slamhive.runtime.ros1.timing import BagFrame, PlayedClock
 
 if TYPE_CHECKING:
@@ -34,8 +34,10 @@ SETTLED_S = 0.5
 """The nodes are ready when nothing of the graph has changed for so long."""
 QUIET_S = 2.0
 """The run is over when no pose has come for so long after the end of the recording."""
+BUSY_S = 10.0
+"""The same for systems that say which frames they are through with, while frames are left."""
 DRAIN_PATIENCE_S = 60.0
-STOP_PATIENCE_S = 20.0
+STOP_PATIENCE_S = SAVING_PATIENCE_S + 10.0
 _STEP_S = 0.05
 
 
@@ -45,6 +47,7 @@ class Played:
 
     frames: Sequence[BagFrame]
     poses: PoseLog
+    arrivals: Sequence[tuple[float, float]]
     clock: PlayedClock
     statistics: Sequence[Any]
     dropped_by_nodes: int
@@ -108,6 +111,7 @@ class Session:
         return Played(
             self._frames,
             self._recorder.poses,
+            tuple(self._recorder.arrivals),
             clock,
             tuple(self._recorder.statistics),
             self._nodes.dropped,
@@ -181,13 +185,18 @@ class Session:
         clock = self._recorder.run_clock_on(self._config.playback_rate)
         seen, since_s = -1, time.monotonic()
         until_s = since_s + DRAIN_PATIENCE_S
-        while time.monotonic() - since_s < QUIET_S and time.monotonic() < until_s:
+        while time.monotonic() - since_s < self._patience_s() and time.monotonic() < until_s:
             self._check(*self._programs[:-1])
             clock.tick()
-            arrived = len(self._recorder.poses.arrivals)
+            arrived = len(self._recorder.arrivals)
             if arrived != seen:
                 seen, since_s = arrived, time.monotonic()
             time.sleep(_STEP_S / 5)
+
+    def _patience_s(self) -> float:
+        """How long to wait for the next pose after the end of the recording."""
+        last_s = max((stamp_s for stamp_s, _ in self._recorder.arrivals), default=0.0)
+        return BUSY_S if self._system.processed and last_s < self._frames[-1].stamp_s else QUIET_S
 
 
 def ros_environment() -> dict[str, str]:

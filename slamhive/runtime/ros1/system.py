@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
+
+from slamhive.runtime.trajectory import Poses
+
+SAVING_PATIENCE_S = 45.0
+"""How long nodes may take to save their results at the end; then they are killed."""
 
 
 class PoseKind(StrEnum):
@@ -30,6 +35,21 @@ class PoseTopic:
     child: str = ""
 
 
+@dataclass(frozen=True, eq=False)
+class FiledResults:
+    """What the nodes saved in files at their end; None where there is nothing of the kind.
+
+    Attributes:
+        poses: The final trajectory, for ``traj.txt``; the poses of the topic then go to ``traj.live.txt``.
+        keyframes: The trajectory of the keyframes, for ``keyframe.txt``.
+        map_points_m: The points of the map, (n, 3), m.
+    """
+
+    poses: Poses
+    keyframes: Poses | None = None
+    map_points_m: Any = None
+
+
 @dataclass(frozen=True)
 class Ros1System:
     """One system with the settings of one run.
@@ -42,6 +62,9 @@ class Ros1System:
         parameters: Set on the parameter server before the nodes start; a mapping becomes a namespace.
         pose_delay_s: How long after the timestamp of its message a pose holds, in s.
         every_frame: Each frame should give a pose. Frames without one, after the first pose, were then dropped inside.
+        processed: A topic with the header (``std_msgs/Header``) of each frame that the system is through with. It tells
+            dropped frames from lost ones; without it, that is guessed from the poses.
+        results: Reads what the nodes saved, after their end.
         drop_lines: Regular expressions of the lines by which nodes report a frame that they drop.
         map_topic: A ``PointCloud2`` with the map, whose last message becomes ``Map.pcd``.
         about: What ``about.json`` says: package, version and files used.
@@ -54,6 +77,8 @@ class Ros1System:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     pose_delay_s: float = 0.0
     every_frame: bool = True
+    processed: str = ""
+    results: Callable[[], FiledResults] | None = None
     drop_lines: tuple[str, ...] = ()
     map_topic: str | None = None
     about: Mapping[str, Any] = field(default_factory=dict)
@@ -65,7 +90,8 @@ def launch_command(system: Ros1System, remap: Mapping[str, str], *, only_names: 
     ``remap`` is the run's ``algorithm-remap``.
     """
     given = {**remap, **system.arguments}
-    options = ["--nodes"] if only_names else ["--screen", "--no-summary", "--skip-log-check"]
+    running = ["--screen", "--no-summary", "--skip-log-check", f"--sigint-timeout={SAVING_PATIENCE_S:g}"]
+    options = ["--nodes"] if only_names else running
     return ["roslaunch", *options, str(system.launch), *(f"{key}:={_plain(value)}" for key, value in given.items())]
 
 
