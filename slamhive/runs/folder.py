@@ -15,6 +15,7 @@ from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import NotFound, Unavailable
 from slamhive.files import write_aside
 from slamhive.input_bounds import read_record
+from slamhive.runtime.localisation import LOCALISATION_FILE
 
 _FINGERPRINT_CHARACTERS = 32
 
@@ -108,6 +109,11 @@ class RunFolder:
     def map(self) -> Path:
         """``result/Map.pcd``: the map, if the algorithm saves one."""
         return self.result / "Map.pcd"
+
+    @property
+    def localisation(self) -> Path:
+        """``result/localisation.json``: how a run that started with a map has found itself in it."""
+        return self.result / LOCALISATION_FILE
 
     @property
     def finished(self) -> Path:

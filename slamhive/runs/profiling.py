@@ -86,6 +86,7 @@ def measure_run(
     metrics.update(_energy_metrics(folder.energy, duration_s))
     metrics.update(_gpu_metrics(folder.gpu))
     metrics.update(_playback_metrics(folder.playback, duration_s))
+    metrics.update(_localisation_metrics(folder.localisation))
     metrics.update(host_metrics(read_host_load(folder.host)))
     return {key: value for key, value in metrics.items() if math.isfinite(value)}
 
@@ -195,6 +196,19 @@ def _playback_metrics(path: Path, run_duration_s: float) -> dict[str, float]:
     lag_s = measured_number(content.get("lag_max_s"))
     if lag_s is not None:
         metrics["playback.lag_max"] = lag_s
+    return metrics
+
+
+def _localisation_metrics(path: Path) -> dict[str, float]:
+    """When and how often a run was localised in the map that it started with, from ``localisation.json``."""
+    content = read_untrusted_json(path, _MAX_JSON_BYTES) or {}
+    names = ("first_frame_s", "localised_at_s", "frames", "frames_localised")
+    first_s, localised_at_s, frames, localised = (measured_number(content.get(name)) for name in names)
+    metrics: dict[str, float] = {}
+    if frames and localised is not None and localised <= frames:
+        metrics["map.localised_fraction"] = localised / frames
+    if first_s is not None and localised_at_s is not None and localised_at_s >= first_s:
+        metrics["map.localisation_time"] = localised_at_s - first_s
     return metrics
 
 

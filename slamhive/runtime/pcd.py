@@ -9,6 +9,9 @@ import numpy.typing as npt
 
 from slamhive.files import write_aside
 
+MOST_POINTS = 2_000_000
+"""The largest map that is written: 24 MB."""
+
 _HEADER = """# .PCD v0.7 - Point Cloud Data file format
 VERSION 0.7
 FIELDS x y z
@@ -30,5 +33,11 @@ def format_pcd(points_m: npt.ArrayLike) -> bytes:
 
 
 def write_pcd(path: Path, points_m: npt.ArrayLike) -> None:
-    """Write ``points_m``, shape (n, 3), m, in one step: a reader sees the old file or the new. Raises Unavailable."""
-    write_aside(path, format_pcd(points_m))
+    """Write ``points_m``, shape (n, 3), m, in one step: a reader sees the old file or the new. Raises Unavailable.
+
+    Of more than :data:`MOST_POINTS` points, so many are written, evenly taken.
+    """
+    points = np.asarray(points_m).reshape(-1, 3)
+    if len(points) > MOST_POINTS:
+        points = points[np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64)]
+    write_aside(path, format_pcd(points))

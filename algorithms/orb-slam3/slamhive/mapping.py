@@ -12,6 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from orb_maps import MapPoints, Relocalisation, aside_of, atlas_settings, input_map, save_session
 from orb_settings import settings_text
 from orb_trajectory import KEYFRAMES, read_tum, save_trajectory
 from pyorbslam3 import Sensor, Slam, TrackResult
@@ -21,8 +22,11 @@ from slamhive.runtime.app import run
 from slamhive.runtime.calibration import camera_matrix, distortion, transform
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import Frame
+from slamhive.runtime.localisation import Localisation
 from slamhive.runtime.messages import to_grey
 from slamhive.runtime.orb_vocabulary import about_vocabulary, vocabulary_path
+from slamhive.runtime.paths import run_paths
+from slamhive.runtime.pcd import write_pcd
 from slamhive.runtime.trajectory import Poses, Trajectories
 
 SENSORS = {
@@ -48,7 +52,14 @@ class OrbSlam3:
         self._vocabulary = vocabulary_path()
         self._work = tempfile.TemporaryDirectory(prefix="orb-slam3-")
         settings = Path(self._work.name) / "settings.yaml"
-        settings.write_text(settings_text(self._values, self._roles), encoding="utf-8")
+        self._result = run_paths().result
+        self._save_map = bool(self._values.get("save_map", False))
+        started_with = input_map()
+        maps = atlas_settings(aside_of(self._result) if self._save_map else None, started_with)
+        settings.write_text(settings_text(self._values, self._roles, maps), encoding="utf-8")
+        self._points = MapPoints()
+        self._relocalisation = None if started_with is None else Relocalisation()
+        self._localisation = Localisation()
         try:
             sensor = SENSORS[frozenset(self._roles)]
         except KeyError:
@@ -69,6 +80,11 @@ class OrbSlam3:
         result = self._track(frame, samples[due] if "imu" in self._roles else None)
         self._stamps_s.append(frame.stamp_s)
         self._tracked = self._tracked or bool(result.pose_valid)
+        if self._save_map and result.ok and self._points.due(frame.stamp_s):
+            self._points.add(frame.stamp_s, self._slam.tracked_map_points(), np.asarray(result.pose_wc))
+        if self._relocalisation is not None:
+            localised = self._relocalisation.look() and bool(result.ok)
+            self._localisation.add(frame.stamp_s, localised=localised)
         # A pose is "valid" also while it is guessed (RECENTLY_LOST), which is not tracking.
         if result.ok:
             self._live_stamps_s.append(frame.stamp_s)
@@ -77,7 +93,7 @@ class OrbSlam3:
 
     def finish(self) -> Trajectories:
         """Stop all threads, then take the final trajectory: none where nothing was tracked, or the map was lost."""
-        self._slam.shutdown()
+        self._end()
         folder = Path(self._work.name)
         final = self._final(save_trajectory(self._slam, folder) if self._tracked else None)
         T = self._T_tracked_main()
@@ -86,14 +102,28 @@ class OrbSlam3:
         at_frames = Poses(self._nearest_stamps_s(stamps_s), keyframes @ T)
         return Trajectories(final, {"live": live, "keyframes": at_frames})
 
+    def _end(self) -> None:
+        """Stop all threads; save the atlas, and how the run found itself in that of another, where there is one."""
+        if not self._save_map:
+            self._slam.shutdown()
+        elif not save_session(self._slam, self._result):
+            print("the atlas could not be saved: no run can start with this map", flush=True)
+        if self._relocalisation is not None:
+            self._relocalisation.close()
+            self._localisation.write(self._result)
+
     def _final(self, path: Path | None) -> Poses:
         if path is None:
             return Poses(np.empty(0), np.empty((0, 4, 4)))
         # For a frame that it could not place, ORB-SLAM3 writes the last pose once more, timestamp and all.
         stamps_ns, poses = read_tum(path)
+        stamps_s = self._nearest_stamps_s(stamps_ns * 1e-9)
+        if self._save_map:
+            T_main_tracked = np.linalg.inv(self._T_tracked_main()) if "imu" in self._roles else np.eye(4)
+            write_pcd(self._result / "Map.pcd", self._points.in_world(stamps_s, poses @ T_main_tracked))
         if self._roles == {"left", "right"}:
             poses = poses @ self._T_rectified_left()
-        return Poses(self._nearest_stamps_s(stamps_ns * 1e-9), poses)
+        return Poses(stamps_s, poses)
 
     def _T_tracked_main(self) -> np.ndarray:
         """The frame of the trajectory in that of the camera that ORB-SLAM3 tracks, which is rectified in stereo."""

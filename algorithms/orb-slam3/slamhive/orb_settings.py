@@ -15,8 +15,11 @@ VIRTUAL_BASELINE_M = 0.08
 """Distance to the imagined second camera of an RGB-D sensor; with ``thDepth`` it says which points count as near."""
 
 
-def settings_text(values: Mapping[str, Any], roles: set[str]) -> str:
-    """The settings for the sensors in ``roles``; ``values`` are the parameters of ``config.yaml``."""
+def settings_text(values: Mapping[str, Any], roles: set[str], maps: str = "") -> str:
+    """The settings for the sensors in ``roles``.
+
+    ``values`` are the parameters of ``config.yaml``, ``maps`` the lines that name maps to load and save.
+    """
     fields = {key: _number(value) for key, value in values.items() if isinstance(value, int | float)}
     fields |= {key: real(values[key]) for key in ("left_fx", "left_fy", "left_cx", "left_cy", "scaleFactor")}
     fields["fps"] = str(max(1, round(float(values["left_rate_hz"]))))
@@ -24,6 +27,7 @@ def settings_text(values: Mapping[str, Any], roles: set[str]) -> str:
     fields["second_camera"] = _second_camera(values) if "right" in roles else ""
     fields["depth"] = _depth(values) if "depth" in roles else ""
     fields["imu"] = _imu(values) if "imu" in roles else ""
+    fields["maps"] = maps
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(fields)
 
 

@@ -59,8 +59,13 @@ class RkoLioOdometry(ScanOdometry):
             return None
         return np.asarray(self._lio.pose())
 
+    def map_points_m(self) -> np.ndarray:
+        """The part of the map that RKO-LIO keeps, within max_range of the last pose."""
+        return np.asarray(self._lio.map_point_cloud())
+
     def finish(self) -> Poses:
-        """One pose of the IMU for each registered scan, with RKO-LIO's own timestamps."""
+        """One pose of the IMU for each registered scan, with RKO-LIO's own timestamps; and the map if asked for."""
+        super().finish()
         stamps_ns, rows = self._lio.poses_with_timestamps()
         poses = [transform_from(row[:3], row[3:7]) for row in np.asarray(rows, dtype=np.float64).reshape(-1, 7)]
         return Poses(np.asarray(stamps_ns, dtype=np.float64) * 1e-9, np.array(poses).reshape(-1, 4, 4))

@@ -10,6 +10,7 @@ _FRAMES = "frames.csv of the player"
 _RAPL = "Intel RAPL through /sys/class/powercap (Linux kernel, power capping framework)"
 _NVML = "NVIDIA Management Library (NVML), sampled twice a second"
 _CLOCK = "Clock of the machine"
+_LOCALISATION = "localisation.json of the algorithm"
 _STAT = "/proc/stat and the run's CPU time, once a second"
 _PSI = "Linux pressure stall information, /proc/pressure"
 
@@ -203,6 +204,25 @@ MEASURED_METRICS = (
             "Mean frequency of the fastest core. Unverified on real hardware.",
             _MACHINE,
             "/sys/devices/system/cpu/cpu*/cpufreq/scaling_cur_freq",
+        )
+    ),
+    _measured(
+        "map.localisation_time",
+        "Time to relocalise",
+        "s",
+        "Time of the recording from its first frame to the first one that was localised in the map that it started "
+        "with; absent if none was.",
+        Group.MAP,
+        _LOCALISATION,
+    ),
+    higher(
+        _measured(
+            "map.localised_fraction",
+            "Localised frames",
+            "",
+            "Share of the processed frames that were localised in the map that the run started with.",
+            Group.MAP,
+            _LOCALISATION,
         )
     ),
 )
