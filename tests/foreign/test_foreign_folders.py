@@ -66,9 +66,7 @@ def test_calibration_is_that_of_the_dataset_and_its_variant(tmp_path):
     algorithm = package(folders.orb_slam2(tmp_path))
     for scale in (1.0, 0.5):
         calibration: dict[str, CalibrationValue] = {"width": int(640 * scale), "height": int(480 * scale)}
-        calibration |= {
-            key: value * scale for key, value in (("fx", 400.0), ("fy", 401.0), ("cx", 320.0), ("cy", 240.0))
-        }
+        calibration |= {"fx": 400.0 * scale, "fy": 401.0 * scale, "cx": 320.0 * scale, "cy": 240.0 * scale}
         camera = Sensor("cam0", SensorKind.CAMERA, "/cam0/image_raw", 20.0, calibration=calibration)
         seen = Dataset("room", tmp_path, "room.bag", 10.0, (camera,), None, "sha256:0")
         configuration = Submission(algorithm.name, "room", {"gain": "1"}).configuration(algorithm)

@@ -12,7 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from slamhive.cli import main
 from slamhive.domain.algorithm import RunUser
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import FailureReason, RunState
@@ -202,7 +204,8 @@ def engine_hive(hive: Hive, base_image: str) -> Iterator[Hive]:
 def built_folder(root: Path, base: str) -> Path:
     """Like loam, with a Dockerfile whose sources are there. Its ROS is two scripts that note what they are told."""
     path = folders.write(root / "loam-of-tests", mapping__py=MAPPING, loam__launch=folders.LOAM_LAUNCH)
-    folders.write(path, Dockerfile=f"FROM {base}\nCOPY tools /usr/local/bin\nRUN mkdir -p /home/output /root/.ros\n")
+    steps = ("COPY slamhive /slamhive", "COPY tools /usr/local/bin", "RUN mkdir -p /home/output /root/.ros")
+    folders.write(path, Dockerfile="\n".join((f"FROM {base}", *steps, "")))
     (path / "tools").mkdir()
     for name, script in TOOLS.items():
         (path / "tools" / name).write_text(f"#!/bin/sh\n{script}")
@@ -218,7 +221,7 @@ def test_a_folder_is_built_and_runs_untouched(engine_hive: Hive, base_image: str
     with hive.algorithms.planned(str(path), DOCKER) as planned:
         made = hive.algorithms.perform(planned, lines.append)
     (algorithm,) = made.algorithms
-    assert any("Step 1/3" in line for line in lines)
+    assert any("Step 1/4" in line for line in lines)
     assert any("put on top of the image" in note and "PyYAML" in note for note in made.notes)
     assert algorithm.package.user is RunUser.ROOT
     assert algorithm.package.origin is not None
@@ -231,6 +234,11 @@ def test_a_folder_is_built_and_runs_untouched(engine_hive: Hive, base_image: str
     ]
     with pytest.raises(InvalidInput, match="cannot be played sequential"):
         hive.runs.submit(Submission("loam-of-tests", "track", executor="docker", playback_mode=PlaybackMode.SEQUENTIAL))
+    named = ImportRequest("by-image", executor="docker")
+    from_image = with_plan(hive, "slam-hive-algorithm:loam-of-tests", named).algorithms[0]
+    assert from_image.parameters == algorithm.parameters
+    scripts = from_image.package.folder / "slamhive"
+    assert (scripts / "mapping.py").read_bytes() == (path / "slamhive" / "mapping.py").read_bytes()
     good, failed = (hive.runs.submit(entry)[0].id for entry in asked)
     hive.worker().run(until_idle=True)
     result = hive.settings.runs_folder / str(good) / "result"
@@ -242,6 +250,7 @@ def test_a_folder_is_built_and_runs_untouched(engine_hive: Hive, base_image: str
     assert run.reason is FailureReason.PLAYER_FAILED
     assert run.detail == "the recording was not played: rosbag play ended with exit code 1: Error opening file"
     assert {entry: entry.read_bytes() for entry in path.rglob("*") if entry.is_file()} == before
+    assert hive.algorithms.remove("by-image", "docker") is None
     assert hive.algorithms.remove("loam-of-tests", "docker") is None
     assert hive.catalogue.broken() == ()
 
@@ -281,6 +290,19 @@ def test_what_has_no_image_or_no_scripts_says_what_to_give(engine_hive: Hive, ba
         with_plan(engine_hive, str(folders.orb_slam2(tmp_path)), DOCKER)
     with pytest.raises(InvalidInput, match=r"holds no /slamhive/mapping\.py.*with --image"):
         with_plan(engine_hive, base_image, ImportRequest("by-name", executor="docker"))
+    assert not list(engine_hive.settings.algorithms_folder.glob("*"))
+
+
+@pytest.mark.docker
+def test_a_preview_on_the_command_line_changes_nothing(engine_hive: Hive, base_image: str, tmp_path):
+    source, options = str(folders.orb_slam2(tmp_path)), ["--image", base_image, "--executor", "docker", "--preview"]
+    shown = CliRunner().invoke(main, ["algorithm", "import", source, *options])
+    assert shown.exit_code == 0, shown.output
+    assert f"takes {base_image} (as you asked)" in shown.output
+    assert 'licence: "unknown"  # not known: please fill in' in shown.output
+    assert "runs are root without capabilities: slamhive/mapping.py names /home/ORB_SLAM2" in shown.stderr
+    content = json.loads(CliRunner().invoke(main, ["algorithm", "import", source, *options, "--json"]).stdout)
+    assert content["unknown"] == ["upstream", "licence", "citation", "default of gain"]
     assert not list(engine_hive.settings.algorithms_folder.glob("*"))
 
 
