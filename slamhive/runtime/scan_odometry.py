@@ -16,7 +16,7 @@ from slamhive.runtime.messages import PointCloud
 from slamhive.runtime.paths import run_paths
 from slamhive.runtime.pcd import write_pcd
 from slamhive.runtime.point_times import PointTimes, SweepInstant
-from slamhive.runtime.trajectory import Poses
+from slamhive.runtime.trajectory import Poses, Trajectories
 
 POINTS = "points"
 """The role of the LiDAR."""
@@ -79,12 +79,14 @@ class ScanOdometry(ABC):
     """An algorithm that takes one sweep after the other.
 
     A subclass sets ``package``, the Python distribution that it wraps, and ``pose_at``, the instant of a sweep that a
-    pose describes, and implements :meth:`register`. One that corrects poses later implements :meth:`final_poses`. A map
-    is saved if the algorithm has a parameter ``save_map`` and the subclass implements :meth:`map_points_m`.
+    pose describes, and implements :meth:`register`. One that corrects poses later implements :meth:`final_poses`; with
+    ``also_live`` it leaves the poses of :meth:`register` as a further trajectory. A map is saved if the algorithm has a
+    parameter ``save_map`` and the subclass implements :meth:`map_points_m`.
     """
 
     package: ClassVar[str]
     pose_at: SweepInstant = SweepInstant.END
+    also_live: ClassVar[bool] = False
 
     def __init__(self, config: RunConfig) -> None:
         self.values = config.parameters
@@ -103,7 +105,7 @@ class ScanOdometry(ABC):
 
     def final_poses(self) -> Array:
         """The poses (n, 4, 4) of all registered sweeps after the last one; by default those that were found live."""
-        return np.array(self._poses).reshape(-1, 4, 4)
+        return np.array(self._poses)
 
     def process(self, frame: Frame) -> bool:
         """Register the sweep; an empty one has no pose."""
@@ -119,14 +121,17 @@ class ScanOdometry(ABC):
         self._poses.append(np.array(pose))
         return True
 
-    def finish(self) -> Poses:
+    def finish(self) -> Poses | Trajectories:
         """One pose for each registered sweep, and the map if it was asked for."""
         if self.values.get("save_map"):
             write_pcd(run_paths().result / "Map.pcd", self.map_points_m())
         poses = self.final_poses() if self._poses else np.empty((0, 4, 4))
         if len(poses) != len(self._stamps_s):
             raise InvalidInput(f"{self.package} has {len(poses)} poses for {len(self._stamps_s)} registered sweeps")
-        return Poses(np.array(self._stamps_s), poses)
+        stamps_s = np.array(self._stamps_s)
+        if not self.also_live:
+            return Poses(stamps_s, poses)
+        return Trajectories(Poses(stamps_s, poses), {"live": Poses(stamps_s, np.array(self._poses).reshape(-1, 4, 4))})
 
     def about(self) -> dict[str, Any]:
         """The package that ran."""

@@ -80,6 +80,11 @@ def test_poses_that_are_corrected_later_replace_the_live_ones(monkeypatch):
     corrected = np.stack([np.eye(4), 2 * np.eye(4)])
     monkeypatch.setattr(odometry, "final_poses", lambda: corrected)
     assert odometry.finish().T_world_sensor is corrected
+    monkeypatch.setattr(Odometry, "also_live", True)
+    both = odometry.finish()
+    assert both.main.T_world_sensor is corrected
+    assert both.others["live"].T_world_sensor.tolist() == [np.eye(4).tolist()] * 2
+    assert both.others["live"].stamps_s.tolist() == both.main.stamps_s.tolist()
     monkeypatch.setattr(odometry, "final_poses", lambda: corrected[:1])
     with pytest.raises(InvalidInput, match="numpy has 1 poses for 2 registered sweeps"):
         odometry.finish()

@@ -30,6 +30,7 @@ class KissSlam(ScanOdometry):
     """
 
     package = "kiss-slam"
+    also_live = True
 
     def __init__(self, config: RunConfig) -> None:
         super().__init__(config)
