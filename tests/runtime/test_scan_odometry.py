@@ -13,6 +13,7 @@ from slamhive.runtime.frames import Frame
 from slamhive.runtime.messages import PointCloud
 from slamhive.runtime.point_times import SweepInstant
 from slamhive.runtime.scan_odometry import ScanOdometry, Sweep, within_range
+from slamhive.runtime.trajectory import Poses, Trajectories
 
 pytestmark = pytest.mark.quick
 
@@ -69,6 +70,7 @@ def test_poses_have_the_instant_that_the_adapter_states(instant, pose_s):
     for number in range(3):
         odometry.process(frame(number, 10.0 + 0.1 * number))
     poses = odometry.finish()
+    assert isinstance(poses, Poses)
     assert poses.stamps_s == pytest.approx([pose_s, pose_s + 0.2]), "the second sweep has no pose"
     assert odometry.about() == {"package": "numpy", "version": version("numpy")}
 
@@ -79,9 +81,12 @@ def test_poses_that_are_corrected_later_replace_the_live_ones(monkeypatch):
         odometry.process(frame(number, 10.0 + 0.1 * number))
     corrected = np.stack([np.eye(4), 2 * np.eye(4)])
     monkeypatch.setattr(odometry, "final_poses", lambda: corrected)
-    assert odometry.finish().T_world_sensor is corrected
+    only = odometry.finish()
+    assert isinstance(only, Poses)
+    assert only.T_world_sensor is corrected
     monkeypatch.setattr(Odometry, "also_live", True)
     both = odometry.finish()
+    assert isinstance(both, Trajectories)
     assert both.main.T_world_sensor is corrected
     assert both.others["live"].T_world_sensor.tolist() == [np.eye(4).tolist()] * 2
     assert both.others["live"].stamps_s.tolist() == both.main.stamps_s.tolist()
