@@ -118,7 +118,7 @@ class Settings(BaseSettings):
         20, "View-only mode takes so many analyses an hour from one network address", minimum=1
     )
     no_new_analysis: bool = setting(False, "View-only mode takes no analyses of visitors: true or false")
-    orb_vocabulary: str = setting("", "ORB vocabulary file for ORB-SLAM3; empty means the small one of the image")
+    orb_vocabulary: str = setting("", "ORB vocabulary file for ORB-SLAM2 and 3; empty means the small one of the image")
     source_archives: str = setting(
         "", "Folder with sources as NAME-COMMIT.tar.xz for building images offline; empty means their repositories"
     )

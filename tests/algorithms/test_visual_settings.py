@@ -36,6 +36,7 @@ EUROC: dict[str, Any] = {
 }
 TRACKING = {"max_cnt": 150, "min_dist": 30, "max_solver_time": 0.04, "max_num_iterations": 8, "keyframe_parallax": 10.0}
 INERTIAL = {**TRACKING, "imuNoiseFactor": 1.0, "g_norm": 9.81, "estimate_extrinsic": "refine", "estimate_td": True}
+MONO = {**INERTIAL, "td": 0.01, "freq": 10, "F_threshold": 1.0, "equalize": True, "rolling_shutter_tr": 0.0}
 FUSION = {**INERTIAL, "td": 0.01, "multiple_thread": True, "feature_every": 2, "flow_back": True}
 ORB = {"nFeatures": 1200, "scaleFactor": 1.2, "nLevels": 8, "iniThFAST": 20, "minThFAST": 7, "thDepth": 40.0}
 
@@ -66,6 +67,32 @@ class Settings:
 
     def matrix(self, key: str) -> np.ndarray:
         return np.asarray(self._file.getNode(key).mat())
+
+
+def test_vins_mono_gets_the_calibration_of_the_dataset(tmp_path: Path) -> None:
+    path = tmp_path / "settings.yaml"
+    topics = {"left": "/left", "imu": "/imu"}
+    load("vins-mono", "vins_mono_settings").write_settings(path, {**EUROC, **MONO}, topics)
+    found = Settings(path)
+    assert (found.text("model_type"), found.text("image_topic"), found.text("imu_topic")) == (
+        "PINHOLE",
+        "/left",
+        "/imu",
+    )
+    assert found.numbers("k1", "k2", "p1", "p2", group="distortion_parameters") == EUROC["left_distortion"]
+    assert found.numbers("fx", "fy", "cx", "cy", group="projection_parameters") == [458.654, 457.296, 367.215, 248.375]
+    assert np.allclose(found.matrix("extrinsicRotation"), [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    assert np.allclose(found.matrix("extrinsicTranslation"), [[-0.02], [-0.06], [0.01]])
+    # Densities times the root of 200 Hz.
+    noise = [2.0e-3 * 200**0.5, 1.6968e-4 * 200**0.5, 3.0e-3 * 200**0.5, 1.9393e-5 * 200**0.5]
+    assert found.numbers("acc_n", "gyr_n", "acc_w", "gyr_w") == pytest.approx(noise)
+    assert found.numbers("estimate_extrinsic", "estimate_td", "td", "rolling_shutter") == [1, 1, 0.01, 0]
+
+
+def test_vins_mono_refuses_a_lens_of_five_coefficients(tmp_path: Path) -> None:
+    values = {**EUROC, **MONO, "left_distortion": [0.1, 0.2, 0.0, 0.0, 0.3]}
+    with pytest.raises(InvalidInput, match="VINS-Mono has no camera model for the images of left"):
+        load("vins-mono", "vins_mono_settings").write_settings(tmp_path / "s.yaml", values, {"left": "/l", "imu": "/i"})
 
 
 def test_vins_fusion_gets_one_file_for_each_camera(tmp_path: Path) -> None:
