@@ -253,7 +253,8 @@ def _changes(options: dict[str, Any]) -> Changes:
     if values["variant"] and options["no_steps"]:
         raise InvalidInput("--step and --no-steps are given", "give one of them")
     unchanged = not values["variant"] and not options["no_steps"]
-    return Changes(**{**values, "variant": None if unchanged else values["variant"]})
+    kept = {"variant": None if unchanged else values["variant"], "sensors": values["sensors"] or None}
+    return Changes(**{**values, **kept})
 
 
 def _label(options: dict[str, Any]) -> Label:

@@ -16,6 +16,7 @@ from slamhive.errors import NotFound, Unavailable
 from slamhive.files import write_aside
 from slamhive.input_bounds import read_record
 from slamhive.runtime.localisation import LOCALISATION_FILE
+from slamhive.runtime.paths import TRAJECTORY_FILES
 
 _FINGERPRINT_CHARACTERS = 32
 
@@ -98,7 +99,7 @@ class RunFolder:
 
     def trajectory_of(self, kind: TrajectoryKind) -> Path:
         """The file of a further trajectory: ``traj.live.txt``, ``traj.final.txt`` or ``keyframe.txt``."""
-        return self.keyframes if kind is TrajectoryKind.KEYFRAMES else self.result / f"traj.{kind}.txt"
+        return self.result / TRAJECTORY_FILES[kind]
 
     @property
     def covariances(self) -> Path:
@@ -139,11 +140,6 @@ class RunFolder:
     def about(self) -> Path:
         """``result/about.json``: what the algorithm says of itself (vocabulary used, package version)."""
         return self.result / "about.json"
-
-    @property
-    def keyframes(self) -> Path:
-        """``result/keyframe.txt``: the trajectory of keyframes, if the algorithm gives one."""
-        return self.result / "keyframe.txt"
 
     @property
     def grid(self) -> Path:

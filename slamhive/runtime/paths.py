@@ -18,6 +18,9 @@ ORB_VOCABULARY_VARIABLE = "SLAMHIVE_ORB_VOCABULARY"
 MAP_VARIABLE = "SLAMHIVE_MAP"
 """Names the map that the run starts with, a read-only file; not set for a run without one."""
 
+TRAJECTORY_FILES = {"live": "traj.live.txt", "final": "traj.final.txt", "keyframes": "keyframe.txt"}
+"""The files in the result folder with trajectories other than ``traj.txt``, by kind."""
+
 
 @dataclass(frozen=True, slots=True)
 class RunPaths:

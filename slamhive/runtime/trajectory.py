@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from slamhive.errors import InvalidInput
 from slamhive.files import write_aside
+from slamhive.runtime.paths import TRAJECTORY_FILES
 
 Array = NDArray[Any]
 
@@ -42,16 +43,12 @@ class Trajectories:
     others: Mapping[str, Poses]
 
 
-FILES = {"live": "traj.live.txt", "final": "traj.final.txt", "keyframes": "keyframe.txt"}
-"""Where further trajectories are written."""
-
-
 def write_trajectories(folder: Path, found: Poses | Trajectories) -> Poses:
     """Write ``traj.txt`` and the others, if they hold poses; returns the main one. Raises InvalidInput."""
     main, others = (found, {}) if isinstance(found, Poses) else (found.main, found.others)
     for kind, poses in others.items():
         if len(poses.stamps_s):
-            write_trajectory(folder / FILES[kind], poses)
+            write_trajectory(folder / TRAJECTORY_FILES[kind], poses)
     write_trajectory(folder / "traj.txt", main)
     return main
 

@@ -6,12 +6,14 @@ import html
 import json
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner
 
 from slamhive.bags.variants.rules import RegisteredSteps
 from slamhive.catalogue.run_config import build_run_config
 from slamhive.cli import main
+from slamhive.cli.configurations import _changes
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.schema.record import Request
 from slamhive.schema.submission import Submission
@@ -135,6 +137,20 @@ def test_choosing_what_the_rule_gives_is_the_same_configuration(bound: Web) -> N
     swapped = configurations.create(Submission(*STEREO, sensors={"left": "camera1"}))
     assert (swapped.created, swapped.record.id == plain.record.id) == (True, False)
     assert configurations.copy(swapped.record.id, Changes(sensors={})).record.id == plain.record.id
+
+
+def test_a_copy_keeps_the_choice_where_it_fits(bound: Web) -> None:
+    hive = bound.hive
+    made = hive.configurations.create(Submission(*STEREO, sensors={"left": "camera1"})).record
+    kept = hive.configurations.copy(made.id, Changes(parameters={"nFeatures": 900})).record
+    assert kept.configuration.sensors == SWAPPED
+    submission, notes = hive.configurations.submission(made.id, Changes(algorithm="eye-slam-mono"))
+    assert submission.sensors == {}
+    assert "the choice of sensors is left out: eye-slam-mono has no role 'left'" in notes[-1]
+    command = main.get_command(click.Context(main), "configuration")
+    assert isinstance(command, click.Group)
+    options = command.commands["copy"].make_context("copy", ["1"]).params
+    assert _changes(options).sensors is None
 
 
 def test_an_experiment_chooses_sensors_as_a_run_does(bound: Web) -> None:

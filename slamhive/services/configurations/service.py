@@ -13,7 +13,7 @@ from slamhive.domain.configuration import Configuration, InputMap
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.matching import Match, match_of
 from slamhive.domain.parameters import Value, check_stored, find_parameter
-from slamhive.errors import NotFound, unknown
+from slamhive.errors import NotFound, SlamHiveError, unknown
 from slamhive.schema.submission import Submission
 from slamhive.services.configurations.changes import NO_LABEL, Changes, Label, Stored
 from slamhive.services.configurations.maps import FoundMap, find_map
@@ -181,7 +181,20 @@ class Configurations:
             sensors=stored.sensors if changes.sensors is None else changes.sensors,
             map=changes.map or (None if stored.map is None else stored.map.run),
         )
+        moved = changes.algorithm is not None or changes.dataset is not None
+        problem = self._misfit(algorithm, submission) if moved and changes.sensors is None else None
+        if problem is not None:
+            submission = replace(submission, sensors={})
+            notes.append(f"the choice of sensors is left out: {problem}")
         return submission, tuple(notes)
+
+    def _misfit(self, algorithm: Algorithm, submission: Submission) -> str | None:
+        """Why the sensors of ``submission`` cannot be chosen, None if they can."""
+        try:
+            algorithm.stated_choice(self._catalogue.dataset(submission.dataset), submission.sensors)
+        except SlamHiveError as error:
+            return error.message
+        return None
 
     def create(self, submission: Submission, label: Label = NO_LABEL) -> Stored:
         """Store the configuration of ``submission``, or find the identical one."""
