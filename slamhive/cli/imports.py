@@ -14,6 +14,7 @@ from slamhive.cli.output import print_json, progress_bar, tell
 from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Duplicates
 from slamhive.domain.sensors import SensorSetup
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import InvalidInput
 from slamhive.schema.imports import Import
 from slamhive.services.imports import (
@@ -50,6 +51,7 @@ _SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Witho
     "--groundtruth-quaternion-order", type=choice(QuaternionOrder), help="Order of the ground truths' quaternions."
 )
 @click.option("--duplicates", type=choice(Duplicates), default="refuse", show_default=True, help=_DUPLICATES_HELP)
+@click.option("--trajectory", type=choice(TrajectoryKind), help="Which trajectory the files are; stored with the runs.")
 @click.option("--gravity-aligned", is_flag=True, help="The z axis of the ground truth points up.")
 @click.option("--evaluate/--no-evaluate", default=True, show_default=True, help="Evaluate runs without an evaluation.")
 @click.option("--dry-run", is_flag=True, help="Read and check everything, write nothing.")
@@ -78,6 +80,7 @@ def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, 
         told=_convention(options, ""),
         truth_told=_convention(options, "groundtruth_"),
         duplicates=Duplicates(options["duplicates"]),
+        trajectory=TrajectoryKind(options["trajectory"]) if options["trajectory"] else None,
     )
     with progress_bar("reading" if dry_run else "importing") as show:
         report = hive.imports.carry_out(

@@ -11,6 +11,7 @@ from sqlalchemy import bindparam, or_, select, update
 from slamhive.domain.external import IMPORTED
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import RunState
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.store.models import Run, RunEvent
 from slamhive.store.records import RunRequest
 from slamhive.store.rows import Repository, chunks
@@ -34,6 +35,7 @@ class ImportedRun:
     why: str
     dataset_checksum: str
     protocol: Protocol | None = None
+    trajectory: TrajectoryKind | None = None
 
 
 class ImportRepository(Repository):
@@ -71,6 +73,7 @@ class ImportRepository(Repository):
                     "count": run.poses,
                     "text": run.why,
                     "digest": run.dataset_checksum,
+                    "kind": run.trajectory,
                 }
                 for run_id, run in zip(ids, runs, strict=True)
             ]
@@ -81,6 +84,7 @@ class ImportRepository(Repository):
                     poses=bindparam("count"),
                     detail=bindparam("text"),
                     dataset_checksum=bindparam("digest"),
+                    trajectory=bindparam("kind"),
                 ),
                 sealed,
             )

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from slamhive.domain.protocol import Duplicates
 from slamhive.domain.sensors import SensorSetup
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.trajectory.layout import UNKNOWN, Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.pose_file import TrajectoryFormat
 
@@ -34,6 +35,7 @@ class ImportRequest:
         told: Time unit and quaternion order of the trajectories, unless they are to be detected.
         truth_told: The same for the ground truths.
         duplicates: Which pose counts if a timestamp occurs twice, in the evaluation of the runs.
+        trajectory: Which trajectory the files are, None if it is not stated.
     """
 
     source: Path
@@ -48,6 +50,7 @@ class ImportRequest:
     told: Convention = UNKNOWN
     truth_told: Convention = UNKNOWN
     duplicates: Duplicates = Duplicates.REFUSE
+    trajectory: TrajectoryKind | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from slamhive.domain.configuration import Configuration
 from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Duplicates, Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.imports import Origin
@@ -48,6 +49,7 @@ class _Homes:
     """Algorithms and datasets of the candidates, by name; ``lost`` are datasets that cannot be used."""
 
     truths: Truths
+    trajectory: TrajectoryKind | None
     algorithms: dict[str, Algorithm] = field(default_factory=dict)
     datasets: dict[str, Home] = field(default_factory=dict)
     lost: set[str] = field(default_factory=set)
@@ -106,7 +108,7 @@ class Imports:
             gravity_aligned=request.gravity_aligned,
             duplicates=request.duplicates,
         )
-        homes = _Homes(truths)
+        homes = _Homes(truths, request.trajectory)
         for name in sorted({entry.algorithm for entry in found.candidates}):
             setup = found.setups.get(name) or request.sensors.get(name) or request.sensors.get("")
             try:
@@ -208,6 +210,7 @@ class Imports:
             "poses": run.poses,
             "algorithm": {"package": algorithm.package.name, "mode": algorithm.mode},
             "dataset": {"checksum": dataset.checksum, "duration_s": dataset.duration_s},
+            "trajectory": run.trajectory,
             "imported": _origin(entry),
             "events": events_to_json(events),
         }
@@ -290,6 +293,7 @@ def _file(
             why=f"imported from {entry.candidate.name}, trial {entry.candidate.trial}: {entry.poses} poses",
             dataset_checksum=homes.datasets[entry.candidate.dataset].dataset.checksum,
             protocol=protocols.get((entry.candidate.algorithm, entry.candidate.dataset)),
+            trajectory=homes.trajectory,
         )
         for entry in entries
     ]

@@ -12,6 +12,7 @@ from slamhive.cli import main
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.run import RunState
 from slamhive.domain.sensors import SensorSetup
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import Conflict, InvalidInput
 from slamhive.files import write_aside
 from slamhive.schema.submission import Submission
@@ -43,6 +44,12 @@ def carry_out(hive, source, **options):
 def everything(root: Path) -> dict[str, bytes | None]:
     found = {path: None if path.is_dir() else path.read_bytes() for path in root.rglob("*")}
     return {str(path.relative_to(root)): content for path, content in found.items() if "slamhive.db" not in path.name}
+
+
+def test_the_kind_of_trajectory_is_stored_as_told(hive, source):
+    report = carry_out(hive, source, trajectory=TrajectoryKind.KEYFRAMES)
+    run_id = report.run_ids[0]
+    assert (hive.runs.get(run_id).trajectory, hive.runs.record(run_id)["trajectory"]) == ("keyframes", "keyframes")
 
 
 def test_every_trajectory_becomes_a_run_that_says_where_it_comes_from(hive, source):
