@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamhive.runtime.ros1.pose_messages import PoseLog
+from slamhive.runtime.ros1.pose_messages import PoseLog, in_sensor_axes
 from slamhive.runtime.ros1.programs import NodeWatch, SystemFailed
 from slamhive.runtime.ros1.sweep import NAMESPACE, middle_delay_s, sweep_parameters
 from slamhive.runtime.ros1.system import PoseKind, PoseTopic, Ros1System, launch_command
@@ -77,6 +77,15 @@ def test_a_pose_along_the_tree_of_frames_uses_the_newest_of_each_edge() -> None:
 def test_a_circle_of_frames_ends() -> None:
     messages = [Message(transforms=[edge(1.0, "a", "b", 1.0)]), Message(transforms=[edge(1.0, "b", "a", 1.0)])]
     assert log_of(PoseKind.TF, *messages, parent="map", child="a").arrivals == []
+
+
+def test_poses_in_the_axes_of_loam_are_turned_to_those_of_the_sensor() -> None:
+    loam = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    T_system = np.eye(4)
+    T_system[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]  # a quarter turn about LOAM's y, which points up
+    T_system[:3, 3] = [0.2, 0.3, 1.0]  # 0.2 m to the left, 0.3 m up, 1 m forward
+    expected = np.array([[0, -1, 0, 1.0], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]])
+    np.testing.assert_allclose(in_sensor_axes(T_system[None], loam)[0], expected, atol=1e-12)
 
 
 FRAMES = [BagFrame(stamp_s, stamp_s + 0.02) for stamp_s in (10.0, 10.1, 10.2, 10.3)]

@@ -13,6 +13,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.files import write_aside
@@ -21,11 +24,14 @@ from slamhive.runtime.frames import write_frames_csv
 from slamhive.runtime.paths import RunPaths, find_recording, run_paths
 from slamhive.runtime.pcd import write_pcd
 from slamhive.runtime.progress import json_text, say
+from slamhive.runtime.ros1.pose_messages import in_sensor_axes
 from slamhive.runtime.ros1.programs import SystemFailed
-from slamhive.runtime.ros1.session import Played, Session
 from slamhive.runtime.ros1.system import FiledResults, Ros1System
 from slamhive.runtime.ros1.timing import frame_times, queue_drops
 from slamhive.runtime.trajectory import Poses, write_trajectory
+
+if TYPE_CHECKING:
+    from slamhive.runtime.ros1.session import Played
 
 MAP_POINTS_MAX = 10_000_000
 """120 MB of a PCD file. Of larger maps every n-th point is kept."""
@@ -53,6 +59,8 @@ def _run(make: MakeSystem, paths: RunPaths) -> None:
         )
     system = make(config)
     write_aside(paths.result / "about.json", json_text(dict(system.about)))
+    from slamhive.runtime.ros1.session import Session  # noqa: PLC0415 - only images of ROS can import it
+
     with Session(system, config, recording, paths) as session:
         session.start()
         played = session.play()
@@ -86,9 +94,11 @@ def _write_results(system: Ros1System, config: RunConfig, played: Played, result
 def _filed_results(system: Ros1System, played: Played, result: Path) -> FiledResults:
     """The results that the nodes saved; for nodes that save nothing what their topics held."""
     poses = played.poses.poses
-    live = Poses(poses.stamps_s + system.pose_delay_s, poses.T_world_sensor)
+    R_system_sensor = np.array(system.R_system_sensor)
+    live = Poses(poses.stamps_s + system.pose_delay_s, in_sensor_axes(poses.T_world_sensor, R_system_sensor))
     if system.results is None:
-        return FiledResults(live, map_points_m=played.map_points_m)
+        points_m = played.map_points_m
+        return FiledResults(live, map_points_m=None if points_m is None else points_m @ R_system_sensor)
     filed = system.results()
     if len(live.stamps_s) and not len(filed.poses.stamps_s):
         raise SystemFailed(f"the nodes published {len(live.stamps_s)} poses, but ended without saving their trajectory")

@@ -83,6 +83,14 @@ _TAKERS: dict[PoseKind, Callable[[PoseLog, Any, float], None]] = {
 }
 
 
+def in_sensor_axes(T: Array, R_system_sensor: Array) -> Array:
+    """(n, 4, 4) poses, stated in the axes of the system on both sides, in those of the sensor."""
+    C = np.eye(4)
+    C[:3, :3] = R_system_sensor
+    turned: Array = C.T @ T @ C
+    return turned
+
+
 def _transform(pose: Any) -> Array:
     return _matrix(pose.position, pose.orientation)
 

@@ -61,6 +61,8 @@ class Ros1System:
         arguments: More arguments of the launch file.
         parameters: Set on the parameter server before the nodes start; a mapping becomes a namespace.
         pose_delay_s: How long after the timestamp of its message a pose holds, in s.
+        R_system_sensor: (3, 3) from the axes of the sensor to those in which the system states poses and map. LOAM has
+            x to the left, y up and z forward.
         every_frame: Each frame should give a pose. Frames without one, after the first pose, were then dropped inside.
         processed: A topic with the header (``std_msgs/Header``) of each frame that the system is through with. It tells
             dropped frames from lost ones; without it, that is guessed from the poses.
@@ -76,6 +78,7 @@ class Ros1System:
     arguments: Mapping[str, str | int | float | bool] = field(default_factory=dict)
     parameters: Mapping[str, Any] = field(default_factory=dict)
     pose_delay_s: float = 0.0
+    R_system_sensor: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     every_frame: bool = True
     processed: str = ""
     results: Callable[[], FiledResults] | None = None
