@@ -59,11 +59,9 @@ def test_the_template_runs_as_it_is_and_finds_the_orientation(hive: Hive) -> Non
 def test_a_node_that_dies_is_the_reason_of_a_failed_run(hive: Hive) -> None:
     node = Path(ALGORITHM_FOLDERS.get("my-slam")) / "nodes" / "dead_reckoning.py"
     text = node.read_text()
-    node.write_text(
-        text.replace("        if system.started:\n", "        if system.started:\n            sys.exit(3)\n")
-    )
-    node.write_text(node.read_text().replace("import numpy as np\n", "import os\n\nimport numpy as np\n"))
-    node.write_text(node.read_text().replace("sys.exit(3)", "os._exit(3)"))
+    dying = text.replace("            system.want(message.header.stamp)\n", "            os._exit(3)\n")
+    assert dying != text
+    node.write_text(dying.replace("import threading\n", "import os\nimport threading\n"))
     run = hive.runs.get(run_once(hive))
     node.write_text(text)
     assert run.state is RunState.FAILED

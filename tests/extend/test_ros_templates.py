@@ -77,11 +77,17 @@ def test_the_node_of_ros1_integrates_what_an_imu_measures(monkeypatch: pytest.Mo
     for number in range(21):
         system.add(number * 0.01, np.zeros(3), tilt.T @ [0.0, 0.0, 9.81])
     np.testing.assert_allclose(system.R_world_imu, tilt, atol=1e-9)
-    assert system.started
+    assert list(system.found()) == []
+    for stamp_s in (0.05, 0.1601, 0.5):
+        system.want(SimpleNamespace(to_sec=lambda stamp_s=stamp_s: stamp_s))
+    assert [stamp.to_sec() for stamp, _, _ in system.found()] == [0.1601]
     for number in range(21, 121):
         acceleration = system.R_world_imu.T @ [0.0, 0.0, 9.81] + [1.0, 0.0, 0.0]
         system.add(number * 0.01, np.array([0.5, 0.0, 0.0]), acceleration)
     np.testing.assert_allclose(system.R_world_imu, node.rotation(np.array([0.8, 0.0, 0.0])), atol=1e-9)
+    (found,) = system.found()
+    assert found[0].to_sec() == 0.5
+    np.testing.assert_allclose(found[2], node.rotation(np.array([0.45, 0.0, 0.0])), atol=1e-9)
     assert system.position_m[0] == pytest.approx(0.5, rel=0.02)
     np.testing.assert_allclose(np.abs(node.quaternion_xyzw(tilt)), [np.sin(0.15), 0, 0, np.cos(0.15)], atol=1e-9)
 

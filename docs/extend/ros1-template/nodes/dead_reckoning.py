@@ -6,6 +6,9 @@ Positions drift, because the velocity at the start and the biases are unknown. T
 
 from __future__ import annotations
 
+import threading
+from collections import deque
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -26,11 +29,8 @@ class DeadReckoning:
         self._velocity = np.zeros(3)
         self.position_m = np.zeros(3)
         self.R_world_imu = np.eye(3)
-
-    @property
-    def started(self) -> bool:
-        """There is a pose."""
-        return self._start_s >= 0 and not self._first
+        self._waiting: deque[Any] = deque(maxlen=100)
+        self._poses: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=1000)
 
     def add(self, stamp_s: float, rate: np.ndarray, acceleration: np.ndarray) -> None:
         """Take one sample."""
@@ -47,6 +47,19 @@ class DeadReckoning:
         moved = self.R_world_imu @ acceleration - self._gravity
         self.position_m = self.position_m + self._velocity * step_s + 0.5 * moved * step_s**2
         self._velocity = self._velocity + moved * step_s
+        self._poses.append((stamp_s, self.position_m, self.R_world_imu))
+
+    def want(self, stamp: Any) -> None:
+        """Ask for the pose at ``stamp``: messages of two topics come in any order."""
+        self._waiting.append(stamp)
+
+    def found(self) -> Iterator[tuple[Any, np.ndarray, np.ndarray]]:
+        """Stamp, position and rotation of poses that were asked for, as soon as the IMU has come that far."""
+        while self._poses and self._waiting and self._waiting[0].to_sec() <= self._poses[-1][0]:
+            stamp = self._waiting.popleft()
+            _, position_m, R_world_imu = min(self._poses, key=lambda pose: abs(pose[0] - stamp.to_sec()))
+            if stamp.to_sec() >= self._poses[0][0]:
+                yield stamp, position_m, R_world_imu
 
 
 def rotation(vector: np.ndarray) -> np.ndarray:
@@ -86,30 +99,39 @@ def main() -> None:
     system = DeadReckoning(rospy.get_param("~gravity", 9.81), rospy.get_param("~settling", 0.2))
     publisher = rospy.Publisher("/tf", TFMessage, queue_size=1000)
 
+    lock = threading.Lock()
+
+    def publish() -> None:
+        for pose in system.found():
+            publisher.publish(TFMessage([message_of(*pose)]))
+
     def take_imu(message: Any) -> None:
         rate, acceleration = message.angular_velocity, message.linear_acceleration
-        system.add(
-            message.header.stamp.to_sec(),
-            np.array([rate.x, rate.y, rate.z]),
-            np.array([acceleration.x, acceleration.y, acceleration.z]),
-        )
+        with lock:
+            system.add(
+                message.header.stamp.to_sec(),
+                np.array([rate.x, rate.y, rate.z]),
+                np.array([acceleration.x, acceleration.y, acceleration.z]),
+            )
+            publish()
 
     def take_points(message: Any) -> None:
-        if system.started:
-            publisher.publish(TFMessage([pose_of(system, message.header.stamp)]))
+        with lock:
+            system.want(message.header.stamp)
+            publish()
 
     rospy.Subscriber("imu/data", Imu, take_imu, queue_size=10_000, tcp_nodelay=True)
     rospy.Subscriber("velodyne_points", PointCloud2, take_points, queue_size=10, tcp_nodelay=True)
     rospy.spin()
 
 
-def pose_of(system: DeadReckoning, stamp: Any) -> Any:
+def message_of(stamp: Any, position_m: np.ndarray, R_world_imu: np.ndarray) -> Any:
     """The pose of the IMU in the world as a message."""
     pose = TransformStamped(child_frame_id="imu")
     pose.header.stamp, pose.header.frame_id = stamp, "world"
     at, turned = pose.transform.translation, pose.transform.rotation
-    at.x, at.y, at.z = system.position_m
-    turned.x, turned.y, turned.z, turned.w = quaternion_xyzw(system.R_world_imu)
+    at.x, at.y, at.z = position_m
+    turned.x, turned.y, turned.z, turned.w = quaternion_xyzw(R_world_imu)
     return pose
 
 
