@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from slamhive.errors import InvalidInput
 from slamhive.runtime.app import run
 from slamhive.runtime.bare_package import import_bare
 from slamhive.runtime.calibration import transform
@@ -25,7 +26,6 @@ PIPELINES = {
 
 POINT = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("intensity", "<f4"), ("t", "<u4"), ("ring", "<u2")])
 """A point as evalio reads it; ``t`` in ns after the start of the sweep."""
-
 
 # evalio's Python modules, which serve its datasets and command line, need large packages.
 types, pipelines, helpers = (import_bare("evalio", f"_cpp.{name}") for name in ("types", "pipelines", "helpers"))
@@ -98,7 +98,13 @@ class EvalioOdometry(ScanOdometry):
         image["ring"] = np.arange(self._rings)[:, None]
         image["t"] = np.arange(self._columns) * (sweep.duration_s * 1e9 / self._columns)
         columns = np.minimum(np.rint(sweep.fractions * self._columns).astype(np.int64), self._columns - 1)
-        places = self._rings_of(sweep), columns
+        rings = self._rings_of(sweep)
+        if rings.max() >= self._rings:
+            raise InvalidInput(
+                f"a point has ring {rings.max()}, but the LiDAR has {self._rings} rings from 0",
+                "state beams of the LiDAR in dataset.yaml",
+            )
+        places = rings, columns
         for index, axis in enumerate("xyz"):
             image[axis][places] = sweep.points_m[:, index]
         image["t"][places] = np.rint(sweep.offsets_s * 1e9)
@@ -118,7 +124,7 @@ def measurement(sweep: Sweep, points: np.ndarray) -> Any:
         is_dense=1,
     )
     fields = [
-        helpers.Field(name=name, datatype=DATA_TYPES[POINT[name].str], offset=int(POINT.fields[name][1]))  # type: ignore[index]
+        helpers.Field(name=name, datatype=DATA_TYPES[POINT[name].str], offset=int(POINT.fields[name][1]))
         for name in POINT.fields or ()
     ]
     found = helpers.pc2_to_evalio(header, fields, points.tobytes())
