@@ -25,6 +25,7 @@ from slamhive.domain.requirement import Requirement
 from slamhive.domain.sensor_property import SensorProperty
 from slamhive.domain.sensors import SensorKind, SensorSetup
 from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.weights import Weights
 from slamhive.errors import InvalidInput, lacks
 from slamhive.files import hash_files
 from slamhive.runtime.point_times import TimeReference, TimeUnit
@@ -79,6 +80,16 @@ class _LidarModel(BaseModel):
     point_orders: tuple[PointOrder, ...] = ()
 
 
+class _WeightsModel(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=200)
+    licence: str
+    page: str
+    address: str | None = None
+    sha256: str | None = Field(default=None, pattern=r"^[0-9a-f]{64}$")
+    size_bytes: int | None = Field(default=None, gt=0)
+
+
 class _BoundModel(BaseModel):
     model_config = ConfigDict(extra="forbid")
     poses: int = Field(ge=1)
@@ -108,6 +119,7 @@ class _PackageModel(BaseModel):
     playback: tuple[PlaybackMode, ...] = Field(default=tuple(PlaybackMode), min_length=1)
     gpu: GpuNeed = GpuNeed.NONE
     imported: OriginModel | None = None
+    weights: list[_WeightsModel] = Field(default_factory=list)
     lidar: _LidarModel = Field(default_factory=_LidarModel)
     requires: dict[str, list[str] | None] = Field(default_factory=dict)
     map_output: str | None = None
@@ -158,6 +170,7 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         shm_mb=model.resources.shm_mb,
         time_factor=model.resources.time_factor,
         origin=None if model.imported is None else PackageOrigin(**model.imported.model_dump()),
+        weights=tuple(Weights(**entry.model_dump()) for entry in model.weights),
     )
     algorithms = tuple(_algorithm(path, package, name, mode, model) for name, mode in model.modes.items())
     names = [algorithm.name for algorithm in algorithms]

@@ -9,6 +9,7 @@ import click
 from slamhive.cli.algorithm_import import IMPORT_COMMANDS
 from slamhive.cli.algorithm_test import test
 from slamhive.cli.algorithm_versions import VERSION_COMMANDS
+from slamhive.cli.algorithm_weights import weights_command
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.domain.algorithm import Algorithm as Entry
@@ -108,7 +109,7 @@ def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | N
         raise click.exceptions.Exit(1)
 
 
-for _command in (test, *VERSION_COMMANDS):
+for _command in (test, weights_command, *VERSION_COMMANDS):
     algorithm.add_command(_command)
 
 

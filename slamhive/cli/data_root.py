@@ -9,6 +9,7 @@ from slamhive.services.data_root import DataRoot
 EXPECTED: dict[str, DataRoot] = {
     "algorithm build": DataRoot.MADE,
     "algorithm import": DataRoot.MADE,
+    "algorithm weights": DataRoot.MADE,
     "archive import": DataRoot.MADE,
     "dataset fetch": DataRoot.MADE,
     "dataset import": DataRoot.MADE,

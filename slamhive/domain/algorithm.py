@@ -19,6 +19,7 @@ from slamhive.domain.sensor_choice import BY_RULE, Chosen, assign_in_order, chec
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
 from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.versions import version_label
+from slamhive.domain.weights import Weights
 from slamhive.errors import InvalidInput
 
 
@@ -95,6 +96,7 @@ class AlgorithmPackage:
     shm_mb: int | None = None
     time_factor: float = 0.0
     origin: PackageOrigin | None = None
+    weights: tuple[Weights, ...] = ()
 
     @property
     def image(self) -> str:

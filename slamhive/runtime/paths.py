@@ -12,6 +12,8 @@ from slamhive.errors import InvalidInput
 CONFIG_VARIABLE = "SLAMHIVE_CONFIG"
 DATASET_VARIABLE = "SLAMHIVE_DATASET"
 RESULT_VARIABLE = "SLAMHIVE_RESULT"
+WEIGHTS_VARIABLE = "SLAMHIVE_WEIGHTS"
+"""Names the folder with the weights that the package lists."""
 ORB_VOCABULARY_VARIABLE = "SLAMHIVE_ORB_VOCABULARY"
 """Names the ORB vocabulary file to use in place of the small one that comes with the package."""
 

@@ -30,6 +30,7 @@ from slamhive.services.runs.retrying import check_retriable, retry_request
 from slamhive.services.runs.series import RunSeries, run_series
 from slamhive.services.runs.specification import RunLimits, check_disk, check_executor, check_recorded, recorded_topics
 from slamhive.services.versions import check_version
+from slamhive.services.weights import WeightsStore
 from slamhive.settings import Settings
 from slamhive.store import Page, RunRecord, RunRequest, RunSort, Store, Transaction
 
@@ -67,6 +68,7 @@ class Runs:
         executor = self._executors.choose(submission.executor)
         asked = RunLimits(submission.cpu_cores, submission.memory_mb)
         check_executor(self._executors.get(executor), algorithm.package, asked)
+        WeightsStore(self._settings).check_present(algorithm.package)
         check_version(self._store, self._executors.get(executor), algorithm)
         protocol = None
         if submission.alignment is not None:

@@ -26,14 +26,16 @@ from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.files import hash_files, write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.runtime.config import to_yaml
-from slamhive.runtime.paths import MAP_VARIABLE, ORB_VOCABULARY_VARIABLE
+from slamhive.runtime.paths import MAP_VARIABLE, ORB_VOCABULARY_VARIABLE, WEIGHTS_VARIABLE
 from slamhive.schema.matching import Match as MatchDocument
 from slamhive.services.configurations import FoundMap
 from slamhive.services.datasets import IDENTITY, UsedVariant
+from slamhive.services.weights import StoredWeights
 from slamhive.settings import Settings
 
 CONTAINER_ROOT = "/slamhive"
 COMMAND = ("python3", f"{CONTAINER_ROOT}/mapping.py")
+CONTAINER_WEIGHTS = "/slamhive-weights"
 CONTAINER_VOCABULARY = "/slamhive-vocabulary.txt"
 MOST_BYTES_HASHED = 1_000_000
 """Larger inputs are hashed only if their hash is known already."""
@@ -53,7 +55,7 @@ class Job:
     """One run with its algorithm and dataset resolved, ready to be prepared.
 
     ``used`` is the variant of the dataset that the run sees, None for the dataset as it is. ``input_map`` is the map
-    that it starts with. ``gpu`` is what it leased.
+    that it starts with. ``gpu`` is what it leased, ``weights`` have been checked.
     """
 
     run_id: int
@@ -66,6 +68,7 @@ class Job:
     used: UsedVariant | None = None
     input_map: FoundMap | None = None
     gpu: Gpu | None = None
+    weights: tuple[StoredWeights, ...] = ()
 
     @property
     def seen(self) -> Dataset:
@@ -188,6 +191,8 @@ def build_spec(
 
 def _environment(job: Job, settings: Settings) -> dict[str, str]:
     variables = {ORB_VOCABULARY_VARIABLE: CONTAINER_VOCABULARY} if settings.orb_vocabulary else {}
+    if job.weights:
+        variables[WEIGHTS_VARIABLE] = CONTAINER_WEIGHTS
     return variables if job.input_map is None else {**variables, MAP_VARIABLE: _map_target(job.input_map)}
 
 
@@ -227,6 +232,7 @@ def provenance(job: Job, identity: str, number: int) -> dict[str, Any]:
         },
         **({} if job.gpu is None else {"gpu": asdict(job.gpu)}),
         "trajectory": job.algorithm.trajectory,
+        **({"weights": {entry.weights.name: entry.sha256 for entry in job.weights}} if job.weights else {}),
         "match": MatchDocument.of_match(match).content,
         **_map_provenance(job.input_map),
     }
@@ -249,6 +255,9 @@ def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInpu
     yield _input(PLAY_SCRIPT, current_script(dataset.folder / PLAY_SCRIPT), f"{inside}/{PLAY_SCRIPT}")
     if settings.orb_vocabulary:
         yield _input("vocabulary", Path(settings.orb_vocabulary), CONTAINER_VOCABULARY)
+    for entry in job.weights:
+        name = entry.weights.name
+        yield _input(f"weights {name}", entry.path, f"{CONTAINER_WEIGHTS}/{name}", content=f"sha256:{entry.sha256}")
     if job.input_map is not None:
         found = job.input_map
         yield _input("map", found.path, _map_target(found), content=found.map.content)

@@ -27,6 +27,7 @@ from slamhive.services.runs import (
     write_config,
 )
 from slamhive.services.versions import identity_of_version, keep_version
+from slamhive.services.weights import WeightsStore
 from slamhive.services.worker.evidence import STARTED_BY
 from slamhive.services.worker.gpu import hold_gpu
 from slamhive.services.worker.host import describe_host
@@ -88,6 +89,7 @@ class Preparing:
         hand.folder.create()
         hand.keeper.begin(hand.run)
         check_gpu(hand.executor, job.algorithm.package)
+        job = replace(job, weights=WeightsStore(hand.context.settings).checked(job.algorithm.package))
         job = self._with_variant(job)
         identity = self._identity(job)
         job = self._with_gpu(job)

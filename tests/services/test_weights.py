@@ -1,0 +1,70 @@
+"""Weights of a package: added, checked, refused, and found by a run."""
+
+from __future__ import annotations
+
+import hashlib
+
+import pytest
+
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.domain.weights import Weights
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.services.weights import WeightsStore
+from slamhive.settings import Settings
+
+CONTENT = b"numbers"
+KNOWN = Weights("known.pth", "MIT", "https://example.org/page", sha256=hashlib.sha256(CONTENT).hexdigest())
+OPEN = Weights("open.pth", "CC-BY-NC-4.0", "https://example.org/page")
+
+
+@pytest.fixture
+def store(tmp_path):
+    return WeightsStore(Settings(data=tmp_path / "data"))
+
+
+def package(tmp_path, *weights):
+    return AlgorithmPackage("deep", tmp_path, "Deep", "1", "https://x", "MIT", "c", weights=weights)
+
+
+def test_a_file_with_the_published_checksum_is_taken(store, tmp_path):
+    deep = package(tmp_path, KNOWN)
+    (tmp_path / "known.pth").write_bytes(CONTENT)
+    with pytest.raises(InvalidInput, match=r"needs the weights known\.pth, which are not here"):
+        store.check_present(deep)
+    store.add(deep, tmp_path / "known.pth")
+    (entry,) = store.checked(deep)
+    assert entry.path.read_bytes() == CONTENT
+
+
+def test_a_file_with_another_checksum_is_refused_in_one_line_and_not_kept(store, tmp_path):
+    deep = package(tmp_path, KNOWN)
+    (tmp_path / "download").write_bytes(b"other")
+    with pytest.raises(InvalidInput) as refused:
+        store.add(deep, tmp_path / "download", "known.pth")
+    assert "the weights known.pth have the SHA-256" in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert not any((tmp_path / "data").rglob("*.pth"))
+
+
+def test_without_a_published_checksum_the_first_file_counts(store, tmp_path):
+    deep = package(tmp_path, OPEN)
+    (tmp_path / "open.pth").write_bytes(CONTENT)
+    entry = store.add(deep, tmp_path / "open.pth")
+    assert store.checked(deep) == (entry,)
+    entry.path.write_bytes(b"changed")
+    with pytest.raises(InvalidInput, match="have the SHA-256"):
+        store.checked(deep)
+    (tmp_path / "open.pth").write_bytes(b"newer")
+    with pytest.raises(InvalidInput, match="expected"):
+        store.add(deep, tmp_path / "open.pth")
+
+
+def test_a_file_of_another_name_needs_to_be_named(store, tmp_path):
+    (tmp_path / "download").write_bytes(CONTENT)
+    with pytest.raises(NotFound, match=r"has no weights 'download'; known: open\.pth; name the file with --as"):
+        store.add(package(tmp_path, OPEN), tmp_path / "download")
+
+
+def test_weights_without_an_address_are_taken_by_hand(store, tmp_path):
+    with pytest.raises(InvalidInput, match=r"take it from https://example\.org/page"):
+        store.fetch(package(tmp_path, OPEN), lambda _done, _size: None)
