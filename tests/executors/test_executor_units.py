@@ -193,7 +193,9 @@ def test_environment_follows_requirements_and_prepare(tmp_path):
     (tmp_path / "prepare.py").write_text("")
     second = environments.identity(package(tmp_path))
     (tmp_path / "requirements.txt").write_text("numpy\n")
-    assert len({first, second, environments.identity(package(tmp_path))}) == 3
+    third = environments.identity(package(tmp_path))
+    (package(tmp_path).folder / "requirements-no-deps.txt").write_text("numpy\n")
+    assert len({first, second, third, environments.identity(package(tmp_path))}) == 4
 
 
 def test_missing_library_names_the_apt_packages(tmp_path):
