@@ -102,7 +102,9 @@ def read_form(services: Hive, values: Mapping[str, str], *, content_only: bool =
         return form
     variant = _checked(form, "steps", lambda: services.variants.resolve(dataset, read_steps(form.value("steps"))))
     seen = services.variants.planned(dataset, variant or ())
-    chosen = _checked(form, "sensors", lambda: algorithm.stated_choice(dataset, _read_choices(form, algorithm))) or {}
+    choices = _read_choices(form, algorithm)
+    chosen_field = SENSOR_PREFIX + next(reversed(choices), "")
+    chosen = _checked(form, chosen_field, lambda: algorithm.stated_choice(dataset, choices)) or {}
     form.match = _checked(form, "dataset", lambda: match_of(algorithm, seen, parameters, chosen))
     if not form.errors and run_fields is not None:
         submission = Submission(

@@ -130,6 +130,14 @@ def test_a_chosen_sensor_is_stored_with_the_configuration_and_its_runs(bound: We
     assert config.dataset_remap == {"/left": "/camera1", "/right": "/camera0"}
 
 
+def test_one_sensor_for_two_roles_is_refused_at_its_field(bound: Web) -> None:
+    twice = {"sensor.left": "camera1", "sensor.right": "camera1"}
+    query = {"algorithm": STEREO[0], "dataset": STEREO[1], **twice}
+    answer = bound.client.get("/runs/new/preview", query_string=query).get_json()
+    assert list(answer["errors"]) == ["sensor.right"]
+    assert "sensor camera1 is chosen for two roles" in answer["errors"]["sensor.right"]
+
+
 def test_choosing_what_the_rule_gives_is_the_same_configuration(bound: Web) -> None:
     configurations = bound.hive.configurations
     plain = configurations.create(Submission(*STEREO))
