@@ -128,7 +128,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier(
             "integration",
             marks="integration and not docker and not mysql",
-            workers=2,
+            workers=3,  # on two cores: the tests often wait, and the other tiers of the group end sooner
             prepare=prepare_libraries,
             group="processes",
         ),

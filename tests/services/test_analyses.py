@@ -39,9 +39,9 @@ def test_latex_and_spreadsheets_take_nothing_for_a_command():
 
 
 @pytest.fixture
-def world(tmp_path):
+def world(tmp_path, sqlite_template):
     """Two algorithms, four good runs and a failed one."""
-    hive = make_hive(tmp_path)
+    hive = make_hive(tmp_path, template=sqlite_template)
     good = [*add_runs(hive, 2), *add_runs(hive, 2, "eye-slam-mono")]
     for place, run_id in enumerate(good):
         finish_run(hive, run_id)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
 from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from sqlalchemy import text
@@ -15,6 +16,7 @@ from slamhive.services.experiments.views import ExperimentSource, Phase, Standin
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
 from slamhive.store import Lease, RunRecord
+from tests.services.conftest import opened_hive
 
 pytestmark = pytest.mark.integration
 
@@ -28,6 +30,16 @@ parameters:
 stop_when: {time_s: 30}
 priority: 3
 """
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory, sqlite_template: Path) -> Iterator[Hive]:
+    """An installation in which the experiment has run. Tests leave it as it is."""
+    folder = tmp_path_factory.mktemp("finished")
+    with pytest.MonkeyPatch.context() as patch, opened_hive(folder, patch, sqlite_template) as hive:
+        hive.experiments.start(source())
+        work(hive)
+        yield hive
 
 
 def source(text: str = SIX) -> ExperimentSource:
@@ -75,14 +87,12 @@ def test_a_preview_tells_what_would_happen_and_stores_nothing(hive: Hive) -> Non
     assert not hive.settings.experiments_folder.exists()
 
 
-def test_a_preview_knows_what_is_stored_and_how_long_it_took(hive: Hive) -> None:
-    hive.experiments.start(source())
-    work(hive)
-    found = hive.experiments.preview(source(SIX.replace("name: six", "name: seven").replace("0.02", "0.03")))
+def test_a_preview_knows_what_is_stored_and_how_long_it_took(finished: Hive) -> None:
+    found = finished.experiments.preview(source(SIX.replace("name: six", "name: seven").replace("0.02", "0.03")))
     assert (found.known_cells, found.known_runs, found.measured_runs) == (4, 4, 6)
     assert 0 < found.time_s < 10
     assert found.standing is None
-    assert hive.experiments.preview(source()).standing is Standing.FINISHED
+    assert finished.experiments.preview(source()).standing is Standing.FINISHED
 
 
 def test_starting_stores_cells_and_runs_with_all_that_the_file_says(hive: Hive) -> None:
@@ -98,15 +108,13 @@ def test_starting_stores_cells_and_runs_with_all_that_the_file_says(hive: Hive) 
     assert sorted(run.cell or 0 for run in runs) == [1, 2, 3, 4, 5, 6]
 
 
-def test_it_runs_and_tells_every_cell(hive: Hive) -> None:
-    hive.experiments.start(source())
-    work(hive)
-    status = hive.experiments.status("six")
+def test_it_runs_and_tells_every_cell(finished: Hive) -> None:
+    status = finished.experiments.status("six")
     assert status.standing is Standing.FINISHED
-    assert counts(hive) == {"good": 3, "failed": 3}
+    assert counts(finished) == {"good": 3, "failed": 3}
     assert status.failures == {"nonzero_exit": 3}
     assert status.left_s == 0.0
-    cells = list(hive.experiments.report("six"))
+    cells = list(finished.experiments.report("six"))
     assert [cell.number for cell in cells] == [1, 2, 3, 4, 5, 6]
     for cell in cells:
         good = cell.values["behaviour"] == "good"
@@ -121,7 +129,8 @@ def test_it_runs_and_tells_every_cell(hive: Hive) -> None:
 
 
 def test_figures_of_different_protocols_stay_apart(hive: Hive) -> None:
-    hive.experiments.start(source(SIX.replace("good | crash", "good").replace("priority: 3", "repeats: 2")))
+    one = SIX.replace("good | crash", "good").replace("0 | 0.01 | 0.02", "0")
+    hive.experiments.start(source(one.replace("priority: 3", "repeats: 2")))
     work(hive)
     first = hive.experiments.cells("six", limit=1).cells[0].runs[0]
     hive.evaluations.queue([first.id], "sim3")
@@ -132,21 +141,19 @@ def test_figures_of_different_protocols_stay_apart(hive: Hive) -> None:
     assert sum(entry.runs for entry in figures) == 2
 
 
-def test_pages_of_cells_and_the_grid(hive: Hive) -> None:
-    hive.experiments.start(source())
-    page = hive.experiments.cells("six", limit=4)
+def test_pages_of_cells_and_the_grid(finished: Hive) -> None:
+    page = finished.experiments.cells("six", limit=4)
     assert ([cell.number for cell in page.cells], page.total, page.next_number) == ([1, 2, 3, 4], 6, 4)
-    rest = hive.experiments.cells("six", after=4, limit=4)
+    rest = finished.experiments.cells("six", after=4, limit=4)
     assert ([cell.number for cell in rest.cells], rest.next_number) == ([5, 6], None)
-    work(hive)
-    grid = hive.experiments.grid("six", "behaviour", "seconds")
+    grid = finished.experiments.grid("six", "behaviour", "seconds")
     assert (grid.rows, grid.columns) == (("good", "crash"), (0.0, 0.01, 0.02))
     assert {place: cell.counts[Phase.GOOD] for place, cell in grid.cells.items()} == {
         (row, column): int(row == 0) for row in range(2) for column in range(3)
     }
     with pytest.raises(NotFound, match=r"unknown axis of experiment six 'second'.*seconds"):
-        hive.experiments.grid("six", "behaviour", "second")
-    assert list(hive.experiments.axes("six")) == [
+        finished.experiments.grid("six", "behaviour", "second")
+    assert list(finished.experiments.axes("six")) == [
         "algorithm",
         "dataset",
         "behaviour",
@@ -161,9 +168,12 @@ def test_the_same_file_twice_is_one_experiment(hive: Hive) -> None:
     before = everything(hive)
     hive.experiments.start(source("# a remark\n" + SIX))
     assert everything(hive) == before
-    work(hive)
-    hive.experiments.start(source())
-    assert rows(hive, "runs") == before["runs"]
+
+
+def test_a_file_that_has_run_is_not_run_again(finished: Hive) -> None:
+    before = everything(finished)
+    finished.experiments.start(source())
+    assert everything(finished) == before
 
 
 def test_a_name_that_is_taken_is_refused_with_its_place(hive: Hive) -> None:
@@ -305,15 +315,17 @@ def test_more_repeats_are_the_same_as_asked_for_at_once(hive: Hive) -> None:
         hive.experiments.add_repeats("six", 998)
 
 
-def test_an_algorithm_that_is_gone_keeps_its_results_and_gets_no_more_runs(hive: Hive) -> None:
-    hive.experiments.start(source())
-    work(hive)
-    shutil.rmtree(hive.catalogue.project_root / "algorithms" / "tiny")
-    assert hive.experiments.status("six").counts[Phase.GOOD] == 3
-    assert len(list(hive.experiments.report("six"))) == 6
-    with pytest.raises(NotFound, match="experiment six line 2: unknown algorithm 'tiny'"):
-        hive.experiments.add_repeats("six", 1)
-    assert (rows(hive, "runs"), hive.experiments.status("six").repeats) == (6, 1)
+def test_an_algorithm_that_is_gone_keeps_its_results_and_gets_no_more_runs(finished: Hive, tmp_path: Path) -> None:
+    package = finished.catalogue.project_root / "algorithms" / "tiny"
+    package.rename(tmp_path / "tiny")
+    try:
+        assert finished.experiments.status("six").counts[Phase.GOOD] == 3
+        assert len(list(finished.experiments.report("six"))) == 6
+        with pytest.raises(NotFound, match="experiment six line 2: unknown algorithm 'tiny'"):
+            finished.experiments.add_repeats("six", 1)
+        assert (rows(finished, "runs"), finished.experiments.status("six").repeats) == (6, 1)
+    finally:
+        (tmp_path / "tiny").rename(package)
 
 
 def test_an_algorithm_that_changed_while_storing_was_interrupted_is_told(hive: Hive) -> None:

@@ -50,9 +50,10 @@ REFUSED: dict[str, tuple[type[Exception], str]] = {
 
 
 @pytest.fixture
-def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hive]:
+def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_template: Path) -> Iterator[Hive]:
     make_project(tmp_path / "project")
     make_recorded_track(tmp_path / "data")
+    shutil.copy(sqlite_template, tmp_path / "data" / "slamhive.db")
     for key, value in environment(tmp_path / "project", tmp_path / "data", poll_interval_s="0.01").items():
         monkeypatch.setenv(key, value)
     for name in ("TROUBLE_PAUSE_S", "IDLE_PAUSE_S", "CANCEL_CHECK_S"):

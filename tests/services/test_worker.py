@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import threading
 from collections.abc import Iterator
 from datetime import timedelta
@@ -33,9 +34,10 @@ pytestmark = pytest.mark.integration
 
 
 @pytest.fixture
-def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hive]:
+def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_template: Path) -> Iterator[Hive]:
     make_project(tmp_path / "project")
     make_dataset(tmp_path / "data")
+    shutil.copy(sqlite_template, tmp_path / "data" / "slamhive.db")
     extra = {"poll_interval_s": "0.01", "stop_grace_s": "0.1"}
     for key, value in environment(tmp_path / "project", tmp_path / "data", **extra).items():
         monkeypatch.setenv(key, value)

@@ -46,8 +46,8 @@ def web(filled: Path, tmp_path: Path, compiled: Path) -> Iterator[Web]:
 
 
 @pytest.fixture
-def empty(tmp_path: Path, compiled: Path) -> Iterator[Web]:
+def empty(tmp_path: Path, compiled: Path, sqlite_template: Path) -> Iterator[Web]:
     """An installation without datasets and runs."""
-    web = make_web(world.make_hive(tmp_path, empty=True), compiled)
+    web = make_web(world.make_hive(tmp_path, empty=True, template=sqlite_template), compiled)
     yield web
     web.hive.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -104,8 +105,13 @@ def make_dataset(settings: Settings, name: str, sensors: tuple[str, ...], *, gro
     )
 
 
-def make_hive(folder: Path, mode: Mode = Mode.WORKSTATION, *, empty: bool = False) -> Hive:
-    """A hive on a new SQLite database, with datasets unless ``empty``."""
+def make_hive(
+    folder: Path, mode: Mode = Mode.WORKSTATION, *, empty: bool = False, template: Path | None = None
+) -> Hive:
+    """A hive on the SQLite database that is there, or on a new one, with datasets unless ``empty``.
+
+    Migrating takes long: a new database is a copy of ``template`` if there is one.
+    """
     root = folder / "project"
     if not root.exists():
         root.mkdir()
@@ -116,7 +122,10 @@ def make_hive(folder: Path, mode: Mode = Mode.WORKSTATION, *, empty: bool = Fals
     if not empty and not (settings.datasets_folder / "room").exists():
         make_dataset(settings, "room", ("camera", "camera", "imu"))
         make_dataset(settings, "hall", ("lidar",), groundtruth=False)
-    store = open_store(settings.effective_database_url, upgrade=not (settings.data / "slamhive.db").exists())
+    database = settings.data / "slamhive.db"
+    if template is not None and not database.exists():
+        shutil.copy(template, database)
+    store = open_store(settings.effective_database_url, upgrade=not database.exists())
     return Hive(settings, store, Catalogue(settings, root))
 
 

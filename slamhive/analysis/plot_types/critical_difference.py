@@ -22,6 +22,7 @@ _TICK_LABELS = 10
 _LETTERS = 45
 """Longer names are shortened in the diagram; the table shows them in full."""
 _COMPETITOR = "competitor"
+_Values = dict[str, dict[str, Array]]
 
 
 class CriticalDifferenceOptions(base.PlotOptions):
@@ -151,10 +152,11 @@ def _pairs(names: list[str], test: RankTest, table: RunTable, options: CriticalD
         TableColumn("more", "More repeats that would decide"),
         TableColumn("never", "Undecided by any number of repeats"),
     )
+    values = _values(table, options.metric)
     rows: list[tuple[Cell, ...]] = []
     for (first, second), p_value in sorted(test.pairs.items()):
         apart = "no" if test.same(first, second) else "yes"
-        repeats = _repeats(table, options.metric, (names[first], names[second]))
+        repeats = _repeats(values, (names[first], names[second]))
         rows.append((names[first], names[second], p_value, apart, *repeats))
     note = (
         "A dataset is decided if Welch's 95 % interval of the difference of the two means excludes 0; this needs two "
@@ -164,7 +166,15 @@ def _pairs(names: list[str], test: RankTest, table: RunTable, options: CriticalD
     return ResultTable("pairs", "Pairs", columns, tuple(rows), note)
 
 
-def _repeats(table: RunTable, metric: str, names: tuple[str, str]) -> tuple[int, int, int, int | None, str | None]:
+def _values(table: RunTable, metric: str) -> _Values:
+    """{dataset: {competitor: values of its good runs}}, read once for all pairs; datasets in order."""
+    found: _Values = {}
+    for (dataset, name), rows in table.frame.groupby(["dataset", _COMPETITOR], sort=True, observed=True):
+        found.setdefault(str(dataset), {})[str(name)] = base.good_values(rows, metric)
+    return found
+
+
+def _repeats(values: _Values, names: tuple[str, str]) -> tuple[int, int, int, int | None, str | None]:
     """Datasets decided, undecided, and with fewer than two good runs of a competitor; missing repeats; hopeless ones.
 
     The last entry lists the datasets that no number of repeats decides.
@@ -172,11 +182,10 @@ def _repeats(table: RunTable, metric: str, names: tuple[str, str]) -> tuple[int,
     decided = undecided = too_few = 0
     missing: list[int] = []
     never: list[str] = []
-    both = table.frame[table.frame[_COMPETITOR].isin(names)]
-    for dataset, rows in both.groupby("dataset", sort=True):
-        if rows[_COMPETITOR].nunique() < 2:
+    for dataset, by_name in values.items():
+        if not by_name.keys() >= set(names):
             continue
-        groups = [base.good_values(rows[rows[_COMPETITOR] == name], metric) for name in names]
+        groups = [by_name[name] for name in names]
         if min(map(len, groups)) < 2:
             too_few += 1
             continue
@@ -186,7 +195,7 @@ def _repeats(table: RunTable, metric: str, names: tuple[str, str]) -> tuple[int,
         if comparison.decided:
             continue
         if comparison.repeats_to_decide is None:
-            never.append(str(dataset))
+            never.append(dataset)
         else:
             missing.append(max(1, comparison.repeats_to_decide - min(map(len, groups))))
     return decided, undecided, too_few, max(missing, default=None), ", ".join(never) or None

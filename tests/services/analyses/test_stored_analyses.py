@@ -45,9 +45,9 @@ forms:
 
 
 @pytest.fixture
-def hive(tmp_path: Path) -> Iterator[Hive]:
+def hive(tmp_path: Path, sqlite_template: Path) -> Iterator[Hive]:
     """Runs with figures."""
-    opened = world.make_hive(tmp_path)
+    opened = world.make_hive(tmp_path, template=sqlite_template)
     world.fill(opened)
     world.evaluate_run(opened, 2, 0.1)
     yield opened

@@ -13,9 +13,9 @@ pytestmark = pytest.mark.integration
 
 
 @pytest.fixture
-def world(tmp_path):
+def world(tmp_path, sqlite_template):
     """Three finished runs."""
-    hive = make_hive(tmp_path)
+    hive = make_hive(tmp_path, template=sqlite_template)
     for run_id in add_runs(hive, 3):
         finish_run(hive, run_id)
     yield hive
