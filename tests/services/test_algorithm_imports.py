@@ -20,6 +20,8 @@ from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import Conflict, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.executors.base import ImageMissing
+from slamhive.executors.docker.kept_images import KEPT
+from slamhive.executors.registry import installation_id
 from slamhive.schema.submission import Submission
 from slamhive.services.algorithms import ImportedPackage, ImportRequest
 from slamhive.services.algorithms.image_archive import ImageArchive
@@ -197,8 +199,11 @@ def test_only_imported_packages_can_be_removed(hive: Hive):
 def engine_hive(hive: Hive, base_image: str) -> Iterator[Hive]:
     """An installation; the images that were imported into it are removed."""
     yield hive
-    for folder in hive.settings.algorithms_folder.glob("[!.]*"):
-        run_docker("rmi", "--force", f"slam-hive-algorithm:{folder.name}")
+    names = [f"slam-hive-algorithm:{folder.name}" for folder in hive.settings.algorithms_folder.glob("[!.]*")]
+    kept = run_docker("images", "--format", "{{.Repository}}:{{.Tag}}", KEPT).stdout.split()
+    mine = installation_id(hive.settings.data)[:8]
+    for name in (*names, *(entry for entry in kept if entry.endswith(mine))):
+        run_docker("rmi", "--force", name)
 
 
 def built_folder(root: Path, base: str) -> Path:
