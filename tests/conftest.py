@@ -10,6 +10,7 @@ import itertools
 import os
 import re
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -76,6 +77,17 @@ def base_image() -> str:
     from tests.services.docker_base import make_base_image  # noqa: PLC0415
 
     return make_base_image()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_kept_images(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Take away the names by which installations of tests have kept images: nobody else would."""
+    yield
+    if "docker" in sys.modules:
+        from tests.services.docker_base import forget_kept_images  # noqa: PLC0415
+
+        files = [path for path in tmp_path_factory.getbasetemp().rglob("installation") if path.is_file()]
+        forget_kept_images([path.read_text() for path in files])
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
+import tarfile
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,9 @@ from slamhive.executors.base import ExecutorContext, ImageMissing
 from slamhive.executors.cgroup import cgroup_of
 from slamhive.executors.docker import build as docker_build
 from slamhive.executors.docker.build import choose_base, follow_build
+from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.docker.image import find_image, make_image
+from slamhive.executors.docker.kept_images import kept_name
 
 pytestmark = pytest.mark.quick
 
@@ -98,6 +101,34 @@ def test_image_without_the_mapping_script_is_refused_every_time(engine, name, ba
     dockerfile.write_text("ARG BASE_IMAGE\nFROM ${BASE_IMAGE}\nCOPY package/mapping.py /slamhive/mapping.py\n")
     digest = make_image(engine, package, context, lambda line: None)
     assert find_image(engine, package, ROOT) == digest
+
+
+@pytest.mark.docker
+def test_images_of_versions_are_kept_saved_loaded_and_forgotten(engine, name, tmp_path):
+    repository, _, tag = name.partition(":")
+    with tarfile.open(tmp_path / "files.tar", mode="w") as archive:
+        archive.addfile(tarfile.TarInfo(tag))
+    engine.api.import_image_from_file(str(tmp_path / "files.tar"), repository, tag)
+    digest = engine.images.get(name).id
+    package = AlgorithmPackage(f"test-{uuid.uuid4().hex[:8]}", tmp_path, "Kept", "1", "", "", "")
+    executor = DockerExecutor(ExecutorContext(tmp_path, ROOT, installation=uuid.uuid4().hex))
+    try:
+        assert executor.has(package, digest)
+        executor.keep(package, digest, 3)
+        executor.keep(package, digest, 3)
+        engine.images.remove(name)
+        assert engine.images.get(digest).tags == [kept_name(package.name, 3, executor._context.installation)]
+        saved = b"".join(executor.save_image(digest))
+        executor.forget(package.name, digest, 3)
+        assert not executor.has(package, digest)
+        executor.forget(package.name, digest, 3)
+        assert executor.load_image([saved]) == digest
+        assert executor.has(package, digest)
+        with pytest.raises(ImageMissing, match="is gone"):
+            next(executor.save_image("sha256:" + "0" * 64))
+    finally:
+        executor.forget(package.name, digest, 3)
+        executor.close()
 
 
 @pytest.mark.docker

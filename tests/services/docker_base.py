@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import docker
 import pytest
 
 from slamhive.executors.docker.build import choose_base
+from slamhive.executors.docker.kept_images import KEPT
 
 TEST_IMAGE = "slam-hive-test:base"
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
@@ -36,3 +38,14 @@ def make_base_image() -> str:
         )
         assert built.returncode == 0, built.stdout + built.stderr
     return TEST_IMAGE
+
+
+def forget_kept_images(installations: Sequence[str]) -> None:
+    """Take away the names by which these installations have kept images of versions."""
+    ends = tuple(f"-{installation[:8]}" for installation in installations)
+    if not ends or shutil.which("docker") is None:
+        return
+    names = run_docker("image", "ls", "--format", "{{.Repository}}:{{.Tag}}", KEPT).stdout.split()
+    kept = [name for name in names if name.endswith(ends)]
+    if kept:
+        run_docker("image", "rm", *kept)

@@ -208,7 +208,8 @@ def test_a_version_moves_to_another_installation(hive: Hive, engine: Engine, tmp
     other = Engine()
     imported, record = hive.versions.load(path, other)
     assert (imported.added, record.label) == (True, "tiny@2")
-    assert list(other.images.values()) == [(package / "slamhive" / "mapping.py").read_bytes()]
+    assert imported.package.folder == hive.settings.algorithms_folder / "tiny"
+    assert list(other.images.values()) == [(imported.package.folder / "slamhive" / "mapping.py").read_bytes()]
     edit(hive)
     with pytest.raises(Conflict, match="is another package"):
         hive.versions.load(path, other)

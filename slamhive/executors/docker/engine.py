@@ -76,11 +76,14 @@ def engine_errors(doing: str, failure: type[SlamHiveError]) -> Iterator[None]:
         raise _no_answer(doing, error) from None
 
 
-def connect() -> docker.DockerClient:
-    """A client of the engine that the environment names (``DOCKER_HOST``). Raises EngineUnavailable."""
+def connect(timeout_s: int = _TIMEOUT_S) -> docker.DockerClient:
+    """A client of the engine that the environment names (``DOCKER_HOST``). Raises EngineUnavailable.
+
+    ``timeout_s``: how long the engine may be silent.
+    """
     _check_socket()
     with engine_errors("connecting to Docker", EngineUnavailable):
-        return docker.from_env(timeout=_TIMEOUT_S)
+        return docker.from_env(timeout=timeout_s)
 
 
 def container_name(key: str) -> str:

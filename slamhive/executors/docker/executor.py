@@ -6,6 +6,7 @@ and the installation. "No such container" (404) and "exists already" (409) are t
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Collection, Iterable, Iterator
@@ -51,7 +52,14 @@ from slamhive.executors.docker.engine import (
 )
 from slamhive.executors.docker.foreign_images import DockerImages
 from slamhive.executors.docker.image import find_image, make_image
-from slamhive.executors.docker.kept_images import forget_image, has_image, kept_name, load_image, save_image
+from slamhive.executors.docker.kept_images import (
+    PACKING_TIMEOUT_S,
+    forget_image,
+    has_image,
+    kept_name,
+    load_image,
+    save_image,
+)
 from slamhive.executors.docker.refusals import RefusedProcesses, engine_protections
 from slamhive.executors.docker.run_user import in_words, open_to_user, take_back
 from slamhive.executors.docker.stats import DockerStatsSource
@@ -142,11 +150,13 @@ class DockerExecutor(Executor):
 
     def save_image(self, identity: str) -> Iterator[bytes]:
         """The image as ``docker save`` writes it, without names."""
-        return save_image(self._engine(), identity)
+        with contextlib.closing(connect(PACKING_TIMEOUT_S)) as client:
+            yield from save_image(client, identity)
 
     def load_image(self, chunks: Iterable[bytes]) -> str:
         """Load an image; its digest."""
-        return load_image(self._engine(), chunks)
+        with contextlib.closing(connect(PACKING_TIMEOUT_S)) as client:
+            return load_image(client, chunks)
 
     def image_tools(self) -> ImageTools:
         """Takes images that somebody else made."""

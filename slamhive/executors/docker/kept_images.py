@@ -17,6 +17,8 @@ KEPT = "slam-hive-version"
 """The repository of names that keep the images of versions."""
 
 _INSTALLATION_DIGITS = 8
+PACKING_TIMEOUT_S = 1800
+"""The engine is silent while it packs an image, and while it unpacks one."""
 
 
 def kept_name(package: str, number: int, installation: str) -> str:
@@ -56,7 +58,7 @@ def save_image(client: docker.DockerClient, digest: str) -> Iterator[bytes]:
 def load_image(client: docker.DockerClient, chunks: Iterable[bytes]) -> str:
     """Load what :func:`save_image` gave; the digest. Raises InvalidInput if it is not one image."""
     with engine_errors("loading an image", InvalidInput):
-        found: list[Any] = client.images.load(chunks)  # type: ignore[arg-type]
+        found: list[Any] = client.images.load(iter(chunks))  # type: ignore[arg-type]
     if len(found) != 1:
         raise InvalidInput(f"the archive holds {len(found)} images, 1 is expected", "export the version again")
     return str(found[0].id)

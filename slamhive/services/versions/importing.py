@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -52,8 +52,8 @@ def is_export(path: Path) -> bool:
         return False
 
 
-def import_version(path: Path, algorithms: Path, executor: Executor) -> ImportedVersion:
-    """Load the image of an exported version; add the package to the folder ``algorithms`` if it has none of its name.
+def import_version(path: Path, folders: Sequence[Path], executor: Executor) -> ImportedVersion:
+    """Load the image of an exported version; add the package to the last of ``folders`` if none has one of its name.
 
     Everything is checked first: a damaged archive changes nothing.
 
@@ -69,7 +69,8 @@ def import_version(path: Path, algorithms: Path, executor: Executor) -> Imported
             raise InvalidInput(f"{path} cannot be read: {error}", _REMEDY) from None
         source = aside / "package"
         _check_package(path, source, description)
-        target = algorithms / str(description["package"])
+        targets = [folder / str(description["package"]) for folder in folders]
+        target = next((entry for entry in targets if entry.exists()), targets[-1])
         added = not target.exists()
         if not added and package_hash(target) != description["package_hash"]:
             raise Conflict(f"{target} is another package than that of {path}", "move the folder away, then import")

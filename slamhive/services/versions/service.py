@@ -200,7 +200,8 @@ class Versions:
     def load(self, path: Path, executor: Executor) -> tuple[ImportedVersion, VersionRecord]:
         """Import the archive that :meth:`export` wrote; what it holds, and the version that it is here."""
         check_writable(self._settings)
-        imported = import_version(path, self._catalogue.project_root / "algorithms", executor)
+        folders = (self._catalogue.project_root / "algorithms", self._settings.algorithms_folder)
+        imported = import_version(path, folders, executor)
         return imported, self.register(executor, imported.package, imported.identity)
 
     # -- what is here ----------------------------------------------------------------------------------------------
