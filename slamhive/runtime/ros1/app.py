@@ -101,7 +101,8 @@ def _filed_results(system: Ros1System, played: Played, result: Path) -> FiledRes
         return FiledResults(live, map_points_m=None if points_m is None else points_m @ R_system_sensor)
     filed = system.results()
     if len(live.stamps_s) and not len(filed.poses.stamps_s):
-        raise SystemFailed(f"the nodes published {len(live.stamps_s)} poses, but ended without saving their trajectory")
+        published = f"the nodes published {len(live.stamps_s)} poses, but saved no trajectory"
+        raise SystemFailed(f"{published}: they were killed, or had lost their map at the end")
     write_trajectory(result / "traj.live.txt", live)
     if filed.keyframes is not None:
         write_trajectory(result / "keyframe.txt", filed.keyframes)
