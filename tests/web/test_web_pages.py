@@ -6,9 +6,11 @@ import html
 import json
 import re
 import shutil
+from datetime import UTC, datetime
 
 import pytest
 
+from slamhive.store import AlgorithmVersion
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
@@ -211,3 +213,12 @@ def test_an_imported_package_says_where_it_comes_from_and_what_is_missing(empty:
     assert "root without capabilities" in page
     assert "must be given" in page
     assert "(imported)" in empty.client.get("/algorithms").text
+
+
+def test_the_page_of_an_algorithm_lists_the_versions_of_its_package(web: Web):
+    package = web.hive.catalogue.algorithm("eye-slam-mono").package.name
+    used = AlgorithmVersion("sha256:" + "a" * 64, "sha256:" + "b" * 64, "7.5")
+    web.hive.store.write(lambda t: t.versions.put(package, used, datetime(2026, 5, 4, tzinfo=UTC)))
+    page = web.client.get("/algorithms/eye-slam-mono").text
+    number = web.hive.versions.of(package)[-1].number
+    assert f"<code>{package}@{number}</code>: 7.5, since 2026-05-04, 0 runs" in page

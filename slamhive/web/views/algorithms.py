@@ -37,4 +37,5 @@ def show(name: str) -> str:
         algorithm=algorithm,
         choices=dataset_choices(algorithm, services.catalogue.datasets()),
         run_count=runs.total,
+        versions=services.versions.of(algorithm.package.name)[::-1],
     )
