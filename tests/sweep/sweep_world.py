@@ -87,9 +87,17 @@ _INTRINSICS: dict[str, float | int | str | tuple[float, ...]] = {
     "cy": 239.5,
 }
 
+_NOISE: dict[str, float | int | str | tuple[float, ...]] = {
+    "gyroscope_noise_density": 1.7e-4,
+    "accelerometer_noise_density": 2e-3,
+    "gyroscope_random_walk": 1.9e-5,
+    "accelerometer_random_walk": 3e-3,
+}
+
 _CALIBRATION = {
     CAMERA: _INTRINSICS,
     DEPTH: _INTRINSICS,
+    IMU: _NOISE,
     LIDAR: LidarLayout(PointTimes(0.1, "time", reference=TimeReference.TIMESTAMP)).calibration(),
 }
 

@@ -15,13 +15,11 @@ from slamhive.sweep.expand import count, expand
 from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.experiment_file import experiment_schema, parse_experiment
 from slamhive.sweep.view import CatalogueView
-from tests.sweep.sweep_world import CAMERA, IMU, MONO, ROOM, STEREO, STEREO_INERTIAL, algorithm, dataset
+from tests.sweep.sweep_world import CAMERA, IMU, ROOM, dataset
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
 SCHEMA = ROOT / "docs" / "schemas" / "experiment.schema.json"
-
-ROLES = {"mono": MONO, "mono-imu": {**MONO, "imu": IMU}, "stereo": STEREO, "stereo-imu": STEREO_INERTIAL}
 
 
 def load(path: Path) -> Experiment:
@@ -40,12 +38,7 @@ def test_the_papers_experiment_is_1500_configurations():
     path = EXAMPLES / "paper-euroc.yaml"
     assert len(path.read_text().splitlines()) <= 40
     experiment = load(path)
-    algorithms = {name: algorithm(name, ROLES[sensing(name)]) for name in map(str, experiment.algorithms.values)}
-    datasets = {
-        name: dataset(name, ("cam0", CAMERA, 20), ("cam1", CAMERA, 20), ("imu0", IMU, 200))
-        for name in map(str, experiment.datasets.values)
-    }
-    view = CatalogueView(algorithms, datasets, RegisteredSteps())
+    view = with_shipped_packages(experiment)
     size = count(experiment, view)
     assert (size.combinations, size.configurations, size.runs) == (1500, 1500, 1500)
     assert size.axes == {"algorithm": 10, "dataset": 5, "image_rate": 5, "image_resolution": 6}
@@ -58,10 +51,22 @@ def test_the_papers_experiment_is_1500_configurations():
     assert sum(not run.configuration.variant for run in runs) == 10 * 5
 
 
-def sensing(name: str) -> str:
-    found = re.search(r"(mono|stereo)(-imu|-inertial)?$", name)
-    assert found is not None
-    return found[1] + ("-imu" if found[2] else "")
+def test_a_cut_of_the_papers_experiment_runs_on_two_rooms():
+    experiment = load(EXAMPLES / "paper-room.yaml")
+    size = count(experiment, with_shipped_packages(experiment))
+    assert (size.configurations, size.runs) == (180, 360)
+    assert size.axes == {"algorithm": 10, "dataset": 2, "image_rate": 3, "image_resolution": 3}
+
+
+def with_shipped_packages(experiment: Experiment) -> CatalogueView:
+    """All packages of the project, and datasets of the experiment with two cameras and an IMU."""
+    folders = sorted(path.parent for path in (ROOT / "algorithms").glob("*/algorithm.yaml"))
+    algorithms = {entry.name: entry for folder in folders for entry in load_algorithms(folder)}
+    datasets = {
+        name: dataset(name, ("cam0", CAMERA, 20), ("cam1", CAMERA, 20), ("imu0", IMU, 200))
+        for name in map(str, experiment.datasets.values)
+    }
+    return CatalogueView(algorithms, datasets, RegisteredSteps())
 
 
 def test_the_sensitivity_experiment_is_5_rates_4_resolutions_2_algorithms(room):
