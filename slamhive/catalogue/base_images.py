@@ -45,7 +45,7 @@ def base_images(dockerfile: Path, base: str, project_root: Path) -> tuple[BaseIm
         declared = _ARGUMENT.findall(dockerfile.read_text("utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"{dockerfile} cannot be read: {error}") from None
-    folders = {part: project_root / "docker" / base / part.lower() for part in declared}
+    folders = {part: project_root / f"docker/{base}/{part.lower()}" for part in declared}
     return tuple(_base_image(base, folder, project_root) for folder in folders.values() if _is_part(folder))
 
 
