@@ -26,6 +26,7 @@ RENDERING_PARTS = (
     "errors.py",
     "files.py",
     "runtime/__init__.py",
+    "runtime/paths.py",
     "runtime/trajectory.py",
     "bags/__init__.py",
     "bags/geometry.py",
