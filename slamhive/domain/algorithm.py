@@ -169,8 +169,8 @@ class Algorithm:
     def assign(self, dataset: Dataset, chosen: Chosen = BY_RULE) -> dict[str, Sensor]:
         """Which sensor of ``dataset`` serves which role: as ``chosen``, the others in the dataset's order.
 
-        Raises NotFound or InvalidInput, before anything starts, if a choice makes no sense, or if the dataset lacks a
-        sensor, what the algorithm has to know of one, or a recording.
+        Raises NotFound or InvalidInput, before anything starts, if a choice makes no sense. The same goes for a dataset
+        that lacks a recording, a sensor, or calibration that the algorithm requires.
         """
         dataset.check_recorded()
         self.package.check_recording(dataset)
@@ -202,7 +202,7 @@ class Algorithm:
         }
 
     def stated_choice(self, dataset: Dataset, chosen: Chosen) -> dict[str, str]:
-        """``chosen`` in the form that is stored: nothing if the rule gives the same, else each role of those kinds.
+        """``chosen`` as it is stored: nothing if the rule gives the same, else each role of those kinds.
 
         Raises as :meth:`assign`.
         """

@@ -45,6 +45,7 @@ def test_a_walk_ends_at_the_deepest_folder_and_says_so(tmp_path: Path):
     assert descriptors() == before
     assert sum(entry.is_folder for entry in found) == DEEPEST_FOLDERS
     assert [entry.place.count("/") for entry in found if entry.is_folder and not entry.entered] == [DEEPEST_FOLDERS - 1]
+    remove_tree(tmp_path / "deep")  # pytest cannot remove it
 
 
 def test_a_walk_that_is_left_closes_its_folders(tmp_path: Path):

@@ -64,8 +64,8 @@ class Ros1System:
         R_system_sensor: (3, 3) from the axes of the sensor to those in which the system states poses and map. LOAM has
             x to the left, y up and z forward.
         every_frame: Each frame should give a pose. Frames without one, after the first pose, were then dropped inside.
-        processed: A topic with the header (``std_msgs/Header``) of each frame that the system is through with. It tells
-            dropped frames from lost ones; without it, that is guessed from the poses.
+        processed: A topic with the header (``std_msgs/Header``) of each frame that the system is through with. It
+            separates dropped frames from lost ones; without it, the poses decide.
         results: Reads what the nodes saved, after their end.
         drop_lines: Regular expressions of the lines by which nodes report a frame that they drop.
         map_topic: A ``PointCloud2`` with the map, whose last message becomes ``Map.pcd``.

@@ -54,7 +54,7 @@ class DeadReckoning:
         self._waiting.append(stamp)
 
     def found(self) -> Iterator[tuple[Any, np.ndarray, np.ndarray]]:
-        """Stamp, position and rotation of poses that were asked for, as soon as the IMU has come that far."""
+        """Timestamp, position and rotation of poses that were asked for, as soon as the IMU has come that far."""
         while self._poses and self._waiting and self._waiting[0].to_sec() <= self._poses[-1][0]:
             stamp = self._waiting.popleft()
             _, position_m, R_world_imu = min(self._poses, key=lambda pose: abs(pose[0] - stamp.to_sec()))
