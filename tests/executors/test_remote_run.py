@@ -80,7 +80,8 @@ def started_times(hive: Hive, run_id: int) -> int:
 
 def test_a_run_and_its_evaluation(far, agent):
     assert "agent remote" in command("-m", "slamhive", "doctor")
-    run_id = submit(far, parameters={"seconds": 1.5})
+    # This behaviour writes its progress again and again, so each sample sees CPU time.
+    run_id = submit(far, parameters={"seconds": 1.5, "behaviour": "lost"})
     command("-m", "slamhive", "worker", "--until-idle")
     run = far.runs.get(run_id)
     assert (run.state, run.poses, run.executor) == (RunState.SUCCEEDED, 30, "remote"), run.detail

@@ -14,7 +14,8 @@ from slamhive.store import RunRecord
 from slamhive.store.records import EvaluationState
 
 IN_DATA_ROOT = {
-    "analyses", "datasets", "environments", "experiments", "installation", "ledger", "runs", "slamhive.db", "variants"
+    "analyses", "datasets", "environments", "experiments", "installation", "ledger", "runs", "slamhive.db", "variants",
+    "versions",
 }  # fmt: skip
 LOCKS = re.compile(r"worker-.*\.lock|\..*\.lock|slamhive\.db-(wal|shm)")
 IN_RUN_FOLDER = {

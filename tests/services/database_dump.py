@@ -19,7 +19,7 @@ Dump = dict[str, list[Row]]
 
 FREE_NUMBERS = {
     "algorithms": ("name",),
-    "algorithm_versions": ("algorithm_id", "identity", "package_hash"),
+    "algorithm_versions": ("package", "identity", "package_hash"),
     "analyses": ("token",),
     "datasets": ("name",),
     "experiments": ("uid",),

@@ -123,7 +123,8 @@ def test_an_algorithm_that_is_gone_is_told_and_results_stay(hive: Hive) -> None:
         report = reindex(again, silent)
         ((folder, reason),) = report.skipped
         assert folder.name == "some"
-        assert "unknown algorithm 'tiny'" in reason
+        assert "some line 2: algorithm 'tiny'" in reason
+        assert "slamhive algorithm import" in reason
         assert again.experiments.status("some").counts[Phase.GOOD] == 1
     finally:
         again.close()
