@@ -2,8 +2,8 @@
 
 The plain pass reads and deserialises every message and does nothing with it. Both run in pairs, in alternating order,
 each in a process of its own that has imported everything, as a command does. The medians of wall and CPU times are
-printed, with their ratios. The goal is a ratio of 2.0 of the wall times. A check examines images in a second thread, so it needs
-two idle cores.
+printed, with their ratios. The goal is a ratio of 2.0 of the wall times. A check examines images in a second thread, so
+it needs two idle cores.
 
     python benchmarks/check.py [--dataset FOLDER] [--seconds 15] [--pairs 7] [--json]
 
