@@ -28,6 +28,8 @@ from slamhive.project import project_root
 from slamhive.runtime.config import RunConfig, from_yaml, to_yaml
 from slamhive.sweep.variants import resolve_variant, seen_dataset
 
+pytestmark = pytest.mark.quick
+
 GOLDEN = Path(__file__).parent / "settings"
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = ROOT.parent / "shared" / "data"

@@ -8,6 +8,7 @@ import re
 from typing import Any
 
 import click
+import pytest
 
 from slamhive.cli import main
 from slamhive.cli.run_options import submission_values
@@ -19,6 +20,8 @@ from slamhive.schema.submission import OPTIONS, StopWhen, Submission
 from slamhive.sweep.experiment_file import experiment_schema
 from slamhive.web.run_form import read_form
 from tests.web.web_world import Web
+
+pytestmark = pytest.mark.quick
 
 EXAMPLE = Submission(
     algorithm="eye-slam-stereo",
