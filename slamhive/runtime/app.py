@@ -8,18 +8,17 @@ Example::
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-from slamhive.errors import SlamHiveError
 from slamhive.files import write_aside
 from slamhive.runtime.config import RunConfig, load
 from slamhive.runtime.frames import Frame, FrameTimes, write_frames_csv
-from slamhive.runtime.paths import RunPaths, find_recording, run_paths
+from slamhive.runtime.paths import RunPaths, find_recording
 from slamhive.runtime.playback import Player, player_options
+from slamhive.runtime.program import run_program
 from slamhive.runtime.progress import Progress, json_text, say
 from slamhive.runtime.trajectory import Poses, Trajectories, write_trajectories
 
@@ -45,12 +44,7 @@ MakeAlgorithm = Callable[[RunConfig], Algorithm]
 
 def run(make: MakeAlgorithm) -> int:
     """Run the algorithm that ``make`` builds; returns the exit code. Each known error is one line on stderr."""
-    try:
-        _run(make, run_paths())
-    except SlamHiveError as error:
-        print(f"error: {error}", file=sys.stderr, flush=True)  # noqa: T201 - the program's own output
-        return 1
-    return 0
+    return run_program(lambda paths: _run(make, paths))
 
 
 def _run(make: MakeAlgorithm, paths: RunPaths) -> None:

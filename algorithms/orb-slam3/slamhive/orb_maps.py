@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import sys
 import tempfile
 import time
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamhive.runtime.paths import MAP_VARIABLE
+from slamhive.runtime.program import done_by_child
 
 SESSION = "session.osa"
 POINTS_EVERY_S = 0.25
@@ -26,7 +26,6 @@ _SAVING_LIMIT_S = 120.0
 _IDLE_SHARE = 0.1
 _IDLE_STEP_S = 0.5
 _IDLE_PATIENCE_S = 60.0
-_LOOK_EVERY_S = 0.02
 _NEW_MAP = re.compile(r"Creation of new map with id: (\d+)")
 _OTHER_MAP = re.compile(r"Change to map with id: (\d+)")
 
@@ -66,7 +65,11 @@ def save_session(slam: Closable, result: Path) -> bool:
     """
     _wait_until_idle()
     aside = aside_of(result)
-    saved = _in_child(slam) and aside.is_file() and aside.stat().st_size <= _MOST_SESSION_BYTES
+    saved = (
+        done_by_child(slam.shutdown, _SAVING_LIMIT_S)
+        and aside.is_file()
+        and aside.stat().st_size <= _MOST_SESSION_BYTES
+    )
     if saved:
         aside.replace(result / SESSION)
     else:
@@ -154,24 +157,3 @@ def _wait_until_idle() -> None:
         time.sleep(_IDLE_STEP_S)
         if time.process_time() - before_s < _IDLE_SHARE * _IDLE_STEP_S:
             return
-
-
-def _in_child(slam: Closable) -> bool:
-    sys.stdout.flush()
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            slam.shutdown()
-            code = 0
-        finally:  # An exception must not go on in a second copy of the program.
-            os._exit(code)
-    end_s = time.monotonic() + _SAVING_LIMIT_S
-    while time.monotonic() < end_s:
-        ended, status = os.waitpid(child, os.WNOHANG)
-        if ended:
-            return status == 0
-        time.sleep(_LOOK_EVERY_S)
-    os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return False

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import signal
-import sys
-import time
 from pathlib import Path
 from typing import Protocol
 
@@ -14,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamhive.errors import InvalidInput
+from slamhive.runtime.program import done_by_child
 from slamhive.runtime.trajectory import transform_from
 
 SAVING_LIMIT_S = 30.0
-_LOOK_EVERY_S = 0.01
 KEYFRAMES = "keyframes.txt"
 """The file with the keyframes of the current map, which :func:`save_trajectory` leaves in its folder."""
 _KEYFRAMES = re.compile(r"Map \d+ has (\d+) KFs")
@@ -73,22 +70,9 @@ def without_repeats(table: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _saved_by_child(slam: Savable, path: Path, log: Path, limit_s: float) -> bool:
     """Whether a child process wrote the file; ``log`` takes what it prints."""
-    sys.stdout.flush()
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), 1)
-            slam.save_trajectory_euroc(str(path))
-            code = 0
-        finally:  # An exception must not go on in a second copy of the program.
-            os._exit(code)
-    end_s = time.monotonic() + limit_s
-    while time.monotonic() < end_s:
-        ended, status = os.waitpid(child, os.WNOHANG)
-        if ended:
-            return status == 0
-        time.sleep(_LOOK_EVERY_S)
-    os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return False
+
+    def save() -> None:
+        os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), 1)
+        slam.save_trajectory_euroc(str(path))
+
+    return done_by_child(save, limit_s)

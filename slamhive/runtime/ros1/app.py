@@ -10,19 +10,19 @@ where ``make`` takes the configuration of the run and returns a :class:`~slamhiv
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.errors import InvalidInput
 from slamhive.files import write_aside
 from slamhive.runtime.config import RunConfig, load
 from slamhive.runtime.frames import write_frames_csv
-from slamhive.runtime.paths import RunPaths, find_recording, run_paths
+from slamhive.runtime.paths import RunPaths, find_recording
 from slamhive.runtime.pcd import write_pcd
+from slamhive.runtime.program import run_program
 from slamhive.runtime.progress import json_text, say
 from slamhive.runtime.ros1.pose_messages import in_sensor_axes
 from slamhive.runtime.ros1.programs import SystemFailed
@@ -33,20 +33,12 @@ from slamhive.runtime.trajectory import Poses, write_trajectory
 if TYPE_CHECKING:
     from slamhive.runtime.ros1.session import Played
 
-MAP_POINTS_MAX = 10_000_000
-"""120 MB of a PCD file. Of larger maps every n-th point is kept."""
-
 MakeSystem = Callable[[RunConfig], Ros1System]
 
 
 def run(make: MakeSystem) -> int:
     """Run the system that ``make`` describes; returns the exit code. Each known error is one line on stderr."""
-    try:
-        _run(make, run_paths())
-    except SlamHiveError as error:
-        print(f"error: {error}", file=sys.stderr, flush=True)  # noqa: T201 - the program's own output
-        return 1
-    return 0
+    return run_program(lambda paths: _run(make, paths))
 
 
 def _run(make: MakeSystem, paths: RunPaths) -> None:
@@ -80,8 +72,7 @@ def _write_results(system: Ros1System, config: RunConfig, played: Played, result
     write_aside(result / "playback.json", json_text(summary))
     filed = _filed_results(system, played, result)
     if filed.map_points_m is not None and config.general_parameter.get("save_map"):
-        step = -(-len(filed.map_points_m) // MAP_POINTS_MAX) or 1
-        write_pcd(result / "Map.pcd", filed.map_points_m[::step])
+        write_pcd(result / "Map.pcd", filed.map_points_m)
     write_trajectory(result / "traj.txt", filed.poses)
     in_queues = sum(queue["dropped"] for queue in summary["queues"])  # type: ignore[attr-defined]
     say(
