@@ -42,6 +42,11 @@ def run_paths(environment: Mapping[str, str] = os.environ) -> RunPaths:
     )
 
 
+def is_recording(entry: Path) -> bool:
+    """Whether ``entry`` looks like a recording: a ``.bag``, ``.mcap`` or ``.db3`` file, or a folder of ROS 2."""
+    return entry.suffix in {".bag", ".mcap", ".db3"} or (entry / "metadata.yaml").is_file()
+
+
 def find_recording(folder: Path) -> Path:
     """The only recording in ``folder``: a ``.bag``, an ``.mcap``, or a folder with ``metadata.yaml`` (ROS 2).
 
@@ -51,9 +56,7 @@ def find_recording(folder: Path) -> Path:
         entries = sorted(folder.iterdir())
     except OSError as error:
         raise InvalidInput(f"{folder} cannot be read: {error.strerror}") from None
-    found = [
-        entry for entry in entries if entry.suffix in {".bag", ".mcap", ".db3"} or (entry / "metadata.yaml").is_file()
-    ]
+    found = [entry for entry in entries if is_recording(entry)]
     if len(found) != 1:
         names = ", ".join(entry.name for entry in found) or "none"
         raise InvalidInput(f"expected one recording in {folder}, found {names}", "a .bag, an .mcap or a ROS 2 folder")

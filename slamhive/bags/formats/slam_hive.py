@@ -14,6 +14,7 @@ from slamhive.bags.staging import GROUND_TRUTH_FILE, PLAY_SCRIPT
 from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput
+from slamhive.runtime.paths import is_recording
 from slamhive.trajectory.tum import read_tum
 
 _DESCRIBED = ("title", "description", "licence", "citation", "source", "attributes")
@@ -30,7 +31,7 @@ class SlamHiveImporter:
         """By ``dataset.yaml`` and a recording beside it."""
         if not (path / DATASET_FILE).is_file():
             return Detection((), ())
-        recordings = [entry.name for entry in path.iterdir() if _is_recording(entry)]
+        recordings = [entry.name for entry in path.iterdir() if is_recording(entry)]
         if not recordings:
             return Detection((DATASET_FILE,), ("a .bag or .mcap file, or a folder with metadata.yaml",))
         return Detection((DATASET_FILE, *recordings[:1]), ())
@@ -80,10 +81,6 @@ class PublishedFolderImporter:
 
 def _published_bag(folder: Path) -> Path:
     return folder / f"{folder.resolve().name}.bag"
-
-
-def _is_recording(entry: Path) -> bool:
-    return entry.suffix in {".bag", ".mcap", ".db3"} or (entry / "metadata.yaml").is_file()
 
 
 def _recording(dataset: Dataset) -> KeptRecording:
