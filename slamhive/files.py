@@ -67,14 +67,10 @@ def held_folder(path: Path) -> Iterator[Path]:
     while True:
         shutil.rmtree(path, ignore_errors=True)
         path.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-            if path.is_dir() and os.path.samestat(os.fstat(descriptor), path.stat()):
+        with _held(path) as held:
+            if held:
                 yield path
                 return
-        finally:
-            os.close(descriptor)
 
 
 def sweep_folder(path: Path) -> None:
@@ -90,13 +86,14 @@ def temporary_folder(prefix: str = TEMPORARY, root: Path | None = None) -> Itera
 
     It lies below ``root``, or, with None, where the system keeps temporary files.
     """
-    with tempfile.TemporaryDirectory(prefix=prefix, dir=root, ignore_cleanup_errors=True) as name:
-        descriptor = os.open(name, os.O_RDONLY | os.O_CLOEXEC)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-            yield Path(name)
-        finally:
-            os.close(descriptor)
+    while True:
+        with (
+            tempfile.TemporaryDirectory(prefix=prefix, dir=root, ignore_cleanup_errors=True) as name,
+            _held(Path(name)) as held,
+        ):
+            if held:
+                yield Path(name)
+                return
 
 
 def sweep_temporary() -> None:
@@ -106,6 +103,21 @@ def sweep_temporary() -> None:
             found = path.lstat()
             if stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid():
                 sweep_folder(path)
+
+
+@contextmanager
+def _held(folder: Path) -> Iterator[bool]:
+    """Hold ``folder`` during the block; False if another process swept it before it was held."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        yield False
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield folder.is_dir() and os.path.samestat(os.fstat(descriptor), folder.stat())
+    finally:
+        os.close(descriptor)
 
 
 @contextmanager
