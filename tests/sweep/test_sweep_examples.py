@@ -11,6 +11,8 @@ import pytest
 from slamhive import strict_yaml
 from slamhive.bags.variants.rules import RegisteredSteps
 from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.gpu import GpuNeed
 from slamhive.sweep.expand import count, expand
 from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.experiment_file import experiment_schema, parse_experiment
@@ -56,6 +58,17 @@ def test_a_cut_of_the_papers_experiment_runs_on_two_rooms():
     size = count(experiment, with_shipped_packages(experiment))
     assert (size.configurations, size.runs) == (180, 360)
     assert size.axes == {"algorithm": 10, "dataset": 2, "image_rate": 3, "image_resolution": 3}
+
+
+def test_the_table_of_algorithms_has_all_that_run_in_real_time_without_a_gpu():
+    experiment = load(EXAMPLES / "algorithms.yaml")
+    names = set(map(str, experiment.algorithms.values))
+    packages = with_shipped_packages(experiment).algorithms
+    assert names == {
+        name
+        for name, entry in packages.items()
+        if entry.package.gpu is GpuNeed.NONE and PlaybackMode.REALTIME in entry.package.playback
+    }
 
 
 def with_shipped_packages(experiment: Experiment) -> CatalogueView:

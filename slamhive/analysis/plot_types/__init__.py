@@ -17,6 +17,7 @@ from slamhive.analysis.plot_types.distributions import Distributions
 from slamhive.analysis.plot_types.heatmap import Heatmap
 from slamhive.analysis.plot_types.importance import Importance
 from slamhive.analysis.plot_types.line import LinePlot
+from slamhive.analysis.plot_types.metric_table import MetricTable
 from slamhive.analysis.plot_types.parallel import ParallelCoordinates
 from slamhive.analysis.plot_types.pareto import Pareto
 from slamhive.analysis.plot_types.protocols import Protocols
@@ -37,6 +38,7 @@ for _plot_type in (
     Heatmap(),
     Importance(),
     LinePlot(),
+    MetricTable(),
     ParallelCoordinates(),
     Pareto(),
     Protocols(),

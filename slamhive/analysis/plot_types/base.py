@@ -39,6 +39,8 @@ GroupKey = Annotated[
 
 OptionsT = TypeVar("OptionsT", bound=PlotOptions)
 
+MEGABYTES_PER_BYTE = 1e-6
+
 
 @dataclass(frozen=True, slots=True)
 class RunTrack:

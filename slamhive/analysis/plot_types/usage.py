@@ -14,7 +14,6 @@ from slamhive.analysis.result import Exclusion, PlotResult, ResultTable, TableCo
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
 
-_MB = 1e-6
 _MOST_POINTS = 600
 
 
@@ -75,7 +74,7 @@ def _lines(sampled: list[base.RunUsage], table: RunTable, what: str) -> Iterator
     failed = set(table.failed()["run_id"])
     algorithms = dict(zip(table.frame["run_id"], table.frame["algorithm"], strict=True))
     for usage in sampled:
-        values = usage.cpu_cores if what == "CPU" else usage.memory_bytes * _MB
+        values = usage.cpu_cores if what == "CPU" else usage.memory_bytes * base.MEGABYTES_PER_BYTE
         kept = _evenly(len(values))
         yield Line(
             name=f"run {usage.run_id}, {algorithms[usage.run_id]}",
