@@ -21,6 +21,7 @@ MEDIA_TYPES = {
     "png": "image/png",
     "csv": "text/csv",
     "tex": "text/x-tex",
+    "md": "text/markdown",
     "parquet": "application/vnd.apache.parquet",
     "html": "text/html",
     "zip": "application/zip",
@@ -45,7 +46,7 @@ class AnalysisFiles:
         folder = self._hive.stored_analyses.folder(token)
         if name == SOURCE:
             return folder.source.encode()
-        place = None if name in (PAGE_FILE, ZIP_FILE) else folder.read_result(PAGE)["files"].get(name)
+        place = None if name in (PAGE_FILE, ZIP_FILE) else _place(folder.read_result(PAGE)["files"], name)
         if place is None and name not in (PAGE_FILE, ZIP_FILE):
             raise NotFound(f"the analysis has no file {name[:100]!r}", "see the list on its page")
         key = token, name, str(record.ended_at)
@@ -63,7 +64,7 @@ class AnalysisFiles:
         # matplotlib, pandas and plotly take two seconds to load. No other page should wait for that.
         from slamhive.analysis.print_chart import FORMATS, print_chart  # noqa: PLC0415
         from slamhive.analysis.report import Report  # noqa: PLC0415
-        from slamhive.services.reports import report_page, table_csv, table_latex, table_parquet, zipped  # noqa: PLC0415  # noqa: PLC0415
+        from slamhive.services.reports import report_page, table_file, zipped  # noqa: PLC0415
 
         report = Report.stored(folder.read_result(REPORT))
         root = self._hive.catalogue.project_root
@@ -75,9 +76,7 @@ class AnalysisFiles:
         if ending in FORMATS:
             return print_chart(next(chart for chart in plot.charts if chart.key == wanted), ending)
         table = next(entry for entry in plot.tables if entry.key == wanted)
-        if ending == "parquet":
-            return table_parquet(table)
-        return (table_csv(table) if ending == "csv" else table_latex(table)).encode()
+        return table_file(table, ending)
 
     def _keep(self, key: tuple[str, str, str], content: bytes) -> None:
         self._kept[key] = content
@@ -99,3 +98,8 @@ class AnalysisFiles:
                 self._making.release()
         finally:
             self._places.release()
+
+
+def _place(files: dict[str, tuple[int, str]], name: str) -> tuple[int, str] | None:
+    """The place of a file's plot and the key; analyses from before Markdown was written list LaTeX alone."""
+    return files.get(name) or (files.get(f"{name.removesuffix('.md')}.tex") if name.endswith(".md") else None)

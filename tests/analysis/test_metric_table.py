@@ -11,7 +11,7 @@ from slamhive.analysis.result import PlotResult
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
-from slamhive.services.reports.tables import table_latex
+from slamhive.services.reports.tables import table_latex, table_markdown
 from tests.analysis.analysis_world import ALGORITHMS, DATASETS, data_of, sweep_table
 
 pytestmark = pytest.mark.integration  # plotting and statistics take seconds to load
@@ -40,6 +40,10 @@ def test_a_row_for_each_algorithm_and_dataset() -> None:
     assert str(orb["RAM max [MB]"]).startswith("188 ± ")
     assert "SE(3)" in result.tables[0].caption
     assert r"$\pm$" in table_latex(result.tables[0])
+    lines = table_markdown(result.tables[0]).splitlines()
+    assert lines[0].startswith("| Dataset | Algorithm | Runs | Failed | ATE RMSE \\[m\\] |")
+    assert lines[1] == "| --- | --- | ---: | ---: | --- | --- |"
+    assert lines[2].startswith("| kitti\\_06 | kiss-icp | 40 | 0 | ")
 
 
 def test_rows_may_have_different_protocols_but_no_row_mixes_them() -> None:

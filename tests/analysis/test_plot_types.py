@@ -22,7 +22,7 @@ from slamhive.analysis.table import FAILED as FAILED_COLUMN
 from slamhive.analysis.table import Column, ColumnKind
 from slamhive.domain.verdict import FailureRule
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.services.reports.tables import table_csv, table_latex, table_parquet
+from slamhive.services.reports.tables import table_csv, table_latex, table_markdown, table_parquet
 from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, REPEATS, SCALES, NoFiles, data_of, sweep_table
 
 pytestmark = pytest.mark.integration
@@ -211,6 +211,7 @@ def test_hostile_names_are_words_in_every_form(form):
     assert not re.search(r"(?<!\\u200b)%\{x\}(kiss|orb|rko|kitti|room|v101)", drawn)
     for table in result.tables:
         assert not re.search(r"(^|,)\"?=<", table_csv(table), re.MULTILINE)
+        assert not re.search(r"(?<!\\)<img", table_markdown(table))
         assert "%{" not in table_latex(table).replace(r"\%\{", "").partition("\n")[2]
 
 

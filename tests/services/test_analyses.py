@@ -19,7 +19,7 @@ from slamhive.project import project_root
 from slamhive.services.reports.bundle import report_page, write_folder, zipped
 from slamhive.services.reports.run import AnalysisLimits
 from slamhive.services.reports.table import TableRequest, load_table
-from slamhive.services.reports.tables import latex, table_csv, table_latex
+from slamhive.services.reports.tables import latex, table_csv, table_latex, table_markdown
 from tests.web.web_world import add_runs, evaluate_run, fail_run, finish_run, make_hive
 
 pytestmark = pytest.mark.integration
@@ -32,6 +32,7 @@ def test_latex_and_spreadsheets_take_nothing_for_a_command():
         "t", "a title\nof two lines", (TableColumn("name", "Name_%"),), (("=cmd()",), (r"\input{x} $a$",))
     )
     assert table_csv(table).splitlines() == ["Name_%", "'=cmd()", r"\input{x} $a$"]
+    assert table_markdown(table).splitlines()[0] == r"| Name\_% |"
     text = table_latex(table)
     assert r"\textbackslash{}input\{x\} \$a\$" in text
     assert text.startswith("% a title of two lines\n")

@@ -18,9 +18,7 @@ from slamhive.services.reports.tables import (
     PARQUET_REMEDY,
     WITHOUT_PARQUET,
     parquet_there,
-    table_csv,
-    table_latex,
-    table_parquet,
+    table_file,
 )
 
 __all__ = [
@@ -35,9 +33,7 @@ __all__ = [
     "report_environment",
     "report_page",
     "script_json",
-    "table_csv",
-    "table_latex",
-    "table_parquet",
+    "table_file",
     "write_folder",
     "zipped",
 ]

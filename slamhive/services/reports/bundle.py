@@ -21,7 +21,7 @@ from slamhive.analysis.result import ResultTable
 from slamhive.files import write_aside
 from slamhive.services.markdown import markdown_html
 from slamhive.services.reports.report import SHOWN_ROWS, file_name
-from slamhive.services.reports.tables import parquet_there, table_csv, table_latex, table_parquet
+from slamhive.services.reports.tables import endings_of, parquet_there, table_file
 
 PLOTLY_FILE = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
 PAGE = "report.html"
@@ -140,11 +140,9 @@ def figures_json(report: Report) -> dict[str, Any]:
 
 
 def _table_files(place: int, table: ResultTable) -> Iterator[tuple[str, bytes]]:
-    yield f"tables/{file_name(place, table.key, 'csv')}", table_csv(table).encode()
-    if parquet_there():
-        yield f"tables/{file_name(place, table.key, 'parquet')}", table_parquet(table)
-    if not table.raw:
-        yield f"tables/{file_name(place, table.key, 'tex')}", table_latex(table).encode()
+    for ending in endings_of(table):
+        if ending != "parquet" or parquet_there():
+            yield f"tables/{file_name(place, table.key, ending)}", table_file(table, ending)
 
 
 def script_json(content: dict[str, Any]) -> Markup:

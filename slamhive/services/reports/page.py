@@ -9,6 +9,7 @@ from slamhive.analysis.print_chart import FORMATS
 from slamhive.analysis.report import Plot, Report, ReportPage, ShownPlot
 from slamhive.services.reports.bundle import shown_plot
 from slamhive.services.reports.report import file_name
+from slamhive.services.reports.tables import endings_of
 
 
 def page_of(report: Report) -> ReportPage:
@@ -31,5 +32,5 @@ def _files(plot: Plot) -> Iterator[tuple[str, tuple[int, str]]]:
         for ending in FORMATS:
             yield file_name(plot.place, chart.key, ending), (plot.place, chart.key)
     for table in plot.tables:
-        for ending in ("csv", "parquet") if table.raw else ("csv", "parquet", "tex"):
+        for ending in endings_of(table):
             yield file_name(plot.place, table.key, ending), (plot.place, table.key)

@@ -1,9 +1,10 @@
-"""Write tables of analyses as CSV, Parquet and LaTeX."""
+"""Write tables of analyses as CSV, Parquet, LaTeX and Markdown."""
 
 from __future__ import annotations
 
 import csv
 import io
+import re
 from importlib.util import find_spec
 
 import pandas as pd
@@ -23,6 +24,23 @@ _LATEX = {
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "²": r"\textsuperscript{2}", "°": r"\textdegree{}",
     "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "±": r"$\pm$", '"': r"\textquotedbl{}",
 }  # fmt: skip
+
+
+RAW_ENDINGS = ("csv", "parquet")
+ENDINGS = (*RAW_ENDINGS, "tex", "md")
+"""File formats of tables; raw data has the first two."""
+
+
+def endings_of(table: ResultTable) -> tuple[str, ...]:
+    """The file formats of a table."""
+    return RAW_ENDINGS if table.raw else ENDINGS
+
+
+def table_file(table: ResultTable, ending: str) -> bytes:
+    """The table in the format ``ending``, one of :data:`ENDINGS`; raises Unavailable for Parquet without pyarrow."""
+    if ending == "parquet":
+        return table_parquet(table)
+    return {"csv": table_csv, "tex": table_latex, "md": table_markdown}[ending](table).encode()
 
 
 def table_csv(table: ResultTable) -> str:
@@ -56,9 +74,7 @@ def table_parquet(table: ResultTable) -> bytes:
 
 def table_latex(table: ResultTable) -> str:
     """A ``tabular`` with booktabs rules, escaped text, and numbers with four significant digits."""
-    numeric = [
-        all(isinstance(row[place], int | float | None) for row in table.rows) for place in range(len(table.columns))
-    ]
+    numeric = _numeric(table)
     lines = [
         f"% {_comment(table.title)}",
         f"\\begin{{tabular}}{{{''.join('r' if number else 'l' for number in numeric)}}}",
@@ -70,6 +86,35 @@ def table_latex(table: ResultTable) -> str:
     if len(table.rows) > LATEX_ROWS:
         lines.append(f"% {len(table.rows) - LATEX_ROWS} more rows are in the CSV file")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def table_markdown(table: ResultTable) -> str:
+    """A table of GitHub's Markdown with escaped text, numbers with four significant digits, and the caption below."""
+    rules = ["---:" if number else "---" for number in _numeric(table)]
+    rows = [
+        [_markdown(column.heading) for column in table.columns],
+        rules,
+        *([_markdown(_cell_text(cell)) for cell in row] for row in table.rows),
+    ]
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([*lines, *(["", _markdown(table.caption)] if table.caption else []), ""])
+
+
+def _numeric(table: ResultTable) -> list[bool]:
+    """Which columns hold numbers alone."""
+    return [
+        all(isinstance(row[place], int | float | None) for row in table.rows) for place in range(len(table.columns))
+    ]
+
+
+def _cell_text(cell: Cell) -> str:
+    return "–" if cell is None else f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+
+
+def _markdown(text: str) -> str:
+    """Text escaped for Markdown: neither HTML nor a new cell, line or link."""
+    plain = "".join(letter if letter.isprintable() else " " for letter in text)
+    return re.sub(r"([\\`*_{}\[\]<>|])", r"\\\1", plain)
 
 
 def latex(text: str) -> str:
