@@ -35,6 +35,16 @@ ALGORITHM_FILE = "algorithm.yaml"
 MAPPING_SCRIPT = "slamhive/mapping.py"
 
 
+class _LidarModel(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    point_time: Need = Need.OPTIONAL
+    ring: Need = Need.IGNORED
+    organised: Need = Need.IGNORED
+    point_time_units: tuple[TimeUnit, ...] = ()
+    point_time_references: tuple[TimeReference, ...] = ()
+    point_orders: tuple[PointOrder, ...] = ()
+
+
 class _ModeModel(BaseModel):
     model_config = ConfigDict(extra="forbid")
     title: str
@@ -45,6 +55,7 @@ class _ModeModel(BaseModel):
     name: str | None = None
     parameters: list[str] | None = None
     map_input: bool = False
+    lidar: _LidarModel | None = None
     defaults: dict[str, PlainValue] = Field(default_factory=dict)
     topics: dict[str, TopicModel] = Field(default_factory=dict)
 
@@ -68,16 +79,6 @@ class _ResourcesModel(BaseModel):
     memory_mb: int = Field(default=4096, gt=0)
     shm_mb: int | None = Field(default=None, gt=0)
     time_factor: float = Field(default=0.0, ge=0, le=1000)
-
-
-class _LidarModel(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-    point_time: Need = Need.OPTIONAL
-    ring: Need = Need.IGNORED
-    organised: Need = Need.IGNORED
-    point_time_units: tuple[TimeUnit, ...] = ()
-    point_time_references: tuple[TimeReference, ...] = ()
-    point_orders: tuple[PointOrder, ...] = ()
 
 
 class _WeightsModel(BaseModel):
@@ -162,7 +163,6 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         memory_mb=model.resources.memory_mb,
         reports_tracking=model.reports_tracking,
         base=model.base,
-        lidar=LidarNeeds(**model.lidar.model_dump()),
         user=model.user,
         map_output=model.map_output,
         playback=model.playback,
@@ -230,7 +230,13 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
         requires=tuple(entry for entry in _requirements(path, whole) if entry.source.role in model.inputs),
         bounds=tuple(_bound(path, dataset, bound, parameters) for dataset, bound in bounds.items()),
         map_input=model.map_input,
+        lidar=_lidar_needs(whole.lidar, model.lidar),
     )
+
+
+def _lidar_needs(package: _LidarModel, mode: _LidarModel | None) -> LidarNeeds:
+    """What the mode states wins over what the package states."""
+    return LidarNeeds(**{**package.model_dump(), **({} if mode is None else mode.model_dump(exclude_unset=True))})
 
 
 def _bound(path: Path, dataset: str, model: _BoundModel, parameters: tuple[Parameter, ...]) -> Bound:

@@ -65,13 +65,12 @@ class AlgorithmPackage:
     """One folder below ``algorithms/``: code, image and provenance shared by all modes of an upstream project.
 
     ``standard_image``: its image is made by the Dockerfile that packages of Python modules share. ``reports_tracking``:
-    while it runs it says for how long it has found no pose (``progress.json``). ``lidar``: what its modes with a LiDAR
-    need of the points. ``user``: who its runs are in a container. ``base``: what its image is based on. ``map_output``:
-    the file in the result with the map that another run of the same algorithm can start with; it is there if the run
-    saves its map. ``playback``: how recordings can be played. ``gpu``: whether its runs get a GPU. ``shm_mb``: size of
-    ``/dev/shm`` in its containers, None for the default of the engine. ``time_factor``: the time limit of its runs is
-    at least this many times the duration of the recording. ``origin``: where it was imported from;
-    None for a package that was written for SLAM Hive.
+    while it runs it says for how long it has found no pose (``progress.json``). ``user``: who its runs are in a
+    container. ``base``: what its image is based on. ``map_output``: the file in the result with the map that another
+    run of the same algorithm can start with; it is there if the run saves its map. ``playback``: how recordings can be
+    played. ``gpu``: whether its runs get a GPU. ``shm_mb``: size of ``/dev/shm`` in its containers, None for the
+    default of the engine. ``time_factor``: the time limit of its runs is at least this many times the duration of the
+    recording. ``origin``: where it was imported from; None for a package that was written for SLAM Hive.
     """
 
     name: str
@@ -88,7 +87,6 @@ class AlgorithmPackage:
     memory_mb: int = 4096
     reports_tracking: bool = False
     base: Base = Base.PYTHON
-    lidar: LidarNeeds = field(default_factory=LidarNeeds)
     user: RunUser = RunUser.WORKER
     map_output: str | None = None
     playback: tuple[PlaybackMode, ...] = tuple(PlaybackMode)
@@ -132,7 +130,7 @@ class Algorithm:
     keep on some datasets, in the order of ``algorithm.yaml``. ``topics`` says how it learns of the topic of a role; a
     role that is not in it is played as ``/<role>``. ``requires`` is what must be known of the sensors.
     ``version`` is the number of the version of the package, None for the package as it is now. ``map_input``: it can
-    start with the map of another run.
+    start with the map of another run. ``lidar``: what it needs of the points of a LiDAR.
     ``trajectory`` says which trajectory ``traj.txt`` is, None if the package does not.
     """
 
@@ -150,6 +148,7 @@ class Algorithm:
     trajectory: TrajectoryKind | None = None
     version: int | None = None
     map_input: bool = False
+    lidar: LidarNeeds = field(default_factory=LidarNeeds)
 
     @property
     def label(self) -> str:
@@ -221,6 +220,6 @@ class Algorithm:
 
     def _check_fits(self, role: str, sensor: Sensor, dataset: Dataset) -> None:
         if sensor.kind is SensorKind.LIDAR:
-            self.package.lidar.check(sensor, self.name, dataset.name)
+            self.lidar.check(sensor, self.name, dataset.name)
         own = [entry for entry in self.requires if entry.source.role == role]
         check_requirements(own, sensor, self.name, dataset.name)

@@ -1,5 +1,7 @@
 """What packages need of LiDAR points, and how datasets that lack it are refused."""
 
+from dataclasses import replace
+
 import pytest
 
 from slamhive.catalogue.algorithm_file import load_algorithms
@@ -77,6 +79,17 @@ def test_what_is_missing_is_said_in_words(needs, layout, problem):
 def test_the_shipped_packages_state_their_needs(tmp_path):
     dataset = make_dataset(tmp_path)
     (kiss,), (rko,) = (load_algorithms(project_root() / "algorithms" / name) for name in ("kiss-icp", "rko-lio"))
-    assert kiss.package.lidar.point_time is Need.OPTIONAL
+    assert kiss.lidar.point_time is Need.OPTIONAL
     assert kiss.assign(dataset)["points"].name == "lidar"
-    assert rko.package.lidar.point_time is Need.REQUIRED
+    assert rko.lidar.point_time is Need.REQUIRED
+
+
+def test_a_mode_states_needs_of_its_own():
+    ringless = replace(VELODYNE, ring_field="")
+    shipped = {entry.name: entry.lidar for entry in load_algorithms(project_root() / "algorithms" / "evalio")}
+    assert {needs.point_time for needs in shipped.values()} == {Need.REQUIRED}
+    for name in ("mad-icp", "ct-icp", "dlio"):
+        shipped[name].check(lidar(ringless), name, "x")
+    for name in ("form", "loam-evalio"):
+        with pytest.raises(InvalidInput, match=f"^{name} needs the ring of each point; lidar0 of dataset x has none"):
+            shipped[name].check(lidar(ringless), name, "x")

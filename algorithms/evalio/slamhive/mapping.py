@@ -24,6 +24,9 @@ PIPELINES = {
 }
 """The class of each algorithm, and the instant of a sweep that its poses describe."""
 
+TAKE_IMAGES = ("form", "loam-evalio")
+"""Algorithms that search features along the rings. The others take the points as a list."""
+
 POINT = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("intensity", "<f4"), ("t", "<u4"), ("ring", "<u2")])
 """A point as evalio reads it; ``t`` in ns after the start of the sweep."""
 
@@ -52,6 +55,7 @@ class EvalioOdometry(ScanOdometry):
         super().__init__(config)
         name, self.pose_at = PIPELINES[config.algorithm]
         self._pipeline = getattr(pipelines, name)()
+        self._takes_images = config.algorithm in TAKE_IMAGES
         self._rings = self._columns = 0
 
     def register(self, sweep: Sweep) -> np.ndarray | None:
@@ -60,7 +64,12 @@ class EvalioOdometry(ScanOdometry):
             self._begin(sweep)
         for row in sweep.imu:
             self._pipeline.add_imu(types.ImuMeasurement(stamp_of(row[0]), row[1:4], row[4:7]))
-        self._pipeline.add_lidar(measurement(sweep, self._in_image_order(sweep)))
+        if self._takes_images:
+            scan = measurement(sweep, self._image(sweep))
+            helpers.fill_col_row_major(scan)
+        else:
+            scan = measurement(sweep, as_list(sweep))
+        self._pipeline.add_lidar(scan)
         found = self._pipeline.saved_estimates()
         return np.array(found[-1][1].to_mat()) if found else None
 
@@ -70,8 +79,10 @@ class EvalioOdometry(ScanOdometry):
         CT-ICP reads uninitialised values unless all parameters are set.
         """
         values, pipeline = self.values, self._pipeline
-        counts = np.bincount(self._rings_of(sweep))
-        self._rings, self._columns = max(int(values.get("points_beams", 0)), len(counts)), int(counts.max())
+        # A list is one ring to evalio.
+        counts = np.bincount(self._rings_of(sweep)) if self._takes_images else np.array([len(sweep.points_m)])
+        beams = int(values.get("points_beams", 0)) if self._takes_images else 1
+        self._rings, self._columns = max(beams, len(counts)), int(counts.max())
         chosen = {key: type(old)(values.get(key, old)) for key, old in pipeline.default_params().items()}
         pipeline.set_params(chosen)
         pipeline.set_imu_params(imu_parameters(values))
@@ -92,8 +103,8 @@ class EvalioOdometry(ScanOdometry):
         rings: np.ndarray = sweep.cloud.field(str(self.values["points_ring_field"])).astype(np.int64)
         return rings
 
-    def _in_image_order(self, sweep: Sweep) -> np.ndarray:
-        """The points (n,) as evalio expects them: ring after ring, a place for each instant, zeros without a return."""
+    def _image(self, sweep: Sweep) -> np.ndarray:
+        """The points (n,) as an image: ring after ring, a place for each instant, zeros without a return."""
         image = np.zeros((self._rings, self._columns), POINT)
         image["ring"] = np.arange(self._rings)[:, None]
         image["t"] = np.arange(self._columns) * (sweep.duration_s * 1e9 / self._columns)
@@ -109,6 +120,15 @@ class EvalioOdometry(ScanOdometry):
             image[axis][places] = sweep.points_m[:, index]
         image["t"][places] = np.rint(sweep.offsets_s * 1e9)
         return image.reshape(-1)
+
+
+def as_list(sweep: Sweep) -> np.ndarray:
+    """The points (n,) in the order of the message, all in ring 0."""
+    points = np.zeros(len(sweep.points_m), POINT)
+    for index, axis in enumerate("xyz"):
+        points[axis] = sweep.points_m[:, index]
+    points["t"] = np.rint(sweep.offsets_s * 1e9)
+    return points
 
 
 def measurement(sweep: Sweep, points: np.ndarray) -> Any:
@@ -127,9 +147,7 @@ def measurement(sweep: Sweep, points: np.ndarray) -> Any:
         helpers.Field(name=name, datatype=DATA_TYPES[POINT[name].str], offset=int(POINT.fields[name][1]))
         for name in POINT.fields or ()
     ]
-    found = helpers.pc2_to_evalio(header, fields, points.tobytes())
-    helpers.fill_col_row_major(found)
-    return found
+    return helpers.pc2_to_evalio(header, fields, points.tobytes())
 
 
 def imu_parameters(values: dict[str, Any]) -> Any:
