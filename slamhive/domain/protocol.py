@@ -258,7 +258,7 @@ def _words(protocol: Protocol) -> list[str]:
 def _compared_words(protocol: Protocol) -> list[str]:
     words = [] if protocol.T_body_sensor is None else ["own T_body_sensor"]
     if protocol.trajectory is not None:
-        words.append(f"{protocol.trajectory} trajectory")
+        words.append(f"{protocol.trajectory.adjective} trajectory")
     if protocol.reference is not None:
         words.append(f"against {protocol.reference}")
     return words

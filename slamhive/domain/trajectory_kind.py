@@ -14,3 +14,8 @@ class TrajectoryKind(StrEnum):
     """Each frame's pose after the end, with all that was learnt later."""
     KEYFRAMES = "keyframes"
     """The poses of keyframes after the end."""
+
+    @property
+    def adjective(self) -> str:
+        """What sentences put before "trajectory"."""
+        return self.value.removesuffix("s")

@@ -222,3 +222,11 @@ def test_what_ships_is_valid_and_whole(folder):
     assert (folder.parent / "README.md").is_file()
     assert (folder.parent / "requirements.txt").is_file() or algorithm.package.base is not Base.PYTHON
     assert dockerfile_of(algorithm.package, ROOT) is not None
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "algorithms").glob("*/algorithm.yaml")), ids=lambda path: path.parent.name
+)
+def test_every_mode_of_every_package_states_its_trajectory(path: Path):
+    unstated = [entry.mode for entry in load_algorithms(path.parent) if entry.trajectory is None]
+    assert unstated == [], "write trajectory: live, final or keyframes"

@@ -82,7 +82,7 @@ def test_a_protocol_that_names_a_kind_takes_that_file(hive: Hive) -> None:
     assert estimate_of(hive.runs.get(both), folders[both], asked).name == "traj.live.txt"
     assert estimate_of(hive.runs.get(live), folders[live], asked).name == "traj.txt"
     assert estimate_of(hive.runs.get(both), folders[both], SE3).name == "traj.txt"
-    with pytest.raises(InvalidInput, match=f"run {live} has no keyframes trajectory; it has live"):
+    with pytest.raises(InvalidInput, match=f"run {live} has no keyframe trajectory; it has live"):
         estimate_of(hive.runs.get(live), folders[live], replace(SE3, trajectory=KEYFRAMES))
     folders[live].trajectory_of(FINAL).touch()
     assert other_trajectories(hive.runs.get(live), folders[live]) == []
@@ -104,6 +104,10 @@ def test_lists_that_mix_kinds_say_so(hive: Hive) -> None:
     records = [hive.runs.get(run_id) for run_id in runs]
     assert "mixes final and live trajectories" in trajectory_warning(records)
     assert trajectory_warning(records[1:]) == ""
+
+
+def test_the_label_of_a_protocol_names_the_trajectory_in_english() -> None:
+    assert "keyframe trajectory" in replace(SE3, trajectory=KEYFRAMES).label
 
 
 def test_the_field_changes_no_fingerprint_of_before() -> None:

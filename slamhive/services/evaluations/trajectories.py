@@ -33,7 +33,8 @@ def estimate_of(run: RunRecord, folder: RunFolder, protocol: Protocol) -> Path:
     if kind not in others:
         has = ", ".join(filter(None, (run.trajectory or "traj.txt, whose kind is not stated", *others)))
         raise InvalidInput(
-            f"run {run.id} has no {kind} trajectory; it has {has}", "evaluate under a protocol without 'trajectory'"
+            f"run {run.id} has no {kind.adjective} trajectory; it has {has}",
+            "evaluate under a protocol without 'trajectory'",
         )
     return folder.trajectory_of(kind)
 

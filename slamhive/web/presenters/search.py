@@ -128,7 +128,7 @@ def trajectory_warning(runs: Iterable[RunRecord]) -> str:
     if len(several) < 2:
         return ""
     return (
-        f"This list mixes {' and '.join(several)} trajectories, which are not comparable. "
+        f"This list mixes {' and '.join(kind.adjective for kind in several)} trajectories, which are not comparable. "
         f"Filter by trajectory = {several[0]}, or evaluate under a protocol that names one."
     )
 
