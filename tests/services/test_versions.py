@@ -35,11 +35,13 @@ class Engine(FakeExecutor):
     images: dict[str, bytes] = field(default_factory=dict)
     kept: dict[str, tuple[str, int]] = field(default_factory=dict)
     used: list[str] = field(default_factory=list)
+    named: dict[str, str] = field(default_factory=dict)
 
     def build(self, package, progress) -> str:
         content = (package.folder / "slamhive" / "mapping.py").read_bytes()
         digest = f"sha256:{sha256(content).hexdigest()}"
         self.images[digest] = content
+        self.named[package.image] = digest
         return digest
 
     def start(self, spec):
@@ -62,6 +64,9 @@ class Engine(FakeExecutor):
             member.size = len(self.images[identity])
             archive.addfile(member, io.BytesIO(self.images[identity]))
         yield saved.getvalue()
+
+    def named_image(self, package) -> str | None:
+        return self.named.get(package.image)
 
     def load_image(self, chunks: Iterable[bytes]) -> str:
         with tarfile.open(fileobj=io.BytesIO(b"".join(chunks))) as archive:
@@ -173,6 +178,17 @@ def test_verify_finds_what_has_changed_or_vanished(hive: Hive, engine: Engine) -
     kept.write_text(kept.read_text() + "\n")
     found = {(finding.version, finding.kind) for finding in hive.versions.verify()}
     assert found == {("tiny@1", "missing"), ("tiny@2", "edited")}
+
+
+def test_verify_finds_an_image_whose_name_was_given_to_another(hive: Hive, engine: Engine) -> None:
+    run(hive)
+    image = hive.catalogue.package("tiny").image
+    engine.named[image] = f"sha256:{'9' * 64}"
+    found = hive.versions.verify("tiny")
+    assert {(finding.version, finding.kind) for finding in found} == {("tiny", "tag moved")}
+    assert f"{image} names sha256:999999999999 on" in found[0].words
+    engine.named[image] = engine.used[0]
+    assert hive.versions.verify("tiny") == []
 
 
 def test_removing_asks_before_it_takes_what_runs_used(hive: Hive, engine: Engine) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 
 import pytest
 
@@ -11,6 +12,7 @@ from slamhive.domain.weights import Weights
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.services.weights import WeightsStore
 from slamhive.settings import Settings
+from tests.fetch.file_server import serving
 
 CONTENT = b"numbers"
 KNOWN = Weights("known.pth", "MIT", "https://example.org/page", sha256=hashlib.sha256(CONTENT).hexdigest())
@@ -68,3 +70,31 @@ def test_a_file_of_another_name_needs_to_be_named(store, tmp_path):
 def test_weights_without_an_address_are_taken_by_hand(store, tmp_path):
     with pytest.raises(InvalidInput, match=r"take it from https://example\.org/page"):
         store.fetch(package(tmp_path, OPEN), lambda _done, _size: None)
+
+
+def test_missing_weights_are_downloaded_once(store, tmp_path):
+    told = []
+    with serving() as server:
+        deep = package(
+            tmp_path, *(replace(entry, address=server.add(f"/{entry.name}", CONTENT)) for entry in (KNOWN, OPEN))
+        )
+        for _ in range(2):
+            found = store.fetch(deep, lambda done, size: told.append((done, size)))
+        counts = [
+            len([1 for request in server.asked(f"/{entry.name}") if not request.is_probe]) for entry in (KNOWN, OPEN)
+        ]
+    assert found == store.checked(deep)
+    assert [entry.path.read_bytes() for entry in found] == [CONTENT, CONTENT]
+    assert {entry.sha256 for entry in found} == {KNOWN.sha256}
+    assert counts == [1, 1]
+    assert told[-1] == (len(CONTENT), len(CONTENT))
+
+
+def test_a_download_with_another_checksum_is_refused_and_not_kept(store, tmp_path):
+    with serving() as server:
+        deep = package(tmp_path, replace(KNOWN, address=server.add("/known.pth", b"forged!")))
+        with pytest.raises(InvalidInput, match="sha256") as refused:
+            store.fetch(deep, lambda _done, _size: None)
+    assert "\n" not in str(refused.value)
+    assert not store.stored(deep)[0].present
+    assert not any(path.is_file() and path.read_bytes() == b"forged!" for path in (tmp_path / "data").rglob("*"))
