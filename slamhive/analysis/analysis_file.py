@@ -11,11 +11,12 @@ from pydantic import BaseModel, ValidationError
 
 from slamhive import strict_yaml
 from slamhive.analysis.analysis_model import AnalysisModel, SetModel
-from slamhive.analysis.paper_file import PaperNames, convert, is_paper_file, only_analysis
+from slamhive.analysis.paper_file import convert, is_paper_file, only_analysis
 from slamhive.analysis.plot_types import PLOT_TYPES, PlotOptions, PlotType
 from slamhive.analysis.selection import Expression, check_names, in_words, parse_expression, union_of
 from slamhive.domain.verdict import FailureRule
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
+from slamhive.foreign.numbers import Numbers
 from slamhive.schema.validation import first_problem_at
 
 PROTOCOL = "protocol:"
@@ -78,13 +79,16 @@ def set_words(chosen: SetModel) -> str:
     return f"{of}{noun}{'s' if len(ids) > 1 else ''} {listed}"
 
 
-def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames | None = None) -> Analysis:
+def parse_analysis(
+    text: str, source: str = "analysis.yaml", here: Numbers | None = None, given: Mapping[str, str] | None = None
+) -> Analysis:
     """Read an analysis file of SLAM Hive or of the published system.
 
     Args:
         text: The YAML.
         source: Name of the file for messages.
-        names: The meaning of numbers in a file of the published system.
+        here: The numbers of this installation, for a file of the published system.
+        given: What a user says about the numbers in such a file.
 
     Raises:
         InvalidInput: with the line.
@@ -92,7 +96,7 @@ def parse_analysis(text: str, source: str = "analysis.yaml", names: PaperNames |
     content, lines = strict_yaml.parse_with_lines(only_analysis(text, source), source)
     places = strict_yaml.Places(source, lines)
     if is_paper_file(content):
-        content = convert(content, places, names or PaperNames())
+        content = convert(content, places, here or Numbers(), given or {})
     model = _validated(AnalysisModel, content, (), places)
     plots = tuple(_plot(raw, index, places) for index, raw in enumerate(model.forms))
     use = union_of(list(model.select)) if model.use is None else parse_expression(model.use)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -18,9 +17,14 @@ from slamhive import strict_yaml
 from slamhive.analysis.selection import Combined, Expression, SetName, names_in, union_of
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput, unknown
+from slamhive.foreign.documents import Part, only, parts_of
+from slamhive.foreign.numbers import Numbers, meant
 
 MARK = "evaluation_form"
 """The key that identifies a file of the published system."""
+
+IDS = "ids"
+"""The key, of ours, that says what the numbers in such a file mean."""
 
 _SETS = ("configurations", "combinations", "rules")
 _SIGNS = {"U": "|", "I": "&"}
@@ -40,7 +44,7 @@ _PREFIXES = {
     "dataset_frequency": "variant.rate.every",
 }
 _KEYS: dict[tuple[str, ...], frozenset[str]] = {
-    (): frozenset({"group_name", "group_description", MARK, "configuration_choose", "is_visualized"}),
+    (): frozenset({"group_name", "group_description", MARK, "configuration_choose", "is_visualized", IDS}),
     ("configuration_choose",): frozenset(
         {
             "configuration_id",
@@ -56,18 +60,8 @@ _KEYS: dict[tuple[str, ...], frozenset[str]] = {
     ("configuration_choose", "combination_rule"): frozenset({"first_one", "first_rule", "second_one", "second_rule"}),
 }
 """The keys of each section with fixed keys."""
-_SEPARATOR = re.compile(r"-{3,}\s*$")
-_TOP_KEY = re.compile(r"(group_name|group_description|evaluation_form|configuration_choose|is_visualized)\s*:")
+_TOP_KEY = re.compile(r"(group_name|group_description|evaluation_form|configuration_choose|is_visualized|ids)\s*:")
 _STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
-
-
-@dataclass(frozen=True, slots=True)
-class PaperNames:
-    """The names behind the numbers in such a file, by their ids in the database of this installation."""
-
-    algorithms: Mapping[int, str] = field(default_factory=dict)
-    datasets: Mapping[int, str] = field(default_factory=dict)
-    experiments: Mapping[int, str] = field(default_factory=dict)
 
 
 def is_paper_file(content: object) -> bool:
@@ -75,19 +69,21 @@ def is_paper_file(content: object) -> bool:
     return isinstance(content, dict) and MARK in content
 
 
-def convert(content: Mapping[str, Any], places: strict_yaml.Places, names: PaperNames) -> dict[str, Any]:
+def convert(
+    content: Mapping[str, Any], places: strict_yaml.Places, here: Numbers, given: Mapping[str, str]
+) -> dict[str, Any]:
     """Convert the file to the content of an analysis file with the same meaning.
 
     Args:
         content: The parsed file.
         places: The lines of its parts, for messages.
-        names: The meaning of its numbers.
+        here: The numbers of this installation.
+        given: What a user said about the numbers, see :func:`slamhive.foreign.numbers.meant`.
 
     Raises:
-        InvalidInput: with the place of the mistake.
-        NotFound: for an unknown number.
+        InvalidInput: with the place of the mistake, also for a number that nobody says the meaning of.
     """
-    paper = _Paper(content, places, names)
+    paper = _Paper(content, places, here, meant(content.get(IDS), given, here, places.of(IDS)))
     paper.check_keys()
     sets = dict(paper.sets())
     use = paper.expression(sets)
@@ -123,9 +119,8 @@ def only_analysis(text: str, source: str) -> str:
     with its ``group_name``. Raises InvalidInput if there are two analyses, with the line of the second.
     """
     lines = text.split("\n")
-    starts = [0, *(number for number, line in enumerate(lines) if _SEPARATOR.match(line)), len(lines)]
-    parts = [part for first, last in pairwise(starts) for part in _split_at_names(lines, first, last)]
-    holding = [part for part in parts if any(line.startswith(f"{MARK}:") for line in lines[slice(*part)])]
+    found = [part for whole in parts_of(lines) for part in _split_at_names(lines, whole)]
+    holding = [part for part in found if any(line.startswith(f"{MARK}:") for line in lines[slice(*part)])]
     if len(holding) > 1:
         raise InvalidInput(
             f"{source}, line {holding[1][0] + 1}: a second analysis begins", "give each a file of its own"
@@ -135,20 +130,23 @@ def only_analysis(text: str, source: str) -> str:
     first, last = holding[0]
     while not _TOP_KEY.match(lines[first]):
         first += 1
-    return "\n".join(line if first <= number < last else "" for number, line in enumerate(lines))
+    return only(lines, (first, last))
 
 
-def _split_at_names(lines: Sequence[str], first: int, last: int) -> Iterator[tuple[int, int]]:
-    """The lines from ``first`` to ``last``, cut before each ``group_name`` after the first one."""
-    named = [number for number in range(first, last) if lines[number].startswith("group_name:")]
-    yield from pairwise([first, *named[1:], last])
+def _split_at_names(lines: Sequence[str], part: Part) -> Iterator[Part]:
+    """A part, cut before each ``group_name`` after the first one."""
+    named = [number for number in range(*part) if lines[number].startswith("group_name:")]
+    yield from pairwise([part[0], *named[1:], part[1]])
 
 
 class _Paper:
-    def __init__(self, content: Mapping[str, Any], places: strict_yaml.Places, names: PaperNames) -> None:
+    def __init__(
+        self, content: Mapping[str, Any], places: strict_yaml.Places, here: Numbers, names: Numbers | None
+    ) -> None:
         self._content = content
         self._places = places
-        self._names = names
+        self._here = here
+        self._names = here if names is None else names
 
     def check_keys(self) -> None:
         """Raise InvalidInput for a key that means nothing: without it, the selection would be another one."""
@@ -201,9 +199,9 @@ class _Paper:
         section = self.chosen("configuration_choose")
         configurations = self._numbers(section, "configuration_id")
         if configurations:
-            yield _SETS[0], {"configurations": configurations}
+            yield _SETS[0], {"configurations": [self._configuration(number) for number in configurations]}
         combinations = [
-            self._name("experiment", self._names.experiments, number, "comb_configuration_id")
+            self._name("experiment", number, "comb_configuration_id")
             for number in self._numbers(section, "comb_configuration_id")
         ]
         if combinations:
@@ -247,16 +245,13 @@ class _Paper:
         """The rule search as a filter; None where it matches nothing, as an absent list of algorithms does."""
         rules = self.chosen("configuration_choose", "limitation_rules")
         parts = []
-        for key, field_name, known in (
-            ("algorithm_id", "algorithm", self._names.algorithms),
-            ("dataset_id", "dataset", self._names.datasets),
-        ):
+        for key, field_name in (("algorithm_id", "algorithm"), ("dataset_id", "dataset")):
             listed = rules.get(key)
             if not listed:
                 return None
             if listed not in ("All", ["All"]):
                 numbers = self._numbers(rules, key)
-                parts.append(_any_of(field_name, [self._name(field_name, known, number, key) for number in numbers]))
+                parts.append(_any_of(field_name, [self._name(field_name, number, key) for number in numbers]))
         for index, text in enumerate(rules.get("parameters_value") or []):
             parts.append(self._parameter(text, index))
         parts += self._bounds(rules.get("evaluation_value") or {})
@@ -331,11 +326,31 @@ class _Paper:
             raise InvalidInput(f"{place}: {key} must be a list of numbers, found {values!r}")
         return list(values)
 
-    def _name(self, kind: str, known: Mapping[int, str], number: int, key: str) -> str:
-        if number not in known:
+    def _name(self, kind: str, number: int, key: str) -> str:
+        """The name of an algorithm, dataset or experiment; raises InvalidInput if nobody says what a number means."""
+        known, here = (getattr(numbers, f"{kind}s") for numbers in (self._names, self._here))
+        if number in known:
+            return str(known[number])
+        place = self._places.of("configuration_choose", "limitation_rules", key)
+        if self._names is self._here:
             listed = ", ".join(f"{entry} {name}" for entry, name in sorted(known.items())[:10]) or "none"
-            raise InvalidInput(f"{key}: there is no {kind} {number} here", f"known: {listed}")
+            raise InvalidInput(f"{place}: {key}: there is no {kind} {number} here", f"known: {listed}")
+        raise self._unsaid(place, kind, number, f", where {number} is {here[number]}" if number in here else "")
+
+    def _configuration(self, number: int) -> int:
+        known = self._names.configurations
+        if known is None:
+            return number
+        if number not in known:
+            raise self._unsaid(self._places.of("configuration_choose", "configuration_id"), "configuration", number, "")
         return known[number]
+
+    def _unsaid(self, place: strict_yaml.Place, kind: str, number: int, here: str) -> InvalidInput:
+        return InvalidInput(
+            f"{place}: {kind} {number} may be another one in this installation{here}",
+            f"say what it is, --id {kind}:{number}={'NUMBER' if kind == 'configuration' else 'NAME'}, or that all "
+            "numbers are those of this installation: --id here, or the line 'ids: here' in the file",
+        )
 
     def _error(self, path: Sequence[str], problem: str, found: object) -> InvalidInput:
         return InvalidInput(f"{self._places.of(*path)}: {path[-1]} {problem}, found {found!r}")

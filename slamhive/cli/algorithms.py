@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import click
@@ -37,22 +38,27 @@ def list_(cli: CliContext, as_json: bool) -> None:
             identities[package.name] = executor.identity(package)
         except SlamHiveError as error:
             identities[package.name] = None
-            problems[package.name] = f"not available: {error}"
+            problems[package.name] = str(error)
     found = hive.catalogue.algorithms()
+    numbers = hive.numbers().of_algorithms
     if as_json:
-        print_json([{**Algorithm.of(entry).content, "identity": identities[entry.package.name]} for entry in found])
+        print_json([{**_json(entry, identities), "number": numbers.get(entry.name)} for entry in found])
         return
     rows = [
         (
+            numbers.get(entry.name),
             entry.name,
             entry.title,
             entry.package.version,
-            entry.package.licence,
-            problems.get(entry.package.name) or _state(entry, identities[entry.package.name]),
+            entry.package.short_licence,
+            "not available" if entry.package.name in problems else _state(entry, identities[entry.package.name]),
         )
         for entry in found
     ]
-    print_table(("name", "title", "version", "licence", f"for {executor.name}"), rows)
+    columns = ("no.", "name", "title", "version", "licence", f"for {executor.name}")
+    print_table(columns, rows, right=("no.",), cut=("title", "licence"))
+    for name, problem in problems.items():
+        tell(f"{name} is not available: {problem}")
     for broken in hive.catalogue.broken():
         tell(f"left out: {broken.problem}")
 
@@ -111,6 +117,10 @@ def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | N
 
 for _command in (test, weights_command, *VERSION_COMMANDS):
     algorithm.add_command(_command)
+
+
+def _json(entry: Entry, identities: Mapping[str, str | None]) -> dict[str, Any]:
+    return {**Algorithm.of(entry).content, "identity": identities[entry.package.name]}
 
 
 def _state(entry: Entry, identity: str | None) -> str:

@@ -10,6 +10,7 @@ import click
 
 from slamhive.analysis.report import DisturbedRuns, PlotBrief, ReportBrief
 from slamhive.cli.context import CliContext, json_option, pass_cli
+from slamhive.cli.meanings import id_option
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.errors import InvalidInput
 
@@ -21,6 +22,7 @@ FIGURE_FORMATS = ("pdf", "svg", "png")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder or .zip file for the report.")
 @click.option("--figures", default=",".join(FIGURE_FORMATS), show_default=True, help="Plot formats, or none.")
 @click.option("--timeout", "timeout_s", type=click.FloatRange(1), default=3600.0, show_default=True, help="Limit in s.")
+@id_option
 @json_option
 @pass_cli
 def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **options: Any) -> None:
@@ -41,7 +43,7 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
 
     figures = _formats(options["figures"])
     hive = cli.hive()
-    analysis = hive.analyses.read_file(file)
+    analysis = hive.analyses.read_file(file, options["ids"])
     with progress_bar(analysis.name) as progress:
         report = hive.analyses.compute(analysis, AnalysisLimits(sys.maxsize, options["timeout_s"]), progress)
     root = hive.catalogue.project_root

@@ -29,6 +29,7 @@ EXPECTED: dict[str, DataRoot] = {
     "dataset links": DataRoot.OPTIONAL,
     "dataset search": DataRoot.OPTIONAL,
     "doctor": DataRoot.OPTIONAL,
+    "experiment convert": DataRoot.OPTIONAL,
     "plugins": DataRoot.OPTIONAL,
 }
 """By the name of a command. All others read, and refuse a data root that does not exist."""

@@ -146,16 +146,18 @@ def room(cli: CliContext, name: str, seconds: float, seed: int, as_json: bool) -
 @pass_cli
 def list_(cli: CliContext, as_json: bool) -> None:
     """List all datasets."""
-    catalogue = cli.hive(indexed=False).catalogue
+    hive = cli.hive(indexed=False)
+    catalogue, numbers = hive.catalogue, hive.numbers().of_datasets
     found = catalogue.datasets()
     if as_json:
-        print_json([_to_json(entry) for entry in found])
+        print_json([{**_to_json(entry), "number": numbers.get(entry.name)} for entry in found])
         return
     if not found:
         tell("no datasets yet; `slamhive dataset room` renders one")
     else:
         rows = [
             (
+                numbers.get(entry.name),
                 entry.name,
                 f"{entry.duration_s:.1f}",
                 ", ".join(f"{sensor.name} {sensor.rate_hz:g} Hz" for sensor in entry.sensors),
@@ -163,7 +165,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
             )
             for entry in found
         ]
-        print_table(("name", "duration s", "sensors", "ground truth"), rows, right=("duration s",))
+        print_table(("no.", "name", "duration s", "sensors", "ground truth"), rows, right=("no.", "duration s"))
     for broken in catalogue.broken():
         tell(f"left out: {broken.problem}")
 

@@ -93,9 +93,10 @@ def print_status(status: ExperimentStatus) -> None:
 
 def print_statuses(found: Sequence[ExperimentStatus]) -> None:
     """Print one line for each experiment."""
-    columns = ("name", "state", "configurations", "runs", *(phase.label for phase in Phase), "created (UTC)")
+    columns = ("no.", "name", "state", "configurations", "runs", *(phase.label for phase in Phase), "created (UTC)")
     rows = [
         (
+            status.id,
             status.name,
             status.standing.value,
             status.cells,
@@ -105,7 +106,7 @@ def print_statuses(found: Sequence[ExperimentStatus]) -> None:
         )
         for status in found
     ]
-    print_table(columns, rows, right=("configurations", "runs", *(phase.label for phase in Phase)))
+    print_table(columns, rows, right=("no.", "configurations", "runs", *(phase.label for phase in Phase)))
 
 
 def print_report(status: ExperimentStatus, cells: Sequence[Cell], axes: Sequence[str]) -> None:

@@ -10,8 +10,10 @@ import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.experiment_tables import print_preview, print_report, print_status, print_statuses
+from slamhive.cli.meanings import id_option
 from slamhive.cli.output import messages, print_json, progress_bar, tell
 from slamhive.cli.waiting import experiment_to_end
+from slamhive.errors import InvalidInput
 from slamhive.files import write_aside
 from slamhive.schema import experiment as schema
 from slamhive.services.experiments import (
@@ -50,6 +52,33 @@ def plan(cli: CliContext, file: Path, executor: str | None, as_json: bool) -> No
         print_preview(found)
     if found.refusals:
         raise click.exceptions.Exit(1)
+
+
+@experiment.command("convert")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), help="Write to this file; a folder if FILE holds several.")
+@id_option
+@pass_cli
+def convert(cli: CliContext, file: Path, out: Path | None, ids: dict[str, str]) -> None:
+    """Convert FILE, a combination file of the published SLAM Hive, to an experiment file.
+
+    What cannot be converted is named on stderr and in comments of the experiment.
+    """
+    made = cli.hive(indexed=False).experiments.convert(ExperimentSource.read(file), ids)
+    if len(made) > 1 and (out is None or (out.exists() and not out.is_dir())):
+        raise InvalidInput(f"{file} holds {len(made)} combinations", "name a folder for them: --out FOLDER")
+    for entry in made:
+        for note in entry.notes:
+            tell(f"{entry.name}: {note}" if len(made) > 1 else note, style="yellow")
+        if out is None:
+            click.echo(entry.text, nl=False)
+            continue
+        path = out / f"{entry.name}.yaml" if len(made) > 1 or out.is_dir() else out
+        if path.exists():
+            raise InvalidInput(f"{path} exists already", "choose another place")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_aside(path, entry.text)
+        tell(f"written to {path}; preview it: slamhive experiment plan {path}")
 
 
 @experiment.command("start")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal
 
@@ -20,6 +20,7 @@ STATE_STYLES = {"succeeded": "green", "failed": "red", "cancelled": "yellow", "r
 PIPED_WIDTH = 160
 COLUMN_GAP = 2
 _PLAIN_INTERVAL_S = 5.0
+_LEAST_CUT = 12
 
 messages = Console(stderr=True, highlight=False)
 
@@ -47,6 +48,7 @@ def print_table(
     *,
     right: Sequence[str] = (),
     spare: Sequence[str] = (),
+    cut: Sequence[str] = (),
 ) -> None:
     """A table on stdout. Nothing in a cell is taken for markup.
 
@@ -55,14 +57,22 @@ def print_table(
         rows: One cell per column; None is shown as a dash.
         right: Columns of numbers.
         spare: Columns to drop on a narrow terminal, in this order; a message on stderr names them.
+        cut: Columns whose text ends with … where the terminal is too narrow for all of it; rows then stay one line.
     """
     width = Console().width if sys.stdout.isatty() else PIPED_WIDTH
     left_out = columns_to_leave_out(columns, rows, spare, width)
     kept = [index for index, column in enumerate(columns) if column not in left_out]
+    shortened = _shortened(_widths(columns, rows), cut, width)
     table = Table(box=None, pad_edge=False, header_style="bold")
     for index in kept:
         align: Literal["left", "right"] = "right" if columns[index] in right else "left"
-        table.add_column(columns[index], justify=align, overflow="fold", no_wrap=bool(spare))
+        table.add_column(
+            columns[index],
+            justify=align,
+            overflow="ellipsis" if cut else "fold",
+            no_wrap=bool(spare or cut),
+            max_width=shortened.get(columns[index]),
+        )
     for row in rows:
         table.add_row(*(_cell(row[index]) for index in kept))
     Console(highlight=False, width=width).print(table)
@@ -74,10 +84,7 @@ def columns_to_leave_out(
     columns: Sequence[str], rows: Sequence[Sequence[Any]], spare: Sequence[str], width: int
 ) -> list[str]:
     """The ``spare`` columns to drop, in their order, so that the others fit into ``width`` characters."""
-    widths = {
-        column: max([len(column), *(len(str(row[index])) for row in rows)]) + COLUMN_GAP
-        for index, column in enumerate(columns)
-    }
+    widths = _widths(columns, rows)
     left_out: list[str] = []
     for column in spare:
         if sum(widths.values()) - COLUMN_GAP <= width:
@@ -85,6 +92,26 @@ def columns_to_leave_out(
         del widths[column]
         left_out.append(column)
     return left_out
+
+
+def _widths(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> dict[str, int]:
+    """The width of each column with the gap after it, in characters."""
+    return {
+        column: max([len(column), *(len(str(row[index])) for row in rows)]) + COLUMN_GAP
+        for index, column in enumerate(columns)
+    }
+
+
+def _shortened(widths: Mapping[str, int], cut: Sequence[str], width: int) -> dict[str, int]:
+    """The widths of the columns in ``cut``, the first cut first, with which the table fits, in characters."""
+    excess = sum(widths.values()) - COLUMN_GAP - width
+    found: dict[str, int] = {}
+    for column in cut:
+        full = widths[column] - COLUMN_GAP
+        taken = max(0, min(excess, full - max(len(column), _LEAST_CUT)))
+        found[column] = full - taken
+        excess -= taken
+    return found
 
 
 def _cell(value: Any) -> Text:

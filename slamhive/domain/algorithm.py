@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -21,6 +22,8 @@ from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.versions import version_label
 from slamhive.domain.weights import Weights
 from slamhive.errors import InvalidInput
+
+_SHORT_LICENCE = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +103,12 @@ class AlgorithmPackage:
     def image(self) -> str:
         """The Docker image that holds this package."""
         return f"slam-hive-algorithm:{self.name}"
+
+    @property
+    def short_licence(self) -> str:
+        """The licence for lists: without what stands in brackets, and cut after 30 characters."""
+        text = " ".join(re.sub(r"\s*\([^()]*\)", "", self.licence).split()) or self.licence
+        return text if len(text) <= _SHORT_LICENCE else f"{text[: _SHORT_LICENCE - 1].rstrip(' ,;')}…"
 
     def check_recording(self, dataset: Dataset) -> None:
         """Raise InvalidInput if the package cannot play the format of the recording of ``dataset``."""

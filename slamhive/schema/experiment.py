@@ -71,6 +71,9 @@ class ExperimentPreview(Document):
 class ExperimentStatus(Document):
     """The progress of an experiment."""
 
+    number: Annotated[int, described("Its number in this installation.")] = Field(
+        validation_alias=AliasChoices("id", "number")
+    )
     name: str
     description: str
     state: str = Field(validation_alias=AliasChoices("standing", "state"))

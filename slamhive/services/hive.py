@@ -7,12 +7,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from slamhive.errors import Conflict, Unavailable
+from slamhive.foreign.numbers import Numbers
 from slamhive.project import project_root
 from slamhive.services.algorithms import AlgorithmImports
 from slamhive.services.analyses import AnalysisJobs, StoredAnalyses
 from slamhive.services.configurations import Configurations
 from slamhive.services.data_root import DataRoot, open_data_root
-from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, Variants, check_writable
+from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, Variants, check_writable, stored_numbers
 from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, Protocols
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentContext, Experiments
@@ -86,6 +87,10 @@ class Hive:
     def worker_alive(self) -> bool:
         """Whether a worker of this data root is running on this machine."""
         return WorkerLock(self.settings.data).held_elsewhere()
+
+    def numbers(self) -> Numbers:
+        """The numbers of algorithms, datasets and experiments in the database."""
+        return stored_numbers(self.store)
 
     def check_writable(self) -> None:
         """Raise Forbidden in view-only mode."""

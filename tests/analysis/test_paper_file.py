@@ -5,12 +5,13 @@ from __future__ import annotations
 import pytest
 
 from slamhive.analysis.analysis_file import parse_analysis
-from slamhive.analysis.paper_file import PaperNames, our_key
+from slamhive.analysis.paper_file import our_key
 from slamhive.errors import InvalidInput
+from slamhive.foreign.numbers import HERE, Numbers
 
 pytestmark = pytest.mark.quick
 
-NAMES = PaperNames({1: "orb-slam3-stereo", 2: "kiss-icp"}, {5: "room"}, {9: "sweep"})
+NUMBERS = Numbers({1: "orb-slam3-stereo", 2: "kiss-icp"}, {5: "room"}, {9: "sweep"})
 
 PAPER = """
 group_name: first
@@ -41,6 +42,7 @@ configuration_choose:
     evaluation_value: {ate_rmse_nolimitation: 0, ate_rmse_minimum: "", ate_rmse_maximum: 0.5, ram_max_nolimitation: 1,
       ram_max_minimum: 5, ram_max_maximum: 6}
   combination_rule: {first_one: [0, 1], first_rule: ["U"], second_one: [2], second_rule: []}
+ids: here
 """
 
 
@@ -50,7 +52,7 @@ def changed(old: str, new: str) -> str:
 
 
 def test_the_paper_s_file_means_what_it_says():
-    analysis = parse_analysis(PAPER, names=NAMES)
+    analysis = parse_analysis(PAPER, here=NUMBERS)
     assert analysis.name == "first"
     assert analysis.sets["configurations"].configurations == [3, 4]
     assert analysis.sets["combinations"].where == "(experiment = sweep)"
@@ -69,14 +71,14 @@ def test_the_paper_s_file_means_what_it_says():
 
 
 def test_an_absent_list_of_algorithms_matches_nothing():
-    analysis = parse_analysis(changed("algorithm_id: [1, 2]", "algorithm_id: null"), names=NAMES)
+    analysis = parse_analysis(changed("algorithm_id: [1, 2]", "algorithm_id: null"), here=NUMBERS)
     assert set(analysis.sets) == {"configurations", "combinations"}
 
 
 @pytest.mark.parametrize(("kind", "one"), [(0, ("algorithm", "dataset")), (1, ("dataset",)), (2, ("algorithm",))])
 def test_the_type_says_what_there_is_one_of(kind, one):
     text = changed("algorithm_dataset_type: 3", f"algorithm_dataset_type: {kind}")
-    assert parse_analysis(text, names=NAMES).one == one
+    assert parse_analysis(text, here=NUMBERS).one == one
 
 
 @pytest.mark.parametrize(
@@ -90,17 +92,17 @@ def test_the_type_says_what_there_is_one_of(kind, one):
     ids=["prose", "dashes", "second document", "second group_name"],
 )
 def test_an_analysis_is_found_among_other_text(text):
-    assert parse_analysis(text, names=NAMES).selection_words == parse_analysis(PAPER, names=NAMES).selection_words
+    assert parse_analysis(text, here=NUMBERS).selection_words == parse_analysis(PAPER, here=NUMBERS).selection_words
 
 
 def test_two_analyses_in_one_file_are_refused_with_the_line():
-    with pytest.raises(InvalidInput, match=r"analysis.yaml, line 30: a second analysis begins; give each a file"):
-        parse_analysis(PAPER.strip() + "\n" + PAPER, names=NAMES)
+    with pytest.raises(InvalidInput, match=r"analysis.yaml, line 31: a second analysis begins; give each a file"):
+        parse_analysis(PAPER.strip() + "\n" + PAPER, here=NUMBERS)
 
 
 def test_lines_of_messages_count_from_the_start_of_the_file():
     with pytest.raises(InvalidInput, match="line 8: algorithm_dataset_type must be"):
-        parse_analysis("Some\nprose\n---\n" + changed("dataset_type: 3", "dataset_type: 9"), names=NAMES)
+        parse_analysis("Some\nprose\n---\n" + changed("dataset_type: 3", "dataset_type: 9"), here=NUMBERS)
 
 
 @pytest.mark.parametrize(
@@ -148,6 +150,60 @@ def test_names(name, ours):
 )
 def test_what_cannot_be_understood_is_one_line(old, new, words):
     with pytest.raises(InvalidInput) as refusal:
-        parse_analysis(changed(old, new), names=NAMES)
+        parse_analysis(changed(old, new), here=NUMBERS)
+    assert words in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+UNSAID = changed("ids: here\n", "")
+
+
+def test_a_number_that_may_mean_something_else_here_is_refused():
+    with pytest.raises(InvalidInput) as refusal:
+        parse_analysis(UNSAID, here=NUMBERS)
+    assert "analysis.yaml line 20: configuration 3 may be another one in this installation" in str(refusal.value)
+    with pytest.raises(InvalidInput, match=r"line 24: algorithm 1 may be another .*, where 1 is orb-slam3-stereo; say"):
+        parse_analysis(UNSAID.replace("[3, 4]", "[]").replace("[9]", "[]"), here=NUMBERS)
+
+
+def test_numbers_are_taken_as_they_are_said_to_mean():
+    ids = "ids: {algorithm: {1: kiss-icp, 2: aloam}, experiment: {9: other}, configuration: {3: 30, 4: 40}}\n"
+    for text, given in (
+        (UNSAID + ids, {}),
+        (UNSAID + ids, {HERE: HERE}),
+        (
+            UNSAID,
+            {"1": "kiss-icp", "algorithm:2": "aloam", "experiment:9": "other", "3": "30", "configuration:4": "40"},
+        ),
+    ):
+        analysis = parse_analysis(text, here=NUMBERS, given=given)
+        assert analysis.sets["configurations"].configurations == [30, 40]
+        assert analysis.sets["combinations"].where == "(experiment = other)"
+        assert (analysis.sets["rules"].where or "").startswith("(algorithm = kiss-icp or algorithm = aloam)")
+
+
+def test_all_numbers_may_be_those_of_this_installation():
+    said = parse_analysis(UNSAID, here=NUMBERS, given={HERE: HERE})
+    assert said.selection_words == parse_analysis(PAPER, here=NUMBERS).selection_words
+
+
+@pytest.mark.parametrize(
+    ("ids", "given", "words"),
+    [
+        ("ids: there", {}, "line 30: ids is 'here', or numbers for algorithm, dataset"),
+        (
+            "ids: {robot: {1: x}}",
+            {},
+            "numbers for algorithm, dataset, experiment, configuration; found robot",
+        ),
+        ("ids: {algorithm: {one: x}}", {}, "'one' is not the number of anything"),
+        ("", {"1": "loam"}, "--id 1=loam: loam is nothing here; name the kind: --id algorithm:1=loam"),
+        ("", {"robot:1": "loam"}, "'robot' is none of algorithm, dataset"),
+        ("", {"x": "room"}, "'x' is not the number of anything"),
+    ],
+)
+def test_a_meaning_that_cannot_be_understood_is_one_line(ids, given, words):
+    with pytest.raises(InvalidInput) as refusal:
+        parse_analysis(UNSAID + ids, here=NUMBERS, given=given)
     assert words in str(refusal.value)
     assert "\n" not in str(refusal.value)

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from slamhive.cli import main
 from slamhive.cli.main import main as root
-from slamhive.cli.output import columns_to_leave_out
+from slamhive.cli.output import columns_to_leave_out, print_table
 from tests.services.tiny_project import environment, make_dataset, make_project
 
 pytestmark = pytest.mark.quick
@@ -261,6 +261,35 @@ def test_every_command_has_help():
             walk(child, [*path, name])
 
     walk(root, [])
+
+
+def test_lists_name_the_numbers_that_published_files_use(slamhive):
+    before = json.loads(slamhive("algorithm", "list", "--json").stdout)
+    assert before[0]["number"] is None, "no configuration has used it yet"
+    slamhive("run", "tiny", "track")
+    for kind in ("algorithm", "dataset"):
+        assert json.loads(slamhive(kind, "list", "--json").stdout)[0]["number"] == 1
+        assert slamhive(kind, "list").stdout.splitlines()[0].split()[0] == "no."
+
+
+def test_a_long_licence_keeps_the_list_of_algorithms_narrow(slamhive, tmp_path):
+    file = tmp_path / "project" / "algorithms" / "tiny" / "algorithm.yaml"
+    long = "MIT (this, that and the other part), BSD-3-Clause (all of the rest), GPL-3.0-or-later (its plug-ins)"
+    file.write_text(file.read_text().replace("licence: GPL-3.0-or-later", f"licence: {long}"))
+    listing = slamhive("algorithm", "list").stdout
+    assert "MIT, BSD-3-Clause, GPL-3.0-or…" in listing
+    assert max(map(len, listing.splitlines())) <= 100
+    assert long in slamhive("algorithm", "show", "tiny").stdout
+    assert json.loads(slamhive("algorithm", "list", "--json").stdout)[0]["package"]["licence"] == long
+
+
+def test_cut_columns_end_with_dots_and_rows_stay_one_line(capsys, monkeypatch):
+    monkeypatch.setattr("slamhive.cli.output.PIPED_WIDTH", 40)
+    print_table(("name", "title"), [("a" * 20, "words " * 8)], cut=("title",))
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2
+    assert "…" in lines[1]
+    assert max(map(len, lines)) <= 40
 
 
 def test_a_narrow_terminal_goes_without_the_least_columns():

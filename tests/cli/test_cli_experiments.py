@@ -69,6 +69,26 @@ def test_an_experiment_from_plan_to_report(file: Path, tmp_path: Path) -> None:
     assert "0 runs queued again" in call("experiment", "retry-failed", file).stdout
 
 
+def test_a_published_combination_is_converted_and_planned(file: Path, tmp_path: Path) -> None:
+    published = tmp_path / "published.yaml"
+    one = (
+        "-----\ntiny+track+trial\n-----\nAlgorithm: tiny\nbehaviour: good | crash\nseconds: 0 | 0.01\n-----\n\n-----\n"
+    )
+    published.write_text(one)
+    made = tmp_path / "made.yaml"
+    assert call("experiment", "convert", published, "--out", made).exit_code == 0
+    assert "tiny-track-trial: 4 combinations" in call("experiment", "plan", made).stdout
+    assert call("experiment", "convert", published).stdout == made.read_text()
+    assert "made.yaml exists already" in call("experiment", "convert", published, "--out", made).stderr
+    published.write_text(one + one)
+    assert "holds 2 combinations" in call("experiment", "convert", published).stderr
+    assert call("experiment", "convert", published, "--out", tmp_path / "both").exit_code == 0
+    assert sorted(path.name for path in (tmp_path / "both").iterdir()) == [
+        "tiny-track-trial-2.yaml",
+        "tiny-track-trial.yaml",
+    ]
+
+
 def test_pausing_repeating_and_cancelling(file: Path) -> None:
     assert call("experiment", "start", file).exit_code == 0
     assert "four: paused" in call("experiment", "pause", "four").stdout

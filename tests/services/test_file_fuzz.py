@@ -45,7 +45,7 @@ from slamhive.settings import describe, load_settings
 from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.pose_file import TrajectoryFormat
 from slamhive.trajectory.tum import read_tum
-from tests.analysis.test_paper_file import NAMES, PAPER
+from tests.analysis.test_paper_file import NUMBERS, PAPER
 from tests.fuzzing import NASTY_TEXTS, mutated
 from tests.services.archive_world import PROTOCOL, make_runs
 from tests.services.imports.world import trajectory
@@ -264,7 +264,7 @@ FORMATS: dict[str, tuple[bytes | Callable[[Hive], bytes], Reader]] = {
     "dataset.yaml": (lambda h: (h.settings.datasets_folder / "track/dataset.yaml").read_bytes(), read_dataset),
     "experiment YAML": (EXPERIMENT.encode(), lambda h, _, d: h.experiments.preview(ExperimentSource(text_of(d)))),
     "analysis YAML": (ANALYSIS.encode(), lambda h, _, d: h.analyses.fingerprint(h.analyses.read(text_of(d)))),
-    "published analysis YAML": (PAPER.encode(), lambda _h, _f, d: parse_analysis(text_of(d), names=NAMES)),
+    "published analysis YAML": (PAPER.encode(), lambda _h, _f, d: parse_analysis(text_of(d), here=NUMBERS)),
     "protocol YAML": (PROTOCOL_YAML.encode(), lambda _, f, d: load_protocol(written(f, "p.yaml", d))),
     "configuration YAML": (CONFIGURATION.encode(), read_configuration),
     "config.yaml": (CONFIG.encode(), lambda _, f, d: run_config.load(written(f, "config.yaml", d))),

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from slamhive import strict_yaml
+from slamhive.bags.kitti_sequence import velodyne_layout
 from slamhive.bags.variants.rules import RegisteredSteps
 from slamhive.catalogue.algorithm_file import load_algorithms
 from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.dataset import Dataset
 from slamhive.domain.gpu import GpuNeed
 from slamhive.sweep.expand import count, expand
 from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.experiment_file import experiment_schema, parse_experiment
 from slamhive.sweep.view import CatalogueView
-from tests.sweep.sweep_world import CAMERA, IMU, ROOM, dataset
+from tests.sweep.sweep_world import CAMERA, IMU, LIDAR, ROOM, dataset
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
@@ -71,15 +74,35 @@ def test_the_table_of_algorithms_has_all_that_run_in_real_time_without_a_gpu():
     }
 
 
+@pytest.mark.parametrize(
+    ("name", "configurations", "runs", "axes"),
+    [
+        ("paper-repeats", 50, 250, {"algorithm": 10, "dataset": 5}),
+        ("paper-lidar", 4, 4, {"algorithm": 4}),
+        ("paper-features", 108, 108, {"image_rate": 3, "imu_rate": 3, "image_resolution": 4, "nFeatures": 3}),
+    ],
+)
+def test_the_papers_smaller_experiments_expand_to_its_runs(name, configurations, runs, axes):
+    experiment = load(EXAMPLES / f"{name}.yaml")
+    expansion = expand(experiment, with_shipped_packages(experiment))
+    assert (expansion.size.configurations, expansion.size.runs, expansion.size.axes) == (configurations, runs, axes)
+    assert len({run.content_hash for run in expansion}) == configurations
+
+
 def with_shipped_packages(experiment: Experiment) -> CatalogueView:
     """All packages of the project, and datasets of the experiment with two cameras and an IMU."""
     folders = sorted(path.parent for path in (ROOT / "algorithms").glob("*/algorithm.yaml"))
     algorithms = {entry.name: entry for folder in folders for entry in load_algorithms(folder)}
-    datasets = {
-        name: dataset(name, ("cam0", CAMERA, 20), ("cam1", CAMERA, 20), ("imu0", IMU, 200))
-        for name in map(str, experiment.datasets.values)
-    }
+    datasets = {name: _recorded(name) for name in map(str, experiment.datasets.values)}
     return CatalogueView(algorithms, datasets, RegisteredSteps())
+
+
+def _recorded(name: str) -> Dataset:
+    """Two cameras and an IMU; of KITTI the LiDAR, whose points have no time and no ring."""
+    if name.startswith("kitti"):
+        made = dataset(name, ("lidar0", LIDAR, 10))
+        return replace(made, sensors=(replace(made.sensors[0], calibration=velodyne_layout().calibration()),))
+    return dataset(name, ("cam0", CAMERA, 20), ("cam1", CAMERA, 20), ("imu0", IMU, 200))
 
 
 def test_the_sensitivity_experiment_is_5_rates_4_resolutions_2_algorithms(room):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from slamhive.services.datasets.catalogue import Catalogue, PlannedImport, check_writable, dataset_document
 from slamhive.services.datasets.checking import DatasetChecks
 from slamhive.services.datasets.external import algorithm_here_or_elsewhere, choose_algorithm, imported_algorithms
+from slamhive.services.datasets.numbers import stored_numbers
 from slamhive.services.datasets.variants import IDENTITY, UsedVariant, Variants, variant_key
 from slamhive.services.datasets.views import (
     DatasetViews,
@@ -32,6 +33,7 @@ __all__ = [
     "ground_truth_motion",
     "imported_algorithms",
     "motion_summary",
+    "stored_numbers",
     "strip_times_s",
     "variant_key",
 ]

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from slamhive.domain.parameters import Value
 from slamhive.errors import Conflict, SlamHiveError
+from slamhive.foreign.experiment import Converted
 from slamhive.services.datasets import check_writable
 from slamhive.services.experiments import status as statuses
 from slamhive.services.experiments.axis_table import AxisTables
 from slamhive.services.experiments.changing import put_state, retry_failed
 from slamhive.services.experiments.context import ExperimentContext, Progress, silent
+from slamhive.services.experiments.converting import convert_published
 from slamhive.services.experiments.previewing import preview
 from slamhive.services.experiments.restoring import Restored, restore_rows, restore_runs
 from slamhive.services.experiments.starting import add_repeats, check_same, start
@@ -69,6 +71,10 @@ class Experiments:
             refusals.append(str(error))
         found = preview(context, experiment, usable, standing, progress)
         return replace(found, refusals=(*refusals, *found.refusals))
+
+    def convert(self, source: ExperimentSource, meanings: Mapping[str, str]) -> tuple[Converted, ...]:
+        """Combinations of the published SLAM Hive as experiment files; raises as :func:`convert_published`."""
+        return convert_published(self._context.catalogue, source, meanings)
 
     def start(
         self, source: ExperimentSource, executor: str | None = None, progress: Progress = silent

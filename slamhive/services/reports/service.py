@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from slamhive.analysis.analysis_file import Analysis, parse_analysis
-from slamhive.analysis.paper_file import PaperNames
 from slamhive.analysis.report import Report
 from slamhive.clock import utc_now
 from slamhive.errors import InvalidInput
-from slamhive.services.datasets import Catalogue
+from slamhive.services.datasets import Catalogue, stored_numbers
 from slamhive.services.reports.report import make_report
 from slamhive.services.reports.run import AnalysisLimits, AnalysisSources, run_analysis
 from slamhive.services.reports.selection import select_runs
 from slamhive.services.searches import Searches
 from slamhive.settings import Settings
-from slamhive.store import Store, Transaction
+from slamhive.store import Store
 from slamhive.strict_yaml import read_text
 
 MAX_SOURCE_BYTES = 1_000_000
@@ -38,15 +37,18 @@ class Analyses:
         self._catalogue = catalogue
         self._searches = searches
 
-    def read(self, text: str, source: str = "analysis.yaml") -> Analysis:
-        """Parse an analysis file of this or of the published SLAM Hive; raises InvalidInput with the line."""
+    def read(self, text: str, source: str = "analysis.yaml", ids: Mapping[str, str] | None = None) -> Analysis:
+        """Parse an analysis file of this or of the published SLAM Hive; raises InvalidInput with the line.
+
+        ``ids`` says what numbers in a published file mean, see :func:`slamhive.foreign.numbers.meant`.
+        """
         if len(text.encode()) > MAX_SOURCE_BYTES:
             raise InvalidInput(f"{source} is larger than {MAX_SOURCE_BYTES} bytes", "split it into several analyses")
-        return parse_analysis(text, source, self._store.read(_paper_names))
+        return parse_analysis(text, source, stored_numbers(self._store), ids)
 
-    def read_file(self, path: Path) -> Analysis:
+    def read_file(self, path: Path, ids: Mapping[str, str] | None = None) -> Analysis:
         """The same from a file."""
-        return self.read(read_text(path), str(path))
+        return self.read(read_text(path), str(path), ids)
 
     def compute(
         self,
@@ -72,11 +74,3 @@ class Analyses:
 
     def _saved_search(self, name: str) -> str:
         return self._searches.saved_named(name).filter_text
-
-
-def _paper_names(transaction: Transaction) -> PaperNames:
-    return PaperNames(
-        algorithms={record.id: record.name for record in transaction.catalogue.algorithms()},
-        datasets={record.id: record.name for record in transaction.catalogue.datasets()},
-        experiments=transaction.run_table.experiment_names(),
-    )

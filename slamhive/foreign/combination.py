@@ -1,0 +1,163 @@
+"""Combination files of the published SLAM Hive, as their authors keep them: text to copy into its web form.
+
+A combination has a title (``algorithm+dataset+purpose``), a description, lines of template numbers that change
+together, and new values for each factor of a rate or a resolution. Lines of dashes separate the four.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from slamhive import strict_yaml
+from slamhive.errors import InvalidInput
+from slamhive.foreign.documents import Part, only, parts_of
+
+_TITLE = re.compile(r"[\w.-]+\+[\w.-]+\+[\w.+-]+")
+_TIE = re.compile(r"\d+(?:\s*,\s*\d+)+")
+_VALUES = re.compile(r"\d+\s*:\s*$")
+_RANGE = re.compile(r"(?P<name>[A-Za-z][\w. ]*?)\s*:\s*(?P<values>[^|\s][^|]*(?:\|[^|]+)+)")
+_NAMED = re.compile(r"(?P<key>Algorithm|Dataset)\s*:\s*(?P<name>[\w.-]+)\s*")
+_TOTAL = re.compile(r"Totall?y?\s*:.*?(\d+)\D*", re.IGNORECASE)
+
+Factors = dict[float, dict[str, Any]]
+"""New values by the number of their template, for each factor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """A line of the description that lists values: ``nFeatures: 1000 | 2000``; ``line`` counts from 1."""
+
+    name: str
+    values: tuple[str, ...]
+    line: int
+
+
+@dataclass(slots=True)
+class Combination:
+    """One combination.
+
+    ``line`` is that of its title. ``tied`` holds template numbers that change together, ``changes`` the factors of each
+    template, with ``places`` for messages. ``prose`` is other text after the description, with its lines.
+    ``described``: the description has been read.
+    """
+
+    title: str
+    line: int
+    algorithm: str
+    dataset: str
+    description: list[str] = field(default_factory=list)
+    ranges: list[Range] = field(default_factory=list)
+    total: int | None = None
+    tied: list[tuple[str, ...]] = field(default_factory=list)
+    changes: dict[str, Factors] = field(default_factory=dict)
+    places: strict_yaml.Places = field(default_factory=lambda: strict_yaml.Places("", {}))
+    prose: list[tuple[int, str]] = field(default_factory=list)
+    described: bool = False
+
+
+def read_combinations(text: str, source: str) -> tuple[list[Combination], list[tuple[int, str]]]:
+    """The combinations in a file, and the lines before the first one.
+
+    Raises InvalidInput, with the line, if there is none, or if one contradicts itself or cannot be read.
+    """
+    lines = text.splitlines()
+    found: list[Combination] = []
+    before: list[tuple[int, str]] = []
+    for part in parts_of(lines):
+        written = list(_written(lines, part))
+        if len(written) == 1 and _TITLE.fullmatch(written[0][1].strip()):
+            found.append(_titled(written[0], source))
+        elif not found:
+            before += written
+        else:
+            _Reader(found[-1], lines, source).read(part)
+    if not found:
+        raise InvalidInput(
+            f"{source} holds no combination of the published SLAM Hive",
+            "one begins with ALGORITHM+DATASET+PURPOSE between two lines of dashes",
+        )
+    return found, before
+
+
+def _titled(line: tuple[int, str], source: str) -> Combination:
+    number, title = line
+    algorithm, dataset, *_ = title.strip().split("+")
+    if not algorithm or not dataset:
+        raise InvalidInput(f"{source}, line {number}: {title!r} does not name an algorithm and a dataset")
+    return Combination(title.strip(), number, algorithm, dataset)
+
+
+def _written(lines: Sequence[str], part: Part) -> Iterator[tuple[int, str]]:
+    """The lines of a part that are not empty, with their numbers from 1."""
+    return ((number + 1, lines[number].rstrip()) for number in range(*part) if lines[number].strip())
+
+
+class _Reader:
+    """Reads the parts of one combination into it."""
+
+    def __init__(self, combination: Combination, lines: Sequence[str], source: str) -> None:
+        self._into = combination
+        self._lines = lines
+        self._source = source
+
+    def read(self, part: Part) -> None:
+        """Read a part, whichever of the three it is."""
+        described = not self._into.described
+        self._into.described = True
+        values = next((number for number in range(*part) if _VALUES.match(self._lines[number])), part[1])
+        for number, line in _written(self._lines, (part[0], values)):
+            self._text(number, line, described=described)
+        if values < part[1]:
+            self._values((values, part[1]))
+
+    def _text(self, number: int, line: str, *, described: bool) -> None:
+        into, stripped = self._into, line.strip()
+        if _TIE.fullmatch(stripped):
+            into.tied.append(tuple(entry.strip() for entry in stripped.split(",")))
+        elif named := _NAMED.fullmatch(stripped):
+            self._check_name(number, named["key"].lower(), named["name"])
+        elif ranged := _RANGE.fullmatch(stripped):
+            values = tuple(value.strip() for value in ranged["values"].split("|"))
+            into.ranges.append(Range(ranged["name"].strip(), values, number))
+        elif total := _TOTAL.fullmatch(stripped):
+            into.total = int(re.findall(r"\d+", stripped)[-1] if "=" in stripped else total[1])
+        elif described:
+            into.description.append(stripped)
+        else:
+            into.prose.append((number, line))
+
+    def _check_name(self, number: int, key: str, name: str) -> None:
+        titled = self._into.algorithm if key == "algorithm" else self._into.dataset
+        if name != titled:
+            raise InvalidInput(
+                f"{self._source}, line {number}: the {key} is {name}, but the title in line {self._into.line} says "
+                f"{titled}",
+                "write the same in both",
+            )
+
+    def _values(self, part: Part) -> None:
+        if self._into.changes:
+            raise InvalidInput(
+                f"{self._source}, line {part[0] + 1}: new values for {self._into.title} again", "write them once"
+            )
+        content, lines = strict_yaml.parse_with_lines(only(self._lines, part), self._source)
+        self._into.places = strict_yaml.Places(self._source, lines)
+        self._into.changes = {number: self._factors(number, entry) for number, entry in content.items()}
+
+    def _factors(self, number: str, entry: object) -> Factors:
+        if not isinstance(entry, Mapping):
+            raise InvalidInput(f"{self._into.places.of(number)}: {number} needs factors with new values")
+        factors: Factors = {}
+        for text, values in entry.items():
+            try:
+                factor = float(text)
+            except ValueError:
+                factor = 0.0
+            if factor <= 0 or not isinstance(values, Mapping | None):
+                place = self._into.places.of(number, text)
+                raise InvalidInput(f"{place}: expected a factor with new values, found {text}: {values!r}")
+            factors[factor] = dict(values or {})
+        return factors
