@@ -45,7 +45,7 @@ from slamhive.search.binding import Search, read_search
 from slamhive.search.fields import vocabulary_of
 from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.searches.service import Searches
-from slamhive.settings import load_settings
+from slamhive.settings_sources import load_settings
 from slamhive.store import RunSort, Store, open_store
 from tests.services.mariadb import DatabaseServer, find_server
 

@@ -37,7 +37,7 @@ from slamhive.schema.record import RunFile
 from slamhive.schema.run import Evaluation, RunWith
 from slamhive.schema.submission import Submission
 from slamhive.schema.variant import CachedVariant, Step
-from slamhive.settings import describe
+from slamhive.settings_sources import describe
 from slamhive.sweep.experiment_file import experiment_schema
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

@@ -12,7 +12,7 @@ from slamhive.cli.plugins import all_origins
 from slamhive.project import project_root
 from slamhive.services.doctor import Verdict, examine, plugin_checks
 from slamhive.services.reindex import reindex, run_folders
-from slamhive.settings import settings_in_force
+from slamhive.settings_sources import settings_in_force
 
 
 @click.command("reindex")

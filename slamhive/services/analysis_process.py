@@ -82,7 +82,7 @@ def _compute(asked: dict[str, Any], root: Path) -> str:
         page_of,
     )
     from slamhive.services.searches import Searches  # noqa: PLC0415
-    from slamhive.settings import load_settings  # noqa: PLC0415
+    from slamhive.settings_sources import load_settings  # noqa: PLC0415
     from slamhive.store.store import open_store  # noqa: PLC0415
 
     folder = AnalysisFolder(root)

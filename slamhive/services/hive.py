@@ -23,7 +23,8 @@ from slamhive.services.runs import Runs
 from slamhive.services.searches import Searches
 from slamhive.services.versions import Versions
 from slamhive.services.worker import Worker, WorkerLock
-from slamhive.settings import Mode, Settings, load_settings
+from slamhive.settings import Mode, Settings
+from slamhive.settings_sources import load_settings
 from slamhive.store import Store
 
 if TYPE_CHECKING:

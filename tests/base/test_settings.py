@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.settings import Mode, describe, load_settings, settings_in_force
+from slamhive.settings import Mode
+from slamhive.settings_sources import describe, load_settings, settings_in_force
 
 
 def test_defaults_are_those_of_a_workstation(tmp_path):

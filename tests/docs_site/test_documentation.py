@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.settings import describe
+from slamhive.settings_sources import describe
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

@@ -17,7 +17,7 @@ import docker.errors
 import psutil
 import pytest
 
-from slamhive.executors.docker import executor as docker_executor
+from slamhive.executors.docker import run_containers
 from slamhive.executors.docker.engine import OWNER_LABEL, labels_of_helper
 from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.identity import worker_identity
@@ -114,7 +114,7 @@ def test_created_container_is_started_by_the_next_start(bench):
     executor = bench.executor
     assert isinstance(executor, DockerExecutor)
     spec = bench.spec(SLEEP)
-    container = executor._create(spec)
+    container = executor._containers.create(spec)
     handle = bench.again().start(spec)
     bench.handles.append(handle)
     assert handle.data["container"] == container.id
@@ -152,7 +152,7 @@ def test_sweep_removes_the_containers_of_dead_processes_alone(bench, monkeypatch
             container.start()
         over.wait()
         assert sorted(executor.sweep(list)) == sorted(container.name for container in of_the_dead)
-        monkeypatch.setattr(docker_executor, "OWNER_PATIENCE", timedelta(0))
+        monkeypatch.setattr(run_containers, "OWNER_PATIENCE", timedelta(0))
         assert sorted(executor.sweep(list)) == sorted((made.name, over.name))
     finally:
         for container in (*of_the_dead, *kept):

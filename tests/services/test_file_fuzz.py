@@ -41,7 +41,7 @@ from slamhive.services.hive import Hive, open_hive
 from slamhive.services.imports.request import ImportRequest
 from slamhive.services.reindex import reindex, run_folders
 from slamhive.services.runs.series import run_series
-from slamhive.settings import describe, load_settings
+from slamhive.settings_sources import describe, load_settings
 from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.pose_file import TrajectoryFormat
 from slamhive.trajectory.tum import read_tum

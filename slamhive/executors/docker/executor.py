@@ -1,27 +1,18 @@
-"""Runs algorithms in Docker containers, hardened as the container contract says.
-
-The engine remembers what runs: the name of a container follows from the run's key, and its labels hold the key, the run
-and the installation. "No such container" (404) and "exists already" (409) are therefore answers, not errors.
-"""
+"""Runs algorithms in Docker containers, hardened as the container contract says."""
 
 from __future__ import annotations
 
 import contextlib
 import threading
-import time
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from datetime import timedelta
 from pathlib import Path
-from typing import Any
 
 import docker
 import docker.errors
 
-from slamhive.clock import monotonic_s, utc_now
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.domain.gpu import Gpu
-from slamhive.errors import Unavailable
 from slamhive.evaluation.batch import BatchStarter
 from slamhive.executors.base import (
     Capabilities,
@@ -30,7 +21,6 @@ from slamhive.executors.base import (
     Executor,
     ExecutorContext,
     Finding,
-    ImageMissing,
     LiveKeys,
     PackageNeed,
     ProgressCallback,
@@ -39,12 +29,9 @@ from slamhive.executors.base import (
 from slamhive.executors.cgroup import cgroup_of
 from slamhive.executors.docker.batch import DockerStarter
 from slamhive.executors.docker.build import get_image, name_image
-from slamhive.executors.docker.container import container_options, scratch_folder
 from slamhive.executors.docker.engine import (
     GPU_LABEL,
-    INSTALLATION_LABEL,
     KEY_LABEL,
-    OWNER_LABEL,
     connect,
     container_name,
     engine_errors,
@@ -61,34 +48,14 @@ from slamhive.executors.docker.kept_images import (
     save_image,
 )
 from slamhive.executors.docker.refusals import RefusedProcesses, engine_protections
+from slamhive.executors.docker.run_containers import RunContainers
 from slamhive.executors.docker.run_user import in_words, open_to_user, take_back
 from slamhive.executors.docker.stats import DockerStatsSource
 from slamhive.executors.gpu import GpuUse, gpu_use, in_container, list_gpus
-from slamhive.executors.identity import owner_is_dead
 from slamhive.executors.images import ImageTools
-from slamhive.executors.local_files import make_own_copies
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
-from slamhive.files import remedy_of, write_aside
-
-OWNER_PATIENCE = timedelta(minutes=5)
-"""How long a container is kept that does not run, but whose process may live."""
-_CREATION_PATIENCE_S = 30.0
-_CREATION_STEP_S = 0.05
-
-
-def _is_live(container: Any, live_keys: Collection[str]) -> bool:
-    """Whether somebody still needs a container: the run of its key, or the process that it serves."""
-    owner = container.labels.get(OWNER_LABEL)
-    if owner is None:
-        return container.labels.get(KEY_LABEL) in live_keys
-    if owner_is_dead(owner):
-        return False
-    if container.status == "running":
-        return True
-    # Its owner is about to start it, or reads how it ended.
-    since = engine_time(container.attrs["State"].get("FinishedAt")) or engine_time(container.attrs.get("Created"))
-    return since is not None and utc_now() - since < OWNER_PATIENCE
+from slamhive.files import write_aside
 
 
 class DockerExecutor(Executor):
@@ -109,6 +76,7 @@ class DockerExecutor(Executor):
         self._lock = threading.Lock()
         self._client: docker.DockerClient | None = None
         self._refused = RefusedProcesses()
+        self._containers = RunContainers(self._engine, context)
 
     def unavailable_because(self) -> str | None:
         """Why Docker cannot be used now; None if an engine answers."""
@@ -164,14 +132,14 @@ class DockerExecutor(Executor):
 
     def start(self, spec: RunSpec) -> RunHandle:
         """Create and start the run's container, or find it in whatever state it is."""
-        container = self._find(container_name(spec.key)) or self._create(spec)
+        container = self._containers.find(container_name(spec.key)) or self._containers.create(spec)
         if container.labels.get(KEY_LABEL) != spec.key:
             raise StartFailed(f"container {container.name} belongs to another run", f"docker rm {container.name}")
         open_to_user(spec)
         if container.status == "created":
-            self._start_created(container, spec)
+            self._containers.start(container, spec)
         data = {"container": str(container.id), "key": spec.key}
-        started = self._find(data["container"])
+        started = self._containers.find(data["container"])
         started_at = None if started is None else engine_time(started.attrs["State"].get("StartedAt"))
         if started_at is not None:
             data["started_at"] = started_at.isoformat()
@@ -180,7 +148,7 @@ class DockerExecutor(Executor):
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """The state that the engine reports."""
-        container = self._find(handle.data["container"])
+        container = self._containers.find(handle.data["container"])
         if container is None:
             return Gone("the container was removed from outside")
         state = container.attrs["State"]
@@ -198,7 +166,7 @@ class DockerExecutor(Executor):
 
     def stop(self, handle: RunHandle, grace_s: float) -> None:
         """SIGTERM, and SIGKILL after ``grace_s``."""
-        container = self._find(handle.data["container"])
+        container = self._containers.find(handle.data["container"])
         if container is None:
             return
         with engine_errors(f"stopping {container.name}", EngineUnavailable):
@@ -209,7 +177,7 @@ class DockerExecutor(Executor):
 
     def save_log(self, handle: RunHandle, path: Path) -> None:
         """Write what the run has printed so far; nothing if the container is gone."""
-        container = self._find(handle.data["container"])
+        container = self._containers.find(handle.data["container"])
         if container is None:
             return
         with engine_errors(f"reading the log of {container.name}", EngineUnavailable):
@@ -218,14 +186,14 @@ class DockerExecutor(Executor):
 
     def remove(self, handle: RunHandle) -> None:
         """Remove the container, running or not."""
-        self._remove(handle.data["container"])
+        self._containers.remove(handle.data["container"])
         self._refused.forget(handle.data["container"])
 
     def discard(self, spec: RunSpec) -> None:
         """Remove the container that has the name of the run's key, unless another run's has it."""
-        container = self._find(container_name(spec.key))
+        container = self._containers.find(container_name(spec.key))
         if container is not None and container.labels.get(KEY_LABEL) == spec.key:
-            self._remove(str(container.id))
+            self._containers.remove(str(container.id))
         take_back(self._engine, spec, self._context.installation)
 
     def collect(self, spec: RunSpec, handle: RunHandle) -> None:  # noqa: ARG002 - the signature of the seam
@@ -234,7 +202,7 @@ class DockerExecutor(Executor):
 
     def usage_source(self, handle: RunHandle) -> UsageSource | None:
         """The container's control group where its files are on this machine, the engine's statistics otherwise."""
-        container = self._find(handle.data["container"])
+        container = self._containers.find(handle.data["container"])
         if container is None or container.status != "running":
             return None
         group = cgroup_of(int(container.attrs["State"]["Pid"]), container.id)
@@ -262,14 +230,7 @@ class DockerExecutor(Executor):
 
     def sweep(self, live_keys: LiveKeys) -> list[str]:
         """Remove containers of this installation whose run is over, or whose process is dead."""
-        label = f"{INSTALLATION_LABEL}={self._context.installation}"
-        with engine_errors("listing containers", EngineUnavailable):
-            containers = self._engine().containers.list(all=True, filters={"label": label}, ignore_removed=True)
-        keys = live_keys()
-        stale = [entry for entry in containers if not _is_live(entry, keys)]
-        for container in stale:
-            self._remove(str(container.id))
-        return [str(container.name) for container in stale]
+        return self._containers.sweep(live_keys)
 
     def evaluation_starter(self) -> BatchStarter:
         """Starts containers of the evaluation image."""
@@ -294,57 +255,3 @@ class DockerExecutor(Executor):
             if self._client is None:
                 self._client = connect()
             return self._client
-
-    def _find(self, name_or_id: str) -> Any | None:
-        with engine_errors("looking for the container", EngineUnavailable):
-            try:
-                return self._engine().containers.get(name_or_id)
-            except docker.errors.NotFound:
-                return None
-
-    def _create(self, spec: RunSpec) -> Any:
-        scratch = scratch_folder(spec)
-        try:
-            scratch.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise Unavailable(f"{scratch} cannot be made: {error.strerror}", remedy_of(error)) from None
-        make_own_copies(spec)
-        deadline_s = monotonic_s() + _CREATION_PATIENCE_S
-        while True:
-            container = self._try_create(spec) or self._find(container_name(spec.key))
-            if container is not None:
-                return container
-            # A worker that was killed asked for it too: the engine has taken the name, and still makes the container.
-            if monotonic_s() >= deadline_s:
-                raise StartFailed(f"the engine does not finish the container of run {spec.run_id}", "try again")
-            time.sleep(_CREATION_STEP_S)
-
-    def _try_create(self, spec: RunSpec) -> Any | None:
-        """Create the container; None if its name is taken."""
-        with engine_errors(f"starting run {spec.run_id}", StartFailed):
-            try:
-                return self._engine().containers.create(**container_options(spec, self._context))
-            except docker.errors.ImageNotFound:
-                raise ImageMissing(f"image {spec.image} ({spec.identity[:19]}) is gone", "build it again") from None
-            except docker.errors.APIError as error:
-                if error.status_code != 409:
-                    raise
-                return None
-
-    def _start_created(self, container: Any, spec: RunSpec) -> None:
-        try:
-            with engine_errors(f"starting run {spec.run_id}", StartFailed):
-                container.start()
-        except StartFailed:
-            self._remove(str(container.id))
-            raise
-
-    def _remove(self, container_id: str) -> None:
-        with engine_errors("removing a container", EngineUnavailable):
-            try:
-                self._engine().api.remove_container(container_id, force=True, v=True)
-            except docker.errors.NotFound:
-                return
-            except docker.errors.APIError as error:
-                if error.status_code != 409:  # 409: it is being removed already
-                    raise
