@@ -33,6 +33,15 @@ _FIELD_CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "
 NS_PER_S = 1_000_000_000
 
 
+EARLIEST_NS = 1
+"""``rosbag play`` skips earlier messages: ``ros::TIME_MIN`` is 1 ns, since ROS 1 takes 0 for a time that is not set."""
+
+
+def playable_ns(received_ns: int) -> int:
+    """When a ROS 1 bag says that a message was received; its timestamp stays what it is."""
+    return max(received_ns, EARLIEST_NS)
+
+
 def nanoseconds(seconds: float) -> int:
     """The timestamp nearest to ``seconds``."""
     return round(seconds * NS_PER_S)
@@ -216,7 +225,8 @@ class BagWriter:
                 if cdr
                 else self._writer.add_connection(topic, kind, msgdef=connection.msgdef.data, md5sum=connection.digest)
             )
-        self._writer.write(self._connections[topic], received_ns, self._store.cdr_to_ros1(raw, kind) if cdr else raw)
+        converted = self._store.cdr_to_ros1(raw, kind) if cdr else raw
+        self._writer.write(self._connections[topic], playable_ns(received_ns), converted)
 
     def _message(self, kind: str, **fields: Any) -> Any:
         return self._store.types[kind](**fields)
@@ -231,5 +241,6 @@ class BagWriter:
     def _write(self, topic: str, kind: str, received_ns: int, message: Any) -> None:
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
-        self._writer.write(self._connections[topic], received_ns, self._store.serialize_ros1(message, kind))
+        raw = self._store.serialize_ros1(message, kind)
+        self._writer.write(self._connections[topic], playable_ns(received_ns), raw)
         self._counts[topic] = self._counts.get(topic, 0) + 1

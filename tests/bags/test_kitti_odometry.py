@@ -63,6 +63,11 @@ def test_a_sequence_becomes_a_dataset(sequence, tmp_path):
     counts = {topic.topic: topic.count for topic in inspect_bag(dataset.bag_path).topics}
     assert set(counts.values()) == {FRAMES}
     assert len(counts) == 9  # an image and a camera_info for each camera, the points
+    with open_bag(dataset.bag_path) as reader:
+        received_ns = [time_ns for _, time_ns, _ in messages(reader, dataset.bag_path)]
+    # rosbag play skips what was received at 0 s.
+    assert received_ns[0] == 1
+    assert received_ns[-1] == 300_000_000
     right = dataset.sensor("cam1")
     assert right.T_body_sensor[3] == pytest.approx(0.5)
     assert right.calibration["encoding"] == "mono8"

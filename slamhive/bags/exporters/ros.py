@@ -22,6 +22,7 @@ from rosbags.rosbag2 import CompressionMode
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
+from slamhive.bags.bag_writer import playable_ns
 from slamhive.bags.exporters.plan import ExportPlan
 from slamhive.bags.reader import messages, open_bag
 from slamhive.bags.rosbag2_output import (
@@ -116,12 +117,11 @@ def _side_files(dataset: Dataset) -> list[str]:
 def _write_ros1(source: Path, target: Path, progress: Progress) -> None:
     with open_bag(source) as reader, Ros1Writer(target) as writer:
         connections, converters = _converters(source, reader, writer, Stores.ROS1_NOETIC)
-        _write(
-            source,
-            reader,
-            lambda entry, time_ns, raw: writer.write(connections[entry.id], time_ns, converters[entry.msgtype](raw)),
-            progress,
-        )
+
+        def write(entry: Connection, time_ns: int, raw: bytes) -> None:
+            writer.write(connections[entry.id], playable_ns(time_ns), converters[entry.msgtype](raw))
+
+        _write(source, reader, write, progress)
 
 
 def _write_rosbag2(source: Path, target: Path, progress: Progress, storage: Rosbag2Storage) -> None:
