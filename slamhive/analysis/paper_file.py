@@ -43,6 +43,13 @@ _PREFIXES = {
     "dataset_resolution": "variant.resolution.scale",
     "dataset_frequency": "variant.rate.every",
 }
+_SEEN = {
+    "image_width": "image_width",
+    "image_height": "image_height",
+    "image_frequency": "image_rate_hz",
+    "imu_frequency": "imu_rate_hz",
+}
+"""Columns that say what a run saw, by the general names of parameters that said so."""
 _KEYS: dict[tuple[str, ...], frozenset[str]] = {
     (): frozenset({"group_name", "group_description", MARK, "configuration_choose", "is_visualized", IDS}),
     ("configuration_choose",): frozenset(
@@ -103,13 +110,14 @@ def convert(
 def our_key(name: str) -> str:
     """The key of a metric or parameter of the published system.
 
-    ``ate_rmse`` is ``ate.rmse``; in ``general+image_width``, the name of the parameter follows the plus sign.
+    ``ate_rmse`` is ``ate.rmse``; in ``general+nFeatures``, the name of the parameter follows the plus sign. Size and
+    rate of images are columns of their own, because datasets and steps give them here.
     """
     kind, _, statistic = name.partition("_")
     if (kind in {"ate", "rpe"} and statistic in _STATISTICS) or name in {"cpu_mean", "cpu_max", "ram_max"}:
         return f"{kind}.{statistic}"
     prefix, plus, rest = name.partition("+")
-    return _PREFIXES.get(prefix, rest) if plus else name
+    return _PREFIXES.get(prefix, _SEEN.get(rest, rest)) if plus else name
 
 
 def only_analysis(text: str, source: str) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any, Self
 
+from pydantic import Field
+
 from slamhive.analysis.chart import Chart
 from slamhive.analysis.result import Cell, PlotResult, ResultTable
 from slamhive.errors import InvalidInput
@@ -48,6 +50,9 @@ class Summary(Document):
     failed_because: Annotated[dict[str, int], described("How many, by reason.")]
     unevaluated: Annotated[int, described("Runs that were left out because they have no evaluation.")] = 0
     disturbance: Annotated[DisturbedRuns | None, described("Null in reports of version 0.1.")] = None
+    mixed_versions: Annotated[
+        dict[str, tuple[str, ...]], described("The versions of each algorithm whose runs used several.")
+    ] = Field(default_factory=dict)
     rule: Annotated[str, described("When a run counts as failed.")]
     protocols: tuple[ProtocolRuns, ...]
 

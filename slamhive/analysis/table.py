@@ -70,6 +70,10 @@ FACTS = (
     Column("evaluation", "Evaluation", ColumnKind.FACT, numeric=False),
     Column("disturbed", "Disturbed by", ColumnKind.FACT, numeric=False),
     Column("trajectory", "Trajectory", ColumnKind.FACT, numeric=False),
+    Column("image_width", "Image width", ColumnKind.FACT, "px"),
+    Column("image_height", "Image height", ColumnKind.FACT, "px"),
+    Column("image_rate_hz", "Image rate", ColumnKind.FACT, "Hz"),
+    Column("imu_rate_hz", "IMU rate", ColumnKind.FACT, "Hz"),
 )
 """The columns of every table, in this order."""
 
@@ -170,6 +174,19 @@ class RunTable:
         return f"{count} of {plural(total, 'run')} measured on a disturbed machine." if count else ""
 
     @property
+    def mixed_versions(self) -> dict[str, tuple[str, ...]]:
+        """The versions of each algorithm whose runs used several."""
+        known = self.frame.dropna(subset=["version"]).groupby("algorithm", sort=True)["version"]
+        used = {str(name): tuple(sorted(set(map(str, labels)))) for name, labels in known}
+        return {name: labels for name, labels in used.items() if len(labels) > 1}
+
+    @property
+    def version_words(self) -> str:
+        """A sentence on algorithms whose runs used several versions; empty if there are none."""
+        mixed = [f"{name} ({', '.join(labels)})" for name, labels in self.mixed_versions.items()]
+        return f"Several versions together: {', '.join(mixed)}." if mixed else ""
+
+    @property
     def rule_words(self) -> str:
         """The rule as a sentence, and the number of runs that it cannot judge."""
         frame = self.frame
@@ -246,7 +263,8 @@ def make_table(
     """
     rows = {key: list(values) for key, values in facts.items()}
     count = len(next(iter(rows.values()), []))
-    frame = pd.DataFrame({column.key: rows.get(column.key, [None] * count) for column in FACTS})
+    missing = {column.key: np.full(count, np.nan) if column.numeric else [None] * count for column in FACTS}
+    frame = pd.DataFrame(missing | {key: rows[key] for key in missing if key in rows})
     columns = {column.key: column for column in FACTS}
     extra: dict[str, object] = {}
     for key, values in parameters.items():

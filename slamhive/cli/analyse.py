@@ -64,6 +64,8 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         if report.unevaluated:
             tell(f"left out: {report.unevaluated} runs: not evaluated under this protocol, cancelled or not ended")
         _show_disturbance(report.disturbance)
+        for name, labels in report.mixed_versions.items():
+            tell(f"versions are mixed: {name} ran as {', '.join(labels)}", style="yellow")
         rows = [(entry.form, entry.title, entry.charts, entry.error or "") for entry in plots]
         print_table(("form", "title", "plots", "not shown because"), rows)
         if out is not None:

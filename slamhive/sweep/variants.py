@@ -28,7 +28,8 @@ def seen_dataset(rules: StepRules, dataset: Dataset, variant: Variant) -> Datase
     """``dataset`` with its sensors as ``variant`` leaves them; raises as :func:`resolve_variant`."""
     sensors = {sensor.name: sensor for sensor in dataset.sensors}
     for step in variant:
-        resolve_step(rules, step.kind, step.options, step.sensors, sensors)
+        names = [dataset.sensor(name).name for name in step.sensors]
+        resolve_step(rules, step.kind, step.options, names, sensors)
     return replace(dataset, sensors=tuple(sensors.values()))
 
 

@@ -113,6 +113,9 @@ def test_lines_of_messages_count_from_the_start_of_the_file():
         ("general+save_map", "save_map"),
         ("dataset_frequency+image0_frequency", "variant.rate.every"),
         ("nFeatures", "nFeatures"),
+        ("general+image_width", "image_width"),
+        ("general+image_frequency", "image_rate_hz"),
+        ("general+imu_frequency", "imu_rate_hz"),
     ],
 )
 def test_names(name, ours):

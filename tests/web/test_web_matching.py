@@ -18,6 +18,7 @@ from slamhive.schema.record import Request
 from slamhive.schema.submission import Submission
 from slamhive.services.configurations.changes import Changes
 from slamhive.services.executors import Executors
+from slamhive.services.experiments import ExperimentSource
 from slamhive.services.ledger.lines import configurations_of, record_line
 from slamhive.sweep.expand import expand
 from slamhive.sweep.experiment_file import parse_experiment
@@ -101,6 +102,17 @@ def test_a_copy_takes_its_values_from_its_own_dataset(bound: Web) -> None:
     form = {**FORM, "csrf_token": bound.token, "parameter.fx": "", "parameter.exposure": ""}
     answer = bound.client.post(f"/configurations/{made.id}/edit", data=form)
     assert answer.location.endswith(f"/configurations/{plain.id}")
+
+
+def test_the_preview_of_an_experiment_names_the_defaults_that_replace_missing_calibration(bound: Web) -> None:
+    text = "name: dark\nalgorithms: bound-slam\ndatasets: room\n"
+    (said,) = bound.hive.experiments.preview(ExperimentSource(text)).warnings
+    assert said == (
+        "bound-slam: the calibration of room lacks what it takes; defaults of the package: "
+        "exposure 0.01 for left.exposure_s"
+    )
+    given = text + "parameters: {exposure: 0.01 | 0.02}\n"
+    assert bound.hive.experiments.preview(ExperimentSource(given)).warnings == ()
 
 
 STEREO = ("eye-slam-stereo", "room")

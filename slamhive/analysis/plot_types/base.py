@@ -207,6 +207,7 @@ def caption(table: RunTable, shown: int, protocol: str | None, *more: str) -> st
         f"n = {shown} of {len(table.frame)} runs, {failed_count(table.frame)} failed.",
         table.rule_words,
         table.disturbance_words,
+        table.version_words,
     ]
     parts.append(f"Protocol: {protocol}." if protocol else "No metric here depends on an evaluation protocol.")
     return " ".join(filter(None, [*parts, *more]))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 
+from slamhive.domain.configuration import Configuration
+from slamhive.domain.matching import Origin, match_of, shown
 from slamhive.services.configurations import unwatchable
-from slamhive.services.experiments.checks import disk_space_problems, find_disk_space, pair_problems, warnings
+from slamhive.services.experiments.checks import Pair, disk_space_problems, find_disk_space, pair_problems, warnings
 from slamhive.services.experiments.context import ExperimentContext, Progress, guessed_duration_s
 from slamhive.services.experiments.views import ExperimentPreview, PreviewRow, Standing
 from slamhive.store.durations import Pairing
@@ -48,6 +50,8 @@ class _Sums:
     measured_runs: int = 0
     time_s: float = 0.0
     rows: list[PreviewRow] = field(default_factory=list)
+    first: dict[Pair, Configuration] = field(default_factory=dict)
+    """The first configuration of each algorithm on each dataset."""
 
 
 def preview(
@@ -87,7 +91,7 @@ def preview(
         variant_bytes=space.variant_bytes,
         run_bytes=space.run_bytes,
         free_bytes=space.free_bytes,
-        warnings=(*_unseen(experiment, expansion), *warnings(space)),
+        warnings=(*_unseen(experiment, expansion), *_defaults(expansion, sums.first), *warnings(space)),
         refusals=tuple(refusals),
         standing=standing,
         repeat_disturbed=experiment.repeat_disturbed,
@@ -98,6 +102,22 @@ def _unseen(experiment: Experiment, expansion: Expansion) -> Iterator[str]:
     text = unwatchable(experiment.stop_when, (algorithm for algorithm, _ in expansion.pairs))
     if text is not None:
         yield f"stop_when: {text}"
+
+
+def _defaults(expansion: Expansion, first: Mapping[Pair, Configuration]) -> Iterator[str]:
+    """What of the calibration is missing, and which default of the package is taken; one line for an algorithm."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for algorithm, dataset in expansion.pairs:
+        configuration = first.get((algorithm.name, dataset.name))
+        if configuration is None:
+            continue
+        match = match_of(algorithm, dataset, configuration.parameters, configuration.sensors)
+        missing = [entry for entry in match.bound if entry.origin is Origin.DEFAULT]
+        taken = ", ".join(f"{entry.key} {shown(entry.value)} for {entry.source}" for entry in missing)
+        if missing:
+            found.setdefault((algorithm.name, taken), []).append(dataset.name)
+    for (name, taken), datasets in found.items():
+        yield f"{name}: the calibration of {', '.join(datasets)} lacks what it takes; defaults of the package: {taken}"
 
 
 def _sum_up(context: ExperimentContext, expansion: Expansion, progress: Progress) -> _Sums:
@@ -133,6 +153,7 @@ def _add(
         sums.measured_runs += len(cell)
     else:
         measured_s = guessed_duration_s(pairing, recordings_s[configuration.dataset])
+    sums.first.setdefault((configuration.algorithm, configuration.dataset), configuration)
     sums.time_s += len(cell) * measured_s
     sums.cells += 1
     sums.runs += len(cell)

@@ -37,6 +37,7 @@ def make_report(outcome: AnalysisOutcome, now: datetime) -> Report:
             unknown=int(table.frame["disturbed"].isna().sum()),
             left_out=table.without_disturbed,
         ),
+        mixed_versions=table.mixed_versions,
         rule=table.rule_words,
         protocols=tuple(
             ProtocolRuns(fingerprint=str(name), label=str(labels.iloc[0]), runs=len(labels))

@@ -10,6 +10,7 @@ from slamhive.analysis.plot_types import PlotData, one_value
 from slamhive.analysis.result import PlotResult
 from slamhive.analysis.table import RunTable
 from slamhive.clock import monotonic_s
+from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.services.reports.files import StoredRunFiles
 from slamhive.services.reports.selection import Find, select_runs
@@ -28,14 +29,14 @@ class AnalysisLimits:
 
 @dataclass(frozen=True, slots=True)
 class AnalysisSources:
-    """Data sources of an analysis: filters, saved searches, sensors of algorithms, attributes of datasets."""
+    """Data sources of an analysis: filters, saved searches, sensors of algorithms, datasets by name."""
 
     settings: Settings
     store: Store
     find: Find
     saved_search: Callable[[str], str]
     sensors: Mapping[str, str]
-    attributes: Mapping[str, tuple[str, ...]]
+    datasets: Mapping[str, Dataset]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +91,7 @@ def run_analysis(
     keys = {key for request in analysis.plots for key in request.plot_type.needs(request.options)}
     asked = TableRequest(run_ids, keys, analysis.protocol, analysis.rule, analysis.exclude_disturbed)
     try:
-        table = load_table(sources.store, asked, sources.sensors, sources.attributes)
+        table = load_table(sources.store, asked, sources.sensors, sources.datasets)
     except NotFound as error:
         raise analysis.placed(PROTOCOL, error) from None
     for key in analysis.one:

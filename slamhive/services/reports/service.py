@@ -63,7 +63,7 @@ class Analyses:
             find=self._searches.find,
             saved_search=self._saved_search,
             sensors={entry.name: entry.setup.value for entry in self._catalogue.algorithms()},
-            attributes={entry.name: entry.attributes for entry in self._catalogue.datasets()},
+            datasets={entry.name: entry for entry in self._catalogue.datasets()},
         )
         return make_report(run_analysis(analysis, sources, limits, progress), utc_now())
 

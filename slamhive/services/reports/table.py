@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 
 from slamhive.analysis.table import UNDISTURBED, RunTable, make_table
+from slamhive.domain.dataset import Dataset
 from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import RunState
@@ -18,6 +19,7 @@ from slamhive.domain.verdict import EVIDENCE, FailureRule
 from slamhive.errors import InvalidInput
 from slamhive.schema.model import load
 from slamhive.search.fields import VARIANT_PREFIX
+from slamhive.services.reports.seen import COLUMNS, seen_columns
 from slamhive.store import Store
 from slamhive.store.records import EvaluationState
 
@@ -39,7 +41,7 @@ class TableRequest:
 
 
 def load_table(
-    store: Store, request: TableRequest, sensors: Mapping[str, str], attributes: Mapping[str, Collection[str]]
+    store: Store, request: TableRequest, sensors: Mapping[str, str], datasets: Mapping[str, Dataset]
 ) -> RunTable:
     """The table of the requested runs.
 
@@ -47,7 +49,7 @@ def load_table(
         store: The database.
         request: Which runs and metrics.
         sensors: The sensor setup of each installed algorithm, by name.
-        attributes: Those of each dataset, by name.
+        datasets: The datasets that are here, by name.
 
     Raises:
         NotFound: no run was evaluated under the protocol.
@@ -71,13 +73,15 @@ def load_table(
         facts = _undisturbed(facts)
     variants = facts.pop("variant")
     facts["variant"] = [_variant_words(variant) for variant in variants]
+    facts |= seen_columns(facts["dataset"], variants, datasets)
     facts["sensors"] = [sensors.get(name) for name in facts["algorithm"]]
-    columns = _by_id(parameters, facts["configuration_id"]) | _variant_columns(variants)
+    own = {name: values for name, values in parameters.items() if name not in COLUMNS}  # what sensors gave is known
+    columns = _by_id(own, facts["configuration_id"]) | _variant_columns(variants)
     new = {name: values for name, values in axes.items() if name not in columns and name not in facts}
     columns |= _by_id(new, facts["run_id"])
     known = {name: _unit(name, units) for name in columns if name not in new}
     known |= {name: known.get(_source(columns[name], columns, known), "") for name in new}
-    words = [attributes.get(name, ()) for name in facts["dataset"]]
+    words = [datasets[name].attributes if name in datasets else () for name in facts["dataset"]]
     values = _by_id(figures, facts["run_id"])
     table = make_table(facts, columns, values, request.rule, installed=sensors, attributes=words)
     repeated = _repeated(variants, new, facts["run_id"])

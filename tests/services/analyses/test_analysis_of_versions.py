@@ -65,3 +65,12 @@ def test_runs_are_grouped_by_version(world: Hive) -> None:
     assert chart.x.label == "Version"
     assert chart.x.categories == ("eye-slam@1", "eye-slam@2")
     assert list(bars.heights) == pytest.approx([0.11, 0.21])
+
+
+def test_versions_are_not_mixed_in_silence(world: Hive) -> None:
+    report = report_of(world, "id >= 1")
+    assert report.mixed_versions == {"eye-slam-stereo": ("eye-slam@1", "eye-slam@2")}
+    (plot,) = report.forms
+    assert plot.result is not None
+    assert "Several versions together: eye-slam-stereo (eye-slam@1, eye-slam@2)." in plot.result.charts[0].caption
+    assert report_of(world, "version = 2").mixed_versions == {}
