@@ -11,7 +11,8 @@ from pydantic import BaseModel, ValidationError
 
 from slamhive import strict_yaml
 from slamhive.analysis.analysis_model import AnalysisModel, SetModel
-from slamhive.analysis.paper_file import convert, is_paper_file, only_analysis
+from slamhive.analysis.paper_file import convert, is_paper_file
+from slamhive.analysis.paper_text import only_analysis
 from slamhive.analysis.plot_types import PLOT_TYPES, PlotOptions, PlotType
 from slamhive.analysis.selection import Expression, check_names, in_words, parse_expression, union_of
 from slamhive.domain.verdict import FailureRule

@@ -7,21 +7,16 @@ the paper (first repeat only, failed runs at invented values, ``best`` without e
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 from slamhive import strict_yaml
+from slamhive.analysis.paper_keys import any_of, our_key, quoted
+from slamhive.analysis.paper_text import MARK
 from slamhive.analysis.selection import Combined, Expression, SetName, names_in, union_of
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput, unknown
-from slamhive.foreign.documents import Part, only, parts_of
 from slamhive.foreign.numbers import Numbers, meant
-
-MARK = "evaluation_form"
-"""The key that identifies a file of the published system."""
 
 IDS = "ids"
 """The key, of ours, that says what the numbers in such a file mean."""
@@ -39,17 +34,6 @@ _FORMS = {
 }
 _IGNORED_FORMS = {"algorithm_dataset_type", "5_scatter_diagram", "7_comparison_table"}
 _ONE_OF_TYPE = {0: ["algorithm", "dataset"], 1: ["dataset"], 2: ["algorithm"], 3: []}
-_PREFIXES = {
-    "dataset_resolution": "variant.resolution.scale",
-    "dataset_frequency": "variant.rate.every",
-}
-_SEEN = {
-    "image_width": "image_width",
-    "image_height": "image_height",
-    "image_frequency": "image_rate_hz",
-    "imu_frequency": "imu_rate_hz",
-}
-"""Columns that say what a run saw, by the general names of parameters that said so."""
 _KEYS: dict[tuple[str, ...], frozenset[str]] = {
     (): frozenset({"group_name", "group_description", MARK, "configuration_choose", "is_visualized", IDS}),
     ("configuration_choose",): frozenset(
@@ -67,8 +51,6 @@ _KEYS: dict[tuple[str, ...], frozenset[str]] = {
     ("configuration_choose", "combination_rule"): frozenset({"first_one", "first_rule", "second_one", "second_rule"}),
 }
 """The keys of each section with fixed keys."""
-_TOP_KEY = re.compile(r"(group_name|group_description|evaluation_form|configuration_choose|is_visualized|ids)\s*:")
-_STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
 
 
 def is_paper_file(content: object) -> bool:
@@ -105,46 +87,6 @@ def convert(
     bound = paper.chosen("configuration_choose").get("trajectory_length_lower_bound")
     converted["failed_when"] = {"tracked_fraction_below": None if bound in (None, "") else bound}
     return converted
-
-
-def our_key(name: str) -> str:
-    """The key of a metric or parameter of the published system.
-
-    ``ate_rmse`` is ``ate.rmse``; in ``general+nFeatures``, the name of the parameter follows the plus sign. Size and
-    rate of images are columns of their own, because datasets and steps give them here.
-    """
-    kind, _, statistic = name.partition("_")
-    if (kind in {"ate", "rpe"} and statistic in _STATISTICS) or name in {"cpu_mean", "cpu_max", "ram_max"}:
-        return f"{kind}.{statistic}"
-    prefix, plus, rest = name.partition("+")
-    return _PREFIXES.get(prefix, _SEEN.get(rest, rest)) if plus else name
-
-
-def only_analysis(text: str, source: str) -> str:
-    """The one analysis in a text that may also hold prose and other documents, which become empty lines.
-
-    Published files have prose before the first key, lines of dashes between documents, and sometimes two analyses, each
-    with its ``group_name``. Raises InvalidInput if there are two analyses, with the line of the second.
-    """
-    lines = text.split("\n")
-    found = [part for whole in parts_of(lines) for part in _split_at_names(lines, whole)]
-    holding = [part for part in found if any(line.startswith(f"{MARK}:") for line in lines[slice(*part)])]
-    if len(holding) > 1:
-        raise InvalidInput(
-            f"{source}, line {holding[1][0] + 1}: a second analysis begins", "give each a file of its own"
-        )
-    if not holding:
-        return text
-    first, last = holding[0]
-    while not _TOP_KEY.match(lines[first]):
-        first += 1
-    return only(lines, (first, last))
-
-
-def _split_at_names(lines: Sequence[str], part: Part) -> Iterator[Part]:
-    """A part, cut before each ``group_name`` after the first one."""
-    named = [number for number in range(*part) if lines[number].startswith("group_name:")]
-    yield from pairwise([part[0], *named[1:], part[1]])
 
 
 class _Paper:
@@ -213,7 +155,7 @@ class _Paper:
             for number in self._numbers(section, "comb_configuration_id")
         ]
         if combinations:
-            yield _SETS[1], {"where": _any_of("experiment", combinations)}
+            yield _SETS[1], {"where": any_of("experiment", combinations)}
         where = self._where()
         if where is not None:
             yield _SETS[2], {"where": where}
@@ -259,7 +201,7 @@ class _Paper:
                 return None
             if listed not in ("All", ["All"]):
                 numbers = self._numbers(rules, key)
-                parts.append(_any_of(field_name, [self._name(field_name, number, key) for number in numbers]))
+                parts.append(any_of(field_name, [self._name(field_name, number, key) for number in numbers]))
         for index, text in enumerate(rules.get("parameters_value") or []):
             parts.append(self._parameter(text, index))
         parts += self._bounds(rules.get("evaluation_value") or {})
@@ -276,7 +218,7 @@ class _Paper:
         for sign in ("<=", ">=", "=>", "<", ">", "=", ":"):
             key, found, value = text.partition(sign)
             if found and key.strip() and value.strip():
-                return f"{our_key(key.strip())} {'=' if sign == ':' else sign} {_quoted(value.strip())}"
+                return f"{our_key(key.strip())} {'=' if sign == ':' else sign} {quoted(value.strip())}"
         raise InvalidInput(f"{place}: expected a condition such as 'nFeatures < 4000', found {text!r}")
 
     def _bounds(self, values: object) -> Iterator[str]:
@@ -375,17 +317,3 @@ def _as_text(expression: Expression) -> str:
     if isinstance(expression, SetName):
         return expression.name
     return f"({_as_text(expression.left)} {expression.sign} {_as_text(expression.right)})"
-
-
-def _any_of(key: str, names: Sequence[str]) -> str:
-    return "(" + " or ".join(f"{key} = {_quoted(name)}" for name in names) + ")"
-
-
-def _quoted(value: str) -> str:
-    """A value in the filter language: numbers and plain words as they are, all others in quotes."""
-    try:
-        float(value)
-    except ValueError:
-        plain = value.replace("_", "").replace("-", "").replace(".", "").isalnum()
-        return value if plain else json.dumps(value, ensure_ascii=False)
-    return value

@@ -20,7 +20,9 @@ _TIE = re.compile(r"\d+(?:\s*,\s*\d+)+")
 _VALUES = re.compile(r"\d+\s*:\s*$")
 _RANGE = re.compile(r"(?P<name>[A-Za-z][\w. ]*?)\s*:\s*(?P<values>[^|\s][^|]*(?:\|[^|]+)+)")
 _NAMED = re.compile(r"(?P<key>Algorithm|Dataset)\s*:\s*(?P<name>[\w.-]+)\s*")
-_TOTAL = re.compile(r"Totall?y?\s*:.*?(\d+)\D*", re.IGNORECASE)
+_TOTAL = re.compile(r"Totall?y?\s*:(?:.*=)?.*?(\d{1,9})\D*", re.IGNORECASE)
+
+_LARGEST_FACTOR = 1e6
 
 Factors = dict[float, dict[str, Any]]
 """New values by the number of their template, for each factor."""
@@ -123,7 +125,7 @@ class _Reader:
             values = tuple(value.strip() for value in ranged["values"].split("|"))
             into.ranges.append(Range(ranged["name"].strip(), values, number))
         elif total := _TOTAL.fullmatch(stripped):
-            into.total = int(re.findall(r"\d+", stripped)[-1] if "=" in stripped else total[1])
+            into.total = int(total[1])
         elif described:
             into.description.append(stripped)
         else:
@@ -156,7 +158,7 @@ class _Reader:
                 factor = float(text)
             except ValueError:
                 factor = 0.0
-            if factor <= 0 or not isinstance(values, Mapping | None):
+            if not 0 < factor < _LARGEST_FACTOR or not isinstance(values, Mapping | None):
                 place = self._into.places.of(number, text)
                 raise InvalidInput(f"{place}: expected a factor with new values, found {text}: {values!r}")
             factors[factor] = dict(values or {})

@@ -119,7 +119,8 @@ class _Converter:
         what = changed(number, self._meanings)
         if what is None or what.sensor not in _SENSORS:
             place = self._from.places.of(number)
-            self._note(f"{place}: template {number} is not converted", f"--id {number}=image0_frequency, for instance")
+            said = f"{place}: template {number} with the factors {' | '.join(map(plain, factors))} is not converted"
+            self._note(said, f"--id {number}=image0_frequency, for instance")
             return
         self._check_fit(number, what, factors)
         name = f"{what.sensor}_{what.kind}"
@@ -188,7 +189,7 @@ class _Converter:
             for template in next(iter(self._from.changes[number].values()), {}):
                 if value_name(template, self._meanings) in RATES:
                     entries = self._from.changes[number]
-                    return [float(entries[factor].get(template, math.nan)) for factor in step.factors]
+                    return [_unscaled(entries[factor].get(template), 1.0, step.what) for factor in step.factors]
         return []
 
     def _add_values(self, step: _Step, number: str, factors: Factors) -> None:
@@ -196,15 +197,15 @@ class _Converter:
         for template in dict.fromkeys(key for factor in step.factors for key in factors[factor]):
             place = self._from.places.of(number, plain(step.factors[0]), template)
             name = value_name(template, self._meanings)
+            values = ", ".join(str(factors[factor][template]) for factor in step.factors if template in factors[factor])
             if name is None:
-                self._note(f"{place}: template {template} is not converted", f"--id {template}=PARAMETER")
+                self._note(f"{place}: template {template} ({values}) is not converted", f"--id {template}=PARAMETER")
                 continue
             parameter = self._parameter(name)
             known = source_of(name, _ROLES) is not None or name.lower() in RECTIFICATION
             if (parameter is None and known) or (parameter is not None and parameter.source is not None):
                 self._into.bound.append(name)
             elif parameter is None:
-                values = ", ".join(str(factors[factor].get(template)) for factor in step.factors)
                 self._note(f"{place}: {name} ({values}) is not converted, {self._lacks}")
             else:
                 self._link(step, parameter, [factors[factor].get(template) for factor in step.factors], str(place))
@@ -233,6 +234,11 @@ class _Converter:
             steps = {(what.sensor, what.kind) for number in numbers if (what := changed(number, self._meanings))}
             if len(steps) != 1 or any(changed(number, self._meanings) is None for number in numbers):
                 self._note(f"{', '.join(numbers)} are tied in the file, which is not converted")
+        for step in self._into.steps.values():
+            tied = any(set(step.numbers) <= set(numbers) for numbers in self._from.tied)
+            if len(step.numbers) > 1 and not tied:
+                words = " and ".join(step.numbers)
+                self._note(f"{words} are not tied in the file; here {step.name} treats all sensors alike")
 
     def _parameter(self, name: str) -> Parameter | None:
         """The parameter with this name; upper and lower case differ between published folders."""

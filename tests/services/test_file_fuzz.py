@@ -50,6 +50,7 @@ from tests.fuzzing import NASTY_TEXTS, mutated
 from tests.services.archive_world import PROTOCOL, make_runs
 from tests.services.imports.world import trajectory
 from tests.services.test_archive_hostile import members_of, rewritten, sealed
+from tests.services.test_published_experiments import FILE
 from tests.services.tiny_project import ALGORITHM, environment, make_dataset, make_project
 
 pytestmark = pytest.mark.integration
@@ -258,6 +259,7 @@ def stored_experiment(hive: Hive) -> bytes:
     return (hive.settings.experiments_folder / "fuzzed" / "experiment.json").read_bytes()
 
 
+COMBINATION = FILE.replace("orb-slam3-ros-stereo-inertial", "tiny").replace("nFeatures: 1000 | 2000", "seconds: 1 | 2")
 EVALUATION = f"evaluations/{PROTOCOL.fingerprint}"
 FORMATS: dict[str, tuple[bytes | Callable[[Hive], bytes], Reader]] = {
     "algorithm.yaml": (ALGORITHM.encode(), read_algorithm),
@@ -265,6 +267,8 @@ FORMATS: dict[str, tuple[bytes | Callable[[Hive], bytes], Reader]] = {
     "experiment YAML": (EXPERIMENT.encode(), lambda h, _, d: h.experiments.preview(ExperimentSource(text_of(d)))),
     "analysis YAML": (ANALYSIS.encode(), lambda h, _, d: h.analyses.fingerprint(h.analyses.read(text_of(d)))),
     "published analysis YAML": (PAPER.encode(), lambda _h, _f, d: parse_analysis(text_of(d), here=NUMBERS)),
+    "published combination": (COMBINATION.encode(), lambda h, _, d: h.experiments.convert(
+        ExperimentSource(text_of(d)), {})),
     "protocol YAML": (PROTOCOL_YAML.encode(), lambda _, f, d: load_protocol(written(f, "p.yaml", d))),
     "configuration YAML": (CONFIGURATION.encode(), read_configuration),
     "config.yaml": (CONFIG.encode(), lambda _, f, d: run_config.load(written(f, "config.yaml", d))),

@@ -135,7 +135,7 @@ def test_nothing_is_dropped_without_a_word(catalogue):
         "the algorithm orb-slam3-ros-stereo-inertial is orb-slam3-stereo-inertial here",
         "there is no dataset MH_01_easy here yet",
         "line 16: mode is not converted, orb-slam3-stereo-inertial has no such parameter",
-        "template 999 is not converted; --id 999=PARAMETER",
+        "template 999 (5, 5) is not converted; --id 999=PARAMETER",
         "image_frequency, imu_frequency, image_width, image_height, fx, LEFT_D, LEFT_P, RIGHT_K: not copied",
         "1 lines of other text are kept as comments",
     ):
@@ -198,3 +198,9 @@ def test_another_total_is_said(catalogue):
     assert (
         "the file says 8 configurations, this experiment has 16" in converted(catalogue, changed("= 16", "= 8")).notes
     )
+
+
+def test_cameras_that_are_not_tied_in_the_file_are_mentioned(catalogue):
+    said = "591 and 603 are not tied in the file; here image_resolution treats all sensors alike"
+    assert said in converted(catalogue, changed("591,603\n", "")).notes
+    assert said not in converted(catalogue).notes

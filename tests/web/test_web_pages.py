@@ -215,6 +215,14 @@ def test_an_imported_package_says_where_it_comes_from_and_what_is_missing(empty:
     assert "(imported)" in empty.client.get("/algorithms").text
 
 
+def test_a_long_licence_is_short_in_the_list_of_algorithms(web: Web):
+    file = web.hive.catalogue.package("eye-slam").folder / "algorithm.yaml"
+    long = "MIT (this, that and the other part), BSD-3-Clause (all of the rest)"
+    file.write_text(re.sub(r"^licence: .*$", f"licence: {long}", file.read_text(), flags=re.MULTILINE))
+    assert f'title="{long}">MIT, BSD-3-Clause</td>' in web.client.get("/algorithms").text
+    assert long in web.client.get("/algorithms/eye-slam-mono").text
+
+
 def test_the_page_of_an_algorithm_lists_the_versions_of_its_package(web: Web):
     package = web.hive.catalogue.algorithm("eye-slam-mono").package.name
     used = AlgorithmVersion("sha256:" + "a" * 64, "sha256:" + "b" * 64, "7.5")
