@@ -10,6 +10,9 @@ OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "
 PALETTE = (*OKABE_ITO, "#4A3B8F", "#7A2E00", "#00553E", "#8C3F6B", "#8A8F98", "#2B6E8F", "#6B6100")
 """Colours of algorithms: the well separated ones first, then darker ones."""
 
+RUN_COLOURS = (*PALETTE, "#B0413E", "#3E8E41", "#A87BD1", "#C77C4E", "#5F9EA0", "#D4577B")
+"""Colours of single runs and configurations, where these are compared: as many as a comparison may have."""
+
 MARKERS = (
     "circle", "square", "triangle-up", "diamond", "cross", "star", "triangle-down", "pentagon",
     "triangle-left", "triangle-right", "hexagon", "diamond-tall",

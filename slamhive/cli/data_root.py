@@ -36,9 +36,16 @@ EXPECTED: dict[str, DataRoot] = {
 
 LISTS = frozenset(
     {
-        *("algorithm list", "configuration groups", "configuration list", "configuration show", "dataset list"),
+        *(
+            "algorithm list",
+            "compare",
+            "configuration groups",
+            "configuration list",
+            "configuration show",
+            "dataset list",
+        ),
         *("experiment list", "experiment report", "experiment status", "protocol compare", "protocol list"),
-        *("algorithm versions", "runs", "runs show", "search list", "variants list"),
+        *("algorithm versions", "compare", "runs", "runs show", "search list", "variants list"),
     }
 )
 """Commands that print what is stored. All that one of them reads is of the same moment."""

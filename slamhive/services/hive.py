@@ -19,6 +19,7 @@ from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentContext, Experiments
 from slamhive.services.imports import Imports
 from slamhive.services.ledger import Ledger
+from slamhive.services.run_comparison import RunComparisons
 from slamhive.services.runs import Runs
 from slamhive.services.searches import Searches
 from slamhive.services.versions import Versions
@@ -60,6 +61,7 @@ class Hive:
         self.evaluations = Evaluations(settings, store, catalogue, self.protocols, self.executors.evaluation_runner)
         self.current_protocols = CurrentProtocols(store, self.evaluations, settings.runs_folder)
         self.comparisons = Comparisons(store, self.evaluations, settings.runs_folder)
+        self.run_comparisons = RunComparisons(store, settings.runs_folder)
         self.experiments = Experiments(ExperimentContext(settings, store, catalogue, self.variants, self.executors))
         self.algorithms = AlgorithmImports(settings, catalogue, self.executors)
         self.imports = Imports(settings, store, catalogue)

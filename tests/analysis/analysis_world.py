@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
-from slamhive.analysis.plot_types import PlotData, RunTrack, RunUsage
+from slamhive.analysis.plot_types import PlotData, RunLatency, RunTrack, RunUsage
 from slamhive.analysis.table import RunTable, make_table
 from slamhive.domain.verdict import FailureRule
 
@@ -25,6 +25,9 @@ class NoFiles:
         return None
 
     def usage(self, run_id: int) -> RunUsage | None:
+        return None
+
+    def latency(self, run_id: int) -> RunLatency | None:
         return None
 
 

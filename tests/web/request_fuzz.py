@@ -69,7 +69,7 @@ FORMS: Mapping[str, dict[str, str]] = {
     "datasets.make_variant": {"steps": "rate hz=10"},
     "runs.evaluate": {"protocol": ""},
     "runs.use_protocol": {"fingerprint": "0" * 32},
-    "runs.evaluate_many": {"run": "2", "all": ""},
+    "runs.evaluate_many": {"run": "2", "all": "", "protocol": "", "compared": "1,2"},
     "experiments.act": {"count": "1"},
     "experiment_builder.draft": {"from": "text", "do": "start", "yaml": EXPERIMENT, "kind": "rate"},
     "searches.save": {"name": "NAME", "where": "id > 0", "sort": "id", "order": "desc", "columns": "id,state"},
@@ -96,7 +96,7 @@ QUERIES = {
     "sort": "ate.rmse", "order": "asc", "columns": "id,state,ate.rmse", "limit": "20", "after": "WzFd",
     "group": "configuration", "text": "a", "used": "yes", "copy": "1", "protocol": "evo", "page": "1",
     "rows": "algorithm", "grid": "now", "v": "1", "sensors": "camera", "datasets": "room",
-    "parameter.nFeatures": "700", "steps": "rate hz=5", "repeat": "2",
+    "parameter.nFeatures": "700", "steps": "rate hz=5", "repeat": "2", "runs": "1,2", "run": "1",
 }  # fmt: skip
 HEADERS = (
     "Host", "Origin", "Referer", "Content-Type", "Content-Length", "Range", "If-Range", "If-None-Match",

@@ -6,6 +6,7 @@ from slamhive.analysis.plot_types.base import (
     PlotOptions,
     PlotType,
     RunFiles,
+    RunLatency,
     RunTrack,
     RunUsage,
     one_value,
@@ -16,6 +17,7 @@ from slamhive.analysis.plot_types.critical_difference import CriticalDifference
 from slamhive.analysis.plot_types.distributions import Distributions
 from slamhive.analysis.plot_types.heatmap import Heatmap
 from slamhive.analysis.plot_types.importance import Importance
+from slamhive.analysis.plot_types.latency import Latency
 from slamhive.analysis.plot_types.line import LinePlot
 from slamhive.analysis.plot_types.metric_table import MetricTable
 from slamhive.analysis.plot_types.parallel import ParallelCoordinates
@@ -28,7 +30,17 @@ from slamhive.analysis.plot_types.sensitivity import Sensitivity
 from slamhive.analysis.plot_types.trajectories import Trajectories
 from slamhive.analysis.plot_types.usage import Usage
 
-__all__ = ["PLOT_TYPES", "PlotData", "PlotOptions", "PlotType", "RunFiles", "RunTrack", "RunUsage", "one_value"]
+__all__ = [
+    "PLOT_TYPES",
+    "PlotData",
+    "PlotOptions",
+    "PlotType",
+    "RunFiles",
+    "RunLatency",
+    "RunTrack",
+    "RunUsage",
+    "one_value",
+]
 
 for _plot_type in (
     ByAlgorithm(),
@@ -37,6 +49,7 @@ for _plot_type in (
     Distributions(),
     Heatmap(),
     Importance(),
+    Latency(),
     LinePlot(),
     MetricTable(),
     ParallelCoordinates(),

@@ -69,6 +69,15 @@ class RunUsage:
     memory_bytes: Array
 
 
+@dataclass(frozen=True, slots=True)
+class RunLatency:
+    """The time from a frame's arrival to its result (s) over the recording's time since its first frame (s)."""
+
+    run_id: int
+    times_s: Array
+    latencies_s: Array
+
+
 class RunFiles(Protocol):
     """Reads run folders for plot types; None where a run lacks the files."""
 
@@ -78,6 +87,10 @@ class RunFiles(Protocol):
 
     def usage(self, run_id: int) -> RunUsage | None:
         """The sampled usage of a run."""
+        ...
+
+    def latency(self, run_id: int) -> RunLatency | None:
+        """The latency of each frame that a run has finished."""
         ...
 
 

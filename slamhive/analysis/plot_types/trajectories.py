@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,21 +12,24 @@ from pydantic import Field
 from slamhive.analysis.chart import REFERENCE, Array, Axis, Chart, Line, Points
 from slamhive.analysis.colours import PALETTE
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.places import legend
+from slamhive.analysis.plot_types.looks import FOLDED, By, Curve, LineOptions, Looks, legend_of, lines_of, looks_of
 from slamhive.analysis.result import Exclusion, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 _AXES = "xyz"
+_TIME = Axis("time since the start of the ground truth", "s")
 
 
-class TrajectoriesOptions(base.PlotOptions):
-    """The number of runs to draw."""
+class TrajectoriesOptions(LineOptions):
+    """The runs to draw, and how."""
 
     most_runs: int = Field(
         default=40, ge=1, le=200, description="The first runs are drawn; more lines would be unreadable."
     )
+    with_failed: bool = Field(default=False, description="Also draw runs that count as failed, dashed.")
+    in_3d: bool = Field(default=False, description="Also draw the trajectories in three dimensions.")
 
 
 class Trajectories(base.PlotType[TrajectoriesOptions]):
@@ -43,25 +46,21 @@ class Trajectories(base.PlotType[TrajectoriesOptions]):
         table = data.table.require_runs()
         dataset = base.one_value(table, "dataset", "a comparison of trajectories")
         protocol = table.one_protocol(["ate.rmse"])
-        tracks, without = _tracks(data, options.most_runs)
+        tracks, without = _tracks(data, options)
         if not tracks:
             raise InvalidInput("no selected run has the files of an evaluated trajectory", "evaluate again, with files")
+        by = options.coloured_by or _fitting(tracks, table)
         truths = _ground_truths(tracks, table)
-        text = base.caption(table, len(tracks), protocol, *_notes(dataset, tracks, truths))
-        plane = _widest_plane(tracks[0].reference_positions_m)
         start_s = min(float(truth.timestamps_s[0]) for truth in truths)
-        looks = _looks(tracks, table)
-        key = [] if looks[tracks[0].run_id]["in_legend"] else list(legend(table, markers=False))
-        drawn = _Drawn(tracks, looks, truths, start_s, text)
-        charts = [_path(drawn, plane, options.title or f"Trajectories on {dataset}")]
+        text = base.caption(table, len(tracks), protocol, *_notes(dataset, tracks, truths))
+        drawn = _Drawn(tracks, looks_of(table, by, options.colour_order), truths, start_s, text)
+        charts = [
+            _path(drawn, _widest_plane(tracks[0].reference_positions_m), options.title or f"Trajectories on {dataset}")
+        ]
+        charts += [_space(drawn)] if options.in_3d else []
         charts += [_coordinate(drawn, axis) for axis in range(3)]
-        evaluated = [track for track in tracks if np.isfinite(track.errors_m).any()]
-        errors = [_over_time(track, track.errors_m, looks[track.run_id], start_s) for track in evaluated]
-        if errors:
-            spread = base.spans_decades(np.concatenate([line.y for line in errors]))
-            y = Axis("position error", "m", spread)
-            time = Axis("time since the start of the ground truth", "s")
-            charts.append(Chart("trajectory_error", "Position error", time, y, tuple(errors), text))
+        charts += _errors(drawn, table, folded=options.folded)
+        key = tuple(legend_of(table, by))
         charts = [replace(chart, marks=(*chart.marks, *key)) for chart in charts]
         tables = (base.raw_table("trajectories", table, ["ate.rmse", "tracked_fraction"], "Errors"), _poses(tracks))
         return base.result_of(table, protocol, charts, tables, excluded=without)
@@ -81,7 +80,7 @@ class _Drawn:
     """Shared by the plots."""
 
     tracks: list[base.RunTrack]
-    looks: dict[int, dict[str, Any]]
+    looks: Looks
     truths: list[_GroundTruth]
     start_s: float
     text: str
@@ -129,12 +128,13 @@ def _notes(dataset: str, tracks: list[base.RunTrack], truths: list[_GroundTruth]
         yield "Lines break where the estimate has a longer gap than the protocol allows."
 
 
-def _tracks(data: base.PlotData, most: int) -> tuple[list[base.RunTrack], list[Exclusion]]:
-    runs = [int(run) for run in data.table.good()["run_id"]]
+def _tracks(data: base.PlotData, options: TrajectoriesOptions) -> tuple[list[base.RunTrack], list[Exclusion]]:
+    rows = data.table.frame if options.with_failed else data.table.good()
+    runs = [int(run) for run in rows["run_id"]]
     tracks: list[base.RunTrack] = []
     lacking: list[int] = []
     for place, run in enumerate(runs):
-        if len(tracks) == most:
+        if len(tracks) == options.most_runs:
             break
         data.progress(place / len(runs))
         track = data.files.track(run)
@@ -147,19 +147,9 @@ def _tracks(data: base.PlotData, most: int) -> tuple[list[base.RunTrack], list[E
     ]
 
 
-def _looks(tracks: list[base.RunTrack], table: RunTable) -> dict[int, dict[str, Any]]:
-    """{run: look}: coloured by algorithm, or by run if there are only a few runs of one algorithm."""
-    algorithms = dict(zip(table.frame["run_id"], table.frame["algorithm"], strict=True))
-    single = len(set(algorithms.values())) == 1 and len(tracks) <= len(PALETTE)
-    return {
-        track.run_id: {
-            "name": f"run {track.run_id}, {algorithms[track.run_id]}",
-            "colour": PALETTE[place] if single else table.colours[algorithms[track.run_id]],
-            "in_legend": single,
-            "group": f"run {track.run_id}" if single else algorithms[track.run_id],
-        }
-        for place, track in enumerate(tracks)
-    }
+def _fitting(tracks: list[base.RunTrack], table: RunTable) -> By:
+    """A colour for each algorithm, or for each run if there are only a few runs of one algorithm."""
+    return "run" if table.frame["algorithm"].nunique() == 1 and len(tracks) <= len(PALETTE) else "algorithm"
 
 
 def _widest_plane(positions_m: Array) -> str:
@@ -174,7 +164,7 @@ def _path(drawn: _Drawn, plane: str, title: str) -> Chart:
         look = drawn.looks[track.run_id]
         x, y = track.positions_m[:, first], track.positions_m[:, second]
         marks.append(Line(x=_apart(track, x), y=_apart(track, y), runs=track.run_id, **look))
-        marks.append(Points(x=x[:1], y=y[:1], **look | {"in_legend": False}))
+        marks.append(Points(x=x[:1], y=y[:1], **_start(look)))
     for truth in drawn.truths:
         x, y = truth.positions_m[:, first], truth.positions_m[:, second]
         marks.append(Line(truth.name, x, y, colour=REFERENCE, dashed=True))
@@ -190,6 +180,34 @@ def _path(drawn: _Drawn, plane: str, title: str) -> Chart:
     )
 
 
+def _start(look: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in look.items() if key != "dashed"} | {"in_legend": False}
+
+
+def _space(drawn: _Drawn) -> Chart:
+    """The paths in three dimensions."""
+    marks: list[Line | Points] = []
+    for track in drawn.tracks:
+        look = drawn.looks[track.run_id]
+        x, y, z = (_apart(track, values) for values in track.positions_m.T)
+        marks.append(Line(x=x, y=y, z=z, runs=track.run_id, **look))
+        marks.append(Points(x=x[:1], y=y[:1], z=z[:1], **_start(look)))
+    for truth in drawn.truths:
+        x, y, z = truth.positions_m.T
+        marks.append(Line(truth.name, x, y, z=z, colour=REFERENCE, dashed=True))
+    return Chart(
+        key="trajectories_3d",
+        title="In three dimensions",
+        x=Axis("x", "m"),
+        y=Axis("y", "m"),
+        z=Axis("z", "m"),
+        marks=tuple(marks),
+        caption=drawn.text,
+        equal_aspect=True,
+        height=1.3,
+    )
+
+
 def _apart(track: base.RunTrack, values: Array) -> Array:
     """The values of a track with NaN between its pieces, so that no line joins them."""
     return np.insert(values, np.flatnonzero(np.diff(track.pieces)) + 1, np.nan)
@@ -198,7 +216,8 @@ def _apart(track: base.RunTrack, values: Array) -> Array:
 def _coordinate(drawn: _Drawn, axis: int) -> Chart:
     start_s = drawn.start_s
     lines = [
-        _over_time(track, track.positions_m[:, axis], drawn.looks[track.run_id], start_s) for track in drawn.tracks
+        Line(x=curve.times_s, y=curve.values, runs=curve.run_id, **drawn.looks[curve.run_id])
+        for curve in (_curve(track, track.positions_m[:, axis], start_s) for track in drawn.tracks)
     ]
     for truth in drawn.truths:
         times_s, values = truth.timestamps_s - start_s, truth.positions_m[:, axis]
@@ -206,7 +225,7 @@ def _coordinate(drawn: _Drawn, axis: int) -> Chart:
     return Chart(
         key=f"trajectories_{_AXES[axis]}",
         title=f"{_AXES[axis]} over time",
-        x=Axis("time since the start of the ground truth", "s"),
+        x=_TIME,
         y=Axis(_AXES[axis], "m"),
         marks=tuple(lines),
         caption=drawn.text,
@@ -214,8 +233,20 @@ def _coordinate(drawn: _Drawn, axis: int) -> Chart:
     )
 
 
-def _over_time(track: base.RunTrack, values: Array, look: dict[str, Any], start_s: float) -> Line:
-    return Line(x=_apart(track, track.stamps_s - start_s), y=_apart(track, values), runs=track.run_id, **look)
+def _errors(drawn: _Drawn, table: RunTable, *, folded: bool) -> list[Chart]:
+    """The errors over time; none for runs that were evaluated without a trajectory of the ground truth."""
+    evaluated = [track for track in drawn.tracks if np.isfinite(track.errors_m).any()]
+    if not evaluated:
+        return []
+    curves = [_curve(track, track.errors_m, drawn.start_s) for track in evaluated]
+    lines = tuple(lines_of(curves, table, drawn.looks, folded=folded))
+    y = Axis("position error", "m", base.spans_decades(np.concatenate([line.y for line in lines])))
+    text = f"{drawn.text} {FOLDED}" if folded else drawn.text
+    return [Chart("trajectory_error", "Position error", _TIME, y, lines, text)]
+
+
+def _curve(track: base.RunTrack, values: Array, start_s: float) -> Curve:
+    return Curve(track.run_id, _apart(track, track.stamps_s - start_s), _apart(track, values))
 
 
 def _poses(tracks: list[base.RunTrack]) -> ResultTable:

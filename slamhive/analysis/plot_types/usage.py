@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from pydantic import Field
 
-from slamhive.analysis.chart import Array, Axis, Chart, Line, Points
+from slamhive.analysis.chart import Array, Axis, Chart
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.places import legend
+from slamhive.analysis.plot_types.looks import FOLDED, Curve, LineOptions, legend_of, lines_of, looks_of
 from slamhive.analysis.result import Exclusion, PlotResult, ResultTable, TableColumn
-from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
 
 _MOST_POINTS = 600
 
 
-class UsageOptions(base.PlotOptions):
-    """The number of runs to draw."""
+class UsageOptions(LineOptions):
+    """The runs to draw, and how."""
 
     most_runs: int = Field(
         default=60, ge=1, le=500, description="The first runs are drawn; more lines would be unreadable."
@@ -50,17 +47,28 @@ class Usage(base.PlotType[UsageOptions]):
         if not sampled:
             raise InvalidInput("no selected run has sampled usage", "imported runs have none")
         left_over = runs[len(sampled) + len(without) :]
-        text = base.caption(table, len(sampled), None, "One line for each run; dashed: failed.")
+        by = options.coloured_by or "algorithm"
+        how = FOLDED if options.folded else "One line for each run; dashed: failed."
+        text = base.caption(table, len(sampled), None, how)
         charts = [
             Chart(
                 key=f"usage_{y.label.lower()}",
                 title=options.title or f"{y.label[0].upper()}{y.label[1:]} in use",
                 x=Axis("time since the start of the run", "s"),
                 y=y,
-                marks=tuple(_lines(sampled, table, y.label)),
+                marks=(
+                    *lines_of(curves, table, looks_of(table, by, options.colour_order), folded=options.folded),
+                    *legend_of(table, by),
+                ),
                 caption=text,
             )
-            for y in (Axis("CPU", "cores"), Axis("memory", "MB"))
+            for y, curves in (
+                (Axis("CPU", "cores"), [_curve(usage, usage.cpu_cores) for usage in sampled]),
+                (
+                    Axis("memory", "MB"),
+                    [_curve(usage, usage.memory_bytes * base.MEGABYTES_PER_BYTE) for usage in sampled],
+                ),
+            )
         ]
         excluded = (Exclusion("not sampled", tuple(without)), Exclusion("more runs than are drawn", tuple(left_over)))
         tables = (
@@ -70,23 +78,9 @@ class Usage(base.PlotType[UsageOptions]):
         return base.result_of(table, None, charts, tables, excluded=excluded)
 
 
-def _lines(sampled: list[base.RunUsage], table: RunTable, what: str) -> Iterator[Line | Points]:
-    failed = set(table.failed()["run_id"])
-    algorithms = dict(zip(table.frame["run_id"], table.frame["algorithm"], strict=True))
-    for usage in sampled:
-        values = usage.cpu_cores if what == "CPU" else usage.memory_bytes * base.MEGABYTES_PER_BYTE
-        kept = _evenly(len(values))
-        yield Line(
-            name=f"run {usage.run_id}, {algorithms[usage.run_id]}",
-            x=usage.times_s[kept],
-            y=values[kept],
-            colour=table.colours[algorithms[usage.run_id]],
-            dashed=usage.run_id in failed,
-            runs=usage.run_id,
-            in_legend=False,
-            group=algorithms[usage.run_id],
-        )
-    yield from legend(table, markers=False)
+def _curve(usage: base.RunUsage, values: Array) -> Curve:
+    kept = _evenly(len(values))
+    return Curve(usage.run_id, usage.times_s[kept], values[kept])
 
 
 def _evenly(count: int) -> Array:

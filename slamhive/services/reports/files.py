@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from slamhive.analysis.plot_types import RunTrack, RunUsage
+from slamhive.analysis.plot_types import RunLatency, RunTrack, RunUsage
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.untrusted import read_numeric_columns
-from slamhive.services.runs import LIMIT_BYTES, gap_of, read_track
+from slamhive.services.runs import LIMIT_BYTES, gap_of, latency_of, read_track
 
 
 class StoredRunFiles:
@@ -54,6 +54,11 @@ class StoredRunFiles:
         rows = read_numeric_columns(self._folder(run_id).profiling, ("time", "cpu_usage", "memory_usage"), LIMIT_BYTES)
         rows = rows[np.isfinite(rows).all(axis=1)]
         return RunUsage(run_id, rows[:, 0], rows[:, 1], rows[:, 2]) if len(rows) else None
+
+    def latency(self, run_id: int) -> RunLatency | None:
+        """The latency of each frame; None if the algorithm does not report when it finishes one."""
+        found = latency_of(self._folder(run_id).frames)
+        return None if found is None else RunLatency(run_id, found.times_s, found.values)
 
     def _folder(self, run_id: int) -> RunFolder:
         return RunFolder(self._runs_folder / str(run_id))

@@ -102,7 +102,7 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
         "error": None if error is None else samples_of(error[:, 0] - error[0, 0], error[:, 1], gap_s),
         "cpu": None if usage is None else samples_of(usage[:, 0], usage[:, 1]),
         "memory": None if usage is None else samples_of(usage[:, 0], usage[:, 2]),
-        "latency": _latency(folder.frames),
+        "latency": latency_of(folder.frames),
     }
     explanations = _explanations(run)
     reasons = {name: explanations[name] for name, data in found.items() if data is None}
@@ -197,7 +197,7 @@ def _columns(path: Path, names: tuple[str, ...]) -> Array | None:
     return rows if len(rows) else None
 
 
-def _latency(path: Path) -> Samples | None:
+def latency_of(path: Path) -> Samples | None:
     """From a frame's arrival to its result, over the recording's time; dropped frames have none."""
     rows = _columns(path, ("timestamp", "received", "done"))
     if rows is None:

@@ -30,6 +30,7 @@ from slamhive.input_bounds import whole_number
 from slamhive.search.reader import FilterError
 from slamhive.services.evaluations import ToolFigures, evaluation_notes
 from slamhive.services.hive import Hive
+from slamhive.services.run_comparison import MOST_RUNS
 from slamhive.services.runs import list_downloads, open_download
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.web.columns import Column, all_columns, column
@@ -158,6 +159,7 @@ def show(run_id: int) -> str:
         accuracy=protocols.accuracy_rows(run, choices, services.current_protocols.figures(run_id)),
         hints=notes.hints,
         missing=protocols.missing_by_reason(notes.missing),
+        repeats=services.run_comparisons.repeats(run_id, MOST_RUNS),
         tools=protocols.tool_rows(tools),
         tools_waiting=protocols.waiting(tools),
         measured=presenter.metric_rows(run, needs_protocol=False),
@@ -272,9 +274,11 @@ def evaluate_many() -> Response:
     if request.form.get("all"):
         queued = hive().evaluations.queue(None)
     else:
-        queued = hive().evaluations.queue(_selected(request.form.getlist("run")))
+        queued = hive().evaluations.queue(_selected(request.form.getlist("run")), request.form.get("protocol") or None)
     flash(f"{plural(len(queued), 'evaluation')} queued." if queued else "There is nothing to evaluate.", "info")
-    return make_response(redirect(address("runs.index"), 303))
+    compared = request.form.get("compared")
+    back = address("compare.show", runs=compared) if compared else address("runs.index")
+    return make_response(redirect(back, 303))
 
 
 def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:

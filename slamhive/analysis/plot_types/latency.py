@@ -1,0 +1,75 @@
+"""Latency of each frame over time, one line per run."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from slamhive.analysis.chart import Axis, Chart
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.plot_types.looks import FOLDED, Curve, LineOptions, legend_of, lines_of, looks_of
+from slamhive.analysis.result import Exclusion, PlotResult, ResultTable, TableColumn
+from slamhive.errors import InvalidInput
+
+_MS_PER_S = 1e3
+
+
+class LatencyOptions(LineOptions):
+    """The runs to draw, and how."""
+
+    most_runs: int = Field(
+        default=60, ge=1, le=500, description="The first runs are drawn; more lines would be unreadable."
+    )
+
+
+class Latency(base.PlotType[LatencyOptions]):
+    """The plot type ``latency``."""
+
+    key = "latency"
+    title = "Latency over time"
+    description = "The time from the arrival of each frame to its result; failed runs are dashed."
+    options = LatencyOptions
+    reads = frozenset({"latency.median", "latency.p95"})
+
+    def build(self, data: base.PlotData, options: LatencyOptions) -> PlotResult:
+        """One plot, a table of medians and percentiles, the samples."""
+        table = data.table.require_runs()
+        runs = [int(run) for run in table.frame["run_id"]]
+        found = {run: data.files.latency(run) for run in runs[: options.most_runs]}
+        timed = [latency for latency in found.values() if latency is not None]
+        if not timed:
+            raise InvalidInput("no selected run reports when it finishes a frame", "imported runs do not")
+        by = options.coloured_by or "algorithm"
+        how = FOLDED if options.folded else "One line for each run; dashed: failed."
+        curves = [Curve(entry.run_id, entry.times_s, entry.latencies_s * _MS_PER_S) for entry in timed]
+        chart = Chart(
+            key="latency",
+            title=options.title or "Latency per frame",
+            x=Axis("recording time since the first frame", "s"),
+            y=Axis("latency", "ms"),
+            marks=(
+                *lines_of(curves, table, looks_of(table, by, options.colour_order), folded=options.folded),
+                *legend_of(table, by),
+            ),
+            caption=base.caption(table, len(timed), None, how, "Dropped frames have none."),
+        )
+        without = tuple(run for run, latency in found.items() if latency is None)
+        excluded = (
+            Exclusion("no frame times", without),
+            Exclusion("more runs than are drawn", tuple(runs[options.most_runs :])),
+        )
+        tables = (base.raw_table("latency", table, sorted(self.reads), "Medians and percentiles"), _samples(timed))
+        return base.result_of(table, None, [chart], tables, excluded=excluded)
+
+
+def _samples(timed: list[base.RunLatency]) -> ResultTable:
+    columns = (
+        TableColumn("run_id", "Run", links_run=True),
+        TableColumn("time_s", "Time", "s"),
+        TableColumn("latency_s", "Latency", "s"),
+    )
+    rows = tuple(
+        (entry.run_id, float(at), float(latency))
+        for entry in timed
+        for at, latency in zip(entry.times_s, entry.latencies_s, strict=True)
+    )
+    return ResultTable("latency_samples", "Samples", columns, rows, raw=True)

@@ -1,0 +1,127 @@
+"""How runs look where each of them is a line: colour, name and legend; and repeats folded into mean and band."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from slamhive.analysis.chart import Array, Line, Points
+from slamhive.analysis.colours import RUN_COLOURS
+from slamhive.analysis.plot_types import base
+from slamhive.analysis.plot_types.places import legend
+from slamhive.analysis.table import FAILED, RunTable
+
+By = Literal["algorithm", "run", "configuration"]
+Looks = Mapping[int, dict[str, Any]]
+_GRID_POINTS = 600
+"""Points of a folded line; a screen has few more columns."""
+
+FOLDED = "Line: mean of the repeats of a configuration; band: from the smallest to the largest."
+
+
+class LineOptions(base.PlotOptions):
+    """Options of plot types that draw a line for each run."""
+
+    coloured_by: By | None = Field(
+        default=None, description="What a colour means: an algorithm, a run or a configuration. Default: what fits."
+    )
+    colour_order: list[int] = Field(
+        default_factory=list,
+        max_length=500,
+        description="Numbers of the runs or configurations in the order of their colours. Default: ascending.",
+    )
+    folded: bool = Field(
+        default=False, description="Repeats of a configuration become their mean over time, with a band."
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """The values of one run over time (s); NaN breaks the line."""
+
+    run_id: int
+    times_s: Array
+    values: Array
+
+
+def looks_of(table: RunTable, by: By, order: Sequence[int] = ()) -> Looks:
+    """{run: the look of its line}; ``order`` keeps colours where some plots lack some of the runs."""
+    failed = set(table.failed()["run_id"])
+    facts = table.frame[["run_id", "configuration_id", "algorithm"]].itertuples(index=False, name=None)
+    colours: dict[Any, str] = {key: _colour(place) for place, key in enumerate(dict.fromkeys(order))}
+    named: set[Any] = set()
+    looks: dict[int, dict[str, Any]] = {}
+    for run, configuration, algorithm in facts:
+        key = {"run": run, "configuration": configuration, "algorithm": algorithm}[by]
+        first = key not in named
+        named.add(key)
+        colours.setdefault(key, _colour(len(colours)))
+        group = algorithm if by == "algorithm" else f"{by} {key}, {algorithm}"
+        looks[int(run)] = {
+            "name": group if by == "configuration" else f"run {run}, {algorithm}",
+            "colour": table.colours[algorithm] if by == "algorithm" else colours[key],
+            "dashed": run in failed,
+            "in_legend": first and by != "algorithm",
+            "group": group,
+        }
+    return looks
+
+
+def _colour(place: int) -> str:
+    return RUN_COLOURS[place % len(RUN_COLOURS)]
+
+
+def legend_of(table: RunTable, by: By) -> Iterator[Points]:
+    """Entries for the colours of algorithms; lines of runs and configurations are entries themselves."""
+    if by == "algorithm":
+        yield from legend(table, markers=False)
+
+
+def lines_of(curves: Sequence[Curve], table: RunTable, looks: Looks, *, folded: bool) -> Iterator[Line]:
+    """A line for each curve; if ``folded``, one for each configuration. Failed runs keep a line of their own."""
+    if not folded:
+        for curve in curves:
+            yield Line(x=curve.times_s, y=curve.values, runs=curve.run_id, **looks[curve.run_id])
+        return
+    groups = _repeats(curves, table)
+    for members in groups:
+        look = looks[members[0].run_id] | {"in_legend": True}
+        if len(members) == 1:
+            yield Line(x=members[0].times_s, y=members[0].values, runs=members[0].run_id, **look)
+        else:
+            times_s, mean, low, high = fold(members)
+            name = f"{look['group']}, {len(members)} repeats"
+            yield Line(x=times_s, y=mean, low=low, high=high, **look | {"name": name})
+
+
+def _repeats(curves: Sequence[Curve], table: RunTable) -> list[list[Curve]]:
+    """The curves of good runs by configuration, each failed run alone."""
+    rows = table.frame[["run_id", "configuration_id", FAILED]].itertuples(index=False, name=None)
+    keys = {
+        run: ("failed", run) if isinstance(why, str) else ("good", configuration) for run, configuration, why in rows
+    }
+    groups: dict[tuple[str, int], list[Curve]] = {}
+    for curve in curves:
+        groups.setdefault(keys[curve.run_id], []).append(curve)
+    return list(groups.values())
+
+
+def fold(curves: Sequence[Curve]) -> tuple[Array, Array, Array, Array]:
+    """Times (s), mean, smallest and largest value of several curves at each time.
+
+    The times are those that all curves cover, so a mean is always over all repeats.
+    """
+    start_s = max(float(curve.times_s[0]) for curve in curves)
+    end_s = min(float(curve.times_s[-1]) for curve in curves)
+    times_s = np.linspace(start_s, max(start_s, end_s), _GRID_POINTS)
+    values = np.array([_at(times_s, curve) for curve in curves])
+    return times_s, values.mean(axis=0), values.min(axis=0), values.max(axis=0)
+
+
+def _at(times_s: Array, curve: Curve) -> Array:
+    known = np.isfinite(curve.values)
+    return np.interp(times_s, curve.times_s[known], curve.values[known])

@@ -1,0 +1,161 @@
+"""What a comparison of runs shows, and which runs it accepts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from slamhive.domain.metrics import Metric
+from slamhive.domain.numbers import plural
+from slamhive.errors import InvalidInput
+from slamhive.input_bounds import whole_number
+from slamhive.store.records import RunRecord
+
+FEWEST_RUNS, MOST_RUNS = 2, 20
+_LARGEST_ID = 2**53 - 1
+_REMEDY = f"name {FEWEST_RUNS} to {MOST_RUNS} runs, for example 3,5,8"
+
+
+def shown_digits(value: float) -> str:
+    """The four significant digits that pages show; values that agree in them are a tie."""
+    return f"{value:.4g}"
+
+
+@dataclass(frozen=True, slots=True)
+class RunColumn:
+    """One column: a run, or the runs of a configuration. ``failed`` are the members that count as failed."""
+
+    runs: tuple[RunRecord, ...]
+    failed: tuple[int, ...]
+
+    @property
+    def run_ids(self) -> tuple[int, ...]:
+        """The numbers of its runs."""
+        return tuple(run.id for run in self.runs)
+
+
+@dataclass(frozen=True, slots=True)
+class CommonProtocol:
+    """A protocol under which runs of the comparison have metrics, and the runs that lack it but could have it."""
+
+    fingerprint: str
+    label: str
+    runs: tuple[int, ...]
+    lacking: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SettingLine:
+    """One setting or parameter: a text for each column, None where the runs do not have it."""
+
+    key: str
+    texts: tuple[str | None, ...]
+
+    @property
+    def differs(self) -> bool:
+        """Whether the columns have different values."""
+        return len(set(self.texts)) > 1
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A metric of a column: the mean over ``count`` runs, with a 95 % interval if there are several."""
+
+    mean: float
+    count: int
+    low: float | None = None
+    high: float | None = None
+
+    @property
+    def shown(self) -> str:
+        """The mean with the digits that decide on a tie."""
+        return shown_digits(self.mean)
+
+
+@dataclass(frozen=True, slots=True)
+class MetricLine:
+    """One metric: a value for each column, None where it is missing. ``best`` is the column to mark, None for none."""
+
+    metric: Metric
+    figures: tuple[Figure | None, ...]
+    best: int | None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the columns have different values, in the digits that are shown."""
+        return len({None if figure is None else figure.shown for figure in self.figures}) > 1
+
+
+@dataclass(frozen=True, slots=True)
+class RunComparison:
+    """Runs side by side under one protocol; ``protocol`` is None if none of them is evaluated.
+
+    ``unmarked`` says why no metric is marked, if the runs are not comparable.
+    """
+
+    columns: tuple[RunColumn, ...]
+    grouped: bool
+    protocols: tuple[CommonProtocol, ...]
+    protocol: CommonProtocol | None
+    settings: tuple[SettingLine, ...]
+    metrics: tuple[MetricLine, ...]
+    unmarked: str
+
+    @property
+    def runs(self) -> tuple[RunRecord, ...]:
+        """All runs, in the order of the columns."""
+        return tuple(run for column in self.columns for run in column.runs)
+
+    @property
+    def address(self) -> str:
+        """The path of its page."""
+        group = "&group=configuration" if self.grouped else ""
+        protocol = "" if self.protocol is None else f"&protocol={self.protocol.fingerprint}"
+        return f"/compare?runs={','.join(str(run.id) for run in self.runs)}{group}{protocol}"
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The comparison as JSON: values by the number of the run, or of the configuration if it is grouped."""
+        names = [str(column.runs[0].configuration_id if self.grouped else column.runs[0].id) for column in self.columns]
+        return {
+            "runs": [run.id for run in self.runs],
+            "group": "configuration" if self.grouped else None,
+            "columns": {
+                name: {"runs": list(column.run_ids), "failed": list(column.failed)}
+                for name, column in zip(names, self.columns, strict=True)
+            },
+            "protocol": None if self.protocol is None else asdict(self.protocol),
+            "protocols": [asdict(entry) for entry in self.protocols],
+            "settings": {line.key: dict(zip(names, line.texts, strict=True)) for line in self.settings},
+            "metrics": {
+                line.metric.key: {
+                    "unit": line.metric.unit,
+                    "better": line.metric.direction.value,
+                    "best": None if line.best is None else names[line.best],
+                    "values": {
+                        name: None if figure is None else asdict(figure)
+                        for name, figure in zip(names, line.figures, strict=True)
+                    },
+                }
+                for line in self.metrics
+            },
+            "unmarked": self.unmarked or None,
+            "address": self.address,
+        }
+
+
+def read_run_ids(texts: Iterable[str]) -> tuple[int, ...]:
+    """The numbers of the runs to compare, from texts such as ``3,5,8``.
+
+    Raises:
+        InvalidInput: a text is no number, a run is named twice, or there are too few or too many.
+    """
+    parts = [part.strip() for text in texts for part in text.split(",") if part.strip()]
+    if not FEWEST_RUNS <= len(parts) <= MOST_RUNS:
+        raise InvalidInput(f"{plural(len(parts), 'run')} cannot be compared", _REMEDY)
+    run_ids = tuple(whole_number(part, "run", 1, _LARGEST_ID) for part in parts)
+    twice = next((run_id for place, run_id in enumerate(run_ids) if run_id in run_ids[:place]), None)
+    if twice is not None:
+        raise InvalidInput(f"run {twice} is named twice", "name each run once")
+    return run_ids

@@ -1,0 +1,163 @@
+"""A comparison of runs, for its page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from slamhive.analysis.chart import Chart, Line
+from slamhive.analysis.colours import RUN_COLOURS
+from slamhive.analysis.plotly_chart import plotly_figure
+from slamhive.analysis.report import Report
+from slamhive.domain.metrics import Direction, Group, Metric
+from slamhive.domain.numbers import plural
+from slamhive.services.run_comparison import Figure, MetricLine, RunColumn, RunComparison, SettingLine
+from slamhive.web.formatting import DASH, Cell, DisplayUnit, display_unit, significant
+
+_PLACES = {
+    "trajectories_xy": "path_2d",
+    "trajectories_xz": "path_2d",
+    "trajectories_yz": "path_2d",
+    "trajectories_3d": "path_3d",
+    "trajectory_error": "error",
+    "usage_cpu": "cpu",
+    "usage_memory": "memory",
+    "latency": "latency",
+}
+"""{key of a plot: its place on the page}; other plots of the analysis are not shown."""
+_OVER_TIME = ("error", "cpu", "memory", "latency")
+_PLACES_OF_FORM = {
+    "trajectories": ("path_2d", "path_3d", "error"),
+    "usage": ("cpu", "memory"),
+    "latency": ("latency",),
+}
+_PARAMETER = "parameter."
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """The head of a column: a run, or a configuration with its runs."""
+
+    column: RunColumn
+    colour: str
+    note: str
+
+
+@dataclass(frozen=True, slots=True)
+class SettingRow:
+    """One setting: its name, whether it is a parameter, a cell for each column."""
+
+    name: str
+    is_parameter: bool
+    differs: bool
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MetricRow:
+    """One metric: a cell for each column; ``best`` is the column to mark."""
+
+    metric: Metric
+    unit: str
+    better: str
+    cells: tuple[Cell, ...]
+    best: int | None
+
+
+def heads(compared: RunComparison) -> list[Head]:
+    """The heads, with the colours that the plots use."""
+    return [
+        Head(column, RUN_COLOURS[place % len(RUN_COLOURS)], _note(column, grouped=compared.grouped))
+        for place, column in enumerate(compared.columns)
+    ]
+
+
+def setting_rows(compared: RunComparison) -> list[SettingRow]:
+    """All settings; those that differ come first."""
+    rows = [_setting_row(line) for line in compared.settings]
+    return sorted(rows, key=lambda row: not row.differs)
+
+
+def metric_groups(compared: RunComparison) -> dict[str, list[MetricRow]]:
+    """The metrics by group, in the order of the catalogue; those that were measured during the run come last."""
+    accuracy = [line for line in compared.metrics if line.metric.needs_protocol]
+    groups = {group.value: [line for line in accuracy if line.metric.group is group] for group in Group}
+    groups["measured during the run"] = [line for line in compared.metrics if not line.metric.needs_protocol]
+    return {name: [_metric_row(line) for line in lines] for name, lines in groups.items() if lines}
+
+
+def address_args(compared: RunComparison) -> dict[str, str]:
+    """The arguments of the permanent address, without the protocol."""
+    runs = ",".join(str(run.id) for run in compared.runs)
+    return {"runs": runs} | ({"group": "configuration"} if compared.grouped else {})
+
+
+def figures(report: Report) -> dict[str, Any]:
+    """``figures``, ``captions`` and ``reasons`` by place on the page; plots over time share their range."""
+    charts = {_PLACES[chart.key]: chart for plot in report.forms for chart in plot.charts if chart.key in _PLACES}
+    drawn = {place: _figure(chart) for place, chart in charts.items()}
+    spans = [span for place in _OVER_TIME if place in charts and (span := _span(charts[place])) is not None]
+    for place in _OVER_TIME:
+        if place in drawn and spans:
+            drawn[place]["layout"]["xaxis"]["range"] = [min(low for low, _ in spans), max(high for _, high in spans)]
+    reasons = {
+        place: (plot.error or "These runs have no data for this plot.").partition(": ")[2] or plot.error
+        for plot in report.forms
+        for place in _PLACES_OF_FORM.get(plot.form, ())
+        if place not in drawn
+    }
+    captions = {place: chart.caption for place, chart in charts.items()}
+    left_out = {
+        place: " ".join(plot.exclusions)
+        for plot in report.forms
+        for place in _PLACES_OF_FORM.get(plot.form, ())
+        if plot.exclusions
+    }
+    captions |= {place: f"{captions[place]} {text}" for place, text in left_out.items() if place in captions}
+    return {"figures": drawn, "captions": captions, "reasons": reasons, "best_plane": "xy"}
+
+
+def _figure(chart: Chart) -> dict[str, Any]:
+    """The plot without a height of its own, which the page decides. One legend is enough for all plots."""
+    figure = plotly_figure(chart)
+    figure["layout"].pop("height", None)
+    figure["layout"]["showlegend"] = _PLACES[chart.key] == "path_2d"
+    return figure
+
+
+def _span(chart: Chart) -> tuple[float, float] | None:
+    """The smallest and largest time of the lines of a plot, in s."""
+    times_s = [mark.x for mark in chart.marks if isinstance(mark, Line) and np.isfinite(mark.x).any()]
+    if not times_s:
+        return None
+    return min(float(np.nanmin(times)) for times in times_s), max(float(np.nanmax(times)) for times in times_s)
+
+
+def _note(column: RunColumn, *, grouped: bool) -> str:
+    if grouped:
+        return plural(len(column.runs), "run") + (f", {len(column.failed)} failed" if column.failed else "")
+    return "failed" if column.failed else ""
+
+
+def _setting_row(line: SettingLine) -> SettingRow:
+    cells = tuple(Cell(DASH, "not stated", missing=True) if text is None else Cell(text) for text in line.texts)
+    return SettingRow(line.key.removeprefix(_PARAMETER), line.key.startswith(_PARAMETER), line.differs, cells)
+
+
+def _metric_row(line: MetricLine) -> MetricRow:
+    unit = display_unit(line.metric)
+    better = {Direction.LOWER: "lower is better", Direction.HIGHER: "higher is better"}.get(line.metric.direction, "")
+    cells = tuple(_metric_cell(figure, unit, line.metric) for figure in line.figures)
+    return MetricRow(line.metric, unit.unit, better, cells, line.best)
+
+
+def _metric_cell(figure: Figure | None, unit: DisplayUnit, metric: Metric) -> Cell:
+    if figure is None:
+        return Cell(DASH, f"no {metric.label} known", missing=True)
+    text, exact = significant(figure.mean * unit.factor), f"{figure.mean!r} {metric.unit}".strip()
+    if figure.low is None or figure.high is None:
+        return Cell(text, exact)
+    ends = f"{significant(figure.low * unit.factor, 3)} to {significant(figure.high * unit.factor, 3)}"
+    return Cell(text, f"mean of {figure.count}: {exact}", note=ends)

@@ -1,0 +1,51 @@
+"""The comparison of a few runs: its page, and its plots, which are computed when the page is open."""
+
+from __future__ import annotations
+
+from flask import Blueprint, Response, jsonify, make_response, redirect, render_template, request
+from flask import url_for as address
+
+from slamhive.errors import InvalidInput
+from slamhive.services.run_comparison import RunComparison, analysis_text, plots_of, read_run_ids
+from slamhive.web.context import hive
+from slamhive.web.presenters import comparison as presenter
+
+blueprint = Blueprint("compare", __name__, url_prefix="/compare")
+
+_GROUPS = ("", "configuration")
+
+
+@blueprint.get("")
+def show() -> Response:
+    """The runs side by side. Lists of runs send each run by itself; the permanent address has one list."""
+    if "run" in request.args:
+        chosen = ",".join(map(str, read_run_ids(request.args.getlist("run"))))
+        return make_response(redirect(address("compare.show", runs=chosen), 303))
+    compared = _comparison()
+    return make_response(
+        render_template(
+            "compare/show.html",
+            compared=compared,
+            heads=presenter.heads(compared),
+            settings=presenter.setting_rows(compared),
+            metrics=presenter.metric_groups(compared),
+            args=presenter.address_args(compared),
+            analysis=analysis_text(compared),
+        )
+    )
+
+
+@blueprint.get("/figures.json")
+def figures() -> Response:
+    """The plots of a comparison, with captions and the reasons for missing ones."""
+    compared = _comparison()
+    return make_response(jsonify(presenter.figures(plots_of(compared, hive().analyses))))
+
+
+def _comparison() -> RunComparison:
+    """The comparison that the address asks for; raises InvalidInput or NotFound."""
+    group = request.args.get("group", "")
+    if group not in _GROUPS:
+        raise InvalidInput(f"group {group[:40]!r} is not allowed", "use configuration, or leave it out")
+    run_ids = read_run_ids(request.args.getlist("runs"))
+    return hive().run_comparisons.of(run_ids, request.args.get("protocol") or None, grouped=bool(group))

@@ -1,0 +1,25 @@
+// Enables the buttons that act on selected rows only while the selection fits, and says why they are disabled.
+"use strict";
+(() => {
+  function update(form) {
+    const count = form.querySelectorAll("input[name=run]:checked").length;
+    let why = "";
+    for (const button of form.querySelectorAll("[data-needs]")) {
+      const needs = Number(button.dataset.needs);
+      const most = Number(button.dataset.most || Infinity);
+      button.disabled = count < needs || count > most;
+      if (count < needs && needs > 1) why = count ? "Select another run to compare." : `Select ${needs} to ${most} runs to compare.`;
+      if (count > most) why = `${count} runs are selected, at most ${most} can be compared.`;
+    }
+    const place = form.querySelector("[data-why]");
+    if (place && place.textContent !== why) place.textContent = why;
+  }
+  const updateAll = () => document.querySelectorAll("form[data-select]").forEach(update);
+  document.addEventListener("change", (event) => {
+    const form = event.target.closest?.("form[data-select]");
+    if (form) update(form);
+  });
+  document.addEventListener("pageswap", updateAll);
+  window.addEventListener("pageshow", updateAll);
+  updateAll();
+})();
