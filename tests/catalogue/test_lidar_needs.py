@@ -90,6 +90,6 @@ def test_a_mode_states_needs_of_its_own():
     assert {needs.point_time for needs in shipped.values()} == {Need.REQUIRED}
     for name in ("mad-icp", "ct-icp", "dlio"):
         shipped[name].check(lidar(ringless), name, "x")
-    for name in ("form", "loam-evalio"):
+    for name in ("form", "loam-evalio", "lio-sam-evalio"):
         with pytest.raises(InvalidInput, match=f"^{name} needs the ring of each point; lidar0 of dataset x has none"):
             shipped[name].check(lidar(ringless), name, "x")

@@ -1,4 +1,4 @@
-"""Pipelines of evalio under the container contract: LiDAR scans, and for DLIO IMU samples, in; a trajectory out."""
+"""Pipelines of evalio under the container contract: LiDAR scans, for some IMU samples, in; a trajectory out."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from slamhive.runtime.calibration import transform
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.point_times import SweepInstant
 from slamhive.runtime.scan_odometry import ScanOdometry, Sweep
+from slamhive.runtime.trajectory import Poses, Trajectories
 
 PIPELINES = {
     "mad-icp": ("MadICP", SweepInstant.END),
@@ -21,11 +22,15 @@ PIPELINES = {
     "form": ("FORM", SweepInstant.MIDDLE),
     "loam-evalio": ("LOAM", SweepInstant.MIDDLE),
     "dlio": ("DLIO", SweepInstant.MIDDLE),
+    "lio-sam-evalio": ("LioSAM", SweepInstant.MIDDLE),
 }
 """The class of each algorithm, and the instant of a sweep that its poses describe."""
 
-TAKE_IMAGES = ("form", "loam-evalio")
+TAKE_IMAGES = ("form", "loam-evalio", "lio-sam-evalio")
 """Algorithms that search features along the rings. The others take the points as a list."""
+
+SWEEPS_BEHIND = {"lio-sam-evalio": 2}
+"""How many sweeps ago the sweep came whose pose an algorithm gives. LIO-SAM keeps two in a queue."""
 
 POINT = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("intensity", "<f4"), ("t", "<u4"), ("ring", "<u2")])
 """A point as evalio reads it; ``t`` in ns after the start of the sweep."""
@@ -56,10 +61,11 @@ class EvalioOdometry(ScanOdometry):
         name, self.pose_at = PIPELINES[config.algorithm]
         self._pipeline = getattr(pipelines, name)()
         self._takes_images = config.algorithm in TAKE_IMAGES
+        self._behind = SWEEPS_BEHIND.get(config.algorithm, 0)
         self._rings = self._columns = 0
 
     def register(self, sweep: Sweep) -> np.ndarray | None:
-        """Register the sweep; none of its poses is kept for later."""
+        """Register the sweep; the newest pose, that of an earlier sweep for algorithms in :data:`SWEEPS_BEHIND`."""
         if not self._columns:
             self._begin(sweep)
         for row in sweep.imu:
@@ -72,6 +78,12 @@ class EvalioOdometry(ScanOdometry):
         self._pipeline.add_lidar(scan)
         found = self._pipeline.saved_estimates()
         return np.array(found[-1][1].to_mat()) if found else None
+
+    def finish(self) -> Poses | Trajectories:
+        """Each pose with the time of its own sweep; the last sweeps have none where poses come later."""
+        if self._behind:
+            self._poses, self._stamps_s = self._poses[self._behind :], self._stamps_s[: -self._behind]
+        return super().finish()
 
     def _begin(self, sweep: Sweep) -> None:
         """Set up the pipeline with the parameters of the run and the rings and columns of the first sweep.
