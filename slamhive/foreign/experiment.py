@@ -122,6 +122,10 @@ class _Converter:
             said = f"{place}: template {number} with the factors {' | '.join(map(plain, factors))} is not converted"
             self._note(said, f"--id {number}=image0_frequency, for instance")
             return
+        if not self._uses(what.sensor):
+            place = self._from.places.of(number)
+            self._note(f"{place}: {what.words} is not converted, {self._algorithm.name} uses no {what.sensor}")
+            return
         self._check_fit(number, what, factors)
         name = f"{what.sensor}_{what.kind}"
         first = self._into.steps.get(name)
@@ -172,7 +176,7 @@ class _Converter:
             wanted = [float(value) for value in entry.values]
         except ValueError:
             wanted = []
-        if step is None and wanted and name.endswith(RESOLUTION):
+        if step is None and wanted and name.endswith(RESOLUTION) and self._uses("image"):
             what = Changed("image", 0, RESOLUTION)
             self._into.steps[name] = _Step(name, "camera", what, [], wanted)
             return
@@ -181,7 +185,7 @@ class _Converter:
                 step.factors = [step.factors[factors.index(value)] for value in wanted]  # type: ignore[union-attr]
                 return
         said = " | ".join(entry.values)
-        self._note(f"line {entry.line}: {entry.name} {said} is not taken over: no new values say what its numbers mean")
+        self._note(f"line {entry.line}: {entry.name} {said} is not taken over: no new values belong to its numbers")
 
     def _rates(self, step: _Step) -> list[float]:
         """The rate after each factor of a step, in Hz; empty if the file does not say."""
@@ -215,7 +219,7 @@ class _Converter:
             self._note(f"{place}: {parameter.key} is not converted, some factors have no value for it")
         elif self._allowed(parameter, values, place):
             same = all(value == values[0] for value in values)
-            self._into.parameters[parameter.key] = values[0] if same else list(values)
+            self._into.parameters[parameter.key] = [values[0]] if same else list(values)
             if not same:
                 self._into.linked.append([step.name, parameter.key])
 
@@ -239,6 +243,9 @@ class _Converter:
             if len(step.numbers) > 1 and not tied:
                 words = " and ".join(step.numbers)
                 self._note(f"{words} are not tied in the file; here {step.name} treats all sensors alike")
+
+    def _uses(self, sensor: str) -> bool:
+        return any(entry.kind.value == _SENSORS[sensor] for entry in self._algorithm.inputs)
 
     def _parameter(self, name: str) -> Parameter | None:
         """The parameter with this name; upper and lower case differ between published folders."""

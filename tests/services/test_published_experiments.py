@@ -150,7 +150,7 @@ def test_users_say_what_numbers_and_names_mean(catalogue):
     made = converted(catalogue, **meanings)
     content = strict_yaml.parse(made.text, "made")
     assert (content["algorithms"], content["datasets"]) == ("orb-slam3-stereo", ["other"])
-    assert content["parameters"]["nLevels"] == 5
+    assert content["parameters"]["nLevels"] == [5]
 
 
 @pytest.mark.parametrize(
@@ -204,3 +204,45 @@ def test_cameras_that_are_not_tied_in_the_file_are_mentioned(catalogue):
     said = "591 and 603 are not tied in the file; here image_resolution treats all sensors alike"
     assert said in converted(catalogue, changed("591,603\n", "")).notes
     assert said not in converted(catalogue).notes
+
+
+PACKAGE = """
+format: 1
+package: lens
+title: Lens
+version: "1"
+upstream: https://example.org/lens
+licence: MIT
+citation: none
+modes:
+  mono: {title: Lens, setup: mono, inputs: {left: camera}, trajectory_role: left}
+parameters:
+  LEFT_D: {type: matrix, default: [0, 0, 0, 0], help: Distortion that the package does not take from the dataset.}
+  LEFT_K: {type: matrix, default: [1, 1, 1, 1], help: The same for intrinsics.}
+  fx: {type: float, from: left.fx, help: Focal length.}
+"""
+
+
+def test_calibration_that_a_package_does_not_take_from_the_dataset_is_linked_to_the_step(tmp_path):
+    folder = tmp_path / "algorithms" / "lens"
+    (folder / "slamhive").mkdir(parents=True)
+    (folder / "slamhive" / "mapping.py").touch()
+    (folder / "algorithm.yaml").write_text(PACKAGE)
+    catalogue = Catalogue(Settings(data=tmp_path / "data"), tmp_path)
+    text = FILE.replace("    457: [436.24, 0.0 ,364.4, 0.0]", "    455: [458.6, 0, 367.2, 0]")
+    text = text.replace("    457: [218.3, 0, 182.3, 0]", "    455: [229.3, 0, 183.6, 0]")
+    made = converted(catalogue, text.replace("orb-slam3-ros-stereo-inertial", "lens"))
+    content = strict_yaml.parse(made.text, "made")
+    assert content["parameters"] == {
+        "LEFT_D": [[-0.28, 0.07, 0.0, 0.0]],
+        "LEFT_K": [[458.6, 0, 367.2, 0], [229.3, 0, 183.6, 0]],
+    }
+    assert content["linked"] == [["image_resolution", "LEFT_K"]]
+    recorded = dataset("MH_01_easy", ("cam0", CAMERA, 20))
+    lens = {entry.name: entry for entry in catalogue.algorithms()}
+    view = CatalogueView(lens, {"MH_01_easy": recorded}, RegisteredSteps())
+    runs = list(expand(parse_experiment(made.text), view))
+    assert {run.configuration.parameters["LEFT_D"] for run in runs} == {(-0.28, 0.07, 0.0, 0.0)}
+    assert {run.configuration.parameters["LEFT_K"] for run in runs} == {(458.6, 0, 367.2, 0), (229.3, 0, 183.6, 0)}
+    assert "file line 34: the imu rate is not converted, lens uses no imu" in made.notes
+    assert all("fx" not in run.configuration.parameters for run in runs)
