@@ -281,7 +281,8 @@ class _Paper:
         known, here = (getattr(numbers, f"{kind}s") for numbers in (self._names, self._here))
         if number in known:
             return str(known[number])
-        place = self._places.of("configuration_choose", "limitation_rules", key)
+        section = ("configuration_choose",) if kind == "experiment" else ("configuration_choose", "limitation_rules")
+        place = self._places.of(*section, key)
         if self._names is self._here:
             listed = ", ".join(f"{entry} {name}" for entry, name in sorted(known.items())[:10]) or "none"
             raise InvalidInput(f"{place}: {key}: there is no {kind} {number} here", f"known: {listed}")

@@ -71,7 +71,7 @@ def read_combinations(text: str, source: str) -> tuple[list[Combination], list[t
     for part in parts_of(lines):
         written = list(_written(lines, part))
         if len(written) == 1 and _TITLE.fullmatch(written[0][1].strip()):
-            found.append(_titled(written[0], source))
+            found.append(_titled(written[0][0], written[0][1].strip()))
         elif not found:
             before += written
         else:
@@ -84,12 +84,9 @@ def read_combinations(text: str, source: str) -> tuple[list[Combination], list[t
     return found, before
 
 
-def _titled(line: tuple[int, str], source: str) -> Combination:
-    number, title = line
-    algorithm, dataset, *_ = title.strip().split("+")
-    if not algorithm or not dataset:
-        raise InvalidInput(f"{source}, line {number}: {title!r} does not name an algorithm and a dataset")
-    return Combination(title.strip(), number, algorithm, dataset)
+def _titled(number: int, title: str) -> Combination:
+    algorithm, dataset, *_ = title.split("+")
+    return Combination(title, number, algorithm, dataset)
 
 
 def _written(lines: Sequence[str], part: Part) -> Iterator[tuple[int, str]]:

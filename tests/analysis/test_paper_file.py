@@ -169,6 +169,11 @@ def test_a_number_that_may_mean_something_else_here_is_refused():
         parse_analysis(UNSAID.replace("[3, 4]", "[]").replace("[9]", "[]"), here=NUMBERS)
 
 
+def test_an_experiment_that_is_not_here_is_named_with_its_line():
+    with pytest.raises(InvalidInput, match=r"line 21: comb_configuration_id: there is no experiment 8 here; known: 9"):
+        parse_analysis(changed("comb_configuration_id: [9]", "comb_configuration_id: [8]"), here=NUMBERS)
+
+
 def test_numbers_are_taken_as_they_are_said_to_mean():
     ids = "ids: {algorithm: {1: kiss-icp, 2: aloam}, experiment: {9: other}, configuration: {3: 30, 4: 40}}\n"
     for text, given in (
