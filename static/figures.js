@@ -31,8 +31,22 @@
       toImageButtonOptions: { format: "svg", filename: name },
       showTips: false,
     });
+    if ("time" in place.dataset) linkTime(place);
     place.setAttribute("role", "img");
     place.setAttribute("aria-label", document.querySelector(`[data-caption="${key}"]`)?.textContent || key);
+  }
+
+  /** Zooming into a time in one plot shows the same time in the others. */
+  function linkTime(place) {
+    if (place.dataset.linked) return;
+    place.dataset.linked = "1";
+    place.on("plotly_relayout", (change) => {
+      if (!("xaxis.range[0]" in change)) return;
+      const range = [change["xaxis.range[0]"], change["xaxis.range[1]"]];
+      for (const other of document.querySelectorAll("[data-time].js-plotly-plot")) {
+        if (other !== place) Plotly.relayout(other, { "xaxis.range": [...range] });
+      }
+    });
   }
 
   function drawAll() {

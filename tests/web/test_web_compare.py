@@ -118,7 +118,7 @@ def test_bad_input_is_one_clear_line(shown: Web, query: str, status: int, messag
 def test_selected_rows_lead_to_the_permanent_address(shown: Web):
     text = shown.client.get("/runs").text
     assert 'action="/compare"' in text
-    answer = shown.client.get("/compare?run=1&run=3")
+    answer = shown.client.get("/compare?run=3&run=1")
     assert (answer.status_code, answer.location) == (303, "/compare?runs=1,3")
 
 

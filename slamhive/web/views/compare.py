@@ -19,7 +19,7 @@ _GROUPS = ("", "configuration")
 def show() -> Response:
     """The runs side by side. Lists of runs send each run by itself; the permanent address has one list."""
     if "run" in request.args:
-        chosen = ",".join(map(str, read_run_ids(request.args.getlist("run"))))
+        chosen = ",".join(map(str, sorted(read_run_ids(request.args.getlist("run")))))
         return make_response(redirect(address("compare.show", runs=chosen), 303))
     compared = _comparison()
     return make_response(

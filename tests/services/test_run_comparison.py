@@ -1,0 +1,88 @@
+"""Which of several runs is better: never on a tie, by chance, for a failed run or without a direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import pytest
+
+from slamhive.services.run_comparison.figures import metric_lines
+from slamhive.services.run_comparison.model import MetricLine, RunColumn
+from slamhive.services.run_comparison.settings import setting_lines
+
+
+@dataclass(frozen=True)
+class Numbered:
+    """A run that has a number alone."""
+
+    id: int
+
+
+def column(*run_ids: int, failed: tuple[int, ...] = ()) -> RunColumn:
+    return RunColumn(cast("Any", tuple(map(Numbered, run_ids))), failed)
+
+
+def line_of(key: str, values: dict[int, float], *columns: RunColumn, marked: bool = True) -> MetricLine:
+    (line,) = metric_lines(columns, {run: {key: value} for run, value in values.items()}, marked=marked)
+    return line
+
+
+@pytest.mark.parametrize(
+    ("key", "values", "best"),
+    [
+        ("ate.rmse", {1: 0.2, 2: 0.1}, 1),
+        ("tracked_fraction", {1: 0.9, 2: 0.8}, 0),
+        ("ate.rmse", {1: 0.10001, 2: 0.10002}, None),  # equal in the four digits that are shown
+        ("scale", {1: 1.0, 2: 1.2}, None),  # neutral
+    ],
+)
+def test_the_better_single_run_is_marked(key: str, values: dict[int, float], best: int | None):
+    assert line_of(key, values, column(1), column(2)).best == best
+
+
+def test_a_value_alone_is_not_better_than_nothing():
+    values = {1: {"ate.rmse": 0.2}, 2: {}}
+    (line,) = metric_lines((column(1), column(2)), values, marked=True)
+    assert (line.figures[1], line.best) == (None, None)
+
+
+def test_a_failed_run_is_shown_and_never_marked():
+    line = line_of("ate.rmse", {1: 0.01, 2: 0.3, 3: 0.2}, column(1, failed=(1,)), column(2), column(3))
+    assert line.figures[0] is not None
+    assert line.best == 2
+
+
+def test_nothing_is_marked_between_runs_that_are_not_comparable():
+    assert line_of("ate.rmse", {1: 0.2, 2: 0.1}, column(1), column(2), marked=False).best is None
+
+
+def test_repeats_are_marked_only_if_chance_does_not_explain_the_difference():
+    apart = {1: 0.10, 2: 0.11, 3: 0.12, 4: 0.50, 5: 0.51, 6: 0.52}
+    assert line_of("ate.rmse", apart, column(1, 2, 3), column(4, 5, 6)).best == 0
+    near = {1: 0.10, 2: 0.20, 3: 0.30, 4: 0.15, 5: 0.25, 6: 0.35}
+    line = line_of("ate.rmse", near, column(1, 2, 3), column(4, 5, 6))
+    assert line.best is None
+    first = line.figures[0]
+    assert first is not None
+    assert first.low is not None
+    assert first.high is not None
+    assert first.count == 3
+    assert first.mean == pytest.approx(0.2)
+    assert first.low < 0.2 < first.high
+
+
+def test_the_mean_of_repeats_leaves_failed_runs_out():
+    figure = line_of("ate.rmse", {1: 0.1, 2: 0.3, 3: 9.0, 4: 1.0}, column(1, 2, 3, failed=(3,)), column(4)).figures[0]
+    assert figure is not None
+    assert figure.count == 2
+    assert figure.mean == pytest.approx(0.2)
+
+
+def test_settings_of_repeats_list_their_values_and_missing_ones_differ():
+    lines = setting_lines([[{"seed": "1", "a": "x"}, {"seed": "2", "a": "x"}], [{"seed": "1", "b": "y"}]])
+    assert {line.key: (line.texts, line.differs) for line in lines} == {
+        "seed": (("1, 2", "1"), True),
+        "a": (("x", None), True),
+        "b": ((None, "y"), True),
+    }
