@@ -7,6 +7,7 @@ import re
 import pytest
 from markupsafe import escape
 
+from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.errors import InvalidInput
 from slamhive.services.run_comparison import read_run_ids
 from slamhive.settings import Mode
@@ -45,6 +46,19 @@ def test_all_plots_come_with_the_figures(compared: Web):
     assert all(span == ranges[0] for span in ranges)
     names = [trace["name"] for trace in found["figures"]["path_3d"]["data"] if trace["mode"] == "lines"]
     assert names == ["run 1, eye-slam-stereo", "run 6, eye-slam-stereo", "ground truth"]
+
+
+def test_usage_is_drawn_for_runs_of_another_protocol_too(compared: Web, monkeypatch: pytest.MonkeyPatch):
+    (other,) = world.add_runs(compared.hive, nFeatures=300)
+    world.finish_run(compared.hive, other)
+    with monkeypatch.context() as changed:
+        changed.setattr(world, "PROTOCOL", Protocol(Alignment.SIM3))
+        world.evaluate_run(compared.hive, other)
+    found = compared.client.get(f"/compare/figures.json?runs=1,6,{other}").json
+    assert found is not None
+    names = {key: [trace["name"] for trace in found["figures"][key]["data"]] for key in ("error", "cpu")}
+    assert len(names["error"]) == 2
+    assert len(names["cpu"]) == 3
 
 
 def test_colours_of_the_plots_are_those_of_the_columns(compared: Web):

@@ -10,10 +10,12 @@ from slamhive.domain.metrics import Direction, Metric, with_unknown
 from slamhive.services.run_comparison.model import Figure, MetricLine, RunColumn, RunComparison, shown_digits
 
 if TYPE_CHECKING:
-    from slamhive.analysis.report import Report
+    from slamhive.analysis.report import Plot
     from slamhive.services.reports import Analyses
 
 _TIME_LIMIT_S = 60.0
+_UNDER_PROTOCOL = ({"form": "trajectories", "with_failed": True, "in_3d": True},)
+_MEASURED = ({"form": "usage"}, {"form": "latency"})
 Values = Mapping[int, Mapping[str, float]]
 
 
@@ -95,6 +97,24 @@ def colour_order(comparison: RunComparison) -> list[int]:
 
 def analysis_text(comparison: RunComparison) -> str:
     """The analysis file that draws the runs of a comparison."""
+    return _text(comparison, (*_UNDER_PROTOCOL, *_MEASURED), _fingerprint(comparison))
+
+
+def plots_of(comparison: RunComparison, analyses: Analyses) -> tuple[Plot, ...]:
+    """The plots of a comparison; a plot that does not fit the runs says why.
+
+    What was measured during the runs does not depend on the protocol, so it is drawn for runs of other protocols too.
+    Raises InvalidInput if no run has been evaluated.
+    """
+    from slamhive.services.reports import AnalysisLimits  # noqa: PLC0415 - loads pandas and scipy
+
+    limits = AnalysisLimits(len(comparison.runs), _TIME_LIMIT_S)
+    parts = ((_UNDER_PROTOCOL, _fingerprint(comparison)), (_MEASURED, None))
+    texts = [_text(comparison, forms, protocol) for forms, protocol in parts]
+    return tuple(plot for text in texts for plot in analyses.compute(analyses.read(text, "comparison"), limits).forms)
+
+
+def _text(comparison: RunComparison, forms: Sequence[Mapping[str, object]], protocol: str | None) -> str:
     numbers = [run.id for run in comparison.runs]
     look = {
         "coloured_by": "configuration" if comparison.grouped else "run",
@@ -104,19 +124,11 @@ def analysis_text(comparison: RunComparison) -> str:
     content = {
         "name": f"Runs {', '.join(map(str, numbers))}",
         "select": {"runs": {"runs": numbers}},
-        **({} if comparison.protocol is None else {"protocol": comparison.protocol.fingerprint}),
-        "forms": [
-            {"form": "trajectories", **look, "with_failed": True, "in_3d": True},
-            {"form": "usage", **look},
-            {"form": "latency", **look},
-        ],
+        **({} if protocol is None else {"protocol": protocol}),
+        "forms": [{**form, **look} for form in forms],
     }
     return strict_yaml.dump(content)
 
 
-def plots_of(comparison: RunComparison, analyses: Analyses) -> Report:
-    """The plots of a comparison; a plot that does not fit the runs says why."""
-    from slamhive.services.reports import AnalysisLimits  # noqa: PLC0415 - loads pandas and scipy
-
-    analysis = analyses.read(analysis_text(comparison), "comparison")
-    return analyses.compute(analysis, AnalysisLimits(len(comparison.runs), _TIME_LIMIT_S))
+def _fingerprint(comparison: RunComparison) -> str | None:
+    return None if comparison.protocol is None else comparison.protocol.fingerprint

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from slamhive.analysis.chart import Chart, Line
 from slamhive.analysis.colours import RUN_COLOURS
 from slamhive.analysis.plotly_chart import plotly_figure
-from slamhive.analysis.report import Report
+from slamhive.analysis.report import Plot
 from slamhive.domain.metrics import Direction, Group, Metric
 from slamhive.domain.numbers import plural
 from slamhive.services.run_comparison import Figure, MetricLine, RunColumn, RunComparison, SettingLine
@@ -94,29 +95,27 @@ def address_args(compared: RunComparison) -> dict[str, str]:
     return {"runs": runs} | ({"group": "configuration"} if compared.grouped else {})
 
 
-def figures(report: Report) -> dict[str, Any]:
+def figures(plots: Sequence[Plot]) -> dict[str, Any]:
     """``figures``, ``captions`` and ``reasons`` by place on the page; plots over time share their range."""
-    charts = {_PLACES[chart.key]: chart for plot in report.forms for chart in plot.charts if chart.key in _PLACES}
+    charts = {_PLACES[chart.key]: chart for plot in plots for chart in plot.charts if chart.key in _PLACES}
     drawn = {place: _figure(chart) for place, chart in charts.items()}
     spans = [span for place in _OVER_TIME if place in charts and (span := _span(charts[place])) is not None]
     for place in _OVER_TIME:
         if place in drawn and spans:
             drawn[place]["layout"]["xaxis"]["range"] = [min(low for low, _ in spans), max(high for _, high in spans)]
-    reasons = {
-        place: (plot.error or "These runs have no data for this plot.").partition(": ")[2] or plot.error
-        for plot in report.forms
-        for place in _PLACES_OF_FORM.get(plot.form, ())
-        if place not in drawn
+    places = {place: plot for plot in plots for place in _PLACES_OF_FORM.get(plot.form, ())}
+    return {
+        "figures": drawn,
+        "captions": {place: " ".join([chart.caption, *places[place].exclusions]) for place, chart in charts.items()},
+        "reasons": {place: _reason(plot) for place, plot in places.items() if place not in drawn},
+        "best_plane": "xy",
     }
-    captions = {place: chart.caption for place, chart in charts.items()}
-    left_out = {
-        place: " ".join(plot.exclusions)
-        for plot in report.forms
-        for place in _PLACES_OF_FORM.get(plot.form, ())
-        if plot.exclusions
-    }
-    captions |= {place: f"{captions[place]} {text}" for place, text in left_out.items() if place in captions}
-    return {"figures": drawn, "captions": captions, "reasons": reasons, "best_plane": "xy"}
+
+
+def _reason(plot: Plot) -> str:
+    """Why there is no plot, without the place in the analysis file, which the page does not show."""
+    text = plot.error or "these runs have no data for this plot"
+    return text.partition(": ")[2] or text
 
 
 def _figure(chart: Chart) -> dict[str, Any]:
