@@ -12,7 +12,7 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,9 +22,13 @@ from _pytest.mark.expression import Expression
 from tests.shared_environments import SHARED_ENVIRONMENTS
 
 if TYPE_CHECKING:
+    from slamhive.services.hive import Hive
     from tests.services.mariadb import DatabaseServer
 
-MARKS = ("quick", "integration", "docker", "alone", "packages", "classical", "mysql", "shared_data")
+MARKS = ("quick", "integration", "docker", "alone", "images", "packages", "classical", "mysql", "shared_data")
+TESTS = Path(__file__).parent
+NAMED_MARK = re.compile(r"(?:\bmark\.|\")(\w+)")
+IMPORTED = re.compile(r"^from tests\.([\w.]+) import", re.MULTILINE)
 PYTESTMARK = re.compile(r"^pytestmark = (\[[^\]]*\]|.*)", re.MULTILINE)
 
 
@@ -41,11 +45,37 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @functools.cache
 def may_be_selected(path: Path, wanted: Expression) -> bool:
-    """Whether tests of a file can be wanted, whatever marks they add to those of the file."""
+    """Whether tests of a file can be wanted, whatever marks that it names they add to those of the file."""
     found = PYTESTMARK.search(path.read_text(encoding="utf-8"))
     own = set(re.findall(r"mark\.(\w+)", found[1])) if found else set()
-    more = itertools.chain.from_iterable(itertools.combinations(MARKS, count) for count in range(len(MARKS) + 1))
+    folders = itertools.takewhile(lambda folder: folder != TESTS, path.parents)
+    conftests = [folder / "conftest.py" for folder in folders if (folder / "conftest.py").is_file()]
+    named = sorted(named_marks((path, *conftests)))
+    more = itertools.chain.from_iterable(itertools.combinations(named, count) for count in range(len(named) + 1))
     return any(wanted.evaluate(functools.partial(is_among, own.union(some))) for some in more)
+
+
+def named_marks(files: Iterable[Path]) -> set[str]:
+    """The marks that the files name, or files of the tests from which they import."""
+    named: set[str] = set()
+    seen: set[Path] = set()
+    waiting = [*files]
+    while waiting:
+        file = waiting.pop()
+        if file not in seen:
+            seen.add(file)
+            marks, imported = read_names(file)
+            named |= marks
+            waiting.extend(imported)
+    return named
+
+
+@functools.cache
+def read_names(file: Path) -> tuple[frozenset[str], tuple[Path, ...]]:
+    """The marks that a file names, and the files of the tests from which it imports."""
+    text = file.read_text(encoding="utf-8")
+    imported = (TESTS / f"{module.replace('.', '/')}.py" for module in IMPORTED.findall(text))
+    return frozenset(MARKS).intersection(NAMED_MARK.findall(text)), tuple(path for path in imported if path.is_file())
 
 
 def is_among(marks: set[str], name: str, /, **_: object) -> bool:
@@ -77,6 +107,24 @@ def base_image() -> str:
     from tests.services.docker_base import make_base_image  # noqa: PLC0415
 
     return make_base_image()
+
+
+@pytest.fixture(scope="session")
+def systems(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
+    """A data root for real systems in containers: making its datasets takes long, so all tests share it."""
+    from slamhive.services.hive import open_hive  # noqa: PLC0415
+    from tests.real_datasets import SHARED  # noqa: PLC0415
+
+    settings: dict[str, object] = {
+        "data": tmp_path_factory.mktemp("systems"),
+        "executor": "docker",
+        "min_free_disk_mb": 1,
+    }
+    if (SHARED / "upstream").is_dir():
+        settings["source_archives"] = str(SHARED / "upstream")
+    opened = open_hive(settings)
+    yield opened
+    opened.close()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,12 +1,10 @@
-"""Our figures against evo's command line, started as a user would, on real trajectories: equal to 1e-9."""
+"""Our figures against evo's command line, with the arguments that a user gives, on real trajectories: equal to 1e-9."""
 
 import csv
 import io
 import json
-import os
-import subprocess
-import sys
 import zipfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +17,7 @@ from slamhive.evaluation.presets import PRESETS
 from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
 from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.tum import write_tum
+from tests.evaluation.evo_commands import evo_commands
 from tests.evaluation.tool_inputs import EVO, RECORDED, RUNS
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -44,11 +43,10 @@ def evaluate(
     return EvaluationRunner(ProcessStarter(ROOT)).run(tasks, scratch, lambda _result: None)
 
 
-def command_line(folder: Path, command: str, *arguments: str) -> None:
-    folder.mkdir(exist_ok=True)
-    environment = {"PATH": os.environ["PATH"], "HOME": str(folder), "MPLBACKEND": "Agg"}
-    program = str(Path(sys.executable).parent / command)
-    subprocess.run([program, *arguments], env=environment, cwd=folder, check=True, capture_output=True, timeout=120)
+@pytest.fixture(scope="module")
+def command_line(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., None]]:
+    with evo_commands(tmp_path_factory.mktemp("home")) as run:
+        yield run
 
 
 def statistics(archive: Path) -> dict[str, float]:
@@ -67,7 +65,9 @@ def kitti(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @pytest.mark.parametrize("alignment", list(FLAGS))
-def test_equal_to_the_command_line(tmp_path: Path, kitti: tuple[Path, Path], alignment: Alignment) -> None:
+def test_equal_to_the_command_line(
+    tmp_path: Path, command_line: Callable[..., None], kitti: tuple[Path, Path], alignment: Alignment
+) -> None:
     pairs = [
         (RUNS / "MH_01" / "groundtruth.txt", RUNS / "vio_mono" / "MH_01" / "0.txt"),
         (EVO / "freiburg1_xyz-groundtruth.txt", EVO / "freiburg1_xyz-rgbdslam.txt"),
@@ -80,14 +80,14 @@ def test_equal_to_the_command_line(tmp_path: Path, kitti: tuple[Path, Path], ali
             ("ate", "evo_ape", ["-r", "trans_part"]),
             ("rpe", "evo_rpe", ["-r", "trans_part", "--all_pairs", "-d", "1", "-u", "m"]),
         ):
-            archive = tmp_path / "home" / f"{key}{result.id}.zip"
+            archive = tmp_path / f"{key}{result.id}.zip"
             arguments = ["tum", str(reference), str(estimate), *FLAGS[alignment], *options, "--save_results"]
-            command_line(tmp_path / "home", command, *arguments, str(archive))
+            command_line(command, *arguments, str(archive))
             for name, value in statistics(archive).items():
                 assert result.metrics[f"{key}.{name}"] == pytest.approx(value, rel=1e-9, abs=1e-9), (estimate, name)
 
 
-def test_the_preset_is_equal_to_the_command_line(tmp_path: Path) -> None:
+def test_the_preset_is_equal_to_the_command_line(tmp_path: Path, command_line: Callable[..., None]) -> None:
     pairs = [RECORDED[name] for name in ("freiburg1_xyz ORB keyframes", "vislam_ba MH_03")]
     results = evaluate(tmp_path, pairs, PRESETS.get("evo").protocol, Artefacts.METRICS)
     for (reference, estimate), result in zip(pairs, results, strict=True):
@@ -96,9 +96,9 @@ def test_the_preset_is_equal_to_the_command_line(tmp_path: Path) -> None:
             ("rpe.frames", "evo_rpe", []),
             ("rpe_rot.frames", "evo_rpe", ["-r", "angle_deg"]),
         ):
-            archive = tmp_path / "home" / f"{key}{result.id}.zip"
+            archive = tmp_path / f"{key}{result.id}.zip"
             arguments = ["tum", str(reference), str(estimate), *options, "--save_results", str(archive)]
-            command_line(tmp_path / "home", command, *arguments)
+            command_line(command, *arguments)
             for name in ("rmse", "mean", "median", "max"):
                 expected = pytest.approx(statistics(archive)[name], rel=1e-6, abs=1e-9)
                 assert result.metrics[f"{key}.{name}"] == expected, (estimate, key, name)
@@ -107,14 +107,14 @@ def test_the_preset_is_equal_to_the_command_line(tmp_path: Path) -> None:
         assert result.metrics["rpe.frames.pairs"] == len(errors)
 
 
-def test_what_tums_script_counts_opens_with_evo_and_is_drawn(tmp_path: Path) -> None:
+def test_what_tums_script_counts_opens_with_evo_and_is_drawn(tmp_path: Path, command_line: Callable[..., None]) -> None:
     pair = RECORDED["freiburg1_xyz ORB keyframes"]
     (result,) = evaluate(tmp_path, [pair], PRESETS.get("tum").protocol, Artefacts.PLOTS)
     assert result.reason is None
     assert (tmp_path / "0" / "rpe_map.png").read_bytes().startswith(b"\x89PNG")
     assert statistics(tmp_path / "0" / "rpe.zip")["rmse"] == pytest.approx(result.metrics["rpe.rmse"])
-    table = tmp_path / "home" / "rpe.csv"
-    command_line(tmp_path / "home", "evo_res", str(tmp_path / "0" / "rpe.zip"), "--save_table", str(table))
+    table = tmp_path / "rpe.csv"
+    command_line("evo_res", str(tmp_path / "0" / "rpe.zip"), "--save_table", str(table))
     assert "rmse" in table.read_text()
 
 
@@ -149,7 +149,7 @@ def test_all_euroc_runs_agree_with_the_independent_figures(tmp_path: Path, align
         assert result.metrics["ate.rmse"] == pytest.approx(float(row[column]), abs=5.1e-5)
 
 
-def test_artefacts_open_with_evo_and_figures_are_drawn(tmp_path: Path) -> None:
+def test_artefacts_open_with_evo_and_figures_are_drawn(tmp_path: Path, command_line: Callable[..., None]) -> None:
     pair = (EVO / "freiburg1_xyz-groundtruth.txt", EVO / "freiburg1_xyz-rgbdslam.txt")
     (result,) = evaluate(tmp_path, [pair], Protocol(Alignment.SE3), Artefacts.PLOTS)
     output = tmp_path / "0"
@@ -159,18 +159,17 @@ def test_artefacts_open_with_evo_and_figures_are_drawn(tmp_path: Path) -> None:
     for name in figures:
         assert (output / name).read_bytes().startswith(b"\x89PNG")
     for key in ("ape", "rpe"):
-        table = tmp_path / "home" / f"{key}.csv"
-        command_line(tmp_path / "home", "evo_res", str(output / f"{key}.zip"), "--save_table", str(table))
+        table = tmp_path / f"{key}.csv"
+        command_line("evo_res", str(output / f"{key}.zip"), "--save_table", str(table))
         assert "rmse" in table.read_text()
     errors_m = np.loadtxt(output / "errors.csv", delimiter=",", skiprows=1)[:, 1]
     assert np.sqrt(np.mean(errors_m**2)) == pytest.approx(result.metrics["ate.rmse"], abs=1e-8)
     command_line(
-        tmp_path / "home",
         "evo_ape",
         "tum",
         str(output / "groundtruth.tum"),
         str(output / "traj.tum"),
         "--save_results",
-        str(tmp_path / "home" / "again.zip"),
+        str(tmp_path / "again.zip"),
     )
-    assert statistics(tmp_path / "home" / "again.zip")["rmse"] == pytest.approx(result.metrics["ate.rmse"], abs=1e-8)
+    assert statistics(tmp_path / "again.zip")["rmse"] == pytest.approx(result.metrics["ate.rmse"], abs=1e-8)

@@ -1,5 +1,6 @@
 """Common mistakes, made on purpose in real trajectories, are told with their remedy; clean runs are told nothing."""
 
+import functools
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -18,7 +19,7 @@ from slamhive.project import project_root
 from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import inverse_quats, multiply_quats, rotations_from_quats
-from slamhive.trajectory.tum import read_tum
+from slamhive.trajectory.tum import read_tum as read_tum_file
 
 DATA = project_root().parent / "shared" / "data"
 RUNS, EVO, ROAD = DATA / "euroc_vio_runs", DATA / "evo_trajectories", DATA / "kitti06_stereo_51"
@@ -31,6 +32,9 @@ pytestmark = [
 ]
 
 Change = Callable[[Trajectory], Trajectory]
+
+read_tum = functools.cache(read_tum_file)
+"""Most tests read the same flights."""
 
 
 def hints(truth: Trajectory, estimate: Trajectory, protocol: Protocol, *, rotations: bool = True) -> dict[str, Hint]:
@@ -103,6 +107,7 @@ def later(delay_s: float) -> Change:
     return lambda t: Trajectory(t.stamps_s + delay_s, t.positions_m, t.quats_xyzw)
 
 
+@functools.cache
 def is_poor(truth: Trajectory, estimate: Trajectory) -> bool:
     """Its error is a tenth of the path's size: a mistake makes it worse, but not by much."""
     paired = pair(Reference(truth), estimate, SIM3)

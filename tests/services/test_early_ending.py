@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import signal
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +17,8 @@ from slamhive.executors.status import Exited, Running
 from slamhive.runs.outcome import UNSEEN
 from slamhive.schema.submission import StopWhen, Submission
 from slamhive.services.configurations.submission import unwatchable
+from slamhive.services.worker.context import DriverContext
+from slamhive.services.worker.driver import RunDriver
 from slamhive.services.worker.evidence import STOP_RULE, STOPPED_BECAUSE
 from slamhive.store import Lease
 from tests.services.fake_executor import FakeExecutor, write_trajectory
@@ -117,12 +120,18 @@ def test_what_was_written_down_before_the_worker_died_stands(hive):
 
 def drive(hive, run_id):
     """In this thread, as the worker ``worker`` would."""
-    from slamhive.services.worker.driver import RunDriver  # noqa: PLC0415
-
-    worker = hive.worker()
-    worker._held.add(run_id)
-    context = worker._context
-    object.__setattr__(context, "owner", "worker")
+    context = DriverContext(
+        settings=hive.settings,
+        store=hive.store,
+        catalogue=hive.catalogue,
+        executors=hive.executors.get,
+        owner="worker",
+        stopping=threading.Event(),
+        still_held=lambda _run_id: True,
+        cancel_requested=lambda _run_id: False,
+        protocol_of=hive.evaluations.protocol_of,
+        variants=hive.variants,
+    )
     run = hive.store.write(lambda t: t.queue.claim(Lease("worker", context.now(), 60), only=[run_id]))
     RunDriver(context, run, None).drive()
 

@@ -54,8 +54,10 @@ def test_tier_that_cannot_run_is_named_and_only_ci_fails(runner, capsys):
     assert runner.report(outcomes(), 1.0, strict=True) == 1
 
 
-@pytest.mark.parametrize(("reason", "code"), [("../shared/data is absent", 0), ("no engine", 1)])
-def test_ci_allows_only_absent_recordings_to_be_skipped(runner, reason, code):
+@pytest.mark.parametrize(
+    ("reason", "code"), [("../shared/data is absent", 0), ("../shared/upstream is absent", 0), ("no engine", 1)]
+)
+def test_ci_allows_only_absent_recordings_and_sources_to_be_skipped(runner, reason, code):
     assert runner.report({"unit": runner.Outcome(passed=1, skipped=[reason])}, 1.0, strict=True) == code
     assert runner.report({"unit": runner.Outcome(passed=1, skipped=[reason])}, 1.0, strict=False) == 0
 
@@ -122,10 +124,10 @@ def test_without_rights_the_engine_tier_names_the_command(runner, monkeypatch):
 
 def test_every_test_belongs_to_exactly_one_tier(runner):
     tiers = [tier for tier in runner.all_tiers(runner.machine.Engine()) if tier.marks]
-    names = ("docker", "mysql", "integration", "quick", "alone", "packages", "classical")
+    names = ("docker", "mysql", "integration", "quick", "alone", "images", "packages", "classical")
     for values in itertools.product((False, True), repeat=len(names)):
         marks = dict(zip(names, values, strict=True))
-        long = marks["packages"] + marks["classical"]
+        long = marks["images"] + marks["packages"] + marks["classical"]
         if marks["docker"] >= max(marks["alone"], long) and long <= 1:
             assert sum(eval(tier.marks, {}, marks) for tier in tiers) == 1
 
