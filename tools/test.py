@@ -9,6 +9,7 @@ Standard library only; runs with the interpreter of ``.venv``.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import shutil
@@ -18,7 +19,7 @@ import tempfile
 import threading
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,6 +45,8 @@ ENGINE_PACKAGES = ("docker.io", "iptables", "debootstrap")
 COMPOSE_PACKAGES = ("docker-compose-v2", "docker-compose-plugin", "docker-compose")
 CLIENT_PACKAGE = "docker-cli"
 NO_BYTECODE = "PYTHONDONTWRITEBYTECODE"
+KEPT_DATASETS = "TESTS_KEEP_DATASETS_IN"
+"""Names the folder where one tier leaves the datasets that take long to make, for those that run after it."""
 NO_ENGINE = "unix:///nonexistent/docker.sock"
 DATABASE_PACKAGE = "mariadb-server-core"
 
@@ -98,8 +101,9 @@ def main(names: Sequence[str]) -> int:
     started = time.monotonic()
     outcomes: dict[str, Outcome] = {}
     try:
-        for _, group in itertools.groupby(chosen, key=lambda tier: tier.group or tier.name):
-            outcomes.update(run_group(list(group)))
+        with keeping_datasets():
+            for _, group in itertools.groupby(chosen, key=lambda tier: tier.group or tier.name):
+                outcomes.update(run_group(list(group)))
     except KeyboardInterrupt:
         print("\ninterrupted")
     finally:
@@ -139,6 +143,17 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),
         Tier("classical", marks="classical", engine=True, prepare=with_engine, asked_only=True),
     ]
+
+
+@contextlib.contextmanager
+def keeping_datasets() -> Iterator[None]:
+    """Meanwhile, tiers find the datasets that others have made."""
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ[KEPT_DATASETS] = folder
+        try:
+            yield
+        finally:
+            del os.environ[KEPT_DATASETS]
 
 
 def run_group(tiers: Sequence[Tier]) -> dict[str, Outcome]:
