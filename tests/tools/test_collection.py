@@ -1,0 +1,23 @@
+"""``tests/conftest.py`` leaves files unread only if ``-m`` can select none of their tests."""
+
+from __future__ import annotations
+
+import pytest
+from _pytest.mark.expression import Expression
+
+from tests.conftest import TESTS, may_be_selected
+
+
+@pytest.mark.parametrize(
+    ("file", "marks", "read"),
+    [
+        ("store/test_store_runs.py", "mysql", True),  # the mark is in the conftest.py of its folder
+        ("executors/test_recovery.py", "docker", True),  # on a parameter
+        ("algorithms/test_bounds.py", "alone and not classical", True),
+        ("base/test_errors.py", "mysql", False),
+        ("base/test_errors.py", "not docker", True),
+        ("evaluation/test_hints.py", "not integration", False),
+    ],
+)
+def test_files_are_read_for_the_marks_that_their_tests_may_have(file: str, marks: str, read: bool) -> None:
+    assert may_be_selected(TESTS / file, Expression.compile(marks)) is read
