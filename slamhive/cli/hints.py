@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from slamhive.cli.output import tell
 from slamhive.domain.hint import Hint
-from slamhive.services.evaluations import evaluation_notes
-from slamhive.services.hive import Hive
-from slamhive.store import EvaluationRecord
+
+if TYPE_CHECKING:
+    from slamhive.services.hive import Hive
+    from slamhive.store import EvaluationRecord
 
 _NAMED_RUNS = 5
 
@@ -20,6 +22,8 @@ def hint_in_words(hint: Hint) -> str:
 
 def hints_of(hive: Hive, ended: Iterable[EvaluationRecord]) -> dict[int, tuple[Hint, ...]]:
     """{run: hints} of successful evaluations that have hints."""
+    from slamhive.services.evaluations import evaluation_notes  # noqa: PLC0415 - lists of runs show no hints
+
     found = {
         entry.run_id: evaluation_notes(hive.runs.folder(entry.run_id), entry.protocol.fingerprint).hints
         for entry in ended

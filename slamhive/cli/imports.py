@@ -154,3 +154,6 @@ def _reading_in_words(words: str, members: list[Reading]) -> str:
 
 
 _WHAT = {"time_unit": "Unit", "quaternion_order": "Order"}
+
+
+COMMANDS = (import_runs,)

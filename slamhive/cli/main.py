@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import sys
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import click
 
 from slamhive import __version__, registry
 from slamhive.cli.context import CliContext
+from slamhive.cli.groups import LazyGroup
 from slamhive.errors import InvalidInput, SlamHiveError, one_line
 from slamhive.input_bounds import check_text
 
@@ -29,7 +29,7 @@ MODULES = {
     "plugins": "plugins",
     "protocol": "protocols",
     "reindex": "maintenance",
-    "run": "runs",
+    "run": "running",
     "runs": "runs",
     "search": "searching",
     "serve": "serving",
@@ -37,22 +37,11 @@ MODULES = {
     "variants": "variants",
     "worker": "serving",
 }
-"""The module of each command. Only that module is imported: importing all takes a second."""
+"""The module of each command."""
 
 
-class Root(click.Group):
+class Root(LazyGroup):
     """The group of all commands. An explained error ends a command with one line and exit code 1."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
-        """The names of all commands."""
-        return sorted(MODULES)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        """The command of that name; its module is imported now."""
-        if cmd_name not in MODULES:
-            return None
-        commands: tuple[click.Command, ...] = import_module(f"slamhive.cli.{MODULES[cmd_name]}").COMMANDS
-        return next(command for command in commands if command.name == cmd_name)
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
@@ -97,7 +86,12 @@ def _usage(error: click.UsageError) -> str:
     return f"{one_line(error.format_message()).rstrip('.')}; see {path} --help"
 
 
-@click.group("slamhive", cls=Root, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    "slamhive",
+    cls=Root,
+    modules=MODULES,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(__version__, prog_name="slamhive")
 @click.option("--data", type=click.Path(path_type=Path), help="Data root; wins over SLAMHIVE_DATA.")
 @click.option("--database-url", help="Database; wins over SLAMHIVE_DATABASE_URL.")

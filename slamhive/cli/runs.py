@@ -1,32 +1,26 @@
-"""``slamhive run`` and ``slamhive runs``: start, watch, list, show, cancel, retry."""
+"""``slamhive runs``: list, show, cancel and retry runs. ``import`` has a module of its own."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
+from slamhive.cli.groups import LazyGroup
 from slamhive.cli.hints import hint_in_words
-from slamhive.cli.imports import import_runs
-from slamhive.cli.matching import bound_rows, print_match
 from slamhive.cli.output import print_json, print_table, tell
-from slamhive.cli.run_options import submission_options, submission_values
 from slamhive.cli.searching import Listing, print_export, print_groups, search_of, split_columns, write_parquet
-from slamhive.cli.waiting import run_to_end
 from slamhive.domain.metrics import described
 from slamhive.domain.numbers import plural
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput
-from slamhive.schema.matching import Match
-from slamhive.schema.run import Run
-from slamhive.schema.submission import Submission
-from slamhive.services.configurations import unwatchable
-from slamhive.services.evaluations import evaluation_notes
 from slamhive.services.exports import disturbed_text
-from slamhive.services.hive import Hive
 from slamhive.store import RunRecord, RunSort
+
+if TYPE_CHECKING:
+    from slamhive.services.hive import Hive
 
 SPARE = ("time s", "RAM MB", "CPU cores", "tracked", "poses", "dataset", "reason", "disturbed")
 COLUMNS = (
@@ -48,39 +42,7 @@ LISTS = ("states", "reasons", "experiments", "algorithms", "datasets")
 NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 
 
-@click.command()
-@click.argument("algorithm")
-@click.argument("dataset")
-@submission_options()
-@click.option("--wait", is_flag=True, help="Wait until the runs have ended; run them here if there is no worker.")
-@click.option("--preview", is_flag=True, help="Only print which sensors are used and what is taken from them.")
-@json_option
-@pass_cli
-def run(cli: CliContext, as_json: bool, wait: bool, preview: bool, **options: Any) -> None:
-    """Run ALGORITHM on DATASET."""
-    hive = cli.hive()
-    submission = Submission(**submission_values(options))
-    if preview:
-        match = Match.of_match(hive.configurations.check(submission).match)
-        print_json(match.content) if as_json else print_match(match)
-        return
-    submitted = hive.runs.submit(submission)
-    unseen = unwatchable(submission.stop_when, [hive.catalogue.algorithm(submission.algorithm)])
-    for note in (unseen, hive.configurations.map_note(submission)):
-        if note is not None:
-            tell(f"note: {note}")
-    run_ids = [entry.id for entry in submitted]
-    if wait:
-        run_to_end(hive, run_ids, evaluate=submission.evaluate)
-    elif not hive.worker_alive():
-        tell("no worker is running here; start one with `slamhive worker` or `slamhive serve`")
-    ended = [hive.runs.get(run_id) for run_id in run_ids]
-    print_runs(ended, as_json)
-    if wait and any(entry.state is not RunState.SUCCEEDED for entry in ended):
-        raise click.exceptions.Exit(1)
-
-
-@click.group(invoke_without_command=True)
+@click.group(cls=LazyGroup, modules={"import": "imports"}, invoke_without_command=True)
 @click.option("--where", default="", metavar="FILTER", help="Only these, e.g. 'ate.rmse < 0.1 and dataset ~ MH_0*'.")
 @click.option("--saved", metavar="NAME", help="The filter, columns and order of a saved search.")
 @click.option("--state", "states", type=choice(RunState), multiple=True, help="Only these states.")
@@ -148,7 +110,7 @@ def list_runs(hive: Hive, options: dict[str, Any], *, as_json: bool) -> None:
 
 
 def _print_page(listing: Listing, *, as_json: bool) -> None:
-    page = listing.hive.runs.page(listing.search, listing.sort, limit=listing.size)
+    page = listing.hive.stored_runs.page(listing.search, listing.sort, limit=listing.size)
     if as_json:
         print_runs(list(page.records), as_json)
         return
@@ -166,6 +128,10 @@ def _print_page(listing: Listing, *, as_json: bool) -> None:
 @pass_cli
 def show(cli: CliContext, run_id: int, as_json: bool) -> None:
     """Show one run: configuration, outcome, metrics, events, evaluations."""
+    from slamhive.cli.matching import bound_rows  # noqa: PLC0415 - the list of runs needs none of these
+    from slamhive.schema.matching import Match  # noqa: PLC0415
+    from slamhive.services.evaluations import evaluation_notes  # noqa: PLC0415
+
     hive = cli.hive()
     entry, recorded = hive.runs.get(run_id), hive.runs.record(run_id)
     content = {
@@ -281,6 +247,8 @@ def _number(value: float | None, pattern: str, factor: float = 1.0) -> str | Non
 def print_runs(entries: list[RunRecord], as_json: bool) -> None:
     """Runs as a table on stdout, or as a JSON list."""
     if as_json:
+        from slamhive.schema.run import Run  # noqa: PLC0415 - the models of documents take long to make
+
         print_json([Run.of(entry).content for entry in entries])
     elif entries:
         print_table(COLUMNS, [run_row(entry) for entry in entries], right=NUMBERS, spare=SPARE)
@@ -295,6 +263,4 @@ def print_runs(entries: list[RunRecord], as_json: bool) -> None:
         tell("no runs; `slamhive run ALGORITHM DATASET` starts one")
 
 
-runs.add_command(import_runs)
-
-COMMANDS = (run, runs)
+COMMANDS = (runs,)

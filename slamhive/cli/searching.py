@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeAlias
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias
 
 import click
 
@@ -20,10 +20,12 @@ from slamhive.search.parser import parse_filter
 from slamhive.search.syntax import Comparison, Sign, Word, filter_text
 from slamhive.search.words import in_words
 from slamhive.services.exports import GroupExport, Record, RunExport, TableExport, by_protocol
-from slamhive.services.hive import Hive
 from slamhive.services.searches import order_in_words, summary
 from slamhive.store import Count, RunRecord, RunSort
 from slamhive.store.records import GroupRecord, SavedSearchRecord, Spread
+
+if TYPE_CHECKING:
+    from slamhive.services.hive import Hive
 
 Fetch: TypeAlias = Callable[[str | None, int], tuple[Sequence[Record], str | None]]
 """At most so many records after a key, and the key of the next page."""
@@ -38,6 +40,8 @@ WORDS = ("algorithm", "dataset", "experiment", "executor", "state", "reason")
 
 def search_of(hive: Hive, where: str, lists: dict[str, Sequence[str]]) -> Search:
     """The filter and the restrictions of other options, joined by "and"."""
+    if not where.strip() and not any(lists.values()):
+        return Search()
     vocabulary = hive.searches.vocabulary()
     typed = parse_filter(where)
     bind(typed, where, vocabulary)  # so that a message points into the text that was typed
@@ -86,7 +90,7 @@ class Listing:
         """All runs, for a file."""
 
         def fetch(after: str | None, size: int) -> tuple[Sequence[RunRecord], str | None]:
-            page = self.hive.runs.page(self.search, self.sort, after, size)
+            page = self.hive.stored_runs.page(self.search, self.sort, after, size)
             return page.records, page.next_key
 
         return RunExport(self.columns or FILE_COLUMNS, self.hive.searches.vocabulary()), Pages(fetch, self.limit)

@@ -1,36 +1,43 @@
-"""One installation of SLAM Hive: opens it, connects its use cases, and closes it."""
+"""One installation of SLAM Hive: opens it, connects its use cases, and closes it.
+
+A use case is imported and made on first use: a command loads only what it needs.
+"""
+
+# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.errors import Conflict, Unavailable
-from slamhive.foreign.numbers import Numbers
 from slamhive.project import project_root
-from slamhive.services.algorithms import AlgorithmImports
-from slamhive.services.analyses import AnalysisJobs, StoredAnalyses
-from slamhive.services.configurations import Configurations
 from slamhive.services.data_root import DataRoot, open_data_root
-from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, Variants, check_writable, stored_numbers
-from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, Protocols
-from slamhive.services.executors import Executors
-from slamhive.services.experiments import ExperimentContext, Experiments
-from slamhive.services.imports import Imports
-from slamhive.services.ledger import Ledger
-from slamhive.services.run_comparison import RunComparisons
-from slamhive.services.runs import Runs
-from slamhive.services.searches import Searches
-from slamhive.services.versions import Versions
-from slamhive.services.worker import Worker, WorkerLock
 from slamhive.settings import Mode, Settings
 from slamhive.settings_sources import load_settings
-from slamhive.store import Store
 
 if TYPE_CHECKING:
+    from slamhive.foreign.numbers import Numbers
+    from slamhive.services.algorithms import AlgorithmImports
+    from slamhive.services.analyses import AnalysisJobs, StoredAnalyses
+    from slamhive.services.configurations import Configurations
+    from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, Variants
+    from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, Protocols
+    from slamhive.services.executors import Executors
+    from slamhive.services.experiments import Experiments
     from slamhive.services.fetching import Fetching
+    from slamhive.services.imports import Imports
+    from slamhive.services.ledger import Ledger
     from slamhive.services.reports import Analyses
+    from slamhive.services.run_comparison import RunComparisons
+    from slamhive.services.runs import Runs, StoredRuns
+    from slamhive.services.searches import Searches
+    from slamhive.services.versions import Versions
+    from slamhive.services.worker import Worker
+    from slamhive.store import Store
+    from slamhive.store.changes import Changes
 
 
 class Hive:
@@ -39,69 +46,209 @@ class Hive:
     Args:
         settings: In force.
         store: Open, with tables of this version.
-        catalogue: Algorithms and datasets.
+        project_root: The project folder, which holds the algorithms.
     """
 
-    def __init__(self, settings: Settings, store: Store, catalogue: Catalogue) -> None:
+    def __init__(self, settings: Settings, store: Store, project_root: Path) -> None:
         self.settings = settings
         self.store = store
-        self.catalogue = catalogue
-        self.ledger = Ledger(settings, store)
+        self.project_root = project_root
         if settings.mode is not Mode.VIEW_ONLY:
-            store.listener = self.ledger.note
-        self.executors = Executors(settings, catalogue.project_root, self.worker_alive)
-        self.variants = Variants(settings, store)
-        self.dataset_views = DatasetViews()
-        self.dataset_checks = DatasetChecks(settings)
-        self.searches = Searches(settings, store, catalogue)
-        self.configurations = Configurations(settings, store, catalogue, self.variants)
-        self.versions = Versions(settings, store, catalogue, self.executors)
-        self.runs = Runs(settings, store, self.configurations, self.executors)
-        self.protocols = Protocols(store)
-        self.evaluations = Evaluations(settings, store, catalogue, self.protocols, self.executors.evaluation_runner)
-        self.current_protocols = CurrentProtocols(store, self.evaluations, settings.runs_folder)
-        self.comparisons = Comparisons(store, self.evaluations, settings.runs_folder)
-        self.run_comparisons = RunComparisons(store, settings.runs_folder)
-        self.experiments = Experiments(ExperimentContext(settings, store, catalogue, self.variants, self.executors))
-        self.algorithms = AlgorithmImports(settings, catalogue, self.executors)
-        self.imports = Imports(settings, store, catalogue)
-        self.stored_analyses = StoredAnalyses(settings, store, lambda text: self.analyses.read(text).name)
-        self.analysis_jobs = AnalysisJobs(settings, store, catalogue.project_root)
+            store.listener = self._note
+
+    @cached_property
+    def catalogue(self) -> Catalogue:
+        """Algorithms and datasets."""
+        from slamhive.services.datasets import Catalogue
+
+        return Catalogue(self.settings, self.project_root)
+
+    @cached_property
+    def ledger(self) -> Ledger:
+        """The file copy of what the database alone knows."""
+        from slamhive.services.ledger import Ledger
+
+        return Ledger(self.settings, self.store)
+
+    @cached_property
+    def executors(self) -> Executors:
+        """What runs are executed by."""
+        from slamhive.services.executors import Executors
+
+        return Executors(self.settings, self.project_root, self.worker_alive)
+
+    @cached_property
+    def variants(self) -> Variants:
+        """Variants of datasets."""
+        from slamhive.services.datasets import Variants
+
+        return Variants(self.settings, self.store)
+
+    @cached_property
+    def dataset_views(self) -> DatasetViews:
+        """Images, sweeps and motion of datasets."""
+        from slamhive.services.datasets import DatasetViews
+
+        return DatasetViews()
+
+    @cached_property
+    def dataset_checks(self) -> DatasetChecks:
+        """Checks of datasets."""
+        from slamhive.services.datasets import DatasetChecks
+
+        return DatasetChecks(self.settings)
+
+    @cached_property
+    def searches(self) -> Searches:
+        """Filters, groups and saved searches."""
+        from slamhive.services.searches import Searches
+
+        return Searches(self.settings, self.store, self.catalogue)
+
+    @cached_property
+    def configurations(self) -> Configurations:
+        """What runs execute."""
+        from slamhive.services.configurations import Configurations
+
+        return Configurations(self.settings, self.store, self.catalogue, self.variants)
+
+    @cached_property
+    def versions(self) -> Versions:
+        """Kept versions of packages."""
+        from slamhive.services.versions import Versions
+
+        return Versions(self.settings, self.store, self.catalogue, self.executors)
+
+    @cached_property
+    def stored_runs(self) -> StoredRuns:
+        """Runs, to read only. Loads a fraction of what :attr:`runs` loads."""
+        from slamhive.services.runs import StoredRuns
+
+        return StoredRuns(self.settings, self.store)
+
+    @cached_property
+    def runs(self) -> Runs:
+        """Runs, to read and to change."""
+        from slamhive.services.runs import Runs
+
+        return Runs(self.settings, self.store, self.configurations, self.executors)
+
+    @cached_property
+    def protocols(self) -> Protocols:
+        """Protocols that evaluations use."""
+        from slamhive.services.evaluations import Protocols
+
+        return Protocols(self.store)
+
+    @cached_property
+    def evaluations(self) -> Evaluations:
+        """The queue of evaluations, and their results."""
+        from slamhive.services.evaluations import Evaluations
+
+        return Evaluations(self.settings, self.store, self.catalogue, self.protocols, self.executors.evaluation_runner)
+
+    @cached_property
+    def current_protocols(self) -> CurrentProtocols:
+        """The protocol whose metrics are shown."""
+        from slamhive.services.evaluations import CurrentProtocols
+
+        return CurrentProtocols(self.store, self.evaluations, self.settings.runs_folder)
+
+    @cached_property
+    def run_comparisons(self) -> RunComparisons:
+        """Runs side by side."""
+        from slamhive.services.run_comparison import RunComparisons
+
+        return RunComparisons(self.store, self.settings.runs_folder)
+
+    @cached_property
+    def comparisons(self) -> Comparisons:
+        """Metrics of runs under several protocols."""
+        from slamhive.services.evaluations import Comparisons
+
+        return Comparisons(self.store, self.evaluations, self.settings.runs_folder)
+
+    @cached_property
+    def experiments(self) -> Experiments:
+        """Experiments."""
+        from slamhive.services.experiments import ExperimentContext, Experiments
+
+        return Experiments(ExperimentContext(self.settings, self.store, self.catalogue, self.variants, self.executors))
+
+    @cached_property
+    def algorithms(self) -> AlgorithmImports:
+        """Import of algorithm packages."""
+        from slamhive.services.algorithms import AlgorithmImports
+
+        return AlgorithmImports(self.settings, self.catalogue, self.executors)
+
+    @cached_property
+    def imports(self) -> Imports:
+        """Import of trajectories."""
+        from slamhive.services.imports import Imports
+
+        return Imports(self.settings, self.store, self.catalogue)
+
+    @cached_property
+    def stored_analyses(self) -> StoredAnalyses:
+        """Stored analyses."""
+        from slamhive.services.analyses import StoredAnalyses
+
+        return StoredAnalyses(self.settings, self.store, lambda text: self.analyses.read(text).name)
+
+    @cached_property
+    def analysis_jobs(self) -> AnalysisJobs:
+        """The queue of analyses."""
+        from slamhive.services.analyses import AnalysisJobs
+
+        return AnalysisJobs(self.settings, self.store, self.project_root)
 
     @cached_property
     def analyses(self) -> Analyses:
         """Analysis files and reports; loaded on first use, because matplotlib, pandas and scipy take two seconds."""
-        from slamhive.services.reports import Analyses  # noqa: PLC0415
+        from slamhive.services.reports import Analyses
 
         return Analyses(self.settings, self.store, self.catalogue, self.searches)
 
     @cached_property
     def fetching(self) -> Fetching:
         """Public sequences; loaded on first use, because few commands fetch."""
-        from slamhive.services.fetching import Collections, Fetching  # noqa: PLC0415
+        from slamhive.services.fetching import Collections, Fetching
 
         return Fetching(self.settings, self.catalogue, Collections(self.catalogue.project_root))
 
     def worker(self, only: Sequence[int] | None = None) -> Worker:
         """A worker of this installation, for all runs or for ``only`` these; its ``run`` does the work."""
+        from slamhive.services.worker import Worker
+
         self.check_writable()
         return Worker(self.settings, self.store, self.catalogue, self.executors.get, self.evaluations, only)
 
     def worker_alive(self) -> bool:
         """Whether a worker of this data root is running on this machine."""
+        from slamhive.services.worker import WorkerLock
+
         return WorkerLock(self.settings.data).held_elsewhere()
 
     def numbers(self) -> Numbers:
         """The numbers of algorithms, datasets and experiments in the database."""
+        from slamhive.services.datasets import stored_numbers
+
         return stored_numbers(self.store)
 
     def check_writable(self) -> None:
         """Raise Forbidden in view-only mode."""
+        from slamhive.services.datasets import check_writable
+
         check_writable(self.settings)
+
+    def _note(self, changes: Changes) -> None:
+        self.ledger.note(changes)
 
     def close(self) -> None:
         """Close the database and the connections to engines."""
-        self.executors.close()
+        if "executors" in vars(self):  # making them only to close them would load the Docker SDK
+            self.executors.close()
         self.store.close()
 
 
@@ -115,15 +262,16 @@ def open_hive(options: Mapping[str, Any] | None = None, data_root: DataRoot = Da
     settings = load_settings(root, options=options)
     if settings.mode in (Mode.CLUSTER, Mode.CLOUD):
         raise Unavailable(f"MODE={settings.mode} is not available yet", "use workstation or view-only")
-    return Hive(settings, open_data_root(settings, data_root), Catalogue(settings, root))
+    return Hive(settings, open_data_root(settings, data_root), root)
 
 
 def check_indexed(hive: Hive) -> None:
     """Raise Conflict if there is data but the database is empty: it was lost, and numbers would be used twice."""
-    if sum(hive.runs.counts().values()) == 0:
-        runs = hive.settings.runs_folder
-        if any(entry.name.isdigit() for entry in runs.iterdir()):
-            raise Conflict(f"{runs} holds runs that are missing from the database", "slamhive reindex files them")
+    if any(hive.stored_runs.counts().values()):
+        return
+    runs = hive.settings.runs_folder
+    if any(entry.name.isdigit() for entry in runs.iterdir()):
+        raise Conflict(f"{runs} holds runs that are missing from the database", "slamhive reindex files them")
     if hive.ledger.knows_more():
         raise Conflict(
             f"{hive.settings.ledger_folder} holds configurations or searches, but the database is empty",

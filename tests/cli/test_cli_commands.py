@@ -12,6 +12,7 @@ import click
 from slamhive import cli
 from slamhive.cli import main
 from slamhive.cli.main import MODULES
+from slamhive.cli.runs import runs
 
 
 def test_every_command_of_every_module_is_found():
@@ -21,7 +22,7 @@ def test_every_command_of_every_module_is_found():
         for module in modules
         for command in getattr(module, "COMMANDS", ())
     }
-    assert found == MODULES
+    assert found == {**MODULES, **runs.modules}
     assert main.get_command(click.Context(main), "no-such-command") is None
 
 

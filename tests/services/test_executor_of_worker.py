@@ -7,7 +7,6 @@ from unittest.mock import Mock
 import pytest
 
 from slamhive.errors import Unavailable
-from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.hive import Hive
 from slamhive.services.worker.lock import WorkerLock
 from slamhive.settings import Settings
@@ -24,7 +23,7 @@ def hive(tmp_path, monkeypatch):
 
     monkeypatch.setattr("slamhive.services.executors.choose_executor", refuse)
     settings = Settings(data=tmp_path, executor="docker")
-    return Hive(settings, Mock(), Catalogue(settings, tmp_path))
+    return Hive(settings, Mock(), tmp_path)
 
 
 def test_named_executor_is_left_to_the_worker_that_runs(hive, tmp_path):

@@ -341,7 +341,7 @@ def test_an_algorithm_that_changed_while_storing_was_interrupted_is_told(hive: H
 def test_view_only_refuses_every_change(hive: Hive) -> None:
     hive.experiments.start(source())
     before = everything(hive)
-    viewer = Hive(hive.settings.model_copy(update={"mode": Mode.VIEW_ONLY}), hive.store, hive.catalogue)
+    viewer = Hive(hive.settings.model_copy(update={"mode": Mode.VIEW_ONLY}), hive.store, hive.project_root)
     viewer.experiments.preview(source())
     for change in (
         lambda: viewer.experiments.start(source(SIX.replace("name: six", "name: seven"))),

@@ -24,7 +24,6 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.evaluation.job import EvaluationResult
 from slamhive.project import project_root
 from slamhive.runs.folder import RunFolder
-from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode, Settings
 from slamhive.store import Lease, RunRequest, Transaction, open_store
@@ -126,7 +125,7 @@ def make_hive(
     if template is not None and not database.exists():
         shutil.copy(template, database)
     store = open_store(settings.effective_database_url, upgrade=not database.exists())
-    return Hive(settings, store, Catalogue(settings, root))
+    return Hive(settings, store, root)
 
 
 def add_runs(hive: Hive, count: int = 1, algorithm: str = "eye-slam-stereo", **parameters: object) -> list[int]:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from slamhive.services.algorithms.planning import ImportRequest, PlannedPackage
-from slamhive.services.algorithms.service import AlgorithmImports, ImportedPackage
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.algorithms.planning import ImportRequest, PlannedPackage
+    from slamhive.services.algorithms.service import AlgorithmImports, ImportedPackage
 
 __all__ = [
     "AlgorithmImports",
@@ -11,3 +16,6 @@ __all__ = [
     "ImportedPackage",
     "PlannedPackage",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

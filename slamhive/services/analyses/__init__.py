@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from slamhive.services.analyses.folder import FIGURES, PAGE, REPORT, SOURCE, AnalysisFolder
-from slamhive.services.analyses.jobs import AnalysisJobs
-from slamhive.services.analyses.stored import MAX_TEXT_BYTES, StoredAnalyses, may_analyse
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.analyses.folder import FIGURES, PAGE, REPORT, SOURCE, AnalysisFolder
+    from slamhive.services.analyses.jobs import AnalysisJobs
+    from slamhive.services.analyses.stored import MAX_TEXT_BYTES, StoredAnalyses, may_analyse
 
 __all__ = [
     "FIGURES",
@@ -17,3 +22,6 @@ __all__ = [
     "StoredAnalyses",
     "may_analyse",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

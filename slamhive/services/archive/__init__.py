@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from slamhive.services.archive.checking import check_archive
-from slamhive.services.archive.exporting import ExportRequest, Part, export_archive
-from slamhive.services.archive.importing import ArchiveImport
-from slamhive.services.archive.lines import dataset_from_line, search_from_line
-from slamhive.services.archive.reading import open_archive
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.archive.checking import check_archive
+    from slamhive.services.archive.exporting import ExportRequest, Part, export_archive
+    from slamhive.services.archive.importing import ArchiveImport
+    from slamhive.services.archive.lines import dataset_from_line, search_from_line
+    from slamhive.services.archive.reading import open_archive
 
 __all__ = [
     "ArchiveImport",
@@ -18,3 +23,6 @@ __all__ = [
     "open_archive",
     "search_from_line",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

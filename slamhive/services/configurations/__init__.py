@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from slamhive.services.configurations.changes import Changes, Label, Stored
-from slamhive.services.configurations.maps import FoundMap, find_map
-from slamhive.services.configurations.service import Checked, Configurations, put_configuration
-from slamhive.services.configurations.submission import unwatchable
-from slamhive.services.configurations.words import check_label, configuration_document, parse_conditions
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.configurations.changes import Changes, Label, Stored
+    from slamhive.services.configurations.maps import FoundMap, find_map
+    from slamhive.services.configurations.service import Checked, Configurations, put_configuration
+    from slamhive.services.configurations.submission import unwatchable
+    from slamhive.services.configurations.words import check_label, configuration_document, parse_conditions
 
 __all__ = [
     "Changes",
@@ -22,3 +27,6 @@ __all__ = [
     "put_configuration",
     "unwatchable",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

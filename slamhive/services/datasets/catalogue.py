@@ -1,4 +1,9 @@
-"""The catalogue: algorithm packages in the project folder, datasets in the data root."""
+"""The catalogue: algorithm packages in the project folder, datasets in the data root.
+
+What reads their files is imported when the first is read: many commands have a catalogue and read none.
+"""
+
+# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
@@ -7,22 +12,19 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from slamhive.bags.importing import ImportOptions, ImportPlan, perform
-from slamhive.bags.room import RoomOptions, render_room
-from slamhive.catalogue.algorithm_file import ALGORITHM_FILE, load_algorithms
-from slamhive.catalogue.algorithm_folders import ALGORITHM_FOLDERS
-from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
-from slamhive.catalogue.version_folders import kept_algorithm, kept_algorithms
-from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
-from slamhive.domain.dataset import Dataset
 from slamhive.domain.names import check_name
 from slamhive.domain.versions import split_version
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable, unknown
-from slamhive.foreign.folder import MAPPING, SCRIPTS
-from slamhive.schema import catalogue as schema
 from slamhive.settings import Mode, Settings
+
+if TYPE_CHECKING:
+    from slamhive.bags.importing import ImportOptions, ImportPlan
+    from slamhive.bags.room import RoomOptions
+    from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
+    from slamhive.domain.dataset import Dataset
+    from slamhive.schema import catalogue as schema
 
 Loaded = TypeVar("Loaded")
 Progress = Callable[[float, str], None]
@@ -50,6 +52,8 @@ class PlannedImport:
     @property
     def content(self) -> dict[str, Any]:
         """The plan as plain JSON."""
+        from slamhive.schema import catalogue as schema
+
         plan, truth = self.plan, self.plan.truth
         return {
             "name": self.name,
@@ -87,6 +91,9 @@ class Catalogue:
 
         ``NAME@2`` is the algorithm as it was in version 2 of its package.
         """
+        from slamhive.catalogue.algorithm_folders import ALGORITHM_FOLDERS
+        from slamhive.catalogue.version_folders import kept_algorithm
+
         name, number = split_version(name)
         if number is not None:
             return kept_algorithm(self._settings.versions_folder, name, number)
@@ -105,6 +112,8 @@ class Catalogue:
 
     def versioned_algorithms(self) -> dict[str, Algorithm]:
         """All algorithms by the name that users ask for: as they are now, and as they were in kept versions."""
+        from slamhive.catalogue.version_folders import kept_algorithms
+
         kept = kept_algorithms(self._settings.versions_folder)
         return {algorithm.label: algorithm for algorithm in (*self.algorithms(), *kept)}
 
@@ -142,6 +151,8 @@ class Catalogue:
 
     def dataset_in_folder(self, name: str) -> Dataset:
         """The dataset in the folder called ``name``; reads no other folder; raises InvalidInput."""
+        from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
+
         return self._load(self.dataset_folder(name) / DATASET_FILE, load_dataset)
 
     def broken(self) -> tuple[BrokenEntry, ...]:
@@ -164,7 +175,7 @@ class Catalogue:
             Conflict: The dataset exists already.
             InvalidInput: The name or the source cannot be used; says why.
         """
-        from slamhive.bags.importers import IMPORTERS, plan_import  # noqa: PLC0415 - some thirty modules
+        from slamhive.bags.importers import IMPORTERS, plan_import
 
         if format_name is not None:
             IMPORTERS.get(format_name)
@@ -174,10 +185,14 @@ class Catalogue:
 
     def import_dataset(self, planned: PlannedImport, progress: Progress) -> Dataset:
         """Make the dataset as planned; a failure leaves nothing behind."""
+        from slamhive.bags.importing import perform
+
         return perform(planned.plan, self._new_dataset_folder(planned.name), progress)
 
     def render_room(self, options: RoomOptions, progress: Progress, *, replace: bool = False) -> Dataset:
         """Render the synthetic room as a new dataset."""
+        from slamhive.bags.room import render_room
+
         folder = self._new_dataset_folder(options.name, replace=replace)
         return render_room(folder, options, progress)
 
@@ -217,6 +232,8 @@ class Catalogue:
         return loaded
 
     def _scan_algorithms(self) -> tuple[list[Algorithm], list[BrokenEntry]]:
+        from slamhive.catalogue.algorithm_file import ALGORITHM_FILE, load_algorithms
+
         found: list[Algorithm] = []
         broken: list[BrokenEntry] = []
         for name, folder in self._algorithm_folders():
@@ -232,6 +249,9 @@ class Catalogue:
 
     def _algorithm_folders(self) -> list[tuple[str, Path]]:
         """Those of the project, imported ones, those of plug-ins; the name is what the package must be called."""
+        from slamhive.catalogue.algorithm_file import ALGORITHM_FILE
+        from slamhive.catalogue.algorithm_folders import ALGORITHM_FOLDERS
+
         own = [path for root in self._algorithm_roots for path in sorted(root.glob(f"[!.]*/{ALGORITHM_FILE}"))]
         return [*((path.parent.name, path.parent) for path in own), *ALGORITHM_FOLDERS]
 
@@ -241,6 +261,9 @@ class Catalogue:
 
     def _not_imported(self, known: set[str]) -> Iterator[BrokenEntry]:
         """Folders of algorithms without ``algorithm.yaml``, as the published SLAM Hive has them."""
+        from slamhive.catalogue.algorithm_file import ALGORITHM_FILE
+        from slamhive.foreign.folder import MAPPING, SCRIPTS
+
         for root in self._algorithm_roots:
             for path in sorted(root.glob(f"[!.]*/{SCRIPTS}/{MAPPING}")):
                 folder = path.parent.parent
@@ -249,6 +272,8 @@ class Catalogue:
                     yield BrokenEntry(folder.name, folder, problem, is_algorithm=True)
 
     def _scan_datasets(self) -> tuple[list[Dataset], list[BrokenEntry]]:
+        from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
+
         found: list[Dataset] = []
         broken: list[BrokenEntry] = []
         for path in sorted(self._settings.datasets_folder.glob(f"*/{DATASET_FILE}")):
@@ -300,6 +325,8 @@ def _check_package(name: str, path: Path, algorithms: tuple[Algorithm, ...], oth
 
 def dataset_document(dataset: Dataset) -> schema.Dataset:
     """A dataset as JSON shows it, and whether the file of its ground truth exists."""
+    from slamhive.schema import catalogue as schema
+
     truth, path = dataset.groundtruth, dataset.groundtruth_path
     shown = None if truth is None else schema.GroundTruth.of(truth, exists=path is not None and path.is_file())
     return schema.Dataset.of(dataset, groundtruth=shown)

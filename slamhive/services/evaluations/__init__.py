@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from slamhive.services.evaluations.comparisons import NOT_EVALUATED, Comparisons, ToolFigures
-from slamhive.services.evaluations.current import CurrentProtocols
-from slamhive.services.evaluations.notes import evaluation_notes
-from slamhive.services.evaluations.protocols import Protocols, UsedProtocol, fitting_protocol, presets, protocol_for
-from slamhive.services.evaluations.scratch import sweep_scratch
-from slamhive.services.evaluations.service import PROTOCOL_FILE, Evaluations
-from slamhive.services.evaluations.trajectories import protocols_of_all
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.evaluations.comparisons import NOT_EVALUATED, Comparisons, ToolFigures
+    from slamhive.services.evaluations.current import CurrentProtocols
+    from slamhive.services.evaluations.notes import evaluation_notes
+    from slamhive.services.evaluations.protocols import Protocols, UsedProtocol, fitting_protocol, presets, protocol_for
+    from slamhive.services.evaluations.scratch import sweep_scratch
+    from slamhive.services.evaluations.service import PROTOCOL_FILE, Evaluations
+    from slamhive.services.evaluations.trajectories import protocols_of_all
 
 __all__ = [
     "NOT_EVALUATED",
@@ -26,3 +31,6 @@ __all__ = [
     "protocols_of_all",
     "sweep_scratch",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from slamhive.services.experiments.context import ExperimentContext, Progress
-from slamhive.services.experiments.folder import RECORD, SOURCE, ExperimentFolder, StoredExperiment
-from slamhive.services.experiments.reporting import NO_FIGURES, csv_text, failures_text, varying
-from slamhive.services.experiments.restoring import Restored
-from slamhive.services.experiments.service import Experiments
-from slamhive.services.experiments.status import METRICS
-from slamhive.services.experiments.views import (
-    ENDED,
-    Cell,
-    CellFigures,
-    ExperimentPreview,
-    ExperimentSource,
-    ExperimentStatus,
-    Failure,
-    Grid,
-    GridCell,
-    Phase,
-    Spread,
-    Standing,
-    failure_words,
-)
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.experiments.context import ExperimentContext, Progress
+    from slamhive.services.experiments.folder import RECORD, SOURCE, ExperimentFolder, StoredExperiment
+    from slamhive.services.experiments.reporting import NO_FIGURES, csv_text, failures_text, varying
+    from slamhive.services.experiments.restoring import Restored
+    from slamhive.services.experiments.service import Experiments
+    from slamhive.services.experiments.status import METRICS
+    from slamhive.services.experiments.views import (
+        ENDED,
+        Cell,
+        CellFigures,
+        ExperimentPreview,
+        ExperimentSource,
+        ExperimentStatus,
+        Failure,
+        Grid,
+        GridCell,
+        Phase,
+        Spread,
+        Standing,
+        failure_words,
+    )
 
 __all__ = [
     "ENDED",
@@ -52,3 +57,6 @@ __all__ = [
     "failures_text",
     "varying",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from slamhive.services.exports.groups import GroupExport, by_protocol
-from slamhive.services.exports.runs import RunExport, disturbed_text
-from slamhive.services.exports.table import Format, Page, Record, TableExport, safe_cell
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.exports.groups import GroupExport, by_protocol
+    from slamhive.services.exports.runs import RunExport, disturbed_text
+    from slamhive.services.exports.table import Format, Page, Record, TableExport, safe_cell
 
 __all__ = [
     "Format",
@@ -17,3 +22,6 @@ __all__ = [
     "disturbed_text",
     "safe_cell",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

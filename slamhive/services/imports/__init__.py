@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from slamhive.services.imports.exclusive import UNPACKED, one_import, sweep_imports
-from slamhive.services.imports.request import (
-    DEFAULT_GROUND_TRUTH,
-    DEFAULT_PATTERN,
-    DEFAULT_RELATIONS,
-    DEFAULT_TIMES,
-    ImportReport,
-    ImportRequest,
-    Reading,
-)
-from slamhive.services.imports.service import Imports
-from slamhive.services.imports.sources import parse_setup
-from slamhive.trajectory.pose_file import TrajectoryFormat
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.imports.exclusive import UNPACKED, one_import, sweep_imports
+    from slamhive.services.imports.request import (
+        DEFAULT_GROUND_TRUTH,
+        DEFAULT_PATTERN,
+        DEFAULT_RELATIONS,
+        DEFAULT_TIMES,
+        ImportReport,
+        ImportRequest,
+        Reading,
+    )
+    from slamhive.services.imports.service import Imports
+    from slamhive.services.imports.sources import parse_setup
+    from slamhive.trajectory.pose_file import TrajectoryFormat
 
 __all__ = [
     "DEFAULT_GROUND_TRUTH",
@@ -31,3 +36,6 @@ __all__ = [
     "parse_setup",
     "sweep_imports",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

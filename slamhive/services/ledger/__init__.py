@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from slamhive.services.ledger.keeping import Ledger
-from slamhive.services.ledger.restoring import LedgerRestore
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.ledger.keeping import Ledger
+    from slamhive.services.ledger.restoring import LedgerRestore
 
 __all__ = [
     "Ledger",
     "LedgerRestore",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

@@ -1,4 +1,4 @@
-"""Runs: submitted, retried, cancelled and looked up."""
+"""Runs: submitted, retried, cancelled and watched."""
 
 from __future__ import annotations
 
@@ -11,35 +11,32 @@ from typing import Any
 from slamhive.clock import utc_now
 from slamhive.domain.affinity import run_affinity
 from slamhive.domain.protocol import Protocol
-from slamhive.domain.run import RunEvent, RunState
+from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
 from slamhive.files import temporary_folder
-from slamhive.runs.folder import RunFolder
 from slamhive.runs.log_line import read_tail
-from slamhive.schema.run import RunWith
 from slamhive.schema.submission import Submission
-from slamhive.search.binding import Search
 from slamhive.services.configurations import Checked, Configurations, put_configuration
 from slamhive.services.datasets import check_writable
 from slamhive.services.evaluations import protocol_for
 from slamhive.services.executors import Executors
-from slamhive.services.runs.documents import run_in_full
 from slamhive.services.runs.progress import RunProgress, run_progress
 from slamhive.services.runs.record import handle_from_json
 from slamhive.services.runs.retrying import check_retriable, retry_request
 from slamhive.services.runs.series import RunSeries, run_series
 from slamhive.services.runs.specification import RunLimits, check_disk, check_executor, check_recorded, recorded_topics
+from slamhive.services.runs.stored import StoredRuns
 from slamhive.services.versions import check_version
 from slamhive.services.weights import WeightsStore
 from slamhive.settings import Settings
-from slamhive.store import Page, RunRecord, RunRequest, RunSort, Store, Transaction
+from slamhive.store import RunRecord, RunRequest, Store, Transaction
 
 logger = logging.getLogger(__name__)
 
 LOG_TAIL_BYTES = 200_000
 
 
-class Runs:
+class Runs(StoredRuns):
     """The runs of one installation.
 
     Args:
@@ -50,8 +47,7 @@ class Runs:
     """
 
     def __init__(self, settings: Settings, store: Store, configurations: Configurations, executors: Executors) -> None:
-        self._settings = settings
-        self._store = store
+        super().__init__(settings, store)
         self._configurations = configurations
         self._executors = executors
 
@@ -107,42 +103,6 @@ class Runs:
         now = utc_now()
         self._store.write(lambda t: t.runs.request_cancel(run_id, now))
         return self.get(run_id)
-
-    def page(
-        self, wanted: Search | None = None, sort: RunSort | None = None, after: str | None = None, limit: int = 50
-    ) -> Page:
-        """One page of runs with their metrics."""
-        return self._store.read(lambda t: t.runs.page(wanted, sort, after, limit, with_metrics=True))
-
-    def get(self, run_id: int) -> RunRecord:
-        """One run with its metrics; raises NotFound."""
-        return self._store.read(lambda t: t.runs.get(run_id, with_metrics=True))
-
-    def in_full(self, run_id: int) -> RunWith:
-        """A run with its moves and evaluations, as JSON shows it; raises NotFound."""
-
-        def work(t: Transaction) -> RunWith:
-            run, evaluations = t.runs.get(run_id, with_metrics=True), t.evaluations.for_run(run_id)
-            return run_in_full(run, self.folder(run_id), evaluations, t.runs.events(run_id))
-
-        return self._store.read(work)
-
-    def events(self, run_id: int) -> tuple[RunEvent, ...]:
-        """The changes of state of a run, oldest first."""
-        return tuple(self._store.read(lambda t: t.runs.events(run_id)))
-
-    def counts(self) -> dict[RunState, int]:
-        """How many runs are in each state."""
-        return self._store.read(lambda t: t.runs.counts_by_state())
-
-    def folder(self, run_id: int) -> RunFolder:
-        """The run's folder; it exists once a worker has prepared the run."""
-        return RunFolder(self._settings.runs_folder / str(run_id))
-
-    def record(self, run_id: int) -> dict[str, Any]:
-        """The content of ``run.json``: provenance and outcome; empty until a worker has claimed the run."""
-        folder = self.folder(run_id)
-        return folder.read_record() if folder.record.exists() else {}
 
     def log(self, run_id: int, max_bytes: int = LOG_TAIL_BYTES) -> str:
         """The last ``max_bytes`` of the run's output so far."""

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from slamhive.services.searches.service import LeftOut, Searches
-from slamhive.services.searches.words import order_in_words, summary
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.searches.service import LeftOut, Searches
+    from slamhive.services.searches.words import order_in_words, summary
 
 __all__ = [
     "LeftOut",
@@ -11,3 +16,6 @@ __all__ = [
     "order_in_words",
     "summary",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

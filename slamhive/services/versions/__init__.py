@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from slamhive.services.versions.importing import ImportedVersion, is_export
-from slamhive.services.versions.keeping import check_version, identity_of_version, keep_version
-from slamhive.services.versions.service import Finding, VersionReport, Versions
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.versions.importing import ImportedVersion, is_export
+    from slamhive.services.versions.keeping import check_version, identity_of_version, keep_version
+    from slamhive.services.versions.service import Finding, VersionReport, Versions
 
 __all__ = [
     "Finding",
@@ -16,3 +21,6 @@ __all__ = [
     "is_export",
     "keep_version",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

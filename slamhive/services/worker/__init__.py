@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from slamhive.services.worker.lock import WorkerLock
-from slamhive.services.worker.process import WorkerProcess
-from slamhive.services.worker.worker import Worker
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.worker.lock import WorkerLock
+    from slamhive.services.worker.process import WorkerProcess
+    from slamhive.services.worker.worker import Worker
 
 __all__ = [
     "Worker",
     "WorkerLock",
     "WorkerProcess",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)
