@@ -2,8 +2,8 @@
 
     python benchmarks/command_line.py [--data DIR] [--rounds 5]
 
-Each round runs the bare import and every command once. It prints the smallest CPU time (user + system) of each, and
-its ratio to that of the bare import: the machine may be shared, and the smallest time is disturbed least.
+Each round runs the bare import and every command once. The smallest CPU time (user + system) of each is printed, since
+others disturb it least on a shared machine. Its ratio to that of the bare import stands beside it.
 ``--data`` names the data root that is listed (default: that of the settings).
 """
 

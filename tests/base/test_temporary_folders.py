@@ -26,7 +26,7 @@ def test_a_new_temporary_folder_is_never_swept(monkeypatch: pytest.MonkeyPatch, 
     for sweeper in sweepers:
         sweeper.start()
     try:
-        for number in range(500):
+        for number in range(150):
             with temporary_folder() as folder:
                 (folder / "file").write_text(str(number))
                 assert (folder / "file").read_text() == str(number)

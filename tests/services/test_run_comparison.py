@@ -11,6 +11,8 @@ from slamhive.services.run_comparison.figures import metric_lines
 from slamhive.services.run_comparison.model import MetricLine, RunColumn
 from slamhive.services.run_comparison.settings import setting_lines
 
+pytestmark = pytest.mark.integration  # scipy takes half a second to load
+
 
 @dataclass(frozen=True)
 class Numbered:

@@ -14,7 +14,7 @@ from slamhive.settings import Mode
 from tests.web import web_world as world
 from tests.web.web_world import PROTOCOL, Web, make_web
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration  # pandas and scipy draw the plots
 
 
 @pytest.fixture
