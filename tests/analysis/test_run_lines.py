@@ -13,6 +13,8 @@ from slamhive.analysis.plot_types.looks import Curve, fold, lines_of, looks_of
 from slamhive.analysis.table import RunTable, make_table
 from tests.analysis.analysis_world import NoFiles, data_of
 
+pytestmark = pytest.mark.integration  # pandas and scipy take seconds to load
+
 
 def table_of(*failed: int) -> RunTable:
     """Runs 1 and 2 of configuration 7, run 3 of configuration 8."""

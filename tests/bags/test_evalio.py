@@ -21,7 +21,7 @@ from slamhive.trajectory.tum import read_tum
 from tests.bags.format_world import convert, recorded, silent
 from tests.fuzzing import mutated
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 START_NS = 1_600_000_000_000_000_000
 MUTATIONS = 60
 SYNTHETIC = """

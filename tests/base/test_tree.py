@@ -30,6 +30,7 @@ def descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
+@pytest.mark.integration
 def test_folders_deeper_than_paths_are_long_are_removed(tmp_path: Path):
     nest(tmp_path / "deep", DEEP + sys.getrecursionlimit())
     before = descriptors()

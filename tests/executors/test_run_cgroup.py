@@ -143,6 +143,7 @@ def test_a_controller_that_is_missing_is_left_to_the_supervisor(root):
     assert group.words()["memory"] == "checked by the supervisor"
 
 
+@pytest.mark.integration
 def test_without_a_limit_of_processes_it_does_not_hold(root):
     (root / SLICE / NAME / "pids.max").unlink()
     with pytest.raises(DoesNotHold, match=r"pids\.max"):

@@ -21,7 +21,7 @@ from slamhive.settings import Mode, Settings
 from tests.bags.test_kitti_odometry import sequence
 from tests.fetch.file_server import FileServer, serving
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 __all__ = ["sequence"]
 

@@ -50,6 +50,7 @@ def test_a_version_keeps_its_number_unless_that_is_taken(store: Store) -> None:
     assert numbers == [3, 4, 1, 3]
 
 
+@pytest.mark.quick
 def test_a_filter_names_a_version(store: Store, samples: Samples) -> None:
     first, second, third, waiting = samples.queued(4)
     ran(store, first, "orb-slam3", version("a"))

@@ -82,6 +82,7 @@ def test_compiled_modules_are_kept(runner, monkeypatch):
     assert runner.run_timed(runner.Tier("asked", (asked,))).state == "passed"
 
 
+@pytest.mark.integration
 def test_processor_time_of_the_tests_is_measured(runner):
     spin = "import time\nwhile time.process_time() < 0.42: pass"  # the kernel counts in steps of 0.01 s
     outcome = runner.run_timed(runner.Tier("spin", ((sys.executable, "-c", spin),)))

@@ -22,7 +22,7 @@ from tests.waiting import PATIENCE_S, eventually
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 
 PROMPT_S = 0.8 * KEEPALIVE_S
