@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
@@ -38,6 +39,12 @@ def distributions_in(folder: Path) -> list[EntryPoint]:
     return found
 
 
+def answers(address: Path) -> bool:
+    """Whether a process listens on a socket; the file is there a moment before."""
+    with socket.socket(socket.AF_UNIX) as asking:
+        return asking.connect_ex(str(address)) == 0
+
+
 class Agent:
     """A process that stands for another machine. It can be killed and started again."""
 
@@ -55,14 +62,14 @@ class Agent:
     def start(self) -> None:
         """Start it, and wait until it listens."""
         paths = os.pathsep.join((str(CHECKOUT), str(self._plugin_folder)))
-        socket = Path(self.variables["REMOTE_AGENT"])
-        socket.unlink(missing_ok=True)
+        address = Path(self.variables["REMOTE_AGENT"])
+        address.unlink(missing_ok=True)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "slamhive_remote.agent", str(self.root), str(socket)],
+            [sys.executable, "-m", "slamhive_remote.agent", str(self.root), str(address)],
             env={**os.environ, **self.variables, "PYTHONPATH": paths},
             cwd="/",
         )
-        eventually(socket.exists, "the agent")
+        eventually(lambda: answers(address), "the agent")
 
     def kill(self) -> None:
         """SIGKILL; the runs that it has started go on."""

@@ -2,13 +2,15 @@
 
 Every write to the database and to the record, and every call of the executor, is two steps: before and after.
 
-Run as a program, it reads one N from each line. Each worker is a process of its own, forked from this one, which has
-imported everything: importing takes longer than the work. A line with its exit code (-9: step N was reached) and the
-number of its steps, 0 if it was killed, answers each N.
+Run as a program, it reads one N from each line. Each worker is a process of its own, forked from this one, which
+imports what the first one has used: importing takes longer than the work. A line with its exit code (-9: step N was
+reached) and the number of its steps, 0 if it was killed, answers each N.
 """
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import os
 import signal
 import subprocess
@@ -71,13 +73,18 @@ def serve(work: Callable[[int], int]) -> None:
         reading, writing = os.pipe()
         child = os.fork()
         if child == 0:
-            os.write(writing, str(work(int(line))).encode())
+            with os.fdopen(writing, "w") as report:
+                report.write(" ".join((str(work(int(line))), *sys.modules)))
             os._exit(0)
         os.close(writing)
-        with os.fdopen(reading) as steps:
-            _, status = os.waitpid(child, 0)
-            sys.stdout.write(f"{os.waitstatus_to_exitcode(status)} {steps.read() or 0}\n")
+        with os.fdopen(reading) as report:
+            steps, *modules = report.read().split() or ("0",)
+        _, status = os.waitpid(child, 0)
+        sys.stdout.write(f"{os.waitstatus_to_exitcode(status)} {steps}\n")
         sys.stdout.flush()
+        for name in modules:
+            with contextlib.suppress(ImportError):  # some modules have names that cannot be imported
+                importlib.import_module(name)
 
 
 @dataclass(frozen=True)

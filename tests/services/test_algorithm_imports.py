@@ -289,8 +289,9 @@ def test_an_archive_is_loaded_without_its_names(engine_hive: Hive, empty_image: 
 
 @pytest.mark.docker
 def test_what_has_no_image_or_no_scripts_says_what_to_give(engine_hive: Hive, base_image: str, tmp_path):
+    folder = folders.loam(tmp_path).rename(tmp_path / "no-image-has-this-name")
     with pytest.raises(InvalidInput, match=r"has no Dockerfile; give the image: --image NAME, or --image FILE\.tar"):
-        with_plan(engine_hive, str(folders.loam(tmp_path)), ImportRequest("no-image-has-this", executor="docker"))
+        with_plan(engine_hive, str(folder), DOCKER)
     with pytest.raises(InvalidInput, match=r"line 3 copies ORB_SLAM2, which the folder does not hold; give the image"):
         with_plan(engine_hive, str(folders.orb_slam2(tmp_path)), DOCKER)
     with pytest.raises(InvalidInput, match=r"holds no /slamhive/mapping\.py.*with --image"):

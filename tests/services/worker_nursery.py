@@ -6,20 +6,25 @@ settings that it has besides those of the environment, as JSON. It ends when its
 
 from __future__ import annotations
 
+import importlib
 import json
 import logging
 import os
+import pkgutil
 import platform
 import signal
 import sys
 import traceback
 from typing import Any
 
+import slamhive.executors
+import slamhive.services
 from slamhive.services.hive import open_hive
 
 
 def main(log: str) -> None:
     """Fork a worker for each line."""
+    _load_what_workers_use()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     for line in sys.stdin:
         pid = os.fork()
@@ -27,6 +32,13 @@ def main(log: str) -> None:
             _become_worker(json.loads(line), log)
         sys.stdout.write(f"{pid}\n")
         sys.stdout.flush()
+
+
+def _load_what_workers_use() -> None:
+    """Use cases load on first use, which each worker would otherwise do by itself."""
+    for package in (slamhive.services, slamhive.executors):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            importlib.import_module(module.name)
 
 
 def _become_worker(options: dict[str, Any], log: str) -> None:
