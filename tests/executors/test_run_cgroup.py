@@ -24,6 +24,8 @@ from slamhive.executors.process.tree_limit import TreeLimit
 from tests.executors.strangers import as_nobody
 from tests.waiting import PATIENCE_S
 
+pytestmark = pytest.mark.integration
+
 REQUEST = ContainmentRequest("3f" * 16, "run-7", 64, 2_000_000_000, 1.5)
 NAME = "slamhive-3f3f3f3f3f3f-run-7"
 SLICE = "user.slice/user-1000.slice/user@1000.service/app.slice"
@@ -143,7 +145,6 @@ def test_a_controller_that_is_missing_is_left_to_the_supervisor(root):
     assert group.words()["memory"] == "checked by the supervisor"
 
 
-@pytest.mark.integration
 def test_without_a_limit_of_processes_it_does_not_hold(root):
     (root / SLICE / NAME / "pids.max").unlink()
     with pytest.raises(DoesNotHold, match=r"pids\.max"):

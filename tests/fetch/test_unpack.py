@@ -18,6 +18,8 @@ from slamhive.errors import InvalidInput
 from slamhive.fetch.unpack import Choice, UnpackLimits, unpack
 from tests.fuzzing import mutated
 
+pytestmark = pytest.mark.integration
+
 FILES = {"top/image_0/000.png": b"pixels", "top/times.txt": b"0 1 2", "poses/00.txt": b"1 0 0", "other/x": b"?"}
 KINDS = {
     "zip": FileKind.ZIP,

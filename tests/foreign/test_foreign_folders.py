@@ -28,6 +28,8 @@ from slamhive.schema.submission import Submission
 from tests.foreign import folders
 from tests.fuzzing import mutated
 
+pytestmark = pytest.mark.integration
+
 ORIGIN = PackageOrigin("https://example.org/slam/x", commit="0123456789abcdef")
 
 
@@ -78,7 +80,6 @@ def test_calibration_is_that_of_the_dataset_and_its_variant(tmp_path):
         assert config.dataset_remap == {"/left": "/cam0/image_raw"}
 
 
-@pytest.mark.integration
 def test_what_runs_in_old_images_keeps_to_their_python(tmp_path):
     (tmp_path / "probe.py").write_text(PROBE)
     (tmp_path / "handover.py").write_text(HANDOVER)

@@ -5,6 +5,8 @@ import pytest
 from slamhive.errors import Unavailable
 from slamhive.web.rates import MOST_ADDRESSES, RateLimit
 
+pytestmark = pytest.mark.integration
+
 
 def test_the_window_slides():
     now = [0.0]
