@@ -138,7 +138,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         ),
         Tier("mysql", marks="mysql and not docker", prepare=prepare_database, group="processes"),
         Tier("docker", marks=f"docker and not alone and {CHEAP}", engine=True, prepare=with_engine, group="processes"),
-        Tier("images", marks="images", engine=True, prepare=with_engine, group="processes"),
+        Tier("images", marks="images", engine=True, prepare=with_engine, asked_only=True),
         Tier("systems", marks=f"docker and alone and {CHEAP}", engine=True, prepare=with_engine),
         Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),
         Tier("classical", marks="classical", engine=True, prepare=with_engine, asked_only=True),

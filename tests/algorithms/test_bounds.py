@@ -16,16 +16,9 @@ from slamhive.services.hive import Hive
 from slamhive.trajectory.offset import position_misfit
 from slamhive.trajectory.transforms import move_sensor, rigid_transform
 from slamhive.trajectory.tum import read_tum
-from tests.real_datasets import SHARED, dataset
+from tests.real_datasets import dataset
 
 pytestmark = [pytest.mark.integration, pytest.mark.docker]
-
-IN_CI = ("aloam-room", "orb-slam2-stereo-kitti_06")
-"""Of the systems that are compiled for ROS 1, what the tier ``systems`` runs; the others are in ``classical``."""
-IN_SYSTEMS = [
-    pytest.mark.alone,
-    pytest.mark.skipif(not (SHARED / "upstream").is_dir(), reason="the sources in ../shared/upstream are not here"),
-]
 
 
 def all_tests() -> list[Any]:
@@ -35,8 +28,7 @@ def all_tests() -> list[Any]:
         tier = "classical" if algorithms[0].package.base is Base.ROS1 else "packages"
         for entry in bound_tests(algorithms):
             name = f"{entry.algorithm.name}-{entry.bound.dataset}"
-            marks = IN_SYSTEMS if name in IN_CI else [getattr(pytest.mark, tier)]
-            found.append(pytest.param(entry, id=name, marks=marks))
+            found.append(pytest.param(entry, id=name, marks=getattr(pytest.mark, tier)))
     return found
 
 

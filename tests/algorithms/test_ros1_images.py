@@ -1,6 +1,6 @@
 """Systems of the field are compiled from their upstream sources, as ``slamhive algorithm build`` does it.
 
-This takes minutes, so it runs beside other tests. The tests that run the systems find the images.
+This takes minutes, so it runs only if its tier is named. The tests that run the systems find the images.
 """
 
 from __future__ import annotations

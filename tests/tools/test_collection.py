@@ -13,7 +13,8 @@ from tests.conftest import TESTS, may_be_selected
     [
         ("store/test_store_runs.py", "mysql", True),  # the mark is in the conftest.py of its folder
         ("executors/test_recovery.py", "docker", True),  # on a parameter
-        ("algorithms/test_bounds.py", "alone and not classical", True),
+        ("algorithms/test_bounds.py", "classical", True),
+        ("algorithms/test_bounds.py", "alone", False),
         ("base/test_errors.py", "mysql", False),
         ("base/test_errors.py", "not docker", True),
         ("evaluation/test_hints.py", "not integration", False),
