@@ -10,6 +10,7 @@ import subprocess
 import tarfile
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import create_autospec
 
 import pytest
 from click.testing import CliRunner
@@ -21,10 +22,12 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import Conflict, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.executors.base import ImageMissing
 from slamhive.executors.docker.kept_images import KEPT
+from slamhive.executors.images import ImageTools
 from slamhive.executors.registry import installation_id
 from slamhive.schema.submission import Submission
 from slamhive.services.algorithms import ImportedPackage, ImportRequest
 from slamhive.services.algorithms.image_archive import ImageArchive
+from slamhive.services.algorithms.planning import plan
 from slamhive.services.algorithms.sources import SourceKind, check_folder, kind_of, opened, package_name
 from slamhive.services.hive import Hive
 from tests.foreign import folders
@@ -285,6 +288,16 @@ def test_an_archive_is_loaded_without_its_names(engine_hive: Hive, empty_image: 
         with_plan(engine_hive, str(folders.loam(tmp_path)), request)
     assert list(engine_hive.settings.algorithms_folder.iterdir()) == []
     run_docker("rmi", "--force", digest)
+
+
+def test_the_image_of_another_package_is_not_taken(tmp_path):
+    folder = folders.loam(tmp_path).rename(tmp_path / "kiss-icp")
+    engine = create_autospec(ImageTools, instance=True)
+    engine.find.return_value = "sha256:1"
+    with opened(str(folder)) as source:
+        assert plan(source, ImportRequest("mine"), engine).image == "slam-hive-algorithm:kiss-icp"
+        with pytest.raises(InvalidInput, match="slam-hive-algorithm:kiss-icp belongs to another package; give the im"):
+            plan(source, ImportRequest("mine"), engine, {"slam-hive-algorithm:kiss-icp"})
 
 
 @pytest.mark.docker

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -89,8 +90,13 @@ class PlannedPackage:
         }
 
 
-def plan(source: OpenedSource, request: ImportRequest, tools: ImageTools) -> PlannedPackage:
-    """Say what an import of ``source`` will do; changes nothing. Raises InvalidInput, ImageMissing."""
+def plan(
+    source: OpenedSource, request: ImportRequest, tools: ImageTools, own_images: Collection[str] = ()
+) -> PlannedPackage:
+    """Say what an import of ``source`` will do; changes nothing. Raises InvalidInput, ImageMissing.
+
+    ``own_images`` are the names of images that belong to packages which are here already: no import takes one unasked.
+    """
     name = request.name or package_name(source)
     if source.path is None or source.kind is SourceKind.ARCHIVE:
         way = Way.TAKE if source.path is None else Way.LOAD
@@ -99,14 +105,14 @@ def plan(source: OpenedSource, request: ImportRequest, tools: ImageTools) -> Pla
     check_folder(source.path)
     folder = read_folder(source.path)
     facts = find_facts(folder)
-    way, image, why = _image_of(folder, facts, request, tools)
+    way, image, why = _image_of(folder, facts, request, tools, own_images)
     planned = PlannedPackage(name, source, request, way, image, why, folder, facts)
     drafted = draft(folder, facts, DraftRequest(name, planned.origin, request.setup))
     return PlannedPackage(name, source, request, way, image, why, folder, facts, drafted)
 
 
 def _image_of(
-    folder: ForeignFolder, facts: FolderFacts, request: ImportRequest, tools: ImageTools
+    folder: ForeignFolder, facts: FolderFacts, request: ImportRequest, tools: ImageTools, own_images: Collection[str]
 ) -> tuple[Way, str, str]:
     """How to get the image of a folder: way, from where, and why."""
     if request.image is not None:
@@ -119,11 +125,13 @@ def _image_of(
     missing = facts.dockerfile.missing if facts.dockerfile is not None else ()
     if facts.dockerfile is not None and not missing:
         return Way.BUILD, str(folder.path / DOCKERFILE), "the folder holds all that it copies"
-    if tools.find(published) is not None:
+    if published not in own_images and tools.find(published) is not None:
         return Way.TAKE, published, "the engine has an image of that name"
     problem = f"{folder.path} has no {DOCKERFILE}"
     if missing:
         problem = (
             f"{folder.path / DOCKERFILE} line {missing[0][1]} copies {missing[0][0]}, which the folder does not hold"
         )
+    if published in own_images:
+        problem += f", and image {published} belongs to another package"
     raise InvalidInput(problem, "give the image: --image NAME, or --image FILE.tar from docker save")
