@@ -27,6 +27,7 @@ from slamhive.schema import catalogue, collection, experiment
 from slamhive.schema.analysis import StoredAnalysis
 from slamhive.schema.archive import Manifest, RunLine
 from slamhive.schema.checks import DatasetCheck
+from slamhive.schema.comparison import Comparison
 from slamhive.schema.imports import Import
 from slamhive.schema.ledger import LedgerLine
 from slamhive.schema.matching import Match
@@ -188,6 +189,7 @@ DOCUMENTS: dict[str, Any] = {
     "algorithm-test": catalogue.BoundResult,
     "archive": Manifest,
     "archive-run": RunLine,
+    "comparison": Comparison,
     "configuration": catalogue.Configuration,
     "dataset": catalogue.Dataset,
     "dataset-check": DatasetCheck,

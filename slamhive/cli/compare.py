@@ -30,7 +30,7 @@ def compare(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **optio
     numbers, grouped = read_run_ids(map(str, run_ids)), options["group"] is not None
     comparison = hive.run_comparisons.of(numbers, options["protocol"], grouped=grouped)
     if as_json:
-        print_json(comparison.content)
+        print_json(comparison.document.content)
     else:
         _print(comparison, everything=options["everything"])
     for note in _notes(comparison):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from slamhive.domain.metrics import Metric
 from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput
 from slamhive.input_bounds import whole_number
+from slamhive.schema.comparison import ComparedColumn, ComparedMetric, Comparison
 from slamhive.store.records import RunRecord
 
 FEWEST_RUNS, MOST_RUNS = 2, 20
@@ -86,6 +86,16 @@ class MetricLine:
         """Whether the columns have different values, in the digits that are shown."""
         return len({None if figure is None else figure.shown for figure in self.figures}) > 1
 
+    def document(self, columns: Sequence[str]) -> ComparedMetric:
+        """The line as JSON has it; ``columns`` are the names of the columns."""
+        return ComparedMetric.of(
+            self,
+            unit=self.metric.unit,
+            better=self.metric.direction,
+            best=None if self.best is None else columns[self.best],
+            values=dict(zip(columns, self.figures, strict=True)),
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class RunComparison:
@@ -115,34 +125,19 @@ class RunComparison:
         return f"/compare?runs={','.join(str(run.id) for run in self.runs)}{group}{protocol}"
 
     @property
-    def content(self) -> dict[str, Any]:
-        """The comparison as JSON: values by the number of the run, or of the configuration if it is grouped."""
+    def document(self) -> Comparison:
+        """The comparison as JSON has it."""
         names = [str(column.runs[0].configuration_id if self.grouped else column.runs[0].id) for column in self.columns]
-        return {
-            "runs": [run.id for run in self.runs],
-            "group": "configuration" if self.grouped else None,
-            "columns": {
-                name: {"runs": list(column.run_ids), "failed": list(column.failed)}
-                for name, column in zip(names, self.columns, strict=True)
-            },
-            "protocol": None if self.protocol is None else asdict(self.protocol),
-            "protocols": [asdict(entry) for entry in self.protocols],
-            "settings": {line.key: dict(zip(names, line.texts, strict=True)) for line in self.settings},
-            "metrics": {
-                line.metric.key: {
-                    "unit": line.metric.unit,
-                    "better": line.metric.direction.value,
-                    "best": None if line.best is None else names[line.best],
-                    "values": {
-                        name: None if figure is None else asdict(figure)
-                        for name, figure in zip(names, line.figures, strict=True)
-                    },
-                }
-                for line in self.metrics
-            },
-            "unmarked": self.unmarked or None,
-            "address": self.address,
-        }
+        columns = [ComparedColumn(runs=column.run_ids, failed=column.failed) for column in self.columns]
+        return Comparison.of(
+            self,
+            runs=tuple(run.id for run in self.runs),
+            group="configuration" if self.grouped else None,
+            columns=dict(zip(names, columns, strict=True)),
+            settings={line.key: dict(zip(names, line.texts, strict=True)) for line in self.settings},
+            metrics={line.metric.key: line.document(names) for line in self.metrics},
+            unmarked=self.unmarked or None,
+        )
 
 
 def read_run_ids(texts: Iterable[str]) -> tuple[int, ...]:
