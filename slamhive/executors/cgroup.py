@@ -1,14 +1,14 @@
 """CPU and memory of a container from the kernel's control-group files, versions 1 and 2.
 
-Memory in use is the working set: usage minus inactive file cache, as ``docker stats`` and Kubernetes count it. The
-kernel takes that cache back whenever somebody needs the memory. The peak is the kernel's own counter
-(``memory.max_usage_in_bytes``, ``memory.peak``), which includes file cache. The project's player drops the pages that
-it has read, so that the peak is that of the algorithm; see ``docs/executors.md``.
+Memory in use is usage minus file cache. The kernel charges a file to the group that reads it first, and takes the cache
+back whenever somebody needs the memory. So the first run of an image would seem to need far more than its repeats. The
+peak is the kernel's own counter (``memory.max_usage_in_bytes``, ``memory.peak``), which includes file cache.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -27,14 +27,14 @@ class CgroupV1:
     on_this_machine: ClassVar[bool] = True
 
     def read(self) -> tuple[float, int] | None:
-        """CPU time (s) and working set (bytes); None once the group is gone."""
+        """CPU time (s) and memory in use (bytes); None once the group is gone."""
         try:
             cpu_s = int((self.cpuacct / "cpuacct.usage").read_text()) * _NS
             usage = int((self.memory / "memory.usage_in_bytes").read_text())
-            inactive = parse_flat((self.memory / "memory.stat").read_text()).get("total_inactive_file", 0)
+            cache = file_cache_bytes(parse_flat((self.memory / "memory.stat").read_text()))
         except (OSError, ValueError):
             return None
-        return cpu_s, max(0, usage - inactive)
+        return cpu_s, max(0, usage - cache)
 
     def peak_memory_bytes(self) -> int | None:
         """``memory.max_usage_in_bytes``."""
@@ -52,14 +52,14 @@ class CgroupV2:
     on_this_machine: ClassVar[bool] = True
 
     def read(self) -> tuple[float, int] | None:
-        """CPU time (s) and working set (bytes); None once the group is gone."""
+        """CPU time (s) and memory in use (bytes); None once the group is gone."""
         try:
             cpu_s = parse_flat((self.folder / "cpu.stat").read_text())["usage_usec"] * _US
             usage = int((self.folder / "memory.current").read_text())
-            inactive = parse_flat((self.folder / "memory.stat").read_text()).get("inactive_file", 0)
+            cache = file_cache_bytes(parse_flat((self.folder / "memory.stat").read_text()))
         except (OSError, ValueError, KeyError):
             return None
-        return cpu_s, max(0, usage - inactive)
+        return cpu_s, max(0, usage - cache)
 
     def peak_memory_bytes(self) -> int | None:
         """``memory.peak``, which kernels have from 5.19 on."""
@@ -174,6 +174,13 @@ def parse_flat(text: str) -> dict[str, int]:
     """A flat keyed file (``memory.stat``, ``cpu.stat``): {key: number}."""
     pairs = (line.split() for line in text.splitlines())
     return {pair[0]: int(pair[1]) for pair in pairs if len(pair) == 2}
+
+
+def file_cache_bytes(stat: Mapping[str, int]) -> int:
+    """The file cache in ``memory.stat`` of either version, without shared memory, which the kernel counts with it."""
+    if "total_cache" in stat:
+        return stat["total_cache"] - stat.get("total_shmem", 0)
+    return stat.get("file", 0) - stat.get("shmem", 0)
 
 
 def _read_int(path: Path) -> int | None:

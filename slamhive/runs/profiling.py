@@ -73,7 +73,7 @@ def measure_run(
         folder: The run's folder.
         started_at: When the algorithm started.
         ended_at: When it ended.
-        peak_memory_bytes: The kernel's own high-water mark, None where it keeps none.
+        peak_memory_bytes: The kernel's own high-water mark, file cache included; None where it keeps none.
         evidence: What is known of the end.
     """
     duration_s = (ended_at - started_at).total_seconds()
@@ -120,7 +120,7 @@ def _usage_metrics(profile: Profile, peak_memory_bytes: int | None) -> dict[str,
         metrics["ram.mean"] = float(np.average(profile.memory_bytes, weights=weights_s))
         metrics["ram.max"] = float(profile.memory_bytes.max())
     if peak_memory_bytes is not None:
-        metrics["ram.max"] = float(peak_memory_bytes)
+        metrics["ram.charged_max"] = float(peak_memory_bytes)
     return metrics
 
 

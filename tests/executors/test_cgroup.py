@@ -30,7 +30,7 @@ def make_v1(root: Path, group: str = f"docker/{ID}") -> None:
         root / "memory" / group,
         memory__usage_in_bytes="104857600\n",
         memory__max_usage_in_bytes="157286400\n",
-        memory__stat="cache 40960000\nrss 60000000\ninactive_file 1\ntotal_inactive_file 4857600\n",
+        memory__stat="cache 1\nrss 60000000\ntotal_cache 40960000\ntotal_shmem 36102400\ntotal_inactive_file 57600\n",
     )
 
 
@@ -40,7 +40,7 @@ def make_v2(root: Path, group: str = f"system.slice/docker-{ID}.scope", *, peak:
         folder,
         cpu__stat="usage_usec 1234567\nuser_usec 1000000\nsystem_usec 234567\nnr_periods 0\n",
         memory__current="52428800\n",
-        memory__stat="anon 40000000\nfile 12000000\ninactive_file 2428800\nactive_file 100\n",
+        memory__stat="anon 40000000\nfile 12000000\nshmem 9571200\ninactive_file 2428700\nactive_file 100\n",
     )
     if peak:
         write(folder, memory__peak="60000000\n")

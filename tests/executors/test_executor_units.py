@@ -150,8 +150,11 @@ def test_connection_errors_mean_engine_unavailable():
 
 def test_stats_of_both_versions():
     cpu = {"cpu_usage": {"total_usage": 3_000_000_000}}
-    old = {"cpu_stats": cpu, "memory_stats": {"usage": 100, "stats": {"total_inactive_file": 40, "inactive_file": 1}}}
-    new = {"cpu_stats": cpu, "memory_stats": {"usage": 100, "stats": {"inactive_file": 30}}}
+    old = {
+        "cpu_stats": cpu,
+        "memory_stats": {"usage": 100, "stats": {"total_cache": 50, "total_shmem": 10, "cache": 1}},
+    }
+    new = {"cpu_stats": cpu, "memory_stats": {"usage": 100, "stats": {"file": 35, "shmem": 5, "inactive_file": 1}}}
     assert parse_stats(old) == (3.0, 60)
     assert parse_stats(new) == (3.0, 70)
     assert parse_stats({"cpu_stats": cpu, "memory_stats": {}}) is None

@@ -63,7 +63,7 @@ def root(tmp_path: Path) -> Path:
         memory__max="",
         memory__swap__max="",
         memory__current="52428800\n",
-        memory__stat="anon 40000000\ninactive_file 2428800\n",
+        memory__stat="anon 40000000\nfile 2428800\n",
         memory__peak="60000000\n",
         memory__events="low 0\nhigh 0\nmax 12\noom 0\noom_kill 0\noom_group_kill 0\n",
         cpu__max="",

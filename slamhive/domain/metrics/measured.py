@@ -45,14 +45,24 @@ MEASURED_METRICS = (
         _USAGE,
         f"{_SAMPLER}; {_FRAMES}",
     ),
-    _measured("ram.mean", "RAM mean", "bytes", "Time-weighted mean of memory in use.", _USAGE, _SAMPLER),
+    _measured(
+        "ram.mean", "RAM mean", "bytes", "Time-weighted mean of memory in use, file cache left out.", _USAGE, _SAMPLER
+    ),
     _measured(
         "ram.max",
         "RAM max",
         "bytes",
-        "Peak memory: the kernel's own high-water mark where it keeps one, the largest sample otherwise.",
+        "Largest sample of memory in use, file cache left out.",
         _USAGE,
         _SAMPLER,
+    ),
+    _measured(
+        "ram.charged_max",
+        "RAM charged max",
+        "bytes",
+        "The kernel's high-water mark, file cache included: an upper bound of what the run needed.",
+        _USAGE,
+        "memory.peak or memory.max_usage_in_bytes of the run's control group",
     ),
     _measured(
         "energy",

@@ -7,6 +7,7 @@ from typing import Any
 import docker.errors
 
 from slamhive.executors.base import EngineUnavailable
+from slamhive.executors.cgroup import file_cache_bytes
 from slamhive.executors.docker.engine import engine_errors
 
 _NS = 1e-9
@@ -22,7 +23,7 @@ class DockerStatsSource:
         self._peak_bytes: int | None = None
 
     def read(self) -> tuple[float, int] | None:
-        """CPU time (s) and working set (bytes); None once the container has ended."""
+        """CPU time (s) and memory in use (bytes); None once the container has ended."""
         with engine_errors("reading statistics", EngineUnavailable):
             try:
                 stats = self._container.stats(stream=False, one_shot=True)
@@ -42,11 +43,10 @@ class DockerStatsSource:
 
 
 def parse_stats(stats: dict[str, Any]) -> tuple[float, int] | None:
-    """CPU time (s) and working set (bytes) of one reading; None for a container that does not run."""
+    """CPU time (s) and memory in use (bytes) of one reading; None for a container that does not run."""
     memory = stats.get("memory_stats") or {}
     if "usage" not in memory:
         return None
-    details = memory.get("stats") or {}
-    inactive = details.get("total_inactive_file", details.get("inactive_file", 0))
+    cache = file_cache_bytes(memory.get("stats") or {})
     cpu_s = stats["cpu_stats"]["cpu_usage"]["total_usage"] * _NS
-    return cpu_s, max(0, memory["usage"] - inactive)
+    return cpu_s, max(0, memory["usage"] - cache)
