@@ -17,6 +17,8 @@ from slamhive.runtime.scan_odometry import ScanOdometry, Sweep, within_range
 from slamhive.runtime.trajectory import transform_from
 
 POLL_S = 0.001
+FIRST_WAIT_S = 0.05
+"""How long to wait for poses while the IMU initialises, which gives none: longer waits would drop the scans after."""
 UNKNOWN = [0.0] * 9
 """A covariance that is not known, as ROS messages state it."""
 
@@ -35,6 +37,7 @@ class PelorusOdometry(ScanOdometry):
         super().__init__(config)
         self._T_imu_lidar = transform(self.values, "imu", "points")
         self._handle = pelorus.Handle()
+        self._longest_wait_s = min(FIRST_WAIT_S, self.values["longest_wait"])
 
     def register(self, sweep: Sweep) -> np.ndarray | None:
         """Register the scan; it has no pose while the IMU initialises, or if none comes in time."""
@@ -58,12 +61,14 @@ class PelorusOdometry(ScanOdometry):
 
     def _pose_of(self, number: int) -> np.ndarray | None:
         """The pose of the scan with this number, for which we wait at most ``longest_wait``."""
-        until_s = time.monotonic() + self.values["longest_wait"]
+        until_s = time.monotonic() + self._longest_wait_s
         while time.monotonic() < until_s:
             result = self._handle.try_recv()
             if result is None:
                 time.sleep(POLL_S)
-            elif result["scan_id"] == number:
+                continue
+            self._longest_wait_s = self.values["longest_wait"]
+            if result["scan_id"] == number:
                 w, x, y, z = result["orientation"]
                 return transform_from(np.array(result["position"]), np.array([x, y, z, w]))
         return None

@@ -93,7 +93,7 @@ def mean_and_std(summary: Summary) -> str:
     """``0.0312 ± 0.0008``: three significant digits of the mean, one more if the spread is smaller than they show."""
     whole = summary.std in (None, 0.0) and summary.mean.is_integer()
     digits = 0 if whole else max(0, 2 - _exponent(summary.mean))
-    if summary.std:
+    if summary.std and round(summary.std, digits + 1):
         digits = min(max(digits, -_exponent(summary.std)), digits + 1)
     if summary.std is None:
         return f"{summary.mean:.{digits}f}"
