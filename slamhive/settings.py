@@ -166,6 +166,11 @@ class Settings(BaseSettings):
         return self.data / "analyses"
 
     @property
+    def baselines_folder(self) -> Path:
+        """Where the baselines of gates lie."""
+        return self.data / "baselines"
+
+    @property
     def runs_folder(self) -> Path:
         """Where run folders lie."""
         return self.data / "runs"

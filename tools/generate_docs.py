@@ -28,6 +28,7 @@ from slamhive.schema.analysis import StoredAnalysis
 from slamhive.schema.archive import Manifest, RunLine
 from slamhive.schema.checks import DatasetCheck
 from slamhive.schema.comparison import Comparison
+from slamhive.schema.gate import Baseline, BaselineBrief, GateAnswer
 from slamhive.schema.imports import Import
 from slamhive.schema.ledger import LedgerLine
 from slamhive.schema.matching import Match
@@ -198,6 +199,9 @@ DOCUMENTS: dict[str, Any] = {
     "experiment-grid": experiment.Grid,
     "experiment-preview": experiment.ExperimentPreview,
     "experiment-status": experiment.ExperimentStatus,
+    "gate-answer": GateAnswer,
+    "gate-baseline": Baseline,
+    "gate-baseline-brief": BaselineBrief,
     "import": Import,
     "ledger-line": LedgerLine,
     "link-report": collection.LinkReport,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -219,13 +220,18 @@ def _nemenyi(mean_ranks: Numbers, unit: float) -> dict[tuple[int, int], float]:
 
 
 def _wilcoxon_holm(scores: Numbers) -> dict[tuple[int, int], float]:
-    """Wilcoxon's signed-rank test of each pair, corrected step by step (S. Holm, 1979)."""
-    p_values: dict[tuple[int, int], float] = {}
-    for first, second in combinations(range(scores.shape[1]), 2):
-        differences = scores[:, first] - scores[:, second]
-        p_values[first, second] = float(scipy.stats.wilcoxon(differences).pvalue) if np.any(differences) else 1.0
-    corrected = 0.0
-    for place, pair in enumerate(sorted(p_values, key=lambda pair: p_values[pair])):
-        corrected = max(corrected, min(1.0, p_values[pair] * (len(p_values) - place)))
-        p_values[pair] = corrected
-    return p_values
+    """Wilcoxon's signed-rank test of each pair, with Holm's correction."""
+    pairs = list(combinations(range(scores.shape[1]), 2))
+    differences = [scores[:, first] - scores[:, second] for first, second in pairs]
+    p_values = [float(scipy.stats.wilcoxon(entry).pvalue) if np.any(entry) else 1.0 for entry in differences]
+    return dict(zip(pairs, holm(p_values), strict=True))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """The p values, corrected step by step for their number (S. Holm, Scandinavian Journal of Statistics 6, 1979)."""
+    corrected = [0.0] * len(p_values)
+    largest = 0.0
+    for rank, place in enumerate(sorted(range(len(p_values)), key=lambda place: p_values[place])):
+        largest = max(largest, min(1.0, p_values[place] * (len(p_values) - rank)))
+        corrected[place] = largest
+    return corrected

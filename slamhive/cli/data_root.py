@@ -22,6 +22,7 @@ EXPECTED: dict[str, DataRoot] = {
     "configuration import": DataRoot.FOUND,
     "algorithm test": DataRoot.FOUND,
     "experiment start": DataRoot.FOUND,
+    "gate check": DataRoot.FOUND,
     "reindex": DataRoot.FOUND,
     "run": DataRoot.FOUND,
     "algorithm list": DataRoot.OPTIONAL,

@@ -12,7 +12,7 @@ import click
 from slamhive import __version__, registry
 from slamhive.cli.context import CliContext
 from slamhive.cli.groups import LazyGroup
-from slamhive.errors import InvalidInput, SlamHiveError, one_line
+from slamhive.cli.mistakes import mistakes_end_with
 from slamhive.input_bounds import check_text
 
 MODULES = {
@@ -26,6 +26,7 @@ MODULES = {
     "doctor": "maintenance",
     "evaluate": "evaluate",
     "experiment": "experiments",
+    "gate": "gates",
     "plugins": "plugins",
     "protocol": "protocols",
     "reindex": "maintenance",
@@ -47,43 +48,19 @@ class Root(LazyGroup):
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
     ) -> click.Context:
         """Parse the options of the root command; a mistake in them ends as one in a subcommand does."""
-        try:
+        with mistakes_end_with(1):
             for number, text in enumerate(args, start=1):
-                check_text(text, f"argument {number}")
+                check_text(text, f"argument {number}")  # bytes that are not UTF-8 are halves of surrogate pairs
             return super().make_context(info_name, args, parent, **extra)
-        except InvalidInput as error:  # bytes that are not UTF-8 arrive as halves of surrogate pairs
-            _print_error(str(error))
-            raise click.exceptions.Exit(1) from None
-        except click.UsageError as error:
-            _print_error(_usage(error))
-            raise click.exceptions.Exit(1) from None
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; turn SlamHiveError into a message."""
         try:
-            return super().invoke(ctx)
-        except SlamHiveError as error:
-            _print_error(str(error), getattr(error, "pointer", ()))
-            ctx.exit(1)
-        except click.UsageError as error:
-            _print_error(_usage(error))
-            ctx.exit(1)
+            with mistakes_end_with(1):
+                return super().invoke(ctx)
         except BrokenPipeError:
             sys.stderr.close()
             ctx.exit(0)
-
-
-def _print_error(text: str, pointer: tuple[str, ...] = ()) -> None:
-    """The message on stderr; ``pointer`` are lines above it that show the place in a filter."""
-    from slamhive.cli.output import print_error  # noqa: PLC0415 - rich takes a moment, which success need not wait for
-
-    print_error(text, pointer)
-
-
-def _usage(error: click.UsageError) -> str:
-    """One line: what is wrong with the arguments, and where the right ones are listed."""
-    path = "slamhive" if error.ctx is None else error.ctx.command_path
-    return f"{one_line(error.format_message()).rstrip('.')}; see {path} --help"
 
 
 @click.group(

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from slamhive.services.executors import Executors
     from slamhive.services.experiments import Experiments
     from slamhive.services.fetching import Fetching
+    from slamhive.services.gates import Gates
     from slamhive.services.imports import Imports
     from slamhive.services.ledger import Ledger
     from slamhive.services.reports import Analyses
@@ -160,6 +161,13 @@ class Hive:
         from slamhive.services.run_comparison import RunComparisons
 
         return RunComparisons(self.store, self.settings.runs_folder)
+
+    @cached_property
+    def gates(self) -> Gates:
+        """Baselines, and whether runs became worse than those."""
+        from slamhive.services.gates import Gates
+
+        return Gates(self.settings, self.store, self.searches, self.catalogue, self.configurations, self.runs)
 
     @cached_property
     def comparisons(self) -> Comparisons:

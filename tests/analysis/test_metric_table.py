@@ -11,7 +11,8 @@ from slamhive.analysis.result import PlotResult
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
-from slamhive.services.reports.tables import table_latex, table_markdown
+from slamhive.services.markdown_table import table_markdown
+from slamhive.services.reports.tables import table_latex
 from tests.analysis.analysis_world import ALGORITHMS, DATASETS, data_of, sweep_table
 
 pytestmark = pytest.mark.integration  # plotting and statistics take seconds to load

@@ -22,7 +22,8 @@ from slamhive.analysis.table import FAILED as FAILED_COLUMN
 from slamhive.analysis.table import Column, ColumnKind
 from slamhive.domain.verdict import FailureRule
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.services.reports.tables import table_csv, table_latex, table_markdown, table_parquet
+from slamhive.services.markdown_table import table_markdown
+from slamhive.services.reports.tables import table_csv, table_latex, table_parquet
 from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, REPEATS, SCALES, NoFiles, data_of, sweep_table
 
 pytestmark = pytest.mark.integration

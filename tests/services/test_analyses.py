@@ -16,10 +16,11 @@ from slamhive.domain.disturbance import Disturbance, DisturbanceKind, Disturbanc
 from slamhive.domain.verdict import FailureRule
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.project import project_root
+from slamhive.services.markdown_table import table_markdown
 from slamhive.services.reports.bundle import report_page, write_folder, zipped
 from slamhive.services.reports.run import AnalysisLimits
 from slamhive.services.reports.table import TableRequest, load_table
-from slamhive.services.reports.tables import latex, table_csv, table_latex, table_markdown
+from slamhive.services.reports.tables import latex, table_csv, table_latex
 from tests.web.web_world import add_runs, evaluate_run, fail_run, finish_run, make_hive
 
 pytestmark = pytest.mark.integration

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import re
 from importlib.util import find_spec
 
 import pandas as pd
@@ -12,6 +11,7 @@ import pandas as pd
 from slamhive.analysis.result import Cell, ResultTable
 from slamhive.errors import Unavailable
 from slamhive.services.exports import safe_cell
+from slamhive.services.markdown_table import numeric_columns, table_markdown
 
 LATEX_ROWS = 500
 """Most rows of a printed table; the CSV file has all rows."""
@@ -74,7 +74,7 @@ def table_parquet(table: ResultTable) -> bytes:
 
 def table_latex(table: ResultTable) -> str:
     """A ``tabular`` with booktabs rules, escaped text, and numbers with four significant digits."""
-    numeric = _numeric(table)
+    numeric = numeric_columns(table)
     lines = [
         f"% {_comment(table.title)}",
         f"\\begin{{tabular}}{{{''.join('r' if number else 'l' for number in numeric)}}}",
@@ -86,35 +86,6 @@ def table_latex(table: ResultTable) -> str:
     if len(table.rows) > LATEX_ROWS:
         lines.append(f"% {len(table.rows) - LATEX_ROWS} more rows are in the CSV file")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
-
-
-def table_markdown(table: ResultTable) -> str:
-    """A table of GitHub's Markdown with escaped text, numbers with four significant digits, and the caption below."""
-    rules = ["---:" if number else "---" for number in _numeric(table)]
-    rows = [
-        [_markdown(column.heading) for column in table.columns],
-        rules,
-        *([_markdown(_cell_text(cell)) for cell in row] for row in table.rows),
-    ]
-    lines = [f"| {' | '.join(row)} |" for row in rows]
-    return "\n".join([*lines, *(["", _markdown(table.caption)] if table.caption else []), ""])
-
-
-def _numeric(table: ResultTable) -> list[bool]:
-    """Which columns hold numbers alone."""
-    return [
-        all(isinstance(row[place], int | float | None) for row in table.rows) for place in range(len(table.columns))
-    ]
-
-
-def _cell_text(cell: Cell) -> str:
-    return "–" if cell is None else f"{cell:.4g}" if isinstance(cell, float) else str(cell)
-
-
-def _markdown(text: str) -> str:
-    """Text escaped for Markdown: neither HTML nor a new cell, line or link."""
-    plain = "".join(letter if letter.isprintable() else " " for letter in text)
-    return re.sub(r"([\\`*_{}\[\]<>|])", r"\\\1", plain)
 
 
 def latex(text: str) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 from slamhive.clock import utc_now
 from slamhive.domain.affinity import run_affinity
 from slamhive.domain.protocol import Protocol
+from slamhive.domain.protocol_request import exactly
 from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
 from slamhive.files import temporary_folder
@@ -18,7 +19,7 @@ from slamhive.runs.log_line import read_tail
 from slamhive.schema.submission import Submission
 from slamhive.services.configurations import Checked, Configurations, put_configuration
 from slamhive.services.datasets import check_writable
-from slamhive.services.evaluations import protocol_for
+from slamhive.services.evaluations import fitting_protocol, protocol_for
 from slamhive.services.executors import Executors
 from slamhive.services.runs.progress import RunProgress, run_progress
 from slamhive.services.runs.record import handle_from_json
@@ -51,10 +52,11 @@ class Runs(StoredRuns):
         self._configurations = configurations
         self._executors = executors
 
-    def submit(self, submission: Submission) -> tuple[RunRecord, ...]:
+    def submit(self, submission: Submission, evaluated_under: Protocol | None = None) -> tuple[RunRecord, ...]:
         """Check everything that can be checked before a run starts, then queue ``repeat`` runs.
 
-        Repeats get the seeds ``seed``, ``seed + 1``, ... and share one configuration.
+        Repeats get the seeds ``seed``, ``seed + 1``, ... and share one configuration. ``evaluated_under`` is the
+        protocol of their evaluation; None for what the submission says.
         """
         check_writable(self._settings)
         checked = self._configurations.check(submission)
@@ -67,7 +69,10 @@ class Runs(StoredRuns):
         WeightsStore(self._settings).check_present(algorithm.package)
         check_version(self._store, self._executors.get(executor), algorithm)
         protocol = None
-        if submission.alignment is not None:
+        if evaluated_under is not None:
+            asked_for = exactly(evaluated_under, evaluated_under.fingerprint)
+            protocol = fitting_protocol(algorithm, dataset, self._settings, asked_for)
+        elif submission.alignment is not None:
             protocol = protocol_for(algorithm, dataset, self._settings, submission.alignment)
         now = utc_now()
 

@@ -38,6 +38,7 @@ def sweep_leftovers(settings: Settings, store: Store, variants: Variants, execut
     for folder in (
         data,
         settings.ledger_folder,
+        settings.baselines_folder,
         *_folders(settings.experiments_folder),
         *_folders(settings.analyses_folder),
     ):

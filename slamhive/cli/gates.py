@@ -1,0 +1,248 @@
+"""``slamhive gate``: whether runs became worse than those of a baseline, for continuous integration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slamhive.cli.context import CliContext, json_option, pass_cli
+from slamhive.cli.groups import LazyGroup
+from slamhive.cli.mistakes import mistakes_end_with
+from slamhive.cli.output import print_json, print_table, tell
+from slamhive.domain.gate import DEFAULT_MARGINS, Answer, read_budget
+from slamhive.domain.numbers import plural
+from slamhive.errors import InvalidInput
+from slamhive.files import write_aside
+
+if TYPE_CHECKING:
+    from slamhive.schema.gate import Baseline, GateAnswer
+    from slamhive.services.gates import GateCheck
+    from slamhive.services.hive import Hive
+
+MISTAKE = 2
+"""The exit code of a mistake: 1 is the answer "worse"."""
+EXIT_CODES = {Answer.PASS: 0, Answer.WORSE: 1, Answer.UNDECIDED: 3}
+STYLES = {Answer.PASS: "green", Answer.WORSE: "red", Answer.UNDECIDED: "yellow"}
+_DEFAULTS = ", ".join(f"{key}={margin.words().replace(' ', '')}" for key, margin in DEFAULT_MARGINS.items())
+
+
+class GateGroup(LazyGroup):
+    """The group of gate commands. A mistake ends them with an exit code of its own."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Parse the options of the group."""
+        with mistakes_end_with(MISTAKE):
+            return super().make_context(info_name, args, parent, **extra)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command."""
+        with mistakes_end_with(MISTAKE):
+            return super().invoke(ctx)
+
+
+@click.group(cls=GateGroup)
+def gate() -> None:
+    """Find out in continuous integration if runs became worse. docs/gate.md is a tutorial.
+
+    The exit code of a mistake is 2.
+    """
+
+
+@gate.command()
+@click.argument("name")
+@click.option("--where", required=True, metavar="FILTER", help="The runs, e.g. 'algorithm = kiss-icp and version = 3'.")
+@click.option("--protocol", metavar="FINGERPRINT", help="Take the errors under this one.  [default: what lists show]")
+@click.option("--replace", is_flag=True, help="Replace a baseline of the same name.")
+@json_option
+@pass_cli
+def baseline(cli: CliContext, name: str, where: str, protocol: str | None, replace: bool, as_json: bool) -> None:
+    """Freeze the values of runs as the baseline NAME.
+
+    Runs that have not ended, were cancelled or were not evaluated are left out; failed runs are part of it.
+    """
+    frozen = cli.hive().gates.baselines.freeze(name, where, protocol, replace=replace)
+    if as_json:
+        print_json(frozen.baseline.content)
+    else:
+        click.echo(f"baseline {name}: {_counts(frozen.baseline)}")
+    if frozen.left_out:
+        tell(f"{plural(frozen.left_out, 'run')} left out: not ended, cancelled, or not evaluated")
+
+
+@gate.command("list")
+@json_option
+@pass_cli
+def list_(cli: CliContext, as_json: bool) -> None:
+    """List baselines."""
+    found = cli.hive().gates.baselines.briefs()
+    if as_json:
+        print_json([entry.content for entry in found])
+    elif found:
+        rows = [
+            (
+                entry.name,
+                ", ".join(entry.algorithms),
+                ", ".join(entry.datasets),
+                entry.runs,
+                entry.failed,
+                f"{entry.made_at:%Y-%m-%d %H:%M}",
+            )
+            for entry in found
+        ]
+        heads = ("name", "algorithms", "datasets", "runs", "failed", "made at")
+        print_table(heads, rows, right=("runs", "failed"), cut=("datasets", "algorithms"))
+    else:
+        tell("no baselines; `slamhive gate baseline NAME --where FILTER` makes one")
+
+
+@gate.command()
+@click.argument("baseline_name", metavar="BASELINE")
+@json_option
+@pass_cli
+def show(cli: CliContext, baseline_name: str, as_json: bool) -> None:
+    """Show BASELINE, which is a name or a file that ends with .json."""
+    found = cli.hive().gates.baselines.get(baseline_name)
+    if as_json:
+        print_json(found.content)
+        return
+    click.echo(f"baseline {found.name}: {_counts(found)}")
+    click.echo(f"made {found.made_at:%Y-%m-%d %H:%M} by slamhive {found.software} of runs where {found.where}")
+    rows = [
+        (
+            name,
+            len(entry.runs),
+            sum(run.failed is not None for run in entry.runs),
+            ", ".join(sorted({run.version for run in entry.runs if run.version is not None})) or None,
+            ", ".join(sorted({run.cpu_model for run in entry.runs if run.cpu_model is not None})) or None,
+            entry.protocol.label,
+        )
+        for name, entry in zip(found.names, found.configurations, strict=True)
+    ]
+    heads = ("configuration", "runs", "failed", "version", "processor", "protocol")
+    print_table(heads, rows, right=("runs", "failed"))
+
+
+@gate.command()
+@click.argument("name")
+@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+@pass_cli
+def export(cli: CliContext, name: str, file: Path) -> None:
+    """Write the baseline NAME to FILE, to keep it in a repository; `gate check FILE` reads it."""
+    cli.hive().gates.baselines.export(name, file)
+    click.echo(f"baseline {name} written to {file}")
+
+
+@gate.command()
+@click.argument("name")
+@pass_cli
+def remove(cli: CliContext, name: str) -> None:
+    """Delete the baseline NAME; its runs stay."""
+    cli.hive().gates.baselines.remove(name)
+    click.echo(f"baseline {name} removed")
+
+
+@gate.command()
+@click.argument("baseline_name", metavar="BASELINE")
+@click.option("--where", metavar="FILTER", help="Check runs that exist; those of the baseline are left out.")
+@click.option(
+    "--run",
+    "algorithms",
+    multiple=True,
+    metavar="ALGORITHM",
+    help="Run the baseline's configurations of this algorithm (NAME or NAME@VERSION) and check that; may be repeated.",
+)
+@click.option("--repeats", type=click.IntRange(1, 1000), default=5, show_default=True, help="First runs of each.")
+@click.option("--budget", metavar="BUDGET", help="Repeat until decided, in all at most e.g. '20 runs' or '30 min'.")
+@click.option("--executor", help="Where runs are executed; by default the executor in force.")
+@click.option(
+    "--margin",
+    "margins",
+    multiple=True,
+    metavar="METRIC=MARGIN",
+    help=f"A share (5%), a number in the metric's unit, or off; may be repeated.  [default: {_DEFAULTS}]",
+)
+@click.option("--ignore", "ignored", multiple=True, metavar="PARAMETER", help="A parameter that may differ.")
+@click.option("--partial", is_flag=True, help="Configurations of the baseline without runs do not prevent a pass.")
+@click.option("--evaluate", is_flag=True, help="First evaluate runs that lack the protocol of the baseline.")
+@click.option("--markdown", type=click.Path(dir_okay=False, path_type=Path), help="Write a summary for a comment.")
+@click.option("--junit", type=click.Path(dir_okay=False, path_type=Path), help="Write JUnit XML.")
+@json_option
+@pass_cli
+def check(cli: CliContext, /, baseline_name: str, as_json: bool, **options: Any) -> None:
+    """Check whether runs became worse than BASELINE, a name or a file that ends with .json.
+
+    The exit code is 0 if no metric became worse by more than its margin, and 1 if one did and chance does not explain
+    it. It is 3 if the runs are too few to say, and 2 for a mistake.
+    """
+    hive = cli.hive()
+    if (options["where"] is None) != bool(options["algorithms"]):
+        raise InvalidInput("name the runs to check by --where, or start them by --run: one of the two")
+    if options["budget"] is not None and not options["algorithms"]:
+        raise InvalidInput("--budget is for runs that the check starts", "give --run, or leave it out")
+    prepared = hive.gates.prepare(baseline_name, options["margins"], options["ignored"], partial=options["partial"])
+    answer = _of_new(hive, prepared, options) if options["algorithms"] else _of_existing(hive, prepared, options)
+    _write(answer, options["markdown"], options["junit"])
+    if as_json:
+        print_json(answer.content)
+    else:
+        _print(answer)
+    raise click.exceptions.Exit(EXIT_CODES[answer.answer])
+
+
+def _of_existing(hive: Hive, prepared: GateCheck, options: dict[str, Any]) -> GateAnswer:
+    run_ids = hive.gates.find(options["where"])
+    if options["evaluate"]:
+        from slamhive.cli.batches import evaluate_to_end  # noqa: PLC0415 - few checks evaluate
+        from slamhive.domain.protocol_request import exactly  # noqa: PLC0415
+
+        for protocol, lacking in hive.gates.lacking(prepared, run_ids).items():
+            queued = hive.evaluations.queue(lacking, exactly(protocol, protocol.fingerprint))
+            evaluate_to_end(hive.evaluations, queued)
+    return hive.gates.answer(prepared, run_ids)
+
+
+def _of_new(hive: Hive, prepared: GateCheck, options: dict[str, Any]) -> GateAnswer:
+    from slamhive.cli.waiting import run_to_end  # noqa: PLC0415 - loads the worker
+    from slamhive.services.gates import Repeats, repeat_until_decided  # noqa: PLC0415
+
+    budget = None if options["budget"] is None else read_budget(options["budget"])
+    repeats = Repeats(options["repeats"], budget, options["executor"])
+
+    def work(run_ids: Sequence[int]) -> None:
+        run_to_end(hive, run_ids, evaluate=True)
+
+    return repeat_until_decided(hive.gates, prepared, options["algorithms"], repeats, work)
+
+
+def _write(answer: GateAnswer, markdown: Path | None, junit: Path | None) -> None:
+    from slamhive.services.gates import answer_junit, answer_markdown  # noqa: PLC0415
+
+    if markdown is not None:
+        write_aside(markdown, answer_markdown(answer))
+    if junit is not None:
+        write_aside(junit, answer_junit(answer))
+
+
+def _print(answer: GateAnswer) -> None:
+    from slamhive.services.gates import METRIC_HEADS, VALUE_HEADS, metric_row, value_rows  # noqa: PLC0415
+
+    print_table(METRIC_HEADS, [metric_row(entry) for entry in answer.metrics], right=METRIC_HEADS[1:-1])
+    click.echo()
+    values = [tuple(f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row) for row in value_rows(answer)]
+    print_table(VALUE_HEADS, values, right=VALUE_HEADS[2:])
+    for note in (*answer.notes, *(f"No runs of {words}." for words in answer.missing)):
+        tell(note)
+    tell(f"gate {answer.baseline}: {answer.answer}. {answer.words}", style=STYLES[answer.answer])
+
+
+def _counts(found: Baseline) -> str:
+    failed = f", {found.failed} failed" if found.failed else ""
+    return f"{plural(found.runs, 'run')} of {plural(len(found.configurations), 'configuration')}{failed}"
+
+
+COMMANDS = (gate,)

@@ -1,0 +1,153 @@
+"""A gate of continuous integration: its answers, margins and budget."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from slamhive.domain.metrics import Direction, metric
+from slamhive.domain.numbers import plural
+from slamhive.errors import InvalidInput
+
+FAILURES = "failures"
+"""The name of the share of failed runs, which is compared like a metric."""
+
+SIGNIFICANCE = 0.05
+"""The largest chance of a false alarm in one check, over all its metrics and looks."""
+
+MOST_RUNS = 10_000
+_NUMBER = r"\d{1,9}(?:\.\d{1,9})?"
+_MARGIN = re.compile(rf"({_NUMBER})\s*(%?)")
+_BUDGET = re.compile(rf"({_NUMBER})\s*([a-z]+)")
+_UNITS_S = {"s": 1.0, "min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0}
+_LARGEST_S = 30 * 86_400.0
+_SHOWN = 40
+
+
+class Answer(StrEnum):
+    """What a gate says of a metric, or of all."""
+
+    PASS = "pass"  # noqa: S105 - an answer
+    WORSE = "worse"
+    UNDECIDED = "undecided"
+
+    @classmethod
+    def over(cls, answers: Collection[Answer]) -> Answer:
+        """The answer over several: one that is worse decides, and all have to pass."""
+        if cls.WORSE in answers:
+            return cls.WORSE
+        return cls.PASS if answers and set(answers) == {cls.PASS} else cls.UNDECIDED
+
+
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """By how much a metric may become worse: a share of the baseline if ``relative``, else in the metric's unit."""
+
+    value: float
+    relative: bool = True
+
+    def words(self, unit: str = "") -> str:
+        """``5 %``, ``0.01 m``."""
+        if self.relative:
+            return f"{100 * self.value:.4g} %"
+        return f"{self.value:.4g} {unit}".strip()
+
+
+DEFAULT_MARGINS: Mapping[str, Margin] = {
+    FAILURES: Margin(0.0, relative=False),
+    "ate.rmse": Margin(0.05),
+    "tracked.path": Margin(0.02, relative=False),
+    "cpu.per_data_second": Margin(0.10),
+    "ram.max": Margin(0.10),
+    "latency.p95": Margin(0.15),
+}
+"""What a check compares unless it is asked otherwise, as far as the baseline has values."""
+
+INSTEAD = {"cpu.per_data_second": "cpu.mean", "tracked.path": "tracked_fraction"}
+"""What takes the place of a metric by default where the baseline has no values of it."""
+
+
+def chosen_margins(asked: Sequence[str], measured: Collection[str]) -> dict[str, Margin]:
+    """The margins of a check by metric: the defaults, changed as ``asked``.
+
+    Args:
+        asked: Texts such as ``ate.rmse=5%``, ``tracked.path=0.01`` or ``latency.p95=off``.
+        measured: The metrics that the baseline has values of.
+
+    Raises:
+        NotFound: a metric is unknown.
+        InvalidInput: a text is not clear, or the baseline has no value of a metric that was asked for.
+    """
+    margins: dict[str, Margin] = {}
+    for key, margin in DEFAULT_MARGINS.items():
+        found = key if key in measured or key == FAILURES else INSTEAD.get(key, key)
+        if found in measured or found == FAILURES:
+            margins[found] = margin
+    for text in asked:
+        key, changed = _read_margin(text)
+        if changed is None:
+            margins.pop(key, None)
+            continue
+        if key != FAILURES and key not in measured:
+            raise InvalidInput(f"the baseline has no values of {key}", f"it has {', '.join(sorted(measured))}")
+        margins[key] = changed
+    if not margins:
+        raise InvalidInput("no metric is left to compare", "leave out a --margin that is off")
+    return margins
+
+
+def _read_margin(text: str) -> tuple[str, Margin | None]:
+    key, sign, value = (part.strip() for part in text.partition("="))
+    if not sign:
+        raise InvalidInput(f"--margin {text[:_SHOWN]!r} is not clear", "write METRIC=MARGIN, for example ate.rmse=5%")
+    if key != FAILURES and metric(key).direction is Direction.NEUTRAL:
+        raise InvalidInput(f"{key} cannot become worse: no direction of it is better", "use another metric")
+    if value == "off":
+        return key, None
+    found = _MARGIN.fullmatch(value)
+    if found is None:
+        raise InvalidInput(
+            f"margin {value[:_SHOWN]!r} of {key} is not allowed", "use a share such as 5%, a number, or off"
+        )
+    if key == FAILURES:
+        return key, Margin(float(found[1]) / (100 if found[2] else 1), relative=False)
+    return key, Margin(float(found[1]) / 100) if found[2] else Margin(float(found[1]), relative=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """What a check may spend on runs in all: a number of them, or wall time. One of the two is None."""
+
+    runs: int | None = None
+    time_s: float | None = None
+
+    @property
+    def words(self) -> str:
+        """``20 runs``, ``30 min``."""
+        return plural(self.runs, "run") if self.runs is not None else f"{(self.time_s or 0) / 60:.4g} min"
+
+    def runs_left(self, spent: int, elapsed_s: float) -> int:
+        """How many more runs fit, if they take as long as the ``spent`` ones, which took ``elapsed_s`` together."""
+        if self.runs is not None:
+            return max(0, self.runs - spent)
+        if spent == 0:
+            return MOST_RUNS
+        left_s = (self.time_s or 0.0) - elapsed_s
+        return max(0, math.floor(left_s / max(elapsed_s / spent, 1e-3)))
+
+
+def read_budget(text: str) -> Budget:
+    """A budget such as ``20 runs``, ``30 min`` or ``2 h``; raises InvalidInput."""
+    found = _BUDGET.fullmatch(text.strip().lower())
+    remedy = "for example '20 runs', '30 min' or '2 h'"
+    if found is None:
+        raise InvalidInput(f"budget {text[:_SHOWN]!r} is not clear", remedy)
+    number, unit = float(found[1]), found[2]
+    if unit in ("run", "runs") and number.is_integer() and 1 <= number <= MOST_RUNS:
+        return Budget(runs=int(number))
+    if unit in _UNITS_S and 0 < number * _UNITS_S[unit] <= _LARGEST_S:
+        return Budget(time_s=number * _UNITS_S[unit])
+    raise InvalidInput(f"budget {text[:_SHOWN]!r} is not allowed", remedy)

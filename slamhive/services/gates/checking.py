@@ -1,0 +1,207 @@
+"""The answer of a gate: each metric of the baseline against the runs that are checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slamhive.analysis.regression import (
+    Change,
+    Evidence,
+    FailureCounts,
+    Sample,
+    decide,
+    failure_evidence,
+    over_configurations,
+    rank_evidence,
+    typical_change,
+)
+from slamhive.analysis.statistics import Numbers
+from slamhive.domain.gate import FAILURES, Answer, Margin
+from slamhive.domain.metrics import Direction, Metric, described
+from slamhive.domain.numbers import plural
+from slamhive.schema.gate import (
+    GateAnswer,
+    GateConfiguration,
+    GateMetric,
+    GateValues,
+    MeasuredRun,
+)
+from slamhive.schema.run import ProtocolName
+from slamhive.services.gates.candidates import GateCheck, Pair
+from slamhive.services.gates.remarks import remarks
+
+_FAILED_RUNS = Metric(FAILURES, "Failed runs", "", Direction.LOWER, "Share of the runs that failed.")
+
+
+def answer_of(
+    check: GateCheck, pairs: Sequence[Pair], notes: Sequence[str], significance: float, looks: int = 1
+) -> GateAnswer:
+    """The answer for these pairs.
+
+    Args:
+        check: Baseline and margins.
+        pairs: One or more.
+        notes: What to say of runs that were left out.
+        significance: The largest chance of a false alarm of this look.
+        looks: The number of this look.
+    """
+    tested = {key: found for key, margin in check.margins.items() if (found := _test(key, margin, pairs))}
+    decided = decide({key: entry.evidence for key, entry in tested.items()}, significance)
+    metrics = [_compared(key, check.margins[key], decided[key], tested[key], pairs) for key in tested]
+    missing = tuple(name for name in check.baseline.names if name not in {pair.words for pair in pairs})
+    answers = [entry.answer for entry in metrics]
+    answer = Answer.over([*answers, Answer.UNDECIDED] if missing and not check.partial else answers)
+    return GateAnswer(
+        baseline=check.baseline.name,
+        answer=answer,
+        words=_words(answer, metrics, missing),
+        significance=significance,
+        looks=looks,
+        metrics=tuple(metrics),
+        configurations=tuple(map(_configuration, pairs)),
+        missing=missing,
+        notes=(*notes, *remarks(pairs, significance), *_without_values(metrics)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Tested:
+    """The evidence over all pairs, and that of each by its place."""
+
+    evidence: Evidence
+    parts: Sequence[tuple[int, Evidence]]
+
+
+def _test(key: str, margin: Margin, pairs: Sequence[Pair]) -> _Tested | None:
+    """The evidence on one metric; None if the baseline has no value of it in any pair."""
+    parts = [(place, found) for place, pair in enumerate(pairs) if (found := _evidence(key, margin, pair))]
+    if not parts:
+        return None
+    sizes = [(len(pairs[place].held.runs), len(pairs[place].runs)) for place, _ in parts]
+    weights = [math.sqrt(n * m / (n + m)) for n, m in sizes]
+    return _Tested(over_configurations([entry for _, entry in parts], weights), parts)
+
+
+def _evidence(key: str, margin: Margin, pair: Pair) -> Evidence | None:
+    if key == FAILURES:
+        return failure_evidence(_failures(pair), margin)
+    baseline = ranked_values(key, pair.held.runs)
+    if not np.isfinite(baseline).any():
+        return None
+    return rank_evidence(Sample(baseline, ranked_values(key, pair.measured)), margin)
+
+
+def ranked_values(key: str, runs: Sequence[MeasuredRun]) -> Numbers:
+    """The values of a metric so that larger is worse.
+
+    A failed run is worse than any other in metrics of its trajectory. What it used of the machine is left out, because
+    it did not do the same work.
+    """
+    metric = described(key)
+    sign = -1.0 if metric.direction is Direction.HIGHER else 1.0
+    values = []
+    for run in runs:
+        if run.failed is not None:
+            values += [math.inf] if metric.needs_protocol else []
+        elif key in run.metrics:
+            values.append(sign * run.metrics[key])
+    return np.array(values, dtype=float)
+
+
+def _failures(pair: Pair) -> FailureCounts:
+    counts = [sum(run.failed is not None for run in runs) for runs in (pair.held.runs, pair.measured)]
+    return FailureCounts(counts[0], len(pair.held.runs), counts[1], len(pair.measured))
+
+
+def _good_values(key: str, runs: Sequence[MeasuredRun]) -> Numbers:
+    return np.array([run.metrics[key] for run in runs if run.failed is None and key in run.metrics], dtype=float)
+
+
+def _compared(
+    key: str, margin: Margin, decision: tuple[Answer, float], tested: _Tested, pairs: Sequence[Pair]
+) -> GateMetric:
+    metric = _FAILED_RUNS if key == FAILURES else described(key)
+    change = _change(key, margin, [pairs[place] for place, _ in tested.parts])
+    interval = None if change is None else change.interval
+    return GateMetric(
+        key=key,
+        label=metric.label,
+        unit=metric.unit,
+        better=metric.direction,
+        margin=margin.words(metric.unit),
+        answer=decision[0],
+        change=None if change is None else change.value,
+        change_low=None if interval is None else interval.low,
+        change_high=None if interval is None else interval.high,
+        change_relative=margin.relative,
+        p_worse=decision[1],
+        p_within=None if key == FAILURES else tested.evidence.within,
+        configurations=tuple(_values(key, place, found, pairs[place]) for place, found in tested.parts),
+    )
+
+
+def _change(key: str, margin: Margin, pairs: Sequence[Pair]) -> Change | None:
+    if key == FAILURES:
+        return Change(sum(_failures(pair).excess for pair in pairs) / len(pairs), None)
+    values = [(_good_values(key, pair.held.runs), _good_values(key, pair.measured)) for pair in pairs]
+    return typical_change([pair for pair in values if all(map(len, pair))], relative=margin.relative)
+
+
+def _values(key: str, place: int, evidence: Evidence, pair: Pair) -> GateValues:
+    if key == FAILURES:
+        counts = _failures(pair)
+        baseline: float | None = counts.baseline_failed / counts.baseline
+        candidate: float | None = counts.candidate_failed / counts.candidate
+    else:
+        good = [_good_values(key, runs) for runs in (pair.held.runs, pair.measured)]
+        baseline, candidate = (float(np.median(values)) if len(values) else None for values in good)
+    return GateValues(
+        configuration=place,
+        baseline=baseline,
+        candidate=candidate,
+        p_worse=evidence.worse,
+        p_within=None if key == FAILURES else evidence.within,
+    )
+
+
+def _configuration(pair: Pair) -> GateConfiguration:
+    protocol = pair.held.protocol
+    return GateConfiguration(
+        algorithm=pair.held.algorithm,
+        dataset=pair.held.dataset,
+        words=pair.words,
+        protocol=ProtocolName(fingerprint=protocol.fingerprint, label=protocol.label),
+        baseline_runs=len(pair.held.runs),
+        baseline_failed=sum(run.failed is not None for run in pair.held.runs),
+        runs=tuple(run.id for run in pair.runs),
+        failed=tuple(run.id for run, values in zip(pair.runs, pair.measured, strict=True) if values.failed is not None),
+        versions=tuple(sorted({run.version_label for run in pair.runs if run.version_label is not None})),
+    )
+
+
+def _without_values(metrics: Sequence[GateMetric]) -> Iterator[str]:
+    for metric in metrics:
+        if all(entry.candidate is None for entry in metric.configurations):
+            yield f"No good run to check has a value of {metric.label}."
+
+
+def _words(answer: Answer, metrics: Sequence[GateMetric], missing: Sequence[str]) -> str:
+    """The answer in one sentence."""
+    if answer is Answer.PASS:
+        return f"None of {plural(len(metrics), 'metric')} became worse by more than its margin."
+    if answer is Answer.WORSE:
+        named = [entry.label for entry in metrics if entry.answer is Answer.WORSE]
+        return f"Worse by more than the margin and by more than chance: {', '.join(named)}."
+    return f"{' '.join(_open_questions(metrics, missing))} More runs can decide."
+
+
+def _open_questions(metrics: Sequence[GateMetric], missing: Sequence[str]) -> Iterator[str]:
+    named = [entry.label for entry in metrics if entry.answer is Answer.UNDECIDED]
+    if named or not metrics:
+        yield f"Chance may explain what was found: {', '.join(named) or 'no metric has values'}."
+    if missing:
+        yield f"The baseline has {plural(len(missing), 'configuration')} without runs to check."
