@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from slamhive import strict_yaml
 from slamhive.catalogue.algorithm_parameters import ParameterModel, PlainValue, check_general_names, read_parameter
+from slamhive.catalogue.base_images import COMPILE_STAGE
 from slamhive.catalogue.foreign_model import OriginModel, TopicModel
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Base, Input, RunUser
 from slamhive.domain.bounds import Bound
@@ -146,8 +147,8 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         raise InvalidInput(
             f"{folder} lacks {MAPPING_SCRIPT}", "the container contract starts it; see docs/container-contract.md"
         )
-    if model.image == "standard" and (folder / "Dockerfile").exists():
-        raise InvalidInput(f"{path}: image: standard, but there is a Dockerfile", "remove the one or the other")
+    if model.image == "standard":
+        _check_standard_image(path, model.base)
     package = AlgorithmPackage(
         name=model.package,
         folder=folder,
@@ -183,6 +184,16 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
 def package_hash(folder: Path) -> str:
     """SHA-256 over the names and contents of the package's files: which version of the wrapper ran."""
     return hash_files(folder)
+
+
+def _check_standard_image(path: Path, base: Base) -> None:
+    if (path.parent / "Dockerfile").exists():
+        raise InvalidInput(f"{path}: image: standard, but there is a Dockerfile", "remove the one or the other")
+    if base is Base.ROS1 and not (path.parent / COMPILE_STAGE).is_file():
+        raise InvalidInput(
+            f"{path}: image: standard with base: ros1, but there is no {COMPILE_STAGE}",
+            "add the stage that compiles the nodes, as in algorithms/aloam",
+        )
 
 
 def _check_names(path: Path, model: _PackageModel) -> None:

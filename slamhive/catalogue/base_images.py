@@ -15,6 +15,9 @@ from pathlib import Path
 from slamhive.errors import InvalidInput
 from slamhive.files import hash_files
 
+COMPILE_STAGE = "compile.Dockerfile"
+"""In packages of ROS 1 with ``image: standard``: the stage ``build``, which leaves what runs in ``/opt/ros1``."""
+
 _ARGUMENT = re.compile(r"^ARG\s+([A-Z][A-Z0-9]*)_IMAGE\b", re.MULTILINE)
 _SOURCE = re.compile(r"^ARG\s+\w+=https?://\S*?/([\w.-]+?)(?:\.git)?#([0-9a-f]{7,40})\s*$", re.MULTILINE)
 _SHORT_COMMIT = 7
@@ -39,27 +42,35 @@ class BaseImage:
     content: str
 
 
-def base_images(dockerfile: Path, base: str, project_root: Path) -> tuple[BaseImage, ...]:
-    """The parts of ``base`` that ``dockerfile`` declares. Raises InvalidInput if it cannot be read."""
-    try:
-        declared = _ARGUMENT.findall(dockerfile.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"{dockerfile} cannot be read: {error}") from None
+def read_dockerfile(*parts: Path) -> str:
+    """The text of a Dockerfile that is in one file, or in several that follow each other. Raises InvalidInput."""
+    texts = []
+    for path in parts:
+        try:
+            texts.append(path.read_text("utf-8"))
+        except (OSError, UnicodeDecodeError) as error:
+            raise InvalidInput(f"{path} cannot be read: {error}") from None
+    return "".join(texts)
+
+
+def base_images(dockerfile: str, base: str, project_root: Path) -> tuple[BaseImage, ...]:
+    """The parts of ``base`` that the text of a Dockerfile declares. Raises InvalidInput if a part cannot be read."""
+    declared = _ARGUMENT.findall(dockerfile)
     folders = {part: project_root / f"docker/{base}/{part.lower()}" for part in declared}
     return tuple(_base_image(base, folder, project_root) for folder in folders.values() if _is_part(folder))
 
 
-def source_archives(dockerfile: Path) -> tuple[str, ...]:
-    """The names of the archives that may replace the repositories in ``dockerfile``.
+def source_archives(dockerfile: str) -> tuple[str, ...]:
+    """The names of the archives that may replace the repositories in the text of a Dockerfile.
 
     ``ARG SOURCE=https://example.org/A-LOAM#e51f88c`` has ``A-LOAM-e51f88c.tar.xz``: the files of that commit below one
     folder.
     """
-    found = _SOURCE.findall(dockerfile.read_text("utf-8"))
+    found = _SOURCE.findall(dockerfile)
     return tuple(f"{name}-{commit[:_SHORT_COMMIT]}.tar.xz" for name, commit in found)
 
 
-def stage_sources(dockerfile: Path, archives: Path | None, target: Path) -> None:
+def stage_sources(dockerfile: str, archives: Path | None, target: Path) -> None:
     """Copy the archives of ``dockerfile`` that are in ``archives`` to ``target``, which is made. Raises OSError."""
     target.mkdir()
     for name in source_archives(dockerfile) if archives else ():
@@ -73,6 +84,6 @@ def _is_part(folder: Path) -> bool:
 
 def _base_image(base: str, folder: Path, project_root: Path) -> BaseImage:
     part = folder.name
-    needs = base_images(folder / "Dockerfile", base, project_root)
+    needs = base_images(read_dockerfile(folder / "Dockerfile"), base, project_root)
     content = hashlib.sha256("".join([hash_files(folder), *(image.content for image in needs)]).encode()).hexdigest()
     return BaseImage(f"slam-hive-base:{base}-{part}", f"{part.upper()}_IMAGE", folder, needs, f"sha256:{content}")

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import slamhive
-from slamhive.catalogue.base_images import BaseImage, base_images, stage_sources
-from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.catalogue.base_images import COMPILE_STAGE, BaseImage, base_images, read_dockerfile, stage_sources
+from slamhive.domain.algorithm import AlgorithmPackage, Base
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.files import hash_files
 
@@ -35,7 +35,8 @@ RENDERING_PARTS = (
 """The code that renders images on which the ``prepare.py`` of a package can train."""
 
 BASE_SCRIPT = "docker/base/install-runtime.sh"
-STANDARD_DOCKERFILE = "docker/algorithm/Dockerfile"
+STANDARD_DOCKERFILES = {Base.PYTHON: "docker/algorithm/Dockerfile", Base.ROS1: "docker/ros1/Dockerfile"}
+"""What makes the images of packages with ``image: standard``."""
 
 _PASSED_ON = ("PIP_INDEX_URL", "PIP_EXTRA_INDEX_URL")
 _LEFT_OUT = shutil.ignore_patterns("__pycache__", "*.pyc")
@@ -50,10 +51,17 @@ class BuildContext:
     build_args: dict[str, str]
 
 
-def dockerfile_of(package: AlgorithmPackage, project_root: Path) -> Path | None:
-    """What makes the image of a package; None if somebody else makes it."""
-    path = project_root / STANDARD_DOCKERFILE if package.standard_image else package.folder / "Dockerfile"
-    return path if path.is_file() else None
+def dockerfile_of(package: AlgorithmPackage, project_root: Path) -> str | None:
+    """The Dockerfile of a package; None if somebody else makes its image. Raises InvalidInput if it cannot be read.
+
+    The standard one of ROS 1 goes on from the package's own stage that compiles.
+    """
+    parts = [package.folder / "Dockerfile"]
+    if package.standard_image:
+        parts = [project_root / STANDARD_DOCKERFILES[package.base]]
+        if package.base is Base.ROS1:
+            parts.insert(0, package.folder / COMPILE_STAGE)
+    return read_dockerfile(*parts) if all(path.is_file() for path in parts) else None
 
 
 def images_of(package: AlgorithmPackage, project_root: Path) -> tuple[BaseImage, ...]:
@@ -90,7 +98,7 @@ def stage_context(
     source = Path(slamhive.__file__).parent
     try:
         shutil.copytree(package.folder, target / "package", ignore=_LEFT_OUT)
-        shutil.copy(dockerfile, target / "Dockerfile")
+        (target / "Dockerfile").write_text(dockerfile, "utf-8")
         copy_parts(source, RUNTIME_PARTS, target / "runtime" / "slamhive")
         copy_parts(source, RENDERING_PARTS, target / "rendering" / "slamhive")
         _stage_certificates(certificates, target / "base")
@@ -111,7 +119,7 @@ def stage_base_context(image: BaseImage, target: Path, archives: Path | None = N
     try:
         shutil.copytree(image.folder, target / "part", ignore=_LEFT_OUT)
         _stage_certificates(HOST_CERTIFICATES, target / "base")
-        stage_sources(image.folder / "Dockerfile", archives, target / "sources")
+        stage_sources(read_dockerfile(image.folder / "Dockerfile"), archives, target / "sources")
         _set_plain_modes(target)
     except OSError as error:
         raise Unavailable(f"the build context {target} cannot be made: {error}", "check space and rights") from None
@@ -126,7 +134,8 @@ def build_arguments(environment: Mapping[str, str] = os.environ) -> dict[str, st
 def context_hash(package: AlgorithmPackage, project_root: Path) -> str:
     """SHA-256 of everything that goes into an image; an image with another hash is out of date."""
     source = Path(slamhive.__file__).parent
-    project_parts = (BASE_SCRIPT, STANDARD_DOCKERFILE) if package.standard_image else (BASE_SCRIPT,)
+    standard = (STANDARD_DOCKERFILES[package.base],) if package.standard_image else ()
+    project_parts = (BASE_SCRIPT, *standard)
     parts = [hash_files(package.folder), hash_files(source, RUNTIME_PARTS), hash_files(project_root, project_parts)]
     if (package.folder / "prepare.py").is_file():
         parts.append(hash_files(source, RENDERING_PARTS))

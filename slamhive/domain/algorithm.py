@@ -67,7 +67,7 @@ class Base(StrEnum):
 class AlgorithmPackage:
     """One folder below ``algorithms/``: code, image and provenance shared by all modes of an upstream project.
 
-    ``standard_image``: its image is made by the Dockerfile that packages of Python modules share. ``reports_tracking``:
+    ``standard_image``: its image is made by the Dockerfile that packages with this base share. ``reports_tracking``:
     while it runs it says for how long it has found no pose (``progress.json``). ``user``: who its runs are in a
     container. ``base``: what its image is based on. ``map_output``: the file in the result with the map that another
     run of the same algorithm can start with; it is there if the run saves its map. ``playback``: how recordings can be

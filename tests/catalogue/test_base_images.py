@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.catalogue.base_images import base_images, source_archives, stage_sources
-from slamhive.catalogue.image_context import context_hash, stage_base_context
+from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.catalogue.base_images import base_images, read_dockerfile, source_archives, stage_sources
+from slamhive.catalogue.image_context import context_hash, dockerfile_of, stage_base_context
 from slamhive.domain.algorithm import AlgorithmPackage, Base
 from slamhive.project import project_root
 
@@ -31,16 +32,16 @@ def project(tmp_path: Path) -> Path:
 
 
 def test_a_dockerfile_gets_the_parts_that_it_declares(project: Path) -> None:
-    build, run = base_images(project / "package" / "Dockerfile", "ros1", project)
+    build, run = base_images(read_dockerfile(project / "package" / "Dockerfile"), "ros1", project)
     assert (build.name, build.argument) == ("slam-hive-base:ros1-build", "BUILD_IMAGE")
     assert (run.name, run.argument) == ("slam-hive-base:ros1-run", "RUN_IMAGE")
     assert build.needs == (run,)
     assert run.needs == ()
-    assert base_images(project / "package" / "Dockerfile", "python", project) == ()
+    assert base_images(read_dockerfile(project / "package" / "Dockerfile"), "python", project) == ()
 
 
 def test_a_change_of_a_part_changes_what_is_built_on_it(project: Path) -> None:
-    dockerfile = project / "package" / "Dockerfile"
+    dockerfile = read_dockerfile(project / "package" / "Dockerfile")
     package = AlgorithmPackage("p", project / "package", "P", "1", "", "", "", base=Base.ROS1)
     before, package_before = base_images(dockerfile, "ros1", project), context_hash(package, project)
     (project / "docker/ros1/run/Dockerfile").write_text("ARG BASE_IMAGE\nFROM ${BASE_IMAGE}\nRUN true\n")
@@ -50,13 +51,13 @@ def test_a_change_of_a_part_changes_what_is_built_on_it(project: Path) -> None:
 
 
 def test_archives_take_the_place_of_repositories(project: Path, tmp_path: Path) -> None:
-    dockerfile = project / "docker/ros1/build/Dockerfile"
+    dockerfile = read_dockerfile(project / "docker/ros1/build/Dockerfile")
     assert source_archives(dockerfile) == ("lib-0123456.tar.xz",)
     archives = tmp_path / "archives"
     archives.mkdir()
     (archives / "lib-0123456.tar.xz").write_text("archive")
     (archives / "other-0123456.tar.xz").write_text("not named")
-    build, _ = base_images(project / "package" / "Dockerfile", "ros1", project)
+    build, _ = base_images(read_dockerfile(project / "package" / "Dockerfile"), "ros1", project)
     context = stage_base_context(build, tmp_path / "context", archives)
     assert {path.name for path in (context.path / "sources").iterdir()} == {"lib-0123456.tar.xz"}
     assert (context.path / "part/bin/tool").read_text() == "tool"
@@ -68,8 +69,10 @@ def test_every_ros1_package_names_its_sources_by_commit_and_explains_its_patches
     root = project_root()
     packages = [path.parent for path in (root / "algorithms").glob("*/patches")]
     assert packages
-    for package in packages:
-        assert source_archives(package / "Dockerfile")
-        for patch in (package / "patches").glob("*.patch"):
+    for folder in packages:
+        dockerfile = dockerfile_of(load_algorithms(folder)[0].package, root)
+        assert dockerfile is not None
+        assert source_archives(dockerfile)
+        for patch in (folder / "patches").glob("*.patch"):
             reason = patch.read_text().partition("diff --git")[0]
             assert len(reason.split()) > 5, f"{patch} has no reason"

@@ -10,25 +10,27 @@ from pathlib import Path
 import pytest
 
 from slamhive.catalogue.algorithm_file import load_algorithms
-from slamhive.catalogue.image_context import STANDARD_DOCKERFILE, context_hash, stage_context
-from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.catalogue.image_context import STANDARD_DOCKERFILES, context_hash, stage_context
+from slamhive.domain.algorithm import AlgorithmPackage, Base
 from slamhive.errors import InvalidInput
 from slamhive.project import project_root
 
 pytestmark = pytest.mark.integration
 
-STANDARD, OWN = "kiss-icp", "orb-slam3"
+STANDARD, STANDARD_ROS1, OWN = "kiss-icp", "aloam", "orb-slam3"
+STANDARD_DOCKERFILE = STANDARD_DOCKERFILES[Base.PYTHON]
 
 
 def package_of(name: str) -> AlgorithmPackage:
     return load_algorithms(project_root() / "algorithms" / name)[0].package
 
 
-@pytest.mark.parametrize("name", [STANDARD, OWN])
+@pytest.mark.parametrize("name", [STANDARD, STANDARD_ROS1, OWN])
 def test_all_that_the_dockerfile_copies_is_there(name: str, tmp_path: Path) -> None:
     context = stage_context(package_of(name), project_root(), tmp_path / "context", tmp_path, {})
     lines = (context.path / context.dockerfile).read_text().splitlines()
-    sources = [part for line in lines if line.startswith("COPY ") for part in line.split()[1:-1]]
+    copies = [line.split() for line in lines if line.startswith("COPY ") and "--from" not in line]
+    sources = [part for words in copies for part in words[1:-1]]
     assert sources
     assert all(list(context.path.glob(source)) for source in sources)
     assert context.build_args == {}

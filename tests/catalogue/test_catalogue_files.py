@@ -157,6 +157,23 @@ def test_a_wrong_algorithm_file_names_the_place(tmp_path, old, new, message):
     assert message in str(caught.value)
 
 
+def test_a_standard_image_of_ros_needs_the_stage_that_compiles(tmp_path):
+    folder = tiny(tmp_path)
+    path = folder / "algorithm.yaml"
+    path.write_text("base: ros1\nimage: standard\n" + path.read_text())
+    (folder / "Dockerfile").unlink()
+    with pytest.raises(InvalidInput, match=r"image: standard with base: ros1, but there is no compile\.Dockerfile"):
+        load_algorithms(folder)
+    (folder / "compile.Dockerfile").write_text("ARG BUILD_IMAGE\nARG RUN_IMAGE\nFROM ${BUILD_IMAGE} AS build\n")
+    dockerfile = dockerfile_of(load_algorithms(folder)[0].package, ROOT)
+    assert dockerfile is not None
+    assert [line for line in dockerfile.splitlines() if line.startswith(("FROM", "COPY --from"))] == [
+        "FROM ${BUILD_IMAGE} AS build",
+        "FROM ${RUN_IMAGE}",
+        "COPY --from=build /opt/ros1 /opt/ros1",
+    ]
+
+
 def test_bounds_are_read_with_sequential_playback_unless_stated(tmp_path):
     folder = tiny(tmp_path)
     path = folder / "algorithm.yaml"

@@ -346,3 +346,15 @@ def test_a_worker_that_lost_its_run_leaves_the_record_alone(hive, written):
         hand.fail(FailureReason.START_ERROR, "too late")
     assert [record["state"] for record in written] == ["preparing"]
     assert hive.runs.get(run_id).state is RunState.PREPARING
+
+
+def test_only_an_image_that_somebody_else_made_gets_a_copy_of_the_scripts(hive):
+    folder = hive.catalogue.package("tiny").folder
+    (folder / "Dockerfile").unlink()
+    theirs, ours = FakeExecutor(), FakeExecutor()
+    finish(hive, theirs)
+    yaml = folder / "algorithm.yaml"
+    yaml.write_text(f"image: standard\n{yaml.read_text()}")
+    finish(hive, ours)
+    assert [entry.own_copy for entry in theirs.starts[0].inputs if entry.name == "slamhive"] == [True]
+    assert "slamhive" not in {entry.name for entry in ours.starts[0].inputs}

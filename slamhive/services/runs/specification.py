@@ -245,7 +245,7 @@ def _map_provenance(found: FoundMap | None) -> dict[str, Any]:
 def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInput]:
     dataset, package = job.seen, job.algorithm.package
     inside = f"{CONTAINER_ROOT}/dataset"
-    if not (package.folder / "Dockerfile").is_file():
+    if not (package.standard_image or (package.folder / "Dockerfile").is_file()):
         # An image made for the published SLAM Hive does not hold its scripts. It gets a copy that it may change.
         yield _input("slamhive", package.folder / "slamhive", CONTAINER_ROOT, own_copy=True)
     yield _input("config", folder.config, f"{CONTAINER_ROOT}/config.yaml")

@@ -1,4 +1,4 @@
-# Built from the context that slamhive.catalogue.image_context stages: slamhive algorithm build loam
+# The stage that compiles; docker/ros1/Dockerfile goes on from here.
 ARG BUILD_IMAGE
 ARG RUN_IMAGE
 FROM ${BUILD_IMAGE} AS build
@@ -8,10 +8,3 @@ COPY package/patches /patches
 RUN fetch-source "$SOURCE" /ws/src/loam_velodyne
 # Unity files spare the compiler most of the headers of PCL.
 RUN build-packages -DCMAKE_UNITY_BUILD=ON "-DCMAKE_CXX_FLAGS_RELEASE=-O2 -DNDEBUG"
-FROM ${RUN_IMAGE}
-COPY --from=build /opt/ros1 /opt/ros1
-RUN check-programs
-COPY runtime /opt/slamhive-runtime
-COPY package/slamhive /slamhive
-RUN mkdir -p /slamhive/dataset /slamhive/result && touch /slamhive/config.yaml
-CMD ["python3", "/slamhive/mapping.py"]
