@@ -1,19 +1,38 @@
-"""The parts of their settings that VINS-Mono and VINS-Fusion share: cameras as camodocal reads them, IMU, solver."""
+"""What VINS-Mono and VINS-Fusion share: how they run, and the settings of cameras (for camodocal), IMU and solver."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from slamhive.runtime.calibration import EQUIDISTANT, RADTAN, check_model, distortion
+from slamhive.runtime.config import RunConfig
+from slamhive.runtime.ros1.system import PoseKind, PoseTopic, Ros1System
 
 Values = Mapping[str, Any]
+WriteSettings = Callable[[Path, Values, Mapping[str, str]], None]
+"""Writes the settings file for the parameters of a run and {role: topic}."""
 
 _RADTAN_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _SHORT_RADTAN = 4
 _SOLVER = ("max_solver_time", "max_num_iterations", "keyframe_parallax", "max_cnt", "min_dist")
 EXTRINSICS = {"fixed": 0, "refine": 1, "calibrate": 2}
+
+
+def vins_system(config: RunConfig, launch: Path, write_settings: WriteSettings, about: Mapping[str, Any]) -> Ros1System:
+    """The system for this run, without loop closure; raises InvalidInput for a camera that it cannot describe."""
+    settings = Path(tempfile.mkdtemp(prefix="vins-")) / "settings.yaml"
+    write_settings(settings, config.parameters, config.algorithm_remap)
+    return Ros1System(
+        launch=launch,
+        poses=PoseTopic("/vins_estimator/odometry", PoseKind.ODOMETRY),
+        frames="left",
+        arguments={"settings": str(settings)},
+        about={**about, "loop_closure": False},
+    )
 
 
 def camera_settings(values: Values, role: str, system: str, *, full: bool) -> dict[str, Any]:

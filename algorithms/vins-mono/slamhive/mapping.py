@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import sys
-import tempfile
 from pathlib import Path
 
 from vins_mono_settings import write_settings
 
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.ros1.app import run
-from slamhive.runtime.ros1.system import PoseKind, PoseTopic, Ros1System
+from slamhive.runtime.ros1.system import Ros1System
+from slamhive.runtime.vins import vins_system
+
+LAUNCH = Path(__file__).with_name("vins-mono.launch")
 
 
 def make(config: RunConfig) -> Ros1System:
     """The system for this run; raises InvalidInput for a camera that VINS-Mono cannot describe."""
-    settings = Path(tempfile.mkdtemp(prefix="vins-mono-")) / "settings.yaml"
-    write_settings(settings, config.parameters, config.algorithm_remap)
-    return Ros1System(
-        launch=Path(__file__).with_name("vins-mono.launch"),
-        poses=PoseTopic("/vins_estimator/odometry", PoseKind.ODOMETRY),
-        frames="left",
-        arguments={"settings": str(settings)},
-        about={"package": "VINS-Mono", "version": "90dabb5", "loop_closure": False},
-    )
+    return vins_system(config, LAUNCH, write_settings, {"package": "VINS-Mono", "version": "90dabb5"})
 
 
 if __name__ == "__main__":
