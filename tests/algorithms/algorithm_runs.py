@@ -1,11 +1,13 @@
-"""Running a package's mapping script on a dataset without any executor."""
+"""The mapping script of a package without any executor: run on a dataset, or loaded as a module."""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 from slamhive.catalogue.run_config import build_run_config
 from slamhive.domain.algorithm import Algorithm
@@ -37,3 +39,14 @@ def run_mapping(
     )
     assert ended.returncode == 0, ended.stdout[-2000:] + ended.stderr[-2000:]
     return result
+
+
+def load_module(package: str, name: str) -> ModuleType:
+    """The module ``name`` beside the mapping script of a package of the project."""
+    path = project_root() / "algorithms" / package / "slamhive" / f"{name}.py"
+    found = importlib.util.spec_from_file_location(name, path)
+    assert found is not None
+    assert found.loader is not None
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    return module

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import cv2
@@ -12,7 +10,7 @@ import numpy as np
 import pytest
 
 from slamhive.errors import InvalidInput
-from slamhive.project import project_root
+from tests.algorithms.algorithm_runs import load_module
 
 T_IMU_LEFT = [0.0, -1, 0, -0.02, 1, 0, 0, -0.06, 0, 0, 1, 0.01, 0, 0, 0, 1]
 """The cameras of EuRoC are turned like that; its files were made for 200 Hz."""
@@ -41,16 +39,6 @@ FUSION = {**INERTIAL, "td": 0.01, "multiple_thread": True, "feature_every": 2, "
 ORB = {"nFeatures": 1200, "scaleFactor": 1.2, "nLevels": 8, "iniThFAST": 20, "minThFAST": 7, "thDepth": 40.0}
 
 
-def load(package: str, name: str) -> ModuleType:
-    path = project_root() / "algorithms" / package / "slamhive" / f"{name}.py"
-    found = importlib.util.spec_from_file_location(name, path)
-    assert found is not None
-    assert found.loader is not None
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
-    return module
-
-
 class Settings:
     """A file as the C++ of the systems reads it."""
 
@@ -72,7 +60,7 @@ class Settings:
 def test_vins_mono_gets_the_calibration_of_the_dataset(tmp_path: Path) -> None:
     path = tmp_path / "settings.yaml"
     topics = {"left": "/left", "imu": "/imu"}
-    load("vins-mono", "vins_mono_settings").write_settings(path, {**EUROC, **MONO}, topics)
+    load_module("vins-mono", "vins_mono_settings").write_settings(path, {**EUROC, **MONO}, topics)
     found = Settings(path)
     assert (found.text("model_type"), found.text("image_topic"), found.text("imu_topic")) == (
         "PINHOLE",
@@ -92,14 +80,16 @@ def test_vins_mono_gets_the_calibration_of_the_dataset(tmp_path: Path) -> None:
 def test_vins_mono_refuses_a_lens_of_five_coefficients(tmp_path: Path) -> None:
     values = {**EUROC, **MONO, "left_distortion": [0.1, 0.2, 0.0, 0.0, 0.3]}
     with pytest.raises(InvalidInput, match="VINS-Mono has no camera model for the images of left"):
-        load("vins-mono", "vins_mono_settings").write_settings(tmp_path / "s.yaml", values, {"left": "/l", "imu": "/i"})
+        load_module("vins-mono", "vins_mono_settings").write_settings(
+            tmp_path / "s.yaml", values, {"left": "/l", "imu": "/i"}
+        )
 
 
 def test_vins_fusion_gets_one_file_for_each_camera(tmp_path: Path) -> None:
     path = tmp_path / "settings.yaml"
     topics = {"left": "/left", "right": "/right", "imu": "/imu"}
     fisheye = {"right_model": "fisheye-kb", "right_distortion": [0.1, 0.2, 0.3, 0.4]}
-    load("vins-fusion", "vins_fusion_settings").write_settings(path, {**EUROC, **FUSION, **fisheye}, topics)
+    load_module("vins-fusion", "vins_fusion_settings").write_settings(path, {**EUROC, **FUSION, **fisheye}, topics)
     found, left, right = Settings(path), Settings(tmp_path / "left.yaml"), Settings(tmp_path / "right.yaml")
     assert found.numbers("imu", "num_of_cam", "feature_every", "multiple_thread") == [1, 2, 2, 1]
     assert [found.text(key) for key in ("image1_topic", "cam1_calib")] == ["/right", "right.yaml"]
@@ -113,7 +103,9 @@ def test_vins_fusion_gets_one_file_for_each_camera(tmp_path: Path) -> None:
 def test_the_body_of_vins_fusion_without_imu_is_the_left_camera(tmp_path: Path) -> None:
     path = tmp_path / "settings.yaml"
     values = {key: value for key, value in {**EUROC, **TRACKING, **FUSION}.items() if not key.startswith("imu")}
-    load("vins-fusion", "vins_fusion_settings").write_settings(path, values, {"left": "/left", "right": "/right"})
+    load_module("vins-fusion", "vins_fusion_settings").write_settings(
+        path, values, {"left": "/left", "right": "/right"}
+    )
     found = Settings(path)
     assert found.numbers("imu", "num_of_cam") == [0, 2]
     assert np.array_equal(found.matrix("body_T_cam0"), np.eye(4))
@@ -122,7 +114,7 @@ def test_the_body_of_vins_fusion_without_imu_is_the_left_camera(tmp_path: Path) 
 
 def test_orb_slam2_rectifies_what_is_not_rectified(tmp_path: Path) -> None:
     path = tmp_path / "settings.yaml"
-    module = load("orb-slam2", "orb_slam2_settings")
+    module = load_module("orb-slam2", "orb_slam2_settings")
     module.write_settings(path, {**EUROC, **ORB}, "stereo")
     found = Settings(path)
     assert np.allclose(found.matrix("T_right_left")[:3, 3], [-0.11, 0, 0])
@@ -133,7 +125,7 @@ def test_orb_slam2_rectifies_what_is_not_rectified(tmp_path: Path) -> None:
 
 def test_orb_slam2_gets_lens_and_depth(tmp_path: Path) -> None:
     path = tmp_path / "settings.yaml"
-    module = load("orb-slam2", "orb_slam2_settings")
+    module = load_module("orb-slam2", "orb_slam2_settings")
     module.write_settings(path, {**EUROC, **ORB, "depth_units_per_m": 1000}, "rgbd")
     found = Settings(path)
     lens = [f"Camera.{key}" for key in ("fx", "k1", "p2", "k3", "fps")]
