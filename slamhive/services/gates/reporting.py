@@ -126,11 +126,11 @@ def _table(key: str, headings: Sequence[str], rows: Sequence[tuple[Cell, ...]]) 
 
 
 def _case(answer: GateAnswer, entry: GateMetric) -> ET.Element:
-    case = ET.Element("testcase", classname=f"gate.{answer.baseline}", name=f"{entry.key} within {entry.margin}")
+    case = ET.Element("testcase", classname=f"gate.{answer.baseline}", name=entry.key)
     change, interval = change_words(entry)
     message = f"{entry.label} changed by {change or 'an unknown amount'}"
     message += f" (95 % interval {interval})" if interval else ""
-    message += f"; the margin is {entry.margin}, p = {_p(entry.p_worse)}"
+    message += f"; the margin is {entry.margin}, the p value of worse {_p(entry.p_worse)}"
     if entry.answer is Answer.WORSE:
         ET.SubElement(case, "failure", message=message, type="worse")
     elif entry.answer is Answer.UNDECIDED:
