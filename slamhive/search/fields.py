@@ -13,6 +13,7 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.trust import TrustLevel
 from slamhive.domain.verdict import GROUPS as VERDICT_GROUPS
 from slamhive.domain.verdict import VerdictKind
 from slamhive.errors import nearest
@@ -39,14 +40,15 @@ class Source(StrEnum):
     ATTRIBUTE = "attribute"
     PROTOCOL = "protocol"
     VERDICT = "verdict"
+    TRUST = "trust"
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
     """One name of the language.
 
-    ``groups`` says which algorithms (for the sensors) or datasets (for attributes) have which value; for the verdict,
-    which kinds a choice stands for.
+    ``groups`` says which algorithms (for the sensors) or datasets (for attributes) have which value; for the verdict
+    and the trust, which kinds a choice stands for.
     """
 
     name: str
@@ -99,6 +101,15 @@ VERDICT = Field(
     choices=(*map(str, VerdictKind), *VERDICT_GROUPS),
     groups={**{str(kind): (str(kind),) for kind in VerdictKind}, **VERDICT_GROUPS},
 )
+TRUST = Field(
+    "trust",
+    "Trust",
+    Kind.CHOICE,
+    Source.TRUST,
+    help="how far the measurements can be trusted; 'doubtful' stands for limited and low",
+    choices=(*map(str, TrustLevel), "doubtful"),
+    groups={**{str(level): (str(level),) for level in TrustLevel}, "doubtful": ("limited", "low")},
+)
 BUILT_IN: dict[str, Field] = {
     entry.name: entry
     for entry in (
@@ -111,6 +122,7 @@ BUILT_IN: dict[str, Field] = {
         _run("state", "State", Kind.CHOICE, "where the run is in its life", RunState),
         _run("reason", "Reason", Kind.CHOICE, "why a run failed", FailureReason),
         VERDICT,
+        TRUST,
         _run("executor", "Executor", Kind.TEXT, "docker, process, ..."),
         _run("experiment", "Experiment", Kind.TEXT, "name of the experiment that asked for the run"),
         _run("configuration", "Configuration", Kind.NUMBER, "number shared by all repeats"),

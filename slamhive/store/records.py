@@ -9,13 +9,15 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Any, NamedTuple, TypedDict
 
-from slamhive.domain.configuration import InputMap, Playback
+from slamhive.domain.configuration import InputMap, Playback, PlaybackMode
 from slamhive.domain.disturbance import Disturbance
+from slamhive.domain.external import IMPORTED
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunEvent, RunState
 from slamhive.domain.sensor_choice import Chosen
 from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.trust import Trust, judge_trust
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import Verdict, VerdictKind, ended_badly, judge, not_evaluable
 from slamhive.domain.versions import version_label
@@ -251,6 +253,16 @@ class RunRecord:
         if self.judged is None:
             return None
         return not_evaluable(None) if self.judged is VerdictKind.NOT_EVALUABLE else judge(self.metrics or {})
+
+    @property
+    def trust(self) -> Trust | None:
+        """How far the measurements can be trusted; None for a run that did not end by itself or was imported."""
+        if self.metrics is None or self.executor == IMPORTED:
+            return None
+        if self.state not in (RunState.SUCCEEDED, RunState.FAILED):
+            return None
+        realtime = self.playback.mode is PlaybackMode.REALTIME
+        return judge_trust(self.metrics, self.disturbance, realtime=realtime)
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,6 +46,7 @@ from slamhive.store.models import (
     VariantOption,
 )
 from slamhive.store.search_names import Names
+from slamhive.store.search_trust import trust_tree
 from slamhive.store.search_verdicts import STORED_FAILURE, verdict_tree
 
 _RUN_COLUMNS = {
@@ -78,6 +79,9 @@ _GUARDED = NULLABLE | {"state"}
 
 NEVER = literal(0) == 1
 """``false()`` would be folded, together with the condition that joins two tables."""
+
+DERIVED: dict[Source, Callable[[Condition], Bound]] = {Source.VERDICT: verdict_tree, Source.TRUST: trust_tree}
+"""The conditions behind comparisons of what follows from other values."""
 
 COMPLEMENTS = frozenset({Sign.NOT_EQUAL, Sign.NOT_IN, Sign.UNLIKE, Sign.MISSING})
 _COMPARE: dict[Sign, Callable[[Any, Any], ColumnElement[bool]]] = {
@@ -113,8 +117,8 @@ class Sql:
         if leaf.sign is Sign.MISSING:
             return not_(self._test_one(Condition(leaf.field, Sign.HAS), runs))
         source = leaf.field.source
-        if source is Source.VERDICT:
-            return self.test(verdict_tree(leaf), runs)
+        if source in DERIVED:
+            return self.test(DERIVED[source](leaf), runs)
         if source is Source.RUN:
             return self.on_run(leaf, runs)
         if source is Source.METRIC:

@@ -102,6 +102,7 @@ def all_columns() -> Mapping[str, Column]:
         Column("state", "State", Kind.STATE, lambda run: Cell(run.state.value), sort="state"),
         Column("reason", "Reason", Kind.TEXT, _reason, sort="reason", help="why the run failed"),
         Column("verdict", "Verdict", Kind.VERDICT, _verdict, help=DEFAULT_RULE.words),
+        Column("trust", "Trust", Kind.TEXT, _trust, help="how far the measurements can be trusted, and why"),
         Column("disturbed", "Disturbed", Kind.TEXT, _disturbed, help="whether other load disturbed the run, and which"),
         _time_column("created_at", "Created"),
         _time_column("started_at", "Started"),
@@ -189,6 +190,13 @@ def _verdict(run: RunRecord) -> Cell:
     if verdict is None:
         return Cell(DASH, "not judged: cancelled, unfinished or not evaluated", missing=True)
     return Cell(verdict.kind.label, verdict.words)
+
+
+def _trust(run: RunRecord) -> Cell:
+    found = run.trust
+    if found is None or found.level is None:
+        return Cell(DASH, "not measured" if found is None else found.words, missing=True)
+    return Cell(found.level.value, found.words)
 
 
 def _disturbed(run: RunRecord) -> Cell:

@@ -26,7 +26,7 @@ from slamhive.web.columns import DEFAULT_COLUMNS, Column, all_columns, column
 DEFAULT_LIMIT = 50
 LARGEST_LIMIT = 500
 EXPORT_LIMIT = 1000
-LISTS = ("state", "reason", "verdict", "algorithm", "dataset", "sensor", "executor", "experiment")
+LISTS = ("state", "reason", "verdict", "trust", "algorithm", "dataset", "sensor", "executor", "experiment")
 """Fields with lists of names; several values mean "or"."""
 
 GROUPED_SORT = RunSort("configuration")

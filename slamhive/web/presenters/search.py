@@ -12,6 +12,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.verdict import GROUPS, VerdictKind
 from slamhive.executors.registry import EXECUTORS
+from slamhive.search.fields import TRUST
 from slamhive.services.exports import by_protocol
 from slamhive.store.records import GroupRecord, ProtocolLabel, RunRecord, SavedSearchRecord, Spread
 from slamhive.web.formatting import DASH, Cell, display_unit, mean_text, median_text, plural, significant, value_text
@@ -77,6 +78,7 @@ def choices(
         "state": ("State", _plain(RunState)),
         "reason": ("Failure reason", _plain(FailureReason)),
         "verdict": ("Verdict", _verdicts()),
+        "trust": ("Trust", _plain(TRUST.choices)),
         "executor": ("Executor", _plain(EXECUTORS.names())),
         "experiment": ("Experiment", {}),
     }

@@ -22,7 +22,6 @@ from flask import (
 from flask import url_for as address
 
 from slamhive.analysis.colours import colour_of
-from slamhive.clock import utc_now
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.errors import InvalidInput, NotFound
@@ -148,9 +147,10 @@ def show(run_id: int) -> str:
         outcome=presenter.outcome(run),
         verdict=presenter.verdict(run, evaluations),
         rule=DEFAULT_RULE.words,
-        disturbed=presenter.disturbed(run),
+        remedy=presenter.remedy(run),
+        trust_words=presenter.trust_words(run),
         machine=presenter.machine(run),
-        wall_time_s=presenter.wall_time_s(run, utc_now()),
+        wall_time_s=presenter.wall_time_s(run),
         progress=progress_json(services.runs.progress(run_id)) if run.state.active else None,
         parameters=presenter.parameter_rows(run, algorithm, match),
         match=match,
