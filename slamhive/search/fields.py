@@ -201,7 +201,10 @@ class Vocabulary:
         return [*BUILT_IN, *ATTRIBUTES, *CATALOGUE, *self.parameters]
 
     def nearest(self, name: str) -> str:
-        """A remedy for a name that has no meaning."""
+        """A remedy for a name that has no meaning. The beginning of a key, such as ``ate``, means its metric."""
+        begun = [key for key in CATALOGUE if key.startswith(f"{name}.")]
+        if begun:
+            return f"did you mean {next((key for key in begun if key.endswith('.rmse')), begun[0])!r}?"
         found = nearest(name, list(self.names()))
         return found if found.startswith("did you") else "docs/search.md lists what a filter can name"
 

@@ -202,7 +202,7 @@ class Hive:
         """Stored analyses."""
         from slamhive.services.analyses import StoredAnalyses
 
-        return StoredAnalyses(self.settings, self.store, lambda text: self.analyses.read(text).name)
+        return StoredAnalyses(self.settings, self.store, lambda text: self.analyses.check(text))
 
     @cached_property
     def analysis_jobs(self) -> AnalysisJobs:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
 from typing import Any
+from urllib.parse import urlencode
 
 from flask import (
     Blueprint,
@@ -24,7 +25,7 @@ from flask import url_for as address
 from slamhive.analysis.colours import colour_of
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import DEFAULT_RULE
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.errors import NotFound
 from slamhive.input_bounds import whole_number
 from slamhive.search.reader import FilterError
 from slamhive.services.evaluations import ToolFigures, evaluation_notes
@@ -40,7 +41,7 @@ from slamhive.web.formatting import plural
 from slamhive.web.presenters import matching, protocols, search
 from slamhive.web.presenters import runs as presenter
 from slamhive.web.presenters.live import progress_json
-from slamhive.web.run_query import RunQuery, summary
+from slamhive.web.run_query import RunQuery, filled, summary
 
 blueprint = Blueprint("runs", __name__, url_prefix="/runs")
 
@@ -52,7 +53,10 @@ RUN_ID = f"<int(max={LARGEST_RUN_ID}):run_id>"
 
 @blueprint.get("")
 def index() -> Response:
-    """List the runs that match the query in the address."""
+    """List the runs that match the query in the address. An address with empty fields redirects to one without."""
+    kept = filled(request.args)
+    if kept != request.args.to_dict(flat=False):
+        return make_response(redirect(_list_address(kept), 302))
     services = hive()
     vocabulary = services.searches.vocabulary()
     try:
@@ -66,6 +70,7 @@ def index() -> Response:
         return make_response(_group_page(services, query, shown))
     page = services.runs.page(query.search, query.sort, query.after, query.limit)
     left_out = services.searches.left_out(query.search, page.count)
+    mixed = search.mixed_protocols(run.protocol for run in page.records)
     return make_response(
         _search_page(
             services,
@@ -74,8 +79,8 @@ def index() -> Response:
             columns=shown,
             next_key=page.next_key,
             summary=summary(query, len(page.records), page.count, left_out),
-            warning=search.protocol_warning(run.protocol for run in page.records)
-            or search.trajectory_warning(page.records),
+            warning=search.protocol_warning(mixed) or search.trajectory_warning(page.records),
+            mixed=mixed,
             total=left_out.total,
         )
     )
@@ -87,6 +92,7 @@ def _group_page(services: Hive, query: RunQuery, shown: list[Column]) -> str:
         query.search, query.sort, query.after, query.limit, [entry.metric.key for entry in figures]
     )
     left_out = services.searches.left_out(query.search, page.runs)
+    mixed = search.mixed_protocols(label for group in page.records for label in group.figures)
     return _search_page(
         services,
         query,
@@ -95,7 +101,8 @@ def _group_page(services: Hive, query: RunQuery, shown: list[Column]) -> str:
         columns=shown,
         next_key=page.next_key,
         summary=summary(query, len(page.records), page.runs, left_out),
-        warning=search.protocol_warning(label for group in page.records for label in group.figures),
+        warning=search.protocol_warning(mixed),
+        mixed=mixed,
         total=left_out.total,
     )
 
@@ -270,15 +277,16 @@ def use_protocol(run_id: int) -> Response:
 
 @blueprint.post("/evaluate")
 def evaluate_many() -> Response:
-    """Evaluate the selected runs, or all that are not evaluated."""
-    if request.form.get("all"):
-        queued = hive().evaluations.queue(None)
-    else:
-        queued = hive().evaluations.queue(_selected(request.form.getlist("run")), request.form.get("protocol") or None)
+    """Evaluate the selected runs, or all that are not evaluated, and return to the list."""
+    selected = _numbers(request.form.getlist("run"))
+    if not selected and not request.form.get("all"):
+        hive().check_writable()
+        flash("No run is selected. Select the runs to evaluate, then press the button again.", "warning")
+        return _to_list()
+    wanted = None if request.form.get("all") else selected
+    queued = hive().evaluations.queue(wanted, request.form.get("protocol") or None)
     flash(f"{plural(len(queued), 'evaluation')} queued." if queued else "There is nothing to evaluate.", "info")
-    compared = request.form.get("compared")
-    back = address("compare.show", runs=compared) if compared else address("runs.index")
-    return make_response(redirect(back, 303))
+    return _to_list()
 
 
 def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:
@@ -291,10 +299,22 @@ def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:
         return []
 
 
-def _selected(texts: list[str]) -> list[int]:
-    if not texts:
-        raise InvalidInput("no run is selected", "select the runs to evaluate, then press the button again")
+def _numbers(texts: list[str]) -> list[int]:
     return [whole_number(text, "run", 1, LARGEST_RUN_ID) for text in texts]
+
+
+def _to_list() -> Response:
+    """Back to the comparison or the list of runs that an action on several runs came from."""
+    compared = request.form.get("compared")
+    if compared:
+        return make_response(redirect(address("compare.show", runs=compared), 303))
+    return make_response(redirect(_list_address(filled(request.args)), 303))
+
+
+def _list_address(args: Mapping[str, list[str]]) -> str:
+    """The address of the list with these arguments, whatever their names are."""
+    query = urlencode(args, doseq=True)
+    return address("runs.index") + (f"?{query}" if query else "")
 
 
 def _to_run(run_id: int) -> Response:
