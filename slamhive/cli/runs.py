@@ -40,10 +40,11 @@ COLUMNS = (
     "time s",
 )
 LISTS = ("states", "reasons", "experiments", "algorithms", "datasets")
+_ELSEWHERE = {"import": "imports", "note": "run_notes", "tag": "run_notes"}
 NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 
 
-@click.group(cls=LazyGroup, modules={"import": "imports"}, invoke_without_command=True)
+@click.group(cls=LazyGroup, modules=_ELSEWHERE, invoke_without_command=True)
 @click.option("--where", default="", metavar="FILTER", help="Only these, e.g. 'ate.rmse < 0.1 and dataset ~ MH_0*'.")
 @click.option("--saved", metavar="NAME", help="The filter, columns and order of a saved search.")
 @click.option("--state", "states", type=choice(RunState), multiple=True, help="Only these states.")
@@ -212,7 +213,7 @@ def retry(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
 
 
 def _print_outcome(entry: RunRecord) -> None:
-    """Print why the run ended, its verdict, and how far it can be trusted."""
+    """Print why the run ended, its verdict, how far it can be trusted, and what somebody wrote about it."""
     if entry.detail:
         click.echo(f"{entry.reason or 'note'}: {entry.detail}")
     if entry.verdict is not None:
@@ -220,6 +221,10 @@ def _print_outcome(entry: RunRecord) -> None:
     if entry.trust is not None:
         said = [part for part in (entry.trust.words, *entry.trust.remedies) if part]
         click.echo(f"trust: {entry.trust.level or 'unknown'}{'. ' if said else ''}{'; '.join(said)}")
+    if entry.tags:
+        click.echo(f"tags: {', '.join(entry.tags)}")
+    if entry.note:
+        click.echo(f"note: {entry.note}")
 
 
 def run_row(entry: RunRecord) -> tuple[Any, ...]:

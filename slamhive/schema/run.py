@@ -128,6 +128,8 @@ class Run(Document):
     stop_when: Rules
     repeat_disturbed: int
     disturbance: FoundDisturbance | None
+    note: Annotated[str | None, described("What somebody wrote about the run.")] = None
+    tags: Annotated[tuple[str, ...], described("Tags that somebody gave the run.")] = ()
     trust: Trust | None = None
     protocol: ProtocolName | None
     verdict: Verdict | None

@@ -41,6 +41,7 @@ class Source(StrEnum):
     PROTOCOL = "protocol"
     VERDICT = "verdict"
     TRUST = "trust"
+    NOTE = "note"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +86,14 @@ ATTRIBUTES: dict[str, Field] = {
     )
 }
 """The attributes of datasets. A parameter of the same name comes first, because filters have used it before."""
+NOTES: dict[str, Field] = {
+    entry.name: entry
+    for entry in (
+        Field("tag", "Tag", Kind.TEXT, Source.NOTE, help="a tag that somebody gave the run"),
+        Field("note", "Note", Kind.TEXT, Source.NOTE, help="what somebody wrote about the run"),
+    )
+}
+"""What people wrote about runs. A parameter of the same name comes first here too."""
 PROTOCOL = Field(
     "protocol",
     "Protocol",
@@ -194,11 +203,13 @@ class Vocabulary:
             Field(key, key, entry.kind, Source.PARAMETER, entry.unit, choices=entry.choices)
             for entry in self.parameters.get(key, ())
         )
-        return (*parameters, attribute_field(ATTRIBUTES[name], self.attributes)) if name in ATTRIBUTES else parameters
+        if name in ATTRIBUTES:
+            return (*parameters, attribute_field(ATTRIBUTES[name], self.attributes))
+        return (*parameters, NOTES[name]) if name in NOTES else parameters
 
     def names(self) -> Sequence[str]:
         """Every name that may begin a comparison."""
-        return [*BUILT_IN, *ATTRIBUTES, *CATALOGUE, *self.parameters]
+        return [*BUILT_IN, *ATTRIBUTES, *NOTES, *CATALOGUE, *self.parameters]
 
     def nearest(self, name: str) -> str:
         """A remedy for a name that has no meaning. The beginning of a key, such as ``ate``, means its metric."""

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from slamhive.services.ledger import Ledger
     from slamhive.services.reports import Analyses
     from slamhive.services.run_comparison import RunComparisons
-    from slamhive.services.runs import Runs, StoredRuns
+    from slamhive.services.runs import Notes, Runs, StoredRuns
     from slamhive.services.searches import Searches
     from slamhive.services.versions import Versions
     from slamhive.services.worker import Worker
@@ -135,6 +135,13 @@ class Hive:
         return Runs(self.settings, self.store, self.configurations, self.executors)
 
     @cached_property
+    def notes(self) -> Notes:
+        """Notes and tags of runs."""
+        from slamhive.services.runs import Notes
+
+        return Notes(self.settings, self.store)
+
+    @cached_property
     def protocols(self) -> Protocols:
         """Protocols that evaluations use."""
         from slamhive.services.evaluations import Protocols
@@ -202,7 +209,7 @@ class Hive:
         """Stored analyses."""
         from slamhive.services.analyses import StoredAnalyses
 
-        return StoredAnalyses(self.settings, self.store, lambda text: self.analyses.check(text))
+        return StoredAnalyses(self.settings, self.store, lambda text: self.analyses.check(text))  # noqa: PLW0108 - loads analyses late
 
     @cached_property
     def analysis_jobs(self) -> AnalysisJobs:

@@ -11,7 +11,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.experiments import Restored
 from slamhive.services.hive import Hive
 from slamhive.services.ledger import LedgerRestore
-from slamhive.services.runs import FolderRun, current_protocol, file_runs, found_evaluations, read_filed
+from slamhive.services.runs import FolderRun, current_protocol, file_runs, found_evaluations, found_notes, read_filed
 
 BATCH = 100
 """Folders filed in one transaction."""
@@ -113,7 +113,8 @@ def _read(hive: Hive, folder: RunFolder, ledger: LedgerRestore) -> FolderRun:
     filed = read_filed(hive.catalogue, record, str(folder.record))
     found = found_evaluations(folder)
     history = ledger.evaluations.of(int(record["id"]))
-    return FolderRun(filed, found, current_protocol(folder, found), history, int(record.get("attempt", 1)))
+    current, attempt = current_protocol(folder, found), int(record.get("attempt", 1))
+    return FolderRun(filed, found, current, history, attempt, found_notes(folder))
 
 
 def _number(path: Path) -> int:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypedDict
 from slamhive.domain.configuration import InputMap, Playback, PlaybackMode
 from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.external import IMPORTED
+from slamhive.domain.notes import NO_NOTES, RunNotes
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunEvent, RunState
@@ -180,6 +181,7 @@ class RunRecord:
     with them. ``trajectory`` says which one ``traj.txt`` is, None if it is not stated. ``host`` and ``version`` are
     known once the run has started. ``disturbance`` is None where nothing was recorded of the machine.
     ``asked_version`` is the version that its configuration names, ``input_map`` the map that it starts with.
+    ``notes`` are its note and tags.
     ``experiment`` is the name of the one that it belongs to, ``cell`` its place there; for the rest see
     :class:`RunRequest`.
     """
@@ -233,6 +235,17 @@ class RunRecord:
     input_map: InputMap | None = None
     metrics: dict[str, float] | None = None
     judged: VerdictKind | None = None
+    notes: RunNotes = NO_NOTES
+
+    @property
+    def note(self) -> str | None:
+        """What somebody wrote about the run; None for nothing."""
+        return self.notes.note or None
+
+    @property
+    def tags(self) -> tuple[str, ...]:
+        """Its tags, in order."""
+        return self.notes.tags
 
     @property
     def limits(self) -> Limits:

@@ -7,6 +7,7 @@ keeps its plan even if the statistics of the tables are old.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import (
@@ -46,6 +47,7 @@ from slamhive.store.models import (
     VariantOption,
 )
 from slamhive.store.search_names import Names
+from slamhive.store.search_notes import OPPOSITE, noted
 from slamhive.store.search_trust import trust_tree
 from slamhive.store.search_verdicts import STORED_FAILURE, verdict_tree
 
@@ -119,16 +121,31 @@ class Sql:
         source = leaf.field.source
         if source in DERIVED:
             return self.test(DERIVED[source](leaf), runs)
-        if source is Source.RUN:
-            return self.on_run(leaf, runs)
-        if source is Source.METRIC:
-            found = self.figures_where(leaf, by_value=False)
-            return NEVER if found is None else _any(found[1].where(found[0].c.run_id == runs.c.id))
-        if source is Source.PARAMETER:
-            values, query = self._parameter_values(leaf, by_value=False)
-            return _any(query.where(values.c.configuration_id == runs.c.configuration_id))
+        own: dict[Source, Callable[[Condition, FromClause], ColumnElement[bool]]] = {
+            Source.RUN: self.on_run,
+            Source.METRIC: self._on_metric,
+            Source.PARAMETER: self._on_parameter,
+            Source.NOTE: self._on_notes,
+        }
+        return own.get(source, self._on_configurations)(leaf, runs)
+
+    def _on_metric(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
+        found = self.figures_where(leaf, by_value=False)
+        return NEVER if found is None else _any(found[1].where(found[0].c.run_id == runs.c.id))
+
+    def _on_parameter(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
+        values, query = self._parameter_values(leaf, by_value=False)
+        return _any(query.where(values.c.configuration_id == runs.c.configuration_id))
+
+    def _on_configurations(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
         rows, query = self._configurations(leaf)
         return _any(query.where(rows.c.id == runs.c.configuration_id))
+
+    def _on_notes(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
+        """A comparison with the note or the tags. A run fulfils ``!=`` if none of its tags equals the value."""
+        rows, query = noted(replace(leaf, sign=OPPOSITE.get(leaf.sign, leaf.sign)), self.compare)
+        found = _any(query.where(rows.c.run_id == runs.c.id))
+        return not_(found) if leaf.sign in OPPOSITE else found
 
     def on_run(self, leaf: Condition, runs: FromClause, *, guarded: bool = True) -> ColumnElement[bool]:
         """A condition on a column. If ``guarded`` it is never NULL and uses no index."""

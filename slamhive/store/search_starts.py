@@ -12,6 +12,7 @@ from slamhive.search.binding import Bound, Condition
 from slamhive.search.fields import Source
 from slamhive.search.grammar import Junction, join, leaves
 from slamhive.search.syntax import Sign
+from slamhive.store.search_notes import noted
 from slamhive.store.search_sql import COMPLEMENTS, DERIVED, NEVER, RUNS, Sql
 
 _INDEXED = frozenset(
@@ -81,6 +82,9 @@ class Start:
             if found is None:
                 return select(runs.c.id).where(NEVER)
             return found[1].with_only_columns(found[0].c.run_id.label("id"))
+        if leaf.field.source is Source.NOTE:
+            rows, query = noted(leaf, sql.compare)
+            return query.with_only_columns(rows.c.run_id.label("id")).distinct()
         query = select(*runs.c)
         if leaf.field.source is Source.RUN:
             return query.where(sql.on_run(leaf, runs, guarded=False))

@@ -25,6 +25,7 @@ from slamhive.store.imports import ImportRepository
 from slamhive.store.leases import Lease
 from slamhive.store.ledger import LedgerRepository
 from slamhive.store.metrics import MetricRepository
+from slamhive.store.notes import NoteRepository
 from slamhive.store.queue import RunQueue
 from slamhive.store.run_table import RunTableRepository
 from slamhive.store.runs import RunRepository
@@ -55,6 +56,7 @@ class Transaction:
         # What came out.
         self.metrics = MetricRepository(session)
         self.run_table = RunTableRepository(session)
+        self.notes = NoteRepository(session)
         self.durations = DurationRepository(session)
         self.searches = SearchRepository(session)
         # What comes from folders and files, and goes there.

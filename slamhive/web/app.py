@@ -44,6 +44,7 @@ from slamhive.web.views import (
     experiments,
     runs,
     searches,
+    selected_runs,
     start,
 )
 from slamhive.web.views import help as help_pages
@@ -58,6 +59,7 @@ _BLUEPRINTS = (
     datasets.public_blueprint,
     start.blueprint,
     runs.blueprint,
+    selected_runs.blueprint,
     compare.blueprint,
     experiments.blueprint,
     experiment_builder.blueprint,

@@ -104,6 +104,8 @@ def all_columns() -> Mapping[str, Column]:
         Column("verdict", "Verdict", Kind.VERDICT, _verdict, help=DEFAULT_RULE.words),
         Column("trust", "Trust", Kind.TEXT, _trust, help="how far the measurements can be trusted, and why"),
         Column("disturbed", "Disturbed", Kind.TEXT, _disturbed, help="whether other load disturbed the run, and which"),
+        Column("tags", "Tags", Kind.TEXT, lambda run: _text(", ".join(run.tags)), help="given by somebody"),
+        Column("note", "Note", Kind.TEXT, lambda run: _text(run.note or ""), help="written by somebody"),
         _time_column("created_at", "Created"),
         _time_column("started_at", "Started"),
         _time_column("ended_at", "Ended"),
@@ -183,6 +185,10 @@ def _reason(run: RunRecord) -> Cell:
     if run.reason is None:
         return Cell(DASH, missing=True)
     return Cell(run.reason.value.replace("_", " "), run.detail or "")
+
+
+def _text(text: str) -> Cell:
+    return Cell(" ".join(text.split()), text) if text else Cell(DASH, missing=True)
 
 
 def _verdict(run: RunRecord) -> Cell:

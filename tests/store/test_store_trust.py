@@ -21,7 +21,7 @@ from tests.store.test_store_disturbance import BUSY, QUIET, UNKNOWN
 
 pytestmark = pytest.mark.integration
 
-CASES = random.Random(5).sample(  # noqa: S311 - no secret
+CASES = random.Random(5).sample(
     list(
         itertools.product(
             (None, 0.0, 0.1, 0.8),

@@ -38,7 +38,7 @@ def test_evaluating_with_none_selected_returns_to_the_list_and_says_so(web: Web)
     answer = web.client.post("/runs/evaluate?sort=seed&order=asc", data={"csrf_token": web.token})
     assert (answer.status_code, answer.location) == (303, "/runs?sort=seed&order=asc")
     text = web.client.get(answer.location).text
-    assert "No run is selected. Select the runs to evaluate" in text
+    assert "No run is selected. Select runs, then press" in text
     assert 'data-needs="1"' in text
 
 
@@ -73,7 +73,7 @@ def test_mixed_protocols_are_named_and_each_is_one_click_away(web: Web) -> None:
     web.hive.store.write(work)
     for address in ("/runs?state=succeeded", "/runs?group=configuration&state=succeeded"):
         text = web.client.get(address).text
-        warning = re.search(r"alert-warning py-2\">(.*?)</p>", text, re.S)
+        warning = re.search(r"alert-warning py-2\">(.*?)</p>", text, re.DOTALL)
         assert warning is not None
         assert "mixes errors of 2 protocols" in warning[1]
         links = re.findall(r"href=\"([^\"]+)\">([^<]+)</a>", warning[1])
@@ -101,7 +101,9 @@ def test_completion_offers_every_name_and_its_values(shown: Web) -> None:
     for name, entry in fields.items():
         if entry["values"] and name != "protocol":
             value = json.dumps(entry["values"][0])
-            assert shown.client.get("/api/v1/runs", query_string={"where": f"{name} = {value}"}).status_code == 200, name
+            assert shown.client.get("/api/v1/runs", query_string={"where": f"{name} = {value}"}).status_code == 200, (
+                name
+            )
     text = shown.client.get("/runs").text
     assert 'data-fields="/searches/fields.json"' in text
 
@@ -195,7 +197,7 @@ def trial(web: Web, monkeypatch: pytest.MonkeyPatch) -> Web:
 def test_an_experiment_ranks_its_configurations_on_each_dataset(trial: Web) -> None:
     text = trial.client.get("/experiments/trial").text
     ranking = text.partition('id="ranking"')[2].partition("</section>")[0]
-    rows = [words(row).split() for row in re.findall(r"<tr><td.*?</tr>", ranking, re.S)]
+    rows = [words(row).split() for row in re.findall(r"<tr><td.*?</tr>", ranking, re.DOTALL)]
     assert [row[0] for row in rows] == ["1", "2", "3"]
     assert [row[row.index("nFeatures") + 1] for row in rows] == ["1000", "1500", "500"]
     assert "Best configurations so far" in ranking

@@ -170,8 +170,8 @@ class ExperimentStatus:
 
     ``counts`` of runs by phase leave out failed and disturbed runs that were repeated (``retried``). ``disturbed``
     of the counted runs were measured on a disturbed machine.
-    ``failures``: {reason: runs}. ``left_s`` is the estimated time left with builds and evaluations, None if nothing has been
-    measured; ``phase`` says what happens now. ``missing`` runs are not stored, because the start was interrupted.
+    ``failures``: {reason: runs}. ``left_s`` is the estimated time left with builds and evaluations, None if it was
+    not asked for; ``phase`` says what happens now. ``missing`` runs are not stored, because the start was interrupted.
     """
 
     id: int

@@ -21,6 +21,7 @@ __all__ = [
     "by_protocol",
     "disturbed_text",
     "safe_cell",
+    "trust_text",
 ]
 
 if not TYPE_CHECKING:

@@ -33,6 +33,8 @@ _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
     "verdict": lambda run: None if run.verdict is None else run.verdict.kind.value,
     "trust": lambda run: trust_text(run.trust),
     "disturbed": lambda run: disturbed_text(run.disturbance),
+    "tags": lambda run: ", ".join(run.tags) or None,
+    "note": lambda run: run.note,
     "created_at": lambda run: timestamp(run.created_at),
     "started_at": lambda run: timestamp(run.started_at),
     "ended_at": lambda run: timestamp(run.ended_at),

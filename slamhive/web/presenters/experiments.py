@@ -23,7 +23,6 @@ from slamhive.services.experiments import (
 from slamhive.services.experiments import (
     Cell as ExperimentCell,
 )
-from slamhive.store.records import GroupRecord, ProtocolLabel
 from slamhive.web.formatting import (
     DASH,
     Cell,
@@ -36,14 +35,9 @@ from slamhive.web.formatting import (
     thousands,
     value_text,
 )
-from slamhive.web.presenters.search import GroupColumn, GroupRow, group_columns, group_rows, mixed_protocols
 
 MOST_ROWS, MOST_COLUMNS = 50, 25
 """Limits of the grid on a page."""
-RANKED = 5
-"""Configurations in a ranking."""
-MOST_RANKINGS = 12
-"""Datasets with a ranking on a page; a table lists all configurations."""
 
 Search = Callable[[Mapping[str, Value | None], Sequence[int]], dict[str, str] | None]
 """Arguments of the runs page for a place in the grid, from its axis values and configuration numbers."""
@@ -98,40 +92,6 @@ class CellLine:
     protocol: str
     evaluated: bool
     figures: tuple[Cell, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Ranking:
-    """The best configurations on one dataset, with the metrics ``columns``; ``mixed`` are its protocols if several."""
-
-    dataset: str
-    columns: list[GroupColumn]
-    rows: list[tuple[str, GroupRow]]
-    mixed: list[ProtocolLabel]
-
-
-def configuration_names(cells: Iterable[ExperimentCell], axes: Sequence[str]) -> dict[int, str]:
-    """{configuration: its values on the axes besides the dataset}."""
-    shown = [axis for axis in axes if axis != "dataset"]
-    return {
-        cell.configuration_id: ", ".join(
-            axis_text(cell.values.get(axis)) if axis == "algorithm" else f"{axis} {axis_text(cell.values.get(axis))}"
-            for axis in shown
-        )
-        for cell in cells
-    }
-
-
-def ranking(
-    dataset: str, groups: Iterable[GroupRecord], metrics: Sequence[str], names: Mapping[int, str]
-) -> Ranking | None:
-    """The ranking of these configurations, which are in order; None if none has a value of the first metric."""
-    columns = group_columns(metrics)
-    rows = [row for row in group_rows(groups, columns) if row.protocol is not None and not row.cells[0].missing]
-    if not rows:
-        return None
-    named = [(names.get(row.group.configuration_id) or f"{row.group.algorithm}, {row.parameters}", row) for row in rows]
-    return Ranking(dataset, columns, named, mixed_protocols(row.protocol for row in rows))
 
 
 def segments(counts: Mapping[Phase, int]) -> tuple[Segment, ...]:

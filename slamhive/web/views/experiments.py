@@ -20,6 +20,7 @@ from slamhive.web.context import hive
 from slamhive.web.experiment_page import CellsQuery, GridQuery, page_number, repeats_count, search_of, stated_axes
 from slamhive.web.formatting import plural
 from slamhive.web.presenters import experiments as presenter
+from slamhive.web.presenters import rankings
 
 blueprint = Blueprint("experiments", __name__, url_prefix="/experiments")
 
@@ -83,17 +84,17 @@ def show(name: str) -> str:
     )
 
 
-def _rankings(name: str, cells: Iterable[Cell], axes: Sequence[str]) -> list[presenter.Ranking]:
+def _rankings(name: str, cells: Iterable[Cell], axes: Sequence[str]) -> list[rankings.Ranking]:
     """The best configurations of an experiment on each dataset; empty while none is evaluated."""
     services = hive()
     datasets = [str(value) for value in services.experiments.axes(name).get("dataset", ())]
-    named = presenter.configuration_names(cells, axes)
+    named = rankings.configuration_names(cells, axes)
     found = []
-    for dataset in datasets[: presenter.MOST_RANKINGS]:
+    for dataset in datasets[: rankings.MOST_RANKINGS]:
         asked = matching(experiments=(name,), datasets=(dataset,))
         order = RunSort(RANKED_BY, descending=False)
-        groups = services.searches.groups(asked, order, None, presenter.RANKED, METRICS).records
-        if (ranking := presenter.ranking(dataset, groups, METRICS, named)) is not None:
+        groups = services.searches.groups(asked, order, None, rankings.RANKED, METRICS).records
+        if (ranking := rankings.ranking(dataset, groups, METRICS, named)) is not None:
             found.append(ranking)
     return found
 

@@ -22,6 +22,7 @@ OF_PAGE = {
     "experiments": "experiments",
     "experiment_builder": "experiments",
     "runs": "search",
+    "selected_runs": "search",
     "searches": "search",
     "start": "web",
     "configurations": "configurations",

@@ -23,10 +23,10 @@ from flask import (
 from flask import url_for as address
 
 from slamhive.analysis.colours import colour_of
+from slamhive.domain.notes import NotesChange, split_tags
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.errors import NotFound
-from slamhive.input_bounds import whole_number
 from slamhive.search.reader import FilterError
 from slamhive.services.evaluations import ToolFigures, evaluation_notes
 from slamhive.services.hive import Hive
@@ -41,6 +41,7 @@ from slamhive.web.formatting import plural
 from slamhive.web.presenters import matching, protocols, search
 from slamhive.web.presenters import runs as presenter
 from slamhive.web.presenters.live import progress_json
+from slamhive.web.request_input import form_text
 from slamhive.web.run_query import RunQuery, filled, summary
 
 blueprint = Blueprint("runs", __name__, url_prefix="/runs")
@@ -56,7 +57,7 @@ def index() -> Response:
     """List the runs that match the query in the address. An address with empty fields redirects to one without."""
     kept = filled(request.args)
     if kept != request.args.to_dict(flat=False):
-        return make_response(redirect(_list_address(kept), 302))
+        return make_response(redirect(list_address(kept), 302))
     services = hive()
     vocabulary = services.searches.vocabulary()
     try:
@@ -172,6 +173,7 @@ def show(run_id: int) -> str:
         measured=presenter.metric_rows(run, needs_protocol=False),
         protections=presenter.protections(record),
         gpu=presenter.gpu(record),
+        noted=bool(record),
         provenance=presenter.flatten(record),
         events=services.runs.events(run_id),
         evaluations=evaluations,
@@ -255,6 +257,17 @@ def evaluate(run_id: int) -> Response:
     return _to_run(run_id)
 
 
+@blueprint.post(f"/{RUN_ID}/notes")
+def annotate(run_id: int) -> Response:
+    """Replace the note and the tags of one run."""
+    services = hive()
+    kept = split_tags(request.form.get("tags", ""))
+    removed = tuple(tag for tag in services.runs.get(run_id).tags if tag not in kept)
+    services.notes.change([run_id], NotesChange(form_text("note"), kept, removed))
+    flash("Note and tags are stored.", "success")
+    return _to_run(run_id)
+
+
 @blueprint.post(f"/{RUN_ID}/compare")
 def compare(run_id: int) -> Response:
     """Evaluate one run under the protocols of all published tools."""
@@ -275,20 +288,6 @@ def use_protocol(run_id: int) -> Response:
     return _to_run(run_id)
 
 
-@blueprint.post("/evaluate")
-def evaluate_many() -> Response:
-    """Evaluate the selected runs, or all that are not evaluated, and return to the list."""
-    selected = _numbers(request.form.getlist("run"))
-    if not selected and not request.form.get("all"):
-        hive().check_writable()
-        flash("No run is selected. Select the runs to evaluate, then press the button again.", "warning")
-        return _to_list()
-    wanted = None if request.form.get("all") else selected
-    queued = hive().evaluations.queue(wanted, request.form.get("protocol") or None)
-    flash(f"{plural(len(queued), 'evaluation')} queued." if queued else "There is nothing to evaluate.", "info")
-    return _to_list()
-
-
 def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:
     """The metrics under each tool's protocol; none if the dataset or algorithm no longer exists."""
     if run.state is not RunState.SUCCEEDED:
@@ -299,19 +298,7 @@ def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:
         return []
 
 
-def _numbers(texts: list[str]) -> list[int]:
-    return [whole_number(text, "run", 1, LARGEST_RUN_ID) for text in texts]
-
-
-def _to_list() -> Response:
-    """Back to the comparison or the list of runs that an action on several runs came from."""
-    compared = request.form.get("compared")
-    if compared:
-        return make_response(redirect(address("compare.show", runs=compared), 303))
-    return make_response(redirect(_list_address(filled(request.args)), 303))
-
-
-def _list_address(args: Mapping[str, list[str]]) -> str:
+def list_address(args: Mapping[str, list[str]]) -> str:
     """The address of the list with these arguments, whatever their names are."""
     query = urlencode(args, doseq=True)
     return address("runs.index") + (f"?{query}" if query else "")

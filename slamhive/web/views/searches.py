@@ -42,7 +42,7 @@ def fields() -> Response:
     services = hive()
     algorithms, datasets = services.searches.names()
     experiments = [entry.name for entry in services.experiments.list()]
-    names = {"algorithm": algorithms, "dataset": datasets, "experiment": experiments}
+    names = {"algorithm": algorithms, "dataset": datasets, "experiment": experiments, "tag": services.notes.tags()}
     return make_response(jsonify(fields=filter_fields(services.searches.vocabulary(), names)))
 
 
