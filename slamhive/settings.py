@@ -171,6 +171,11 @@ class Settings(BaseSettings):
         return self.data / "baselines"
 
     @property
+    def trash_folder(self) -> Path:
+        """Where deleted runs lie until the trash is emptied."""
+        return self.data / "trash"
+
+    @property
     def runs_folder(self) -> Path:
         """Where run folders lie."""
         return self.data / "runs"

@@ -40,7 +40,11 @@ COLUMNS = (
     "time s",
 )
 LISTS = ("states", "reasons", "experiments", "algorithms", "datasets")
-_ELSEWHERE = {"import": "imports", "note": "run_notes", "tag": "run_notes"}
+_ELSEWHERE = {
+    "import": "imports",
+    **dict.fromkeys(("note", "tag"), "run_notes"),
+    **dict.fromkeys(("delete", "restore", "trash"), "run_trash"),
+}
 NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 
 

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from slamhive.services.run_comparison import RunComparisons
     from slamhive.services.runs import Notes, Runs, StoredRuns
     from slamhive.services.searches import Searches
+    from slamhive.services.trash import Trash
     from slamhive.services.versions import Versions
     from slamhive.services.worker import Worker
     from slamhive.store import Store
@@ -231,6 +232,13 @@ class Hive:
         from slamhive.services.fetching import Collections, Fetching
 
         return Fetching(self.settings, self.catalogue, Collections(self.catalogue.project_root))
+
+    @cached_property
+    def trash(self) -> Trash:
+        """Deleted runs."""
+        from slamhive.services.trash import Trash
+
+        return Trash(self.settings, self.store, self.catalogue, self.ledger)
 
     def worker(self, only: Sequence[int] | None = None) -> Worker:
         """A worker of this installation, for all runs or for ``only`` these; its ``run`` does the work."""

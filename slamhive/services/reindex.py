@@ -12,6 +12,7 @@ from slamhive.services.experiments import Restored
 from slamhive.services.hive import Hive
 from slamhive.services.ledger import LedgerRestore
 from slamhive.services.runs import FolderRun, current_protocol, file_runs, found_evaluations, found_notes, read_filed
+from slamhive.services.trash import deleted_folders
 
 BATCH = 100
 """Folders filed in one transaction."""
@@ -55,6 +56,8 @@ def reindex(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
 def _reindexed(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
     folders = run_folders(hive.settings.runs_folder)
     report = ReindexReport()
+    deleted = [folder.read().deleted for folder in deleted_folders(hive.settings.trash_folder)]
+    hive.store.write(lambda t: t.deleted_runs.remember(deleted))
     ledger = LedgerRestore(hive.store, hive.catalogue, hive.ledger.files)
     for restored in hive.experiments.restore_rows():
         report.experiments += restored.problem is None

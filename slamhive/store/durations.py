@@ -140,7 +140,7 @@ class DurationRepository(Repository):
     def build_s(self) -> float | None:
         """How long building a package takes: the median of what the first runs of versions waited for, None if none.
 
-        A version that was built before its first run tells nothing.
+        A version that was built before its first run says nothing about it.
         """
         firsts = (
             select(func.min(Run.id).label("id"))

@@ -16,6 +16,7 @@ from slamhive.errors import Conflict
 from slamhive.evaluation.job import Artefacts
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.changes import changes_of
+from slamhive.store.deleted_runs import DeletedRunRepository
 from slamhive.store.evaluations import REASON_LENGTH
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, MetricValue, Run
@@ -88,6 +89,7 @@ class FiledRunRepository(Repository):
         self._put_figures(runs, here, numbers)
         NoteRepository(self._session).put({run.snapshot.id: run.notes for run in runs})
         VerdictRepository(self._session).renew(run.snapshot.id for run in runs)
+        DeletedRunRepository(self._session).forget([run.snapshot.request.uid for run in runs])
         # The ledger keeps queued runs; these have folders.
         changes, filed = changes_of(self._session), {run.snapshot.id for run in runs}
         changes.runs = [row for row in changes.runs if row.id not in filed]

@@ -290,6 +290,15 @@ class RunTag(Base):
     tag: Mapped[str] = mapped_column(String(NAME_LENGTH), primary_key=True)
 
 
+class DeletedRun(Base):
+    """A run that was deleted, so that an experiment or the ledger does not queue it again."""
+
+    __tablename__ = "deleted_runs"
+    uid: Mapped[str] = mapped_column(String(32), primary_key=True)
+    run_id: Mapped[int]
+    deleted_at: Mapped[datetime]
+
+
 class RunEvent(Base):
     """One move of a run."""
 

@@ -16,6 +16,7 @@ from slamhive.store.archives import ArchiveRepository
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.configuration_book import ConfigurationBook
 from slamhive.store.configurations import ConfigurationRepository
+from slamhive.store.deleted_runs import DeletedRunRepository
 from slamhive.store.durations import DurationRepository
 from slamhive.store.evaluations import EvaluationRepository
 from slamhive.store.experiment_counts import ExperimentCounts
@@ -61,6 +62,7 @@ class Transaction:
         self.searches = SearchRepository(session)
         # What comes from folders and files, and goes there.
         self.filed_runs = FiledRunRepository(session)
+        self.deleted_runs = DeletedRunRepository(session)
         self.ledger = LedgerRepository(session)
         self.archive = ArchiveRepository(session)
         self.imports = ImportRepository(session)

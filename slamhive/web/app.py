@@ -46,6 +46,7 @@ from slamhive.web.views import (
     searches,
     selected_runs,
     start,
+    trash,
 )
 from slamhive.web.views import help as help_pages
 
@@ -60,6 +61,7 @@ _BLUEPRINTS = (
     start.blueprint,
     runs.blueprint,
     selected_runs.blueprint,
+    trash.blueprint,
     compare.blueprint,
     experiments.blueprint,
     experiment_builder.blueprint,

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 import random
+from typing import Any
 
 import pytest
 
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
+from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.external import IMPORTED
 from slamhive.domain.run import RunState
 from slamhive.domain.trust import CPU_LIMIT_USED, DROPPED_FRAMES, PLAYER_LAG, TrustLevel
@@ -38,12 +40,23 @@ def sequential(samples: Samples) -> int:
     """A configuration that is played sequentially."""
     content = Configuration("a", "room", {}, Playback(PlaybackMode.SEQUENTIAL, 1.0))
 
-    def work(tx):
+    def work(tx: Any) -> int:
         algorithm_id = tx.catalogue.put_algorithm_named("a", "a", "stereo")
         dataset_id = tx.catalogue.put_dataset(dataset(), NOW)
-        return tx.configurations.get_or_create(content, algorithm_id, dataset_id, NOW)[0]
+        found: tuple[int, bool] = tx.configurations.get_or_create(content, algorithm_id, dataset_id, NOW)
+        return found[0]
 
     return samples.store.write(work)
+
+
+def measure(store: Store, run_id: int, metrics: dict[str, float], disturbance: Disturbance | None) -> None:
+    """Store what was measured of a run."""
+
+    def work(tx: Any) -> None:
+        tx.metrics.put(run_id, None, metrics)
+        tx.runs.update(run_id, disturbance=disturbance)
+
+    store.write(work)
 
 
 @pytest.fixture
@@ -56,8 +69,7 @@ def measured(store: Store, samples: Samples) -> list[int]:
         run_id = samples.run_in(state, configuration_id=configurations[place % 3 == 0])
         values = {DROPPED_FRAMES: dropped, PLAYER_LAG: lag_s, CPU_LIMIT_USED: used}
         known = {key: value for key, value in values.items() if value is not None}
-        store.write(lambda tx, run_id=run_id, known=known: tx.metrics.put(run_id, None, known))
-        store.write(lambda tx, run_id=run_id, found=disturbance: tx.runs.update(run_id, disturbance=found))
+        measure(store, run_id, known, disturbance)
         runs.append(run_id)
     runs.append(samples.run_in(RunState.CANCELLED))
     runs.append(samples.run_in(RunState.SUCCEEDED, executor=IMPORTED))

@@ -71,6 +71,8 @@ FORMS: Mapping[str, dict[str, str]] = {
     "runs.use_protocol": {"fingerprint": "0" * 32},
     "selected_runs.evaluate": {"run": "2", "all": "", "protocol": "", "compared": "1,2"},
     "selected_runs.tag": {"run": "2", "add": "one two", "remove": "three"},
+    "selected_runs.delete": {"run": "999"},
+    "trash.restore": {"run": "999"},
     "runs.annotate": {"note": "a note", "tags": "one, two"},
     "experiments.act": {"count": "1"},
     "experiment_builder.draft": {"from": "text", "do": "start", "yaml": EXPERIMENT, "kind": "rate"},

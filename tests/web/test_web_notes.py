@@ -42,7 +42,7 @@ def test_a_note_and_tags_are_written_shown_found_and_removed(noted: Web) -> None
     assert HOSTILE not in page
     listed = noted.client.get("/runs?where=tag = paper&columns=id,tags,note").text
     assert listed.count("paper, to-check") == 2
-    rows = noted.client.get("/searches/export.json?where=has note&columns=id,tags,note").get_json()
+    rows = noted.client.get("/searches/export.json?where=has tag&columns=id,tags,note").get_json()
     assert rows == [{"id": run_id, "tags": "paper, to-check", "note": f"look: {HOSTILE}\nagain"}]
     found = noted.client.get(f"/api/v1/runs/{run_id}").get_json()
     assert (found["tags"], found["note"]) == (["paper", "to-check"], f"look: {HOSTILE}\nagain")

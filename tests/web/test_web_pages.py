@@ -120,7 +120,7 @@ def test_run_page_offers_what_the_state_allows(shown: Web):
         text = shown.client.get(f"/runs/{shown.runs[kind]}").text
         return set(re.findall(r"action=\"/runs/\d+/(\w+)\"", text))
 
-    assert actions("done") == {"retry", "evaluate", "compare"}
+    assert actions("done") == {"retry", "evaluate", "compare", "notes"}
     assert actions("failed") == {"retry"}
     assert actions("running") == {"cancel"}
     assert actions("queued") == {"cancel"}

@@ -80,7 +80,7 @@ def show(name: str) -> str:
         cells=cells,
         metrics=metrics,
         lines=presenter.cell_lines(page.cells, shown_axes, metrics, _protocol_labels(page.cells)),
-        rankings=[] if later else _rankings(name, page.cells, shown_axes),
+        rankings=[] if status.cells > LARGE else _rankings(name, page.cells, shown_axes),
     )
 
 

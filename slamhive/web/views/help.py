@@ -23,6 +23,7 @@ OF_PAGE = {
     "experiment_builder": "experiments",
     "runs": "search",
     "selected_runs": "search",
+    "trash": "web",
     "searches": "search",
     "start": "web",
     "configurations": "configurations",

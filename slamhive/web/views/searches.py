@@ -42,8 +42,10 @@ def fields() -> Response:
     services = hive()
     algorithms, datasets = services.searches.names()
     experiments = [entry.name for entry in services.experiments.list()]
+    vocabulary = services.searches.vocabulary()
     names = {"algorithm": algorithms, "dataset": datasets, "experiment": experiments, "tag": services.notes.tags()}
-    return make_response(jsonify(fields=filter_fields(services.searches.vocabulary(), names)))
+    names["protocol"] = list(dict.fromkeys(vocabulary.protocols.values()))
+    return make_response(jsonify(fields=filter_fields(vocabulary, names)))
 
 
 @blueprint.post("")

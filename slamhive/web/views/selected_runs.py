@@ -1,4 +1,4 @@
-"""Actions on several runs that are selected in a list: evaluate them, tag them."""
+"""Actions on several runs that are selected in a list: evaluate them, tag them, delete them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from slamhive.web.views.runs import LARGEST_RUN_ID, list_address
 
 blueprint = Blueprint("selected_runs", __name__, url_prefix="/runs")
 
+UNDO = "undo"
+"""The category of a message with a button that takes the named runs out of the trash again."""
 MOST_RUNS = 1000
 """Runs that are selected at once; a page of a list has fewer."""
 
@@ -34,6 +36,7 @@ def evaluate() -> Response:
 @blueprint.get("/tags")
 def tags() -> Response:
     """The web form that tags the selected runs."""
+    hive().check_writable()
     runs = _selected(request.args.getlist("run"))
     if not runs:
         return _nothing_selected()
@@ -53,6 +56,28 @@ def tag() -> Response:
     hive().notes.change(runs, change)
     flash(f"The tags of {plural(len(runs), 'run')} are stored.", "success")
     return make_response(redirect(address("runs.index", columns="id,algorithm,dataset,state,tags,note"), 303))
+
+
+@blueprint.get("/delete")
+def confirm() -> Response:
+    """Say what moves to the trash, before it does."""
+    hive().check_writable()
+    runs = _selected(request.args.getlist("run"))
+    if not runs:
+        return _nothing_selected()
+    records = hive().store.read(lambda t: t.runs.get_many(runs))
+    return make_response(render_template("runs/delete.html", runs=records))
+
+
+@blueprint.post("/delete")
+def delete() -> Response:
+    """Move the selected runs to the trash."""
+    runs = _selected(request.form.getlist("run"))
+    if not runs:
+        return _nothing_selected()
+    hive().trash.delete(runs)
+    flash(f"{plural(len(runs), 'run')} moved to the trash.", f"{UNDO} {' '.join(map(str, runs))}")
+    return make_response(redirect(address("runs.index"), 303))
 
 
 def _selected(texts: list[str]) -> list[int]:

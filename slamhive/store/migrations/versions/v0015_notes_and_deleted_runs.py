@@ -1,6 +1,8 @@
-"""Notes and tags of runs."""
+"""Notes and tags of runs, and which runs were deleted."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import sqlalchemy as sa
 from alembic import op
@@ -12,11 +14,12 @@ branch_labels = None
 depends_on = None
 
 LONG_TEXT = sa.Text().with_variant(mysql.MEDIUMTEXT(), "mysql")
-OPTIONS = {"mysql_engine": "InnoDB", "mysql_charset": "utf8mb4", "mysql_collate": "utf8mb4_bin"}
+MOMENT = sa.DateTime().with_variant(mysql.DATETIME(fsp=6), "mysql")
+OPTIONS: dict[str, Any] = {"mysql_engine": "InnoDB", "mysql_charset": "utf8mb4", "mysql_collate": "utf8mb4_bin"}
 
 
 def upgrade() -> None:
-    """Add two tables. No run folder has notes yet."""
+    """Add three tables. No run folder has notes yet, and no run was deleted."""
     op.create_table(
         "run_notes",
         sa.Column("run_id", sa.Integer(), nullable=False),
@@ -35,9 +38,18 @@ def upgrade() -> None:
         **OPTIONS,
     )
     op.create_index("ix_run_tags_tag", "run_tags", ["tag", "run_id"])
+    op.create_table(
+        "deleted_runs",
+        sa.Column("uid", sa.String(32), nullable=False),
+        sa.Column("run_id", sa.Integer(), nullable=False),
+        sa.Column("deleted_at", MOMENT, nullable=False),
+        sa.PrimaryKeyConstraint("uid", name="pk_deleted_runs"),
+        **OPTIONS,
+    )
 
 
 def downgrade() -> None:
     """Remove them; the run folders keep what they say."""
+    op.drop_table("deleted_runs")
     op.drop_table("run_tags")
     op.drop_table("run_notes")
