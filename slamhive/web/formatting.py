@@ -11,10 +11,7 @@ from slamhive.domain.numbers import plural as plural  # noqa: PLC0414 - re-expor
 
 DASH = "–"
 PERCENT_METRICS = frozenset(
-    {
-        *("tracked_fraction", "frames.dropped_fraction", "deadline.missed_fraction", "relations.matched_fraction"),
-        "cpu.limit_used",
-    }
+    {"tracked_fraction", "frames.dropped_fraction", "deadline.missed_fraction", "relations.matched_fraction"}
 )
 
 

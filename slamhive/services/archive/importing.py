@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.clock import utc_now
-from slamhive.domain.notes import NO_NOTES
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.archive import RunLine
@@ -33,7 +32,6 @@ from slamhive.services.runs import (
     current_protocol,
     file_runs,
     found_evaluations,
-    found_notes,
     put_configurations,
     read_filed,
     snapshot_of,
@@ -200,8 +198,7 @@ class ArchiveImport:
         experiment = ready.around.experiment_name(line.experiment)
         record = {**record, "request": {**record["request"], "experiment": experiment}}
         filed = read_filed(self._catalogue, record, f"the record of run {line.id}")
-        notes = NO_NOTES if folder is None else found_notes(folder)
-        run = FolderRun(filed, found, _current(line, folder, found), lines.evaluations_of(line), line.attempt, notes)
+        run = FolderRun(filed, found, _current(line, folder, found), lines.evaluations_of(line), line.attempt)
         return _Unpacked(line, run, folder, record)
 
     def _put_in_place(self, entry: _Unpacked, folder: RunFolder, numbers: dict[str, int]) -> None:

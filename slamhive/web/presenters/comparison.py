@@ -136,10 +136,7 @@ def _span(chart: Chart) -> tuple[float, float] | None:
 
 def _note(column: RunColumn, *, grouped: bool) -> str:
     if grouped:
-        counts = {"failed": len(column.failed), "doubtful": len(column.doubtful)}
-        return ", ".join(
-            [plural(len(column.runs), "run"), *(f"{count} {word}" for word, count in counts.items() if count)]
-        )
+        return plural(len(column.runs), "run") + (f", {len(column.failed)} failed" if column.failed else "")
     return "failed" if column.failed else ""
 
 
