@@ -78,6 +78,9 @@ def _notes(comparison: RunComparison) -> list[str]:
     failed = [run_id for column in comparison.columns for run_id in column.failed]
     if failed:
         notes.append(f"failed: run {', '.join(map(str, failed))}")
+    doubtful = [run_id for column in comparison.columns for run_id in column.doubtful]
+    if doubtful:
+        notes.append(f"not to be trusted fully (slamhive runs show): run {', '.join(map(str, doubtful))}")
     if comparison.unmarked:
         notes.append(f"nothing is marked as better: {comparison.unmarked}")
     return notes

@@ -88,7 +88,7 @@ def print_status(status: ExperimentStatus) -> None:
     if status.standing is Standing.STORING:
         click.echo(f"{status.missing:,} runs are not stored yet; starting the same file again completes it")
     if status.left_s and status.standing is Standing.ACTIVE:
-        click.echo(f"about {_time(status.left_s)} left")
+        click.echo(f"about {_time(status.left_s)} left: {status.phase}")
 
 
 def print_statuses(found: Sequence[ExperimentStatus]) -> None:

@@ -16,13 +16,13 @@ from slamhive.domain.metrics import described
 from slamhive.domain.numbers import plural
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput
-from slamhive.services.exports import disturbed_text
+from slamhive.services.exports import disturbed_text, trust_text
 from slamhive.store import RunRecord, RunSort
 
 if TYPE_CHECKING:
     from slamhive.services.hive import Hive
 
-SPARE = ("time s", "RAM MB", "CPU cores", "tracked", "poses", "dataset", "reason", "disturbed")
+SPARE = ("time s", "RAM MB", "CPU cores", "tracked", "poses", "dataset", "reason", "disturbed", "trust")
 COLUMNS = (
     "id",
     "algorithm",
@@ -30,6 +30,7 @@ COLUMNS = (
     "state",
     "reason",
     "verdict",
+    "trust",
     "disturbed",
     "poses",
     "ATE m",
@@ -39,10 +40,15 @@ COLUMNS = (
     "time s",
 )
 LISTS = ("states", "reasons", "experiments", "algorithms", "datasets")
+_ELSEWHERE = {
+    "import": "imports",
+    **dict.fromkeys(("note", "tag"), "run_notes"),
+    **dict.fromkeys(("delete", "restore", "trash"), "run_trash"),
+}
 NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 
 
-@click.group(cls=LazyGroup, modules={"import": "imports"}, invoke_without_command=True)
+@click.group(cls=LazyGroup, modules=_ELSEWHERE, invoke_without_command=True)
 @click.option("--where", default="", metavar="FILTER", help="Only these, e.g. 'ate.rmse < 0.1 and dataset ~ MH_0*'.")
 @click.option("--saved", metavar="NAME", help="The filter, columns and order of a saved search.")
 @click.option("--state", "states", type=choice(RunState), multiple=True, help="Only these states.")
@@ -211,13 +217,18 @@ def retry(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
 
 
 def _print_outcome(entry: RunRecord) -> None:
-    """Print why the run ended, its verdict, and whether the machine was disturbed."""
+    """Print why the run ended, its verdict, how far it can be trusted, and what somebody wrote about it."""
     if entry.detail:
         click.echo(f"{entry.reason or 'note'}: {entry.detail}")
     if entry.verdict is not None:
         click.echo(f"verdict: {entry.verdict.kind.label}. {entry.verdict.words}")
-    if entry.disturbance is not None and entry.disturbance.disturbed:
-        click.echo(f"disturbed: {entry.disturbance.words}; {'; '.join(entry.disturbance.remedies)}")
+    if entry.trust is not None:
+        said = [part for part in (entry.trust.words, *entry.trust.remedies) if part]
+        click.echo(f"trust: {entry.trust.level or 'unknown'}{'. ' if said else ''}{'; '.join(said)}")
+    if entry.tags:
+        click.echo(f"tags: {', '.join(entry.tags)}")
+    if entry.note:
+        click.echo(f"note: {entry.note}")
 
 
 def run_row(entry: RunRecord) -> tuple[Any, ...]:
@@ -230,6 +241,7 @@ def run_row(entry: RunRecord) -> tuple[Any, ...]:
         entry.state.value,
         None if entry.reason is None else entry.reason.value,
         None if entry.verdict is None else entry.verdict.kind.value,
+        trust_text(entry.trust),
         disturbed_text(entry.disturbance),
         entry.poses,
         _number(metrics.get("ate.rmse"), "{:.4f}"),
@@ -257,8 +269,8 @@ def print_runs(entries: list[RunRecord], as_json: bool) -> None:
                 tell(f"run {entry.id}: {entry.detail}")
             if entry.verdict is not None and entry.verdict.failed and entry.state is RunState.SUCCEEDED:
                 tell(f"run {entry.id}: {entry.verdict.words}")
-            if entry.disturbance is not None and entry.disturbance.disturbed:
-                tell(f"run {entry.id} was disturbed: {entry.disturbance.words}")
+            if entry.trust is not None and entry.trust.reasons:
+                tell(f"run {entry.id} has {entry.trust.level} trust: {entry.trust.words}")
     else:
         tell("no runs; `slamhive run ALGORITHM DATASET` starts one")
 

@@ -63,6 +63,27 @@ class FailureReason(StrEnum):
 _NOT_THE_CONFIGURATION = frozenset({FailureReason.LOST, FailureReason.CONFIGURATION_FAILED})
 
 
+REMEDIES: dict[FailureReason, str] = {
+    FailureReason.IMAGE_MISSING: "build the package with slamhive algorithm build, whose output shows what is missing",
+    FailureReason.PREPROCESS_ERROR: "check the dataset with slamhive dataset check, and the free disk space",
+    FailureReason.START_ERROR: "slamhive doctor checks the executor",
+    FailureReason.NONZERO_EXIT: "read the end of the log; correct the parameters or the package, then retry",
+    FailureReason.PLAYER_FAILED: "check the recording with slamhive dataset check",
+    FailureReason.TIMEOUT: "allow more time (--timeout or RUN_TIMEOUT_FACTOR), or reduce the work per frame",
+    FailureReason.OUT_OF_MEMORY: "allow more memory (--memory or RUN_MEMORY_MB), or reduce what the algorithm keeps",
+    FailureReason.DISK_LIMIT: "make the algorithm save less, or raise RUN_DISK_MB or RUN_FILES",
+    FailureReason.PROCESS_LIMIT: "let the algorithm start fewer threads, or raise RUN_PIDS",
+    FailureReason.NO_TRAJECTORY: "read the log: the algorithm may never have initialised; try sequential playback",
+    FailureReason.EMPTY_TRAJECTORY: "read the log: the algorithm may never have initialised; try sequential playback",
+    FailureReason.MALFORMED_TRAJECTORY: "correct how the package writes traj.txt: see the container contract",
+    FailureReason.LOST: "retry; slamhive doctor checks the executor",
+    FailureReason.LOST_TRACKING: "try other parameters, or allow longer gaps with stop_when",
+    FailureReason.MEMORY_BUDGET: "try other parameters, or raise the memory of stop_when",
+    FailureReason.TIME_BUDGET: "try other parameters, or raise the time of stop_when",
+    FailureReason.CONFIGURATION_FAILED: "look at the earlier runs of this configuration, which failed",
+}
+"""What to do about each reason."""
+
 _ENDED = frozenset({RunState.SUCCEEDED, RunState.FAILED, RunState.CANCELLED})
 
 _S = RunState

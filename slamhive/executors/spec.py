@@ -14,9 +14,6 @@ from slamhive.domain.algorithm import RunUser
 
 _FILE_SLACK_BYTES = 1_000_000
 
-ROS_ENVIRONMENT = {"ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://localhost:11311"}
-"""What each container gets: a ROS master inside is found without a network."""
-
 
 class Limit(StrEnum):
     """What a run can be limited in."""
@@ -89,6 +86,13 @@ class Limits:
     def file_bytes(self) -> int | None:
         """The size at which the kernel refuses one file: above the limit of all files, so that the watch sees it."""
         return None if self.disk_bytes is None else self.disk_bytes + _FILE_SLACK_BYTES
+
+    @property
+    def cores(self) -> float | None:
+        """How many cores the run may use; None if that is not limited."""
+        if self.cpu_cores is None:
+            return None if self.cpuset is None else len(self.cpuset)
+        return self.cpu_cores if self.cpuset is None else min(self.cpu_cores, len(self.cpuset))
 
     def only(self, enforced: frozenset[Limit]) -> Limits:
         """The limits among these that an executor with the limits ``enforced`` can hold a run to."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from slamhive.domain.notes import NO_NOTES, RunNotes
 from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import NotFound, Unavailable
 from slamhive.files import write_aside
@@ -31,6 +32,11 @@ class RunFolder:
     def record(self) -> Path:
         """``run.json``: request, provenance and outcome; enough to rebuild the database row."""
         return self.root / "run.json"
+
+    @property
+    def notes(self) -> Path:
+        """``notes.json``: note and tags that people gave the run."""
+        return self.root / "notes.json"
 
     @property
     def config(self) -> Path:
@@ -183,6 +189,14 @@ class RunFolder:
     def record_text(record: dict[str, Any]) -> str:
         """The content of ``run.json`` for ``record``."""
         return json.dumps(record, indent=1, allow_nan=False) + "\n"
+
+    def write_notes(self, notes: RunNotes) -> None:
+        """Replace ``notes.json`` in one step."""
+        write_aside(self.notes, json.dumps(notes.content, indent=1, ensure_ascii=False) + "\n")
+
+    def read_notes(self) -> RunNotes:
+        """Note and tags; empty without the file. Raises InvalidInput for a file that cannot be used."""
+        return RunNotes.of(read_record(self.notes)) if self.notes.exists() else NO_NOTES
 
     def write_current_protocol(self, fingerprint: str) -> None:
         """Replace ``evaluations/current`` in one step."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -89,6 +90,12 @@ def measure_run(
     metrics.update(_localisation_metrics(folder.localisation))
     metrics.update(host_metrics(read_host_load(folder.host)))
     return {key: value for key, value in metrics.items() if math.isfinite(value)}
+
+
+def limit_metrics(metrics: Mapping[str, float], cores: float | None) -> dict[str, float]:
+    """How much of its limit of CPU cores a run with these metrics used; empty without a limit or a measurement."""
+    used = metrics.get("cpu.mean")
+    return {} if used is None or not cores else {"cpu.limit_used": used / cores}
 
 
 def weighted_percentile(values: FloatArray, weights: FloatArray, percent: float) -> float:

@@ -90,6 +90,7 @@ class ExperimentStatus(Document):
     disturbed: Annotated[int, described("Runs that were measured on a disturbed machine.")]
     failed_if: Annotated[str, described("When a run counts as failed.")] = DEFAULT_RULE.words
     left_s: Annotated[float | None, described("Estimated time left; null if nothing was measured.", unit="s")]
+    phase: Annotated[str, described("What happens now, such as a build; empty if nothing is left.")] = ""
 
 
 class CellRun(Document):

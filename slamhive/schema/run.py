@@ -12,6 +12,7 @@ from slamhive.domain.hint import Hint
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.trust import TrustLevel
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import VerdictKind
 from slamhive.schema.fields import described
@@ -47,6 +48,23 @@ class Verdict(Document):
     kind: VerdictKind
     failed: bool
     words: str
+
+
+class TrustReason(Document):
+    """One reason why a run cannot be trusted fully, and what to do about it."""
+
+    kind: str
+    level: TrustLevel
+    words: str
+    remedy: str
+
+
+class Trust(Document):
+    """How far the measurements of a run can be trusted, and why."""
+
+    level: Annotated[TrustLevel | None, described("Null if too little was measured.")]
+    reasons: tuple[TrustReason, ...]
+    not_measured: Annotated[tuple[str, ...], described("What was not measured, if the level is null.")]
 
 
 class ProtocolName(Document):
@@ -110,6 +128,9 @@ class Run(Document):
     stop_when: Rules
     repeat_disturbed: int
     disturbance: FoundDisturbance | None
+    note: Annotated[str | None, described("What somebody wrote about the run.")] = None
+    tags: Annotated[tuple[str, ...], described("Tags that somebody gave the run.")] = ()
+    trust: Trust | None = None
     protocol: ProtocolName | None
     verdict: Verdict | None
     metrics: Metrics

@@ -9,7 +9,6 @@ from datetime import datetime
 from fnmatch import fnmatchcase
 from typing import TypeAlias
 
-from slamhive.domain.verdict import VerdictKind
 from slamhive.errors import nearest
 from slamhive.search.fields import Field, Kind, Source, Vocabulary
 from slamhive.search.grammar import Junction, Tree, leaves, mapped
@@ -235,12 +234,13 @@ class _Binder:
 
 
 def _chosen(meaning: Field, sign: Sign, values: tuple[str, ...]) -> Condition:
-    """A comparison with choices. The verdict is compared by kinds, positively, since a run may have none."""
-    if meaning.source is not Source.VERDICT:
+    """A comparison with choices. Verdict and trust are compared by kinds, positively, since a run may have none."""
+    if meaning.source not in (Source.VERDICT, Source.TRUST):
         return Condition(meaning, sign, values)
+    known = dict.fromkeys(kind for kinds in meaning.groups.values() for kind in kinds)
     wanted = {kind for value in values for kind in meaning.groups[value]}
     denied = sign in {Sign.NOT_EQUAL, Sign.NOT_IN}
-    return Condition(meaning, Sign.IN, tuple(kind for kind in VerdictKind if (kind in wanted) is not denied))
+    return Condition(meaning, Sign.IN, tuple(kind for kind in known if (kind in wanted) is not denied))
 
 
 def members_of(condition: Condition) -> set[str]:

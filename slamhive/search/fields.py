@@ -13,6 +13,7 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.trust import TrustLevel
 from slamhive.domain.verdict import GROUPS as VERDICT_GROUPS
 from slamhive.domain.verdict import VerdictKind
 from slamhive.errors import nearest
@@ -39,14 +40,16 @@ class Source(StrEnum):
     ATTRIBUTE = "attribute"
     PROTOCOL = "protocol"
     VERDICT = "verdict"
+    TRUST = "trust"
+    NOTE = "note"
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
     """One name of the language.
 
-    ``groups`` says which algorithms (for the sensors) or datasets (for attributes) have which value; for the verdict,
-    which kinds a choice stands for.
+    ``groups`` says which algorithms (for the sensors) or datasets (for attributes) have which value; for the verdict
+    and the trust, which kinds a choice stands for.
     """
 
     name: str
@@ -83,6 +86,14 @@ ATTRIBUTES: dict[str, Field] = {
     )
 }
 """The attributes of datasets. A parameter of the same name comes first, because filters have used it before."""
+NOTES: dict[str, Field] = {
+    entry.name: entry
+    for entry in (
+        Field("tag", "Tag", Kind.TEXT, Source.NOTE, help="a tag that somebody gave the run"),
+        Field("note", "Note", Kind.TEXT, Source.NOTE, help="what somebody wrote about the run"),
+    )
+}
+"""What people wrote about runs. A parameter of the same name comes first here too."""
 PROTOCOL = Field(
     "protocol",
     "Protocol",
@@ -99,6 +110,15 @@ VERDICT = Field(
     choices=(*map(str, VerdictKind), *VERDICT_GROUPS),
     groups={**{str(kind): (str(kind),) for kind in VerdictKind}, **VERDICT_GROUPS},
 )
+TRUST = Field(
+    "trust",
+    "Trust",
+    Kind.CHOICE,
+    Source.TRUST,
+    help="how far the measurements can be trusted; 'doubtful' stands for limited and low",
+    choices=(*map(str, TrustLevel), "doubtful"),
+    groups={**{str(level): (str(level),) for level in TrustLevel}, "doubtful": ("limited", "low")},
+)
 BUILT_IN: dict[str, Field] = {
     entry.name: entry
     for entry in (
@@ -111,6 +131,7 @@ BUILT_IN: dict[str, Field] = {
         _run("state", "State", Kind.CHOICE, "where the run is in its life", RunState),
         _run("reason", "Reason", Kind.CHOICE, "why a run failed", FailureReason),
         VERDICT,
+        TRUST,
         _run("executor", "Executor", Kind.TEXT, "docker, process, ..."),
         _run("experiment", "Experiment", Kind.TEXT, "name of the experiment that asked for the run"),
         _run("configuration", "Configuration", Kind.NUMBER, "number shared by all repeats"),
@@ -182,14 +203,19 @@ class Vocabulary:
             Field(key, key, entry.kind, Source.PARAMETER, entry.unit, choices=entry.choices)
             for entry in self.parameters.get(key, ())
         )
-        return (*parameters, attribute_field(ATTRIBUTES[name], self.attributes)) if name in ATTRIBUTES else parameters
+        if name in ATTRIBUTES:
+            return (*parameters, attribute_field(ATTRIBUTES[name], self.attributes))
+        return (*parameters, NOTES[name]) if name in NOTES else parameters
 
     def names(self) -> Sequence[str]:
         """Every name that may begin a comparison."""
-        return [*BUILT_IN, *ATTRIBUTES, *CATALOGUE, *self.parameters]
+        return [*BUILT_IN, *ATTRIBUTES, *NOTES, *CATALOGUE, *self.parameters]
 
     def nearest(self, name: str) -> str:
-        """A remedy for a name that has no meaning."""
+        """A remedy for a name that has no meaning. The beginning of a key, such as ``ate``, means its metric."""
+        begun = [key for key in CATALOGUE if key.startswith(f"{name}.")]
+        if begun:
+            return f"did you mean {next((key for key in begun if key.endswith('.rmse')), begun[0])!r}?"
         found = nearest(name, list(self.names()))
         return found if found.startswith("did you") else "docs/search.md lists what a filter can name"
 

@@ -33,8 +33,9 @@ if TYPE_CHECKING:
     from slamhive.services.ledger import Ledger
     from slamhive.services.reports import Analyses
     from slamhive.services.run_comparison import RunComparisons
-    from slamhive.services.runs import Runs, StoredRuns
+    from slamhive.services.runs import Notes, Runs, StoredRuns
     from slamhive.services.searches import Searches
+    from slamhive.services.trash import Trash
     from slamhive.services.versions import Versions
     from slamhive.services.worker import Worker
     from slamhive.store import Store
@@ -135,6 +136,13 @@ class Hive:
         return Runs(self.settings, self.store, self.configurations, self.executors)
 
     @cached_property
+    def notes(self) -> Notes:
+        """Notes and tags of runs."""
+        from slamhive.services.runs import Notes
+
+        return Notes(self.settings, self.store)
+
+    @cached_property
     def protocols(self) -> Protocols:
         """Protocols that evaluations use."""
         from slamhive.services.evaluations import Protocols
@@ -202,7 +210,7 @@ class Hive:
         """Stored analyses."""
         from slamhive.services.analyses import StoredAnalyses
 
-        return StoredAnalyses(self.settings, self.store, lambda text: self.analyses.read(text).name)
+        return StoredAnalyses(self.settings, self.store, lambda text: self.analyses.check(text))  # noqa: PLW0108 - loads analyses late
 
     @cached_property
     def analysis_jobs(self) -> AnalysisJobs:
@@ -224,6 +232,13 @@ class Hive:
         from slamhive.services.fetching import Collections, Fetching
 
         return Fetching(self.settings, self.catalogue, Collections(self.catalogue.project_root))
+
+    @cached_property
+    def trash(self) -> Trash:
+        """Deleted runs."""
+        from slamhive.services.trash import Trash
+
+        return Trash(self.settings, self.store, self.catalogue, self.ledger)
 
     def worker(self, only: Sequence[int] | None = None) -> Worker:
         """A worker of this installation, for all runs or for ``only`` these; its ``run`` does the work."""

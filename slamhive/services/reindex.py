@@ -11,7 +11,8 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.experiments import Restored
 from slamhive.services.hive import Hive
 from slamhive.services.ledger import LedgerRestore
-from slamhive.services.runs import FolderRun, current_protocol, file_runs, found_evaluations, read_filed
+from slamhive.services.runs import FolderRun, current_protocol, file_runs, found_evaluations, found_notes, read_filed
+from slamhive.services.trash import deleted_folders
 
 BATCH = 100
 """Folders filed in one transaction."""
@@ -55,6 +56,8 @@ def reindex(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
 def _reindexed(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
     folders = run_folders(hive.settings.runs_folder)
     report = ReindexReport()
+    deleted = [folder.read().deleted for folder in deleted_folders(hive.settings.trash_folder)]
+    hive.store.write(lambda t: t.deleted_runs.remember(deleted))
     ledger = LedgerRestore(hive.store, hive.catalogue, hive.ledger.files)
     for restored in hive.experiments.restore_rows():
         report.experiments += restored.problem is None
@@ -113,7 +116,8 @@ def _read(hive: Hive, folder: RunFolder, ledger: LedgerRestore) -> FolderRun:
     filed = read_filed(hive.catalogue, record, str(folder.record))
     found = found_evaluations(folder)
     history = ledger.evaluations.of(int(record["id"]))
-    return FolderRun(filed, found, current_protocol(folder, found), history, int(record.get("attempt", 1)))
+    current, attempt = current_protocol(folder, found), int(record.get("attempt", 1))
+    return FolderRun(filed, found, current, history, attempt, found_notes(folder))
 
 
 def _number(path: Path) -> int:

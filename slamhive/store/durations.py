@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from statistics import median
 
-from sqlalchemy import ColumnElement, Integer, and_, cast, func, select
+from sqlalchemy import ColumnElement, Integer, and_, cast, func, not_, select
 
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import RunState
@@ -15,6 +15,7 @@ from slamhive.store.experiment_records import KnownConfiguration
 from slamhive.store.models import (
     MEASURED_PROTOCOL_ID,
     Algorithm,
+    AlgorithmVersion,
     Configuration,
     Dataset,
     Evaluation,
@@ -30,6 +31,8 @@ DURATION = "duration"
 _PAIRING = (Algorithm.name, Dataset.name, Configuration.playback_mode, Configuration.playback_rate)
 _ENDED = tuple(state for state in RunState if state.ended)
 _ACTIVE = tuple(state for state in RunState if state.active)
+_LEAST_BUILD = timedelta(seconds=5)
+"""A shorter preparation built nothing."""
 _LATEST = 50
 """So many of the latest runs and evaluations are looked at for a median."""
 Pairing = tuple[str, str, PlaybackMode, float]
@@ -50,6 +53,8 @@ class ActiveRun:
 
     id: int
     claimed_at: datetime
+    state: RunState = RunState.RUNNING
+    package: str = ""
 
 
 class DurationRepository(Repository):
@@ -108,12 +113,54 @@ class DurationRepository(Repository):
     def active(self, experiment_id: int) -> list[ActiveRun]:
         """The runs of an experiment that workers have claimed; there are at most as many as slots."""
         query = (
-            select(RunEvent.run_id, func.max(RunEvent.at))
+            select(RunEvent.run_id, func.max(RunEvent.at), Run.state, Algorithm.package)
             .join(Run, Run.id == RunEvent.run_id)
+            .join(Configuration, Configuration.id == Run.configuration_id)
+            .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
             .where(Run.experiment_id == experiment_id, Run.state.in_(_ACTIVE), RunEvent.to_state == RunState.PREPARING)
-            .group_by(RunEvent.run_id)
+            .group_by(RunEvent.run_id, Run.state, Algorithm.package)
         )
-        return [ActiveRun(run_id, at) for run_id, at in self._session.execute(query)]
+        return [ActiveRun(*row) for row in self._session.execute(query)]
+
+    def unbuilt(self, experiment_id: int) -> list[str]:
+        """The packages of runs that have not ended, of which no version was ever built here."""
+        built = select(AlgorithmVersion.id).where(
+            AlgorithmVersion.package == Algorithm.package, AlgorithmVersion.removed_at.is_(None)
+        )
+        query = (
+            select(Algorithm.package)
+            .distinct()
+            .select_from(Run)
+            .join(Configuration, Configuration.id == Run.configuration_id)
+            .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
+            .where(Run.experiment_id == experiment_id, Run.state.not_in(_ENDED), not_(built.exists()))
+        )
+        return list(self._session.scalars(query))
+
+    def build_s(self) -> float | None:
+        """How long building a package takes: the median of what the first runs of versions waited for, None if none.
+
+        A version that was built before its first run says nothing about it.
+        """
+        firsts = (
+            select(func.min(Run.id).label("id"))
+            .where(Run.algorithm_version_id.is_not(None))
+            .group_by(Run.algorithm_version_id)
+            .order_by(func.min(Run.id).desc())
+            .limit(_LATEST)
+            .subquery()
+        )
+        moves = (
+            select(RunEvent.run_id, RunEvent.to_state, RunEvent.at)
+            .join(firsts, firsts.c.id == RunEvent.run_id)
+            .where(RunEvent.to_state.in_((RunState.PREPARING, RunState.STARTING)))
+        )
+        at: dict[RunState, dict[int, datetime]] = {RunState.PREPARING: {}, RunState.STARTING: {}}
+        for run_id, state, moved_at in self._session.execute(moves.order_by(RunEvent.id)):
+            at[state][run_id] = moved_at
+        claimed, starting = at[RunState.PREPARING], at[RunState.STARTING]
+        times = [starting[run_id] - claimed[run_id] for run_id in claimed.keys() & starting.keys()]
+        return _median_s([time for time in times if time >= _LEAST_BUILD])
 
     def overhead_s(self) -> float | None:
         """The time from claim to end that a run does not spend running: the median of the latest runs, None if none."""

@@ -52,6 +52,11 @@ class ExperimentRepository(Repository):
             raise unknown("experiment", name, names, "slamhive experiment list shows all")
         return found
 
+    def mention(self, name: str) -> bool:
+        """Whether the file of some experiment contains every part of a dotted name."""
+        parts = [_EXPERIMENTS.c.source.contains(part, autoescape=True) for part in name.split(".")]
+        return self._session.scalar(select(_EXPERIMENTS.c.id).where(*parts).limit(1)) is not None
+
     def locked(self, name: str) -> ExperimentRecord:
         """The same, with its row locked until this transaction ends."""
         self._session.execute(select(_EXPERIMENTS.c.id).where(_EXPERIMENTS.c.name == name).with_for_update())

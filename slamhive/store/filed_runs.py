@@ -11,14 +11,17 @@ from typing import Any
 from sqlalchemy import bindparam, delete, insert, select, update
 
 from slamhive.domain import protocol as domain
+from slamhive.domain.notes import NO_NOTES, RunNotes
 from slamhive.errors import Conflict
 from slamhive.evaluation.job import Artefacts
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.changes import changes_of
+from slamhive.store.deleted_runs import DeletedRunRepository
 from slamhive.store.evaluations import REASON_LENGTH
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, MetricValue, Run
 from slamhive.store.models import RunEvent as EventRow
+from slamhive.store.notes import NoteRepository
 from slamhive.store.records import EvaluationState, RunSnapshot
 from slamhive.store.rows import Repository, cut
 from slamhive.store.runs import event_row, snapshot_row
@@ -55,6 +58,7 @@ class FiledRun:
 
     ``measured``: {metric key: value}. ``evaluations``: oldest first. ``figures``: {fingerprint of one of their
     protocols: {metric key: value}}. ``current``: the protocol whose metrics are shown, None to leave that as it is.
+    ``notes``: what the folder says that somebody wrote.
     """
 
     snapshot: RunSnapshot
@@ -62,6 +66,7 @@ class FiledRun:
     evaluations: Sequence[EndedEvaluation] = ()
     figures: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     current: str | None = None
+    notes: RunNotes = NO_NOTES
 
 
 class FiledRunRepository(Repository):
@@ -82,7 +87,9 @@ class FiledRunRepository(Repository):
         self._put_events(runs, here)
         self._add_evaluations(runs, here, numbers)
         self._put_figures(runs, here, numbers)
+        NoteRepository(self._session).put({run.snapshot.id: run.notes for run in runs})
         VerdictRepository(self._session).renew(run.snapshot.id for run in runs)
+        DeletedRunRepository(self._session).forget([run.snapshot.request.uid for run in runs])
         # The ledger keeps queued runs; these have folders.
         changes, filed = changes_of(self._session), {run.snapshot.id for run in runs}
         changes.runs = [row for row in changes.runs if row.id not in filed]

@@ -15,6 +15,7 @@ from slamhive.schema.submission import StopWhen
 from slamhive.store.changes import AskedEvaluations, NewRow
 from slamhive.store.configuration_models import ConfigurationGroup, ConfigurationLabel
 from slamhive.store.configurations import ConfigurationRepository
+from slamhive.store.deleted_runs import DeletedRunRepository
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import AS_FILED, EndedEvaluation
 from slamhive.store.models import (
@@ -157,10 +158,11 @@ class LedgerRepository(Repository):
         return {**found, **{number: other for number, (other, _) in zip(rest, others, strict=True)}}
 
     def unknown(self, run_ids: Sequence[int], uids: Sequence[str]) -> set[int]:
-        """Those of some hundreds of numbers that are free and whose uid is not stored either."""
+        """Those of some hundreds of numbers that are free and whose uid is neither stored nor deleted."""
         query = select(_RUNS.c.id, _RUNS.c.uid).where(_RUNS.c.id.in_(run_ids) | _RUNS.c.uid.in_(uids))
         rows = self._session.execute(query).all()
         numbers, known = {row.id for row in rows}, {row.uid for row in rows}
+        known |= DeletedRunRepository(self._session).among(uids)
         return {number for number, uid in zip(run_ids, uids, strict=True) if number not in numbers and uid not in known}
 
     def repeat(self, originals: Mapping[int, int]) -> None:

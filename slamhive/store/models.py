@@ -270,6 +270,35 @@ class Run(Base):
     trajectory: Mapped[TrajectoryKind | None]
 
 
+class RunNote(Base):
+    """What somebody wrote about a run; the file in its folder is the truth."""
+
+    __tablename__ = "run_notes"
+    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), primary_key=True, autoincrement=False)
+    note: Mapped[str] = mapped_column(LongText)
+
+
+class RunTag(Base):
+    """One tag of a run."""
+
+    __tablename__ = "run_tags"
+    __table_args__ = (
+        Index("ix_run_tags_tag", "tag", "run_id"),
+        {**TABLE_OPTIONS, "sqlite_with_rowid": False},
+    )
+    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), primary_key=True)
+    tag: Mapped[str] = mapped_column(String(NAME_LENGTH), primary_key=True)
+
+
+class DeletedRun(Base):
+    """A run that was deleted, so that an experiment or the ledger does not queue it again."""
+
+    __tablename__ = "deleted_runs"
+    uid: Mapped[str] = mapped_column(String(32), primary_key=True)
+    run_id: Mapped[int]
+    deleted_at: Mapped[datetime]
+
+
 class RunEvent(Base):
     """One move of a run."""
 

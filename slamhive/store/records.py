@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from typing import Any, NamedTuple, TypedDict
 
-from slamhive.domain.configuration import InputMap, Playback
+from slamhive.domain.configuration import InputMap, Playback, PlaybackMode
 from slamhive.domain.disturbance import Disturbance
-from slamhive.domain.host import Host
+from slamhive.domain.external import IMPORTED
+from slamhive.domain.notes import NO_NOTES, RunNotes
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunEvent, RunState
 from slamhive.domain.sensor_choice import Chosen
 from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.trust import Trust, judge_trust
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import Verdict, VerdictKind, ended_badly, judge, not_evaluable
 from slamhive.domain.versions import version_label
@@ -34,6 +38,22 @@ class EvaluationState(StrEnum):
     RUNNING = "running"
     SUCCEEDED = "succeeded"
     FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Host:
+    """The machine that measured a run, identified by its ``fingerprint``."""
+
+    cpu_model: str
+    cpu_count: int
+    memory_bytes: int
+    kernel: str
+    os: str
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 over the content, in hex."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +181,7 @@ class RunRecord:
     with them. ``trajectory`` says which one ``traj.txt`` is, None if it is not stated. ``host`` and ``version`` are
     known once the run has started. ``disturbance`` is None where nothing was recorded of the machine.
     ``asked_version`` is the version that its configuration names, ``input_map`` the map that it starts with.
+    ``notes`` are its note and tags.
     ``experiment`` is the name of the one that it belongs to, ``cell`` its place there; for the rest see
     :class:`RunRequest`.
     """
@@ -214,6 +235,17 @@ class RunRecord:
     input_map: InputMap | None = None
     metrics: dict[str, float] | None = None
     judged: VerdictKind | None = None
+    notes: RunNotes = NO_NOTES
+
+    @property
+    def note(self) -> str | None:
+        """What somebody wrote about the run; None for nothing."""
+        return self.notes.note or None
+
+    @property
+    def tags(self) -> tuple[str, ...]:
+        """Its tags, in order."""
+        return self.notes.tags
 
     @property
     def limits(self) -> Limits:
@@ -234,6 +266,16 @@ class RunRecord:
         if self.judged is None:
             return None
         return not_evaluable(None) if self.judged is VerdictKind.NOT_EVALUABLE else judge(self.metrics or {})
+
+    @property
+    def trust(self) -> Trust | None:
+        """How far the measurements can be trusted; None for a run that did not end by itself or was imported."""
+        if self.metrics is None or self.executor == IMPORTED:
+            return None
+        if self.state not in (RunState.SUCCEEDED, RunState.FAILED):
+            return None
+        realtime = self.playback.mode is PlaybackMode.REALTIME
+        return judge_trust(self.metrics, self.disturbance, realtime=realtime)
 
 
 @dataclass(frozen=True, slots=True)

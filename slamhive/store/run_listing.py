@@ -101,7 +101,9 @@ class Matches:
         if tree is None:
             return Count(int(self.session.execute(select(func.count()).select_from(RUNS)).scalar_one()))
         start = next(starts(tree), None) if isinstance(tree, Condition) else None
-        return None if start is None else Count(self._number(start.ids(self.sql).subquery()))
+        if start is None or start.rest is not None or start.also is not None:
+            return None
+        return Count(self._number(start.ids(self.sql).subquery()))
 
     def ids(self, limit: int | None) -> Select[Any]:
         """The ids of up to ``limit`` matches, in any order."""

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 
 from slamhive.domain.configuration import InputMap, Playback
 from slamhive.domain.disturbance import Disturbance
-from slamhive.domain.host import Host as HostRecord
+from slamhive.domain.notes import NO_NOTES, RunNotes
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import protocol_from_content
 from slamhive.domain.variant import Variant
@@ -20,7 +20,9 @@ from slamhive.schema.submission import StopWhen
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.metrics import VERDICT, MetricRepository
 from slamhive.store.models import Algorithm, AlgorithmVersion, Configuration, Dataset, Experiment, Host, Protocol, Run
+from slamhive.store.notes import NoteRepository
 from slamhive.store.records import AlgorithmVersion as VersionRecord
+from slamhive.store.records import Host as HostRecord
 from slamhive.store.records import ProtocolLabel, RunRecord
 from slamhive.store.verdicts import kind_of
 
@@ -76,15 +78,30 @@ def to_records(
     """The rows of :func:`run_query` as records, in the same order, with metrics of the same protocol."""
     parameters = ConfigurationRepository(session).parameters_of_all(row.configuration_id for row in rows)
     run_ids = [row.id for row in rows]
+    notes = NoteRepository(session).for_runs(run_ids)
     if not with_metrics:
-        return tuple(_record(row, parameters[row.configuration_id], None, None) for row in rows)
+        return tuple(_record(row, parameters[row.configuration_id], notes=notes.get(row.id, NO_NOTES)) for row in rows)
     metrics = MetricRepository(session).for_runs(run_ids, protocol_id=protocol_id, verdicts=True)
     kinds = {run_id: kind_of(values.pop(VERDICT, None)) for run_id, values in metrics.items()}
-    return tuple(_record(row, parameters[row.configuration_id], metrics[row.id], kinds[row.id]) for row in rows)
+    return tuple(
+        _record(
+            row,
+            parameters[row.configuration_id],
+            metrics[row.id],
+            kinds[row.id],
+            notes=notes.get(row.id, NO_NOTES),
+        )
+        for row in rows
+    )
 
 
 def _record(
-    row: Row[Any], parameters: dict[str, Value], metrics: dict[str, float] | None, judged: VerdictKind | None
+    row: Row[Any],
+    parameters: dict[str, Value],
+    metrics: dict[str, float] | None = None,
+    judged: VerdictKind | None = None,
+    *,
+    notes: RunNotes,
 ) -> RunRecord:
     override, fingerprint = row.protocol_override, row.protocol_fingerprint
     return RunRecord(
@@ -109,6 +126,7 @@ def _record(
         disturbance=None if row.disturbance is None else Disturbance.of(row.disturbance),
         metrics=metrics,
         judged=judged,
+        notes=notes,
     )
 
 

@@ -14,6 +14,7 @@ from slamhive.domain.run import RunEvent, RunState, check_move
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.search.binding import EVERYTHING, Search
 from slamhive.store.changes import NewRow, changes_of
+from slamhive.store.deleted_runs import DeletedRunRepository
 from slamhive.store.leases import NO_LEASE
 from slamhive.store.models import WHY_LENGTH, Run
 from slamhive.store.models import RunEvent as EventRow
@@ -40,8 +41,16 @@ _AS_ASKED = tuple(entry.name for entry in fields(RunRequest) if entry.name not i
 class RunRepository(Repository):
     """Checks every move against the table of legal moves, and writes it together with its event."""
 
-    def add_runs(self, requests: Sequence[RunRequest], now: datetime) -> list[int]:
-        """Queue runs; their ids, in the order of ``requests``. A run whose ``uid`` is stored is not added again."""
+    def add_runs(self, requests: Sequence[RunRequest], now: datetime, *, deleted_too: bool = True) -> list[int]:
+        """Queue runs; their ids, in the order of ``requests``. A run whose ``uid`` is stored is not added again.
+
+        ``deleted_too``: whether runs that were deleted are added again.
+        """
+        deleted = DeletedRunRepository(self._session).among([request.uid for request in requests])
+        if deleted and deleted_too:
+            DeletedRunRepository(self._session).forget(sorted(deleted))
+        elif deleted:
+            requests = [request for request in requests if request.uid not in deleted]
         known = self.ids_by_uid([request.uid for request in requests])
         new = [request for request in requests if request.uid not in known]
         if new:

@@ -7,6 +7,7 @@ keeps its plan even if the statistics of the tables are old.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import (
@@ -46,6 +47,8 @@ from slamhive.store.models import (
     VariantOption,
 )
 from slamhive.store.search_names import Names
+from slamhive.store.search_notes import OPPOSITE, noted
+from slamhive.store.search_trust import trust_tree
 from slamhive.store.search_verdicts import STORED_FAILURE, verdict_tree
 
 _RUN_COLUMNS = {
@@ -78,6 +81,9 @@ _GUARDED = NULLABLE | {"state"}
 
 NEVER = literal(0) == 1
 """``false()`` would be folded, together with the condition that joins two tables."""
+
+DERIVED: dict[Source, Callable[[Condition], Bound]] = {Source.VERDICT: verdict_tree, Source.TRUST: trust_tree}
+"""The conditions behind comparisons of what follows from other values."""
 
 COMPLEMENTS = frozenset({Sign.NOT_EQUAL, Sign.NOT_IN, Sign.UNLIKE, Sign.MISSING})
 _COMPARE: dict[Sign, Callable[[Any, Any], ColumnElement[bool]]] = {
@@ -113,18 +119,33 @@ class Sql:
         if leaf.sign is Sign.MISSING:
             return not_(self._test_one(Condition(leaf.field, Sign.HAS), runs))
         source = leaf.field.source
-        if source is Source.VERDICT:
-            return self.test(verdict_tree(leaf), runs)
-        if source is Source.RUN:
-            return self.on_run(leaf, runs)
-        if source is Source.METRIC:
-            found = self.figures_where(leaf, by_value=False)
-            return NEVER if found is None else _any(found[1].where(found[0].c.run_id == runs.c.id))
-        if source is Source.PARAMETER:
-            values, query = self._parameter_values(leaf, by_value=False)
-            return _any(query.where(values.c.configuration_id == runs.c.configuration_id))
+        if source in DERIVED:
+            return self.test(DERIVED[source](leaf), runs)
+        own: dict[Source, Callable[[Condition, FromClause], ColumnElement[bool]]] = {
+            Source.RUN: self.on_run,
+            Source.METRIC: self._on_metric,
+            Source.PARAMETER: self._on_parameter,
+            Source.NOTE: self._on_notes,
+        }
+        return own.get(source, self._on_configurations)(leaf, runs)
+
+    def _on_metric(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
+        found = self.figures_where(leaf, by_value=False)
+        return NEVER if found is None else _any(found[1].where(found[0].c.run_id == runs.c.id))
+
+    def _on_parameter(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
+        values, query = self._parameter_values(leaf, by_value=False)
+        return _any(query.where(values.c.configuration_id == runs.c.configuration_id))
+
+    def _on_configurations(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
         rows, query = self._configurations(leaf)
         return _any(query.where(rows.c.id == runs.c.configuration_id))
+
+    def _on_notes(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
+        """A comparison with the note or the tags. A run fulfils ``!=`` if none of its tags equals the value."""
+        rows, query = noted(replace(leaf, sign=OPPOSITE.get(leaf.sign, leaf.sign)), self.compare)
+        found = _any(query.where(rows.c.run_id == runs.c.id))
+        return not_(found) if leaf.sign in OPPOSITE else found
 
     def on_run(self, leaf: Condition, runs: FromClause, *, guarded: bool = True) -> ColumnElement[bool]:
         """A condition on a column. If ``guarded`` it is never NULL and uses no index."""

@@ -12,8 +12,8 @@ from slamhive.search.binding import Bound, Condition
 from slamhive.search.fields import Source
 from slamhive.search.grammar import Junction, join, leaves
 from slamhive.search.syntax import Sign
-from slamhive.store.search_sql import COMPLEMENTS, NEVER, RUNS, Sql
-from slamhive.store.search_verdicts import verdict_tree
+from slamhive.store.search_notes import noted
+from slamhive.store.search_sql import COMPLEMENTS, DERIVED, NEVER, RUNS, Sql
 
 _INDEXED = frozenset(
     {
@@ -82,6 +82,9 @@ class Start:
             if found is None:
                 return select(runs.c.id).where(NEVER)
             return found[1].with_only_columns(found[0].c.run_id.label("id"))
+        if leaf.field.source is Source.NOTE:
+            rows, query = noted(leaf, sql.compare)
+            return query.with_only_columns(rows.c.run_id.label("id")).distinct()
         query = select(*runs.c)
         if leaf.field.source is Source.RUN:
             return query.where(sql.on_run(leaf, runs, guarded=False))
@@ -93,8 +96,9 @@ class Start:
 def starts(tree: Bound | None) -> Iterator[Start]:
     """The lists that a search can start with. One part of an ``and`` is enough; an ``or`` needs all its parts."""
     if isinstance(tree, Condition):
-        if tree.field.source is Source.VERDICT and tree.sign is not Sign.MISSING:
-            yield from starts(verdict_tree(tree))
+        derived = DERIVED.get(tree.field.source)
+        if derived is not None and tree.sign is not Sign.MISSING:
+            yield from starts(derived(tree))
         elif _has_index(tree):
             yield Start(tree)
     elif tree is not None and tree.word == "and":

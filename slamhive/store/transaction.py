@@ -16,6 +16,7 @@ from slamhive.store.archives import ArchiveRepository
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.configuration_book import ConfigurationBook
 from slamhive.store.configurations import ConfigurationRepository
+from slamhive.store.deleted_runs import DeletedRunRepository
 from slamhive.store.durations import DurationRepository
 from slamhive.store.evaluations import EvaluationRepository
 from slamhive.store.experiment_counts import ExperimentCounts
@@ -25,6 +26,7 @@ from slamhive.store.imports import ImportRepository
 from slamhive.store.leases import Lease
 from slamhive.store.ledger import LedgerRepository
 from slamhive.store.metrics import MetricRepository
+from slamhive.store.notes import NoteRepository
 from slamhive.store.queue import RunQueue
 from slamhive.store.run_table import RunTableRepository
 from slamhive.store.runs import RunRepository
@@ -55,10 +57,12 @@ class Transaction:
         # What came out.
         self.metrics = MetricRepository(session)
         self.run_table = RunTableRepository(session)
+        self.notes = NoteRepository(session)
         self.durations = DurationRepository(session)
         self.searches = SearchRepository(session)
         # What comes from folders and files, and goes there.
         self.filed_runs = FiledRunRepository(session)
+        self.deleted_runs = DeletedRunRepository(session)
         self.ledger = LedgerRepository(session)
         self.archive = ArchiveRepository(session)
         self.imports = ImportRepository(session)

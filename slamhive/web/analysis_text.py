@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from pydantic_core import PydanticUndefined
 
 from slamhive import strict_yaml
+from slamhive.domain.parameters import Value
 from slamhive.domain.sensors import SensorSetup
-from slamhive.errors import InvalidInput
+from slamhive.errors import InvalidInput, unknown
 from slamhive.search.reader import quoted
 
 FIRST = """name: A first look
@@ -28,6 +29,9 @@ forms:
 """
 ALL = "id >= 1"
 """A filter that matches every run."""
+ERROR = "ate.rmse"
+MOST_LINES = 3
+"""Parameters that an analysis of an experiment draws a metric over."""
 BOUNDS = {
     "max_cores": ("cpu.mean", "<=", 1.0),
     "max_memory_mb": ("ram.max", "<=", 1e6),
@@ -61,6 +65,53 @@ class FormHelp:
 def first_text(where: str) -> str:
     """An analysis file for the runs that match a filter; an empty filter matches all."""
     return FIRST % json.dumps(where.strip() or ALL, ensure_ascii=False)  # a JSON string is a quoted YAML string
+
+
+def experiment_text(name: str, axes: Mapping[str, Sequence[Value]]) -> str:
+    """An analysis file for an experiment, with plots that fit what it varies.
+
+    Args:
+        name: Of the experiment.
+        axes: Its axes with their values.
+    """
+    varying = [axis for axis, values in axes.items() if len(values) > 1]
+    parameters = [axis for axis in varying if axis not in ("algorithm", "dataset")]
+    numeric = [axis for axis in parameters if all(type(value) in (int, float) for value in axes[axis])]
+    forms: list[dict[str, Any]] = [{"form": "table"}, {"form": "by_algorithm", "metric": ERROR}]
+    forms += [{"form": "line", "x": axis, "metric": ERROR} for axis in numeric[:MOST_LINES]]
+    if len(parameters) > 1:
+        forms.append({"form": "heatmap", "x": parameters[0], "y": parameters[1], "metric": ERROR})
+        forms.append({"form": "importance", "metric": ERROR})
+    forms.append({"form": "distributions", "metrics": [ERROR]})
+    if "algorithm" in varying or parameters:
+        forms.append({"form": "pareto", "metrics": ["cpu.mean", ERROR]})
+    varied = f"It varies {', '.join(varying)}." if varying else "It varies nothing."
+    content = {"name": name, "text": varied, "select": {"runs": {"experiment": name}}, "forms": forms}
+    return strict_yaml.dump(content)
+
+
+def with_form(text: str, key: str) -> str:
+    """An analysis file with one more entry at the end of ``forms``: the example of the plot type ``key``.
+
+    Raises NotFound for an unknown plot type, InvalidInput if the file has its list in one line.
+    """
+    helps = {entry.key: entry for entry in form_helps()}
+    if key not in helps:
+        raise unknown("plot type", key, list(helps))
+    entry = [line for line in helps[key].example.splitlines() if line and line != "forms:"]
+    lines = text.rstrip().split("\n") if text.strip() else []
+    start = next((place for place, line in enumerate(lines) if line.startswith("forms:")), None)
+    if start is None:
+        return "\n".join([*lines, "forms:", *entry]) + "\n"
+    if lines[start].partition(":")[2].partition("#")[0].strip():
+        raise InvalidInput("'forms' is written in one line", "write each plot in a line of its own, beginning with '-'")
+    end = start + 1
+    while end < len(lines) and (not lines[end].strip() or lines[end][0] in " -#"):
+        end += 1
+    written = next((line for line in lines[start + 1 : end] if line.lstrip().startswith("- ")), entry[0])
+    indent, own = (len(line) - len(line.lstrip()) for line in (written, entry[0]))
+    added = [" " * indent + line[own:] for line in entry]
+    return "\n".join([*lines[:end], *added, *lines[end:]]) + "\n"
 
 
 def form_helps() -> list[FormHelp]:

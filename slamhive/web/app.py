@@ -44,7 +44,9 @@ from slamhive.web.views import (
     experiments,
     runs,
     searches,
+    selected_runs,
     start,
+    trash,
 )
 from slamhive.web.views import help as help_pages
 
@@ -58,6 +60,8 @@ _BLUEPRINTS = (
     datasets.public_blueprint,
     start.blueprint,
     runs.blueprint,
+    selected_runs.blueprint,
+    trash.blueprint,
     compare.blueprint,
     experiments.blueprint,
     experiment_builder.blueprint,
@@ -156,6 +160,14 @@ def _analysis_computer(hive: Hive) -> AnalysisComputer | None:
     return AnalysisComputer(hive)
 
 
+def _algorithm_names(hive: Hive) -> frozenset[str]:
+    """The algorithms that have a page, read once for each request."""
+    if "algorithm_names" not in g:
+        g.algorithm_names = frozenset(entry.name for entry in hive.catalogue.algorithms())
+    names: frozenset[str] = g.algorithm_names
+    return names
+
+
 def _add_template_words(app: Flask, hive: Hive) -> None:
     """Add filters and names for all templates."""
     app.jinja_env.filters.update(
@@ -173,6 +185,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         Kind=Kind,
         RunState=RunState,
         asset=assets.asset_url,
+        has_algorithm=lambda name: name in _algorithm_names(hive),
         catalogue=catalogue_presenter,
         help_of=help_pages.OF_PAGE,
         relative_time=formatting.relative_time,

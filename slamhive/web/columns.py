@@ -102,7 +102,10 @@ def all_columns() -> Mapping[str, Column]:
         Column("state", "State", Kind.STATE, lambda run: Cell(run.state.value), sort="state"),
         Column("reason", "Reason", Kind.TEXT, _reason, sort="reason", help="why the run failed"),
         Column("verdict", "Verdict", Kind.VERDICT, _verdict, help=DEFAULT_RULE.words),
+        Column("trust", "Trust", Kind.TEXT, _trust, help="how far the measurements can be trusted, and why"),
         Column("disturbed", "Disturbed", Kind.TEXT, _disturbed, help="whether other load disturbed the run, and which"),
+        Column("tags", "Tags", Kind.TEXT, lambda run: _text(", ".join(run.tags)), help="given by somebody"),
+        Column("note", "Note", Kind.TEXT, lambda run: _text(run.note or ""), help="written by somebody"),
         _time_column("created_at", "Created"),
         _time_column("started_at", "Started"),
         _time_column("ended_at", "Ended"),
@@ -184,11 +187,22 @@ def _reason(run: RunRecord) -> Cell:
     return Cell(run.reason.value.replace("_", " "), run.detail or "")
 
 
+def _text(text: str) -> Cell:
+    return Cell(" ".join(text.split()), text) if text else Cell(DASH, missing=True)
+
+
 def _verdict(run: RunRecord) -> Cell:
     verdict = run.verdict
     if verdict is None:
         return Cell(DASH, "not judged: cancelled, unfinished or not evaluated", missing=True)
     return Cell(verdict.kind.label, verdict.words)
+
+
+def _trust(run: RunRecord) -> Cell:
+    found = run.trust
+    if found is None or found.level is None:
+        return Cell(DASH, "not measured" if found is None else found.words, missing=True)
+    return Cell(found.level.value, found.words)
 
 
 def _disturbed(run: RunRecord) -> Cell:

@@ -11,7 +11,10 @@ from slamhive.domain.numbers import plural as plural  # noqa: PLC0414 - re-expor
 
 DASH = "–"
 PERCENT_METRICS = frozenset(
-    {"tracked_fraction", "frames.dropped_fraction", "deadline.missed_fraction", "relations.matched_fraction"}
+    {
+        *("tracked_fraction", "frames.dropped_fraction", "deadline.missed_fraction", "relations.matched_fraction"),
+        "cpu.limit_used",
+    }
 )
 
 

@@ -26,7 +26,7 @@ from slamhive.web.columns import DEFAULT_COLUMNS, Column, all_columns, column
 DEFAULT_LIMIT = 50
 LARGEST_LIMIT = 500
 EXPORT_LIMIT = 1000
-LISTS = ("state", "reason", "verdict", "algorithm", "dataset", "sensor", "executor", "experiment")
+LISTS = ("state", "reason", "verdict", "trust", "algorithm", "dataset", "sensor", "executor", "experiment")
 """Fields with lists of names; several values mean "or"."""
 
 GROUPED_SORT = RunSort("configuration")
@@ -119,6 +119,13 @@ class RunQuery:
         """The same search, written entirely as a filter."""
         return replace(self, where=self.search.text, fields={}, after=None)
 
+    def narrowed(self, name: str, value: str) -> RunQuery:
+        """The same search with one more condition, written entirely as a filter."""
+        typed = parse_filter(self.search.text)
+        more = Comparison(Word(name), Sign.EQUAL, (Word(value),))
+        where = filter_text(more if typed is None else join("and", [typed, more]))
+        return replace(self, where=where, fields={}, after=None)
+
     def grouped_or_not(self, *, grouped: bool) -> RunQuery:
         """The same runs one by one, or grouped by configuration."""
         return replace(self, grouped=grouped, sort=GROUPED_SORT if grouped else RunSort(), after=None)
@@ -136,6 +143,12 @@ class RunQuery:
         chosen = all_columns().get(self.sort.key)
         title = self.sort.key if chosen is None else chosen.title
         return order_in_words(self.sort, title, numeric=chosen is None or chosen.numeric)
+
+
+def filled(args: MultiDict[str, str]) -> dict[str, list[str]]:
+    """The arguments of an address without empty ones, which a web form sends for every field."""
+    kept = {name: [value for value in values if value.strip()] for name, values in args.lists()}
+    return {name: values for name, values in kept.items() if values}
 
 
 def form_fields(args: MultiDict[str, str]) -> dict[str, tuple[str, ...]]:

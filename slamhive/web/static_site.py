@@ -181,7 +181,7 @@ def _facts(run: RunRecord, algorithm: Algorithm | None) -> list[tuple[str, objec
         ("Created", exact_time(run.created_at)),
         ("Started", None if run.started_at is None else exact_time(run.started_at)),
         ("Ended", None if run.ended_at is None else exact_time(run.ended_at)),
-        ("Wall time", duration(wall_time_s(run, run.ended_at)) if run.started_at and run.ended_at else None),
+        ("Wall time", None if wall_time_s(run) is None else duration(wall_time_s(run))),
         ("Executor", run.executor),
         ("Playback", f"{run.playback.mode.value} × {run.playback.rate:g}"),
         ("Seed", run.seed),

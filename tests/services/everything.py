@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
+from slamhive.domain.notes import NotesChange
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import RunState
 from slamhive.domain.sensors import SensorSetup
@@ -39,6 +40,7 @@ def store_everything(hive: Hive, folder: Path) -> None:
     _end_runs(hive)
     _import_runs(hive, folder)
     _evaluate_otherwise(hive)
+    _write_notes(hive)
     _cancel_one_that_runs(hive)
     _save_searches(hive)
     _analyse(hive)
@@ -90,6 +92,14 @@ def _evaluate_otherwise(hive: Hive) -> None:
     (shown,) = {hive.runs.get(1).protocol.fingerprint}  # type: ignore[union-attr]
     hive.current_protocols.use([1], (fingerprints - {shown}).pop())
     evaluations.queue([1, 2], hive.protocols.named("none"))
+
+
+def _write_notes(hive: Hive) -> None:
+    """A note that was changed, tags of which one was removed again, and a note of which nothing is left."""
+    hive.notes.change([1, 2], NotesChange("first", add=("paper", "draft")))
+    hive.notes.change([1], NotesChange("second, with\ntwo lines", remove=("draft",)))
+    hive.notes.change([3], NotesChange("gone"))
+    hive.notes.change([3], NotesChange(""))
 
 
 def _cancel_one_that_runs(hive: Hive) -> None:

@@ -14,7 +14,7 @@ from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import VerdictKind
 from slamhive.services.experiments.axis_table import AxisTable
-from slamhive.services.experiments.time_left import KEPT_S, MANY_RUNS, TimeLeft
+from slamhive.services.experiments.time_left import KEPT_S, MANY_RUNS, Left, TimeLeft
 from slamhive.services.experiments.views import Phase
 from slamhive.services.hive import Hive
 from slamhive.store.durations import ActiveRun, Pairing, Unfinished
@@ -59,6 +59,8 @@ class Durations:
         self.looks = 0
         self.claimed_at: list[datetime] = []
         self.evaluations = 0
+        self.not_built: list[str] = []
+        self.state = RunState.RUNNING
 
     def unfinished(self, _id: int) -> dict[Pairing, Unfinished]:
         self.looks += 1
@@ -68,7 +70,13 @@ class Durations:
         return {PAIRING: 3.0}
 
     def active(self, _id: int) -> list[ActiveRun]:
-        return [ActiveRun(number, at) for number, at in enumerate(self.claimed_at)]
+        return [ActiveRun(number, at, self.state, "a") for number, at in enumerate(self.claimed_at)]
+
+    def unbuilt(self, _id: int) -> list[str]:
+        return self.not_built
+
+    def build_s(self) -> float | None:
+        return 100.0
 
     def overhead_s(self) -> float:
         return 1.0
@@ -84,13 +92,19 @@ PAIRING: Pairing = ("a", "d", PlaybackMode.REALTIME, 1.0)
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 
 
-def time_left(slots: int) -> tuple[Durations, list[float], Callable[[int], float]]:
+def estimate(slots: int) -> tuple[Durations, list[float], Callable[[int], Left]]:
     """The durations that are known, a clock to move, and the estimate for so many waiting runs."""
     durations, now_s = Durations(), [0.0]
     t = cast("Any", SimpleNamespace(durations=durations, catalogue=SimpleNamespace(datasets=list)))
     clock = Clock(utc_now=lambda: NOON + timedelta(seconds=now_s[0]), monotonic_s=lambda: now_s[0])
     left = TimeLeft(slots, clock)
     return durations, now_s, lambda waiting: left.of(t, cast("Any", SimpleNamespace(id=7)), waiting)
+
+
+def time_left(slots: int) -> tuple[Durations, list[float], Callable[[int], float]]:
+    """The same in seconds."""
+    durations, now_s, of = estimate(slots)
+    return durations, now_s, lambda waiting: of(waiting).seconds
 
 
 def test_the_means_of_many_runs_are_kept_for_a_minute_and_of_few_never() -> None:
@@ -115,3 +129,19 @@ def test_time_left_counts_down_while_a_run_is_under_way_and_counts_evaluations()
     assert of(1) == pytest.approx(0.1 * 4 + 1)  # it takes longer than any before: it is never said to be over
     durations.claimed_at, durations.evaluations = [], 3
     assert of(0) == 6
+
+
+def test_time_left_counts_builds_and_says_what_happens_now() -> None:
+    durations, now_s, of = estimate(slots=1)
+    assert of(1) == (5, "waiting for a worker")
+    durations.not_built = ["a"]
+    assert of(1) == (105, "waiting for a worker")
+    durations.claimed_at, durations.state = [NOON], RunState.PREPARING
+    now_s[0] = 60.0
+    assert of(1) == (45, "building a")
+    durations.not_built = []
+    assert of(1).seconds == pytest.approx(0.1 * 4 + 1)
+    assert of(1).phase == "preparing 1 run"
+    durations.state, durations.evaluations = RunState.RUNNING, 2
+    assert of(1).seconds == pytest.approx(0.1 * 4 + 1 + 4)
+    assert of(1).phase == "1 run under way, 2 evaluations to do"

@@ -6,11 +6,13 @@ import shutil
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 from sqlalchemy import text
 
 from slamhive.store import Store, Transaction, open_store
+from slamhive.store.experiment_records import ExperimentState
 from slamhive.store.models import Base
 from tests.services.mariadb import DatabaseServer
 from tests.store.store_samples import Samples
@@ -69,3 +71,12 @@ def empty(tx: Transaction) -> None:
             tx.session.execute(text(f"ALTER TABLE {name} AUTO_INCREMENT=1"))
     else:
         tx.session.execute(text("DELETE FROM sqlite_sequence"))
+
+
+@pytest.fixture
+def experiment(store: Store) -> int:
+    """The id of an experiment without runs."""
+    values: dict[str, Any] = {"state": ExperimentState.ACTIVE, "complete": True, "created_at": NOW}
+    numbers = dict.fromkeys(("priority", "repeats", "cells", "runs"), 1)
+    texts = dict.fromkeys(("description", "content_hash", "source", "executor"), "")
+    return store.write(lambda tx: tx.experiments.get_or_create("e" * 32, "trial", **values, **numbers, **texts)).id

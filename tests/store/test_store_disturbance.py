@@ -9,8 +9,6 @@ import pytest
 from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.domain.run import RunState
 from slamhive.store import Store
-from slamhive.store.experiment_records import ExperimentState
-from tests.store.conftest import NOW
 from tests.store.store_samples import Samples
 
 pytestmark = pytest.mark.quick
@@ -22,15 +20,6 @@ BUSY = Disturbance(
     not_measured=("CPU frequency: no file",),
 )
 UNKNOWN = Disturbance(known=False, not_measured=("the machine was not watched",))
-
-
-@pytest.fixture
-def experiment(store: Store) -> int:
-    """The id of an experiment without runs."""
-    values: dict[str, Any] = {"state": ExperimentState.ACTIVE, "complete": True, "created_at": NOW}
-    numbers = dict.fromkeys(("priority", "repeats", "cells", "runs"), 1)
-    texts = dict.fromkeys(("description", "content_hash", "source", "executor"), "")
-    return store.write(lambda tx: tx.experiments.get_or_create("e" * 32, "trial", **values, **numbers, **texts)).id
 
 
 def ended(samples: Samples, found: Disturbance, state: RunState = RunState.SUCCEEDED, **fields: Any) -> int:

@@ -125,7 +125,7 @@ def test_evaluate_one_some_and_all(web: Web):
 
 
 def test_evaluating_the_ticked_needs_ticks(web: Web):
-    assert send(web, "/runs/evaluate").status_code == 400
+    assert send(web, "/runs/evaluate").status_code == 303
     assert send(web, "/runs/evaluate", run="1; drop").status_code == 400
     assert send(web, "/runs/evaluate", run=str(web.runs["failed"])).status_code == 409
     assert send(web, "/runs/evaluate", run=str(web.runs["bare"])).status_code == 303

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.integration
 
 WORDS = "other processes used more than 0.5 of 2 cores for 80 % of the run (1.4 on average)"
 BUSY = Disturbance(known=True, reasons=(DisturbanceReason(DisturbanceKind.OTHERS, WORDS),))
-BADGE = f'<span class="state state-disturbed" title="{WORDS}">disturbed</span>'
+BADGE = f'<span class="state trust-limited" title="measured on a disturbed machine: {WORDS}">limited trust</span>'
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_the_page_of_a_run_says_why_and_what_to_do(marked: Web) -> None:
 
 def test_the_page_of_a_quiet_run_says_so_and_what_is_missing(marked: Web) -> None:
     text = page(marked, f"/runs/{marked.runs['bare']}")
-    assert "state-disturbed" not in text
+    assert "trust-limited" not in text
     assert '<dd title="CPU frequency: there is no file">undisturbed (not recorded: CPU frequency)</dd>' in text
 
 
@@ -87,3 +87,29 @@ def test_json_has_the_reasons(marked: Web) -> None:
         "not_measured": [],
     }
     assert marked.client.get(f"/api/v1/runs/{marked.runs['failed']}").get_json()["disturbance"] is None
+
+
+def test_a_run_that_dropped_most_frames_does_not_look_good(marked: Web) -> None:
+    run_id = marked.runs["bare"]
+    measured = {"frames.dropped_fraction": 0.79, "cpu.limit_used": 0.99}
+    marked.hive.store.write(lambda t: t.metrics.put(run_id, None, measured))
+    text = page(marked, f"/runs/{run_id}")
+    assert '<span class="state state-succeeded doubtful">succeeded</span>' in text
+    assert '<p class="outcome doubtful">Succeeded' in text
+    assert "<strong>Trust: low.</strong>" in text
+    assert "<li>The algorithm was too slow for 79 % of the frames, which were dropped. Give it more CPU cores" in text
+    assert "<li>The run used 99 % of the CPU time that its limit allows. Raise the limit of CPU cores.</li>" in text
+    found = marked.client.get("/searches/export.json?where=trust = low&columns=id,trust").get_json()
+    assert found == [{"id": run_id, "trust": "low"}]
+    assert page(marked, "/runs?trust=low&columns=id,trust").count('">low trust</span>') == 0
+    assert page(marked, "/runs?trust=low").count('">low trust</span>') == 1
+
+
+def test_json_has_the_trust_with_reasons(marked: Web) -> None:
+    found = marked.client.get(f"/api/v1/runs/{marked.runs['done']}").get_json()["trust"]
+    (reason,) = found["reasons"]
+    assert (found["level"], reason["kind"], reason["level"]) == ("limited", "disturbed", "limited")
+    assert reason["remedy"] == "stop other programs and run it again"
+    unknown = marked.client.get(f"/api/v1/runs/{marked.runs['bare']}").get_json()["trust"]
+    assert unknown == {"level": None, "reasons": [], "not_measured": ["dropped frames were not counted"]}
+    assert marked.client.get(f"/api/v1/runs/{marked.runs['queued']}").get_json()["trust"] is None

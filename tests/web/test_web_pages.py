@@ -10,7 +10,11 @@ from datetime import UTC, datetime
 
 import pytest
 
-from slamhive.store import AlgorithmVersion
+from slamhive.domain.configuration import Configuration
+from slamhive.domain.external import IMPORTED, external_algorithm
+from slamhive.domain.run import REMEDIES, FailureReason
+from slamhive.domain.sensors import SensorSetup
+from slamhive.store import AlgorithmVersion, RunRequest, Transaction
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
@@ -116,7 +120,7 @@ def test_run_page_offers_what_the_state_allows(shown: Web):
         text = shown.client.get(f"/runs/{shown.runs[kind]}").text
         return set(re.findall(r"action=\"/runs/\d+/(\w+)\"", text))
 
-    assert actions("done") == {"retry", "evaluate", "compare"}
+    assert actions("done") == {"retry", "evaluate", "compare", "notes"}
     assert actions("failed") == {"retry"}
     assert actions("running") == {"cancel"}
     assert actions("queued") == {"cancel"}
@@ -127,6 +131,50 @@ def test_failed_run_says_why(shown: Web):
     assert "Failed: no trajectory." in text
     reasons = shown.client.get(f"/runs/{shown.runs['failed']}/figures.json").get_json()["reasons"]
     assert set(reasons) == {"estimate", "groundtruth", "error", "cpu", "memory", "latency"}
+
+
+def test_a_failed_run_shows_its_reason_remedy_and_log_before_its_plots(shown: Web):
+    text = shown.client.get(f"/runs/{shown.runs['failed']}").text
+    places = [
+        text.index(part) for part in ("Failed: no", "What to do:</strong> Read the log", 'id="log"', 'id="metrics"')
+    ]
+    places.append(text.index("data-figures="))
+    assert places == sorted(places)
+    sound = shown.client.get(f"/runs/{shown.runs['done']}").text
+    assert "What to do" not in sound
+    assert sound.index("data-figures=") < sound.index('id="log"')
+
+
+def test_every_reason_for_failure_has_a_remedy():
+    assert set(REMEDIES) == set(FailureReason)
+
+
+def test_the_wall_time_of_an_active_run_is_left_to_its_progress(shown: Web):
+    assert "Wall time" not in shown.client.get(f"/runs/{shown.runs['running']}").text
+    assert "Wall time" in shown.client.get(f"/runs/{shown.runs['done']}").text
+
+
+def test_the_page_of_an_imported_run_claims_nothing_that_is_not_known(web: Web):
+    def add(t: Transaction) -> list[int]:
+        algorithm_id = t.catalogue.put_algorithm(external_algorithm("their-slam", SensorSetup.STEREO))
+        content = Configuration("their-slam", "room", {})
+        configuration_id, _ = t.configurations.get_or_create(content, algorithm_id, 1, world.NOW)
+        return t.runs.add_runs(
+            [RunRequest(uid="e" * 32, configuration_id=configuration_id, executor=IMPORTED)], world.NOW
+        )
+
+    (run_id,) = web.hive.store.write(add)
+    world.finish_run(web.hive, run_id)
+    text = web.client.get(f"/runs/{run_id}").text
+    assert "Not known: another tool produced the trajectory." in text
+    assert "has no parameters" not in text
+    for figure in ("cpu", "memory", "latency"):
+        assert f'data-figure="{figure}"' not in text
+    for address in (f"/runs/{run_id}", "/runs", "/runs?group=configuration", "/configurations"):
+        page = web.client.get(address).text
+        assert "their-slam" in page
+        assert "/algorithms/their-slam" not in page, address
+        assert "/algorithms/eye-slam-stereo" in page or address.startswith(f"/runs/{run_id}")
 
 
 def test_figures_of_an_evaluated_run(shown: Web):

@@ -38,6 +38,14 @@ MEASURED_METRICS = (
         _PLAYER,
     ),
     _measured(
+        "cpu.limit_used",
+        "CPU limit used",
+        "",
+        "CPU mean over the cores that the run was allowed to use; absent without a limit.",
+        _USAGE,
+        _SAMPLER,
+    ),
+    _measured(
         "cpu.per_data_second",
         "CPU per second of data",
         "s/s",

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.clock import utc_now
+from slamhive.domain.notes import NO_NOTES
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.archive import RunLine
@@ -32,6 +33,7 @@ from slamhive.services.runs import (
     current_protocol,
     file_runs,
     found_evaluations,
+    found_notes,
     put_configurations,
     read_filed,
     snapshot_of,
@@ -198,7 +200,8 @@ class ArchiveImport:
         experiment = ready.around.experiment_name(line.experiment)
         record = {**record, "request": {**record["request"], "experiment": experiment}}
         filed = read_filed(self._catalogue, record, f"the record of run {line.id}")
-        run = FolderRun(filed, found, _current(line, folder, found), lines.evaluations_of(line), line.attempt)
+        notes = NO_NOTES if folder is None else found_notes(folder)
+        run = FolderRun(filed, found, _current(line, folder, found), lines.evaluations_of(line), line.attempt, notes)
         return _Unpacked(line, run, folder, record)
 
     def _put_in_place(self, entry: _Unpacked, folder: RunFolder, numbers: dict[str, int]) -> None:

@@ -9,7 +9,7 @@ from statistics import fmean, median, stdev
 from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput
 from slamhive.services.experiments.context import ExperimentContext
-from slamhive.services.experiments.time_left import TimeLeft
+from slamhive.services.experiments.time_left import Left, TimeLeft
 from slamhive.services.experiments.views import (
     Cell,
     CellFigures,
@@ -50,7 +50,7 @@ def status(t: Transaction, name: str, time_left: TimeLeft) -> ExperimentStatus:
 
 
 def status_of(
-    record: ExperimentRecord, found: Sequence[StateCount], disturbed: int = 0, left_s: float | None = None
+    record: ExperimentRecord, found: Sequence[StateCount], disturbed: int = 0, left: Left | None = None
 ) -> ExperimentStatus:
     """The status of an experiment with these counts of runs."""
     counts: Counter[Phase] = Counter()
@@ -80,7 +80,8 @@ def status_of(
         retried=retried,
         failures=dict(failures),
         disturbed=disturbed,
-        left_s=left_s,
+        left_s=None if left is None else left.seconds,
+        phase="" if left is None else left.phase,
     )
 
 

@@ -138,7 +138,7 @@ def _store(
         for cell, configuration_id in zip(chunk, ids, strict=True)
         for request in _requests(record, experiment, rows, cell, configuration_id, held=held)
     ]
-    t.runs.add_runs(requests, now)
+    t.runs.add_runs(requests, now, deleted_too=False)
 
 
 def _new(head: PlannedRun, rows: _Rows) -> NewConfiguration:

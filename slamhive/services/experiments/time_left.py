@@ -1,12 +1,15 @@
-"""How long the rest of an experiment will take: runs, what lies between them, and evaluations."""
+"""How long the rest of an experiment will take: builds, runs, what lies between them, and evaluations."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from slamhive.clock import SYSTEM_CLOCK, Clock
+from slamhive.domain.numbers import plural
+from slamhive.domain.run import RunState
 from slamhive.services.experiments.context import guessed_duration_s
 from slamhive.store import Transaction
 from slamhive.store.durations import ActiveRun, Pairing, Unfinished
@@ -19,6 +22,15 @@ GUESSED_OVERHEAD_S = 1.5
 """Preparing a run and collecting its results, where nothing has been measured yet."""
 GUESSED_EVALUATION_S = 4.0
 """One evaluation in a container of its own, where nothing has been measured yet."""
+GUESSED_BUILD_S = 120.0
+"""Building the image or environment of a package, where nothing has been measured yet."""
+
+
+class Left(NamedTuple):
+    """Seconds until everything has ended, and in words what happens now."""
+
+    seconds: float
+    phase: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +39,8 @@ class _Means:
 
     of_run: float
     of_evaluation: float
+    of_build: float
+    unbuilt: tuple[str, ...]
     evaluated_fraction: float
     looked_at: float
 
@@ -47,19 +61,23 @@ class TimeLeft:
         self._lock = threading.Lock()
         self._means: dict[int, _Means] = {}
 
-    def of(self, t: Transaction, record: ExperimentRecord, waiting: int) -> float:
-        """Seconds until the ``waiting`` runs of the experiment have ended, and all its runs are evaluated."""
+    def of(self, t: Transaction, record: ExperimentRecord, waiting: int) -> Left:
+        """Until the ``waiting`` runs of the experiment have ended, and all its runs are evaluated."""
         evaluations = t.durations.open_evaluations(record.id)
         if not waiting and not evaluations:
-            return 0.0
+            return Left(0.0, "")
         means = self._known(record.id, waiting) or self._look(t, record.id)
+        active = t.durations.active(record.id)
+        building = {run.package: run for run in active if _builds(run, means)}
+        builds_s = sum(means.of_build - self._elapsed_s(building.get(name), means.of_build) for name in means.unbuilt)
         evaluations_s = (evaluations + waiting * means.evaluated_fraction) * means.of_evaluation
-        elapsed_s = sum(self._elapsed_s(run, means.of_run) for run in t.durations.active(record.id))
-        return max(0.0, waiting * means.of_run - elapsed_s + evaluations_s) / self._slots
+        elapsed_s = sum(self._elapsed_s(run, means.of_run) for run in active if not _builds(run, means))
+        runs_s = max(0.0, waiting * means.of_run - elapsed_s)
+        return Left((builds_s + runs_s + evaluations_s) / self._slots, _phase(active, tuple(building), evaluations))
 
-    def _elapsed_s(self, run: ActiveRun, expected_s: float) -> float:
+    def _elapsed_s(self, run: ActiveRun | None, expected_s: float) -> float:
         """How much of the time of a run has passed; one that takes longer than expected is taken to end soon."""
-        return min((self._clock.utc_now() - run.claimed_at).total_seconds(), 0.9 * expected_s)
+        return 0.0 if run is None else min((self._clock.utc_now() - run.claimed_at).total_seconds(), 0.9 * expected_s)
 
     def _known(self, experiment_id: int, waiting: int) -> _Means | None:
         with self._lock:
@@ -73,12 +91,29 @@ class TimeLeft:
         means = _Means(
             of_run=_total_s(t, experiment_id, waiting) / runs + _or(t.durations.overhead_s(), GUESSED_OVERHEAD_S),
             of_evaluation=_or(t.durations.evaluation_s(), GUESSED_EVALUATION_S),
+            of_build=_or(t.durations.build_s(), GUESSED_BUILD_S),
+            unbuilt=tuple(t.durations.unbuilt(experiment_id)),
             evaluated_fraction=sum(count.to_evaluate for count in waiting.values()) / runs,
             looked_at=self._clock.monotonic_s(),
         )
         with self._lock:
             self._means[experiment_id] = means
         return means
+
+
+def _builds(run: ActiveRun, means: _Means) -> bool:
+    return run.state is RunState.PREPARING and run.package in means.unbuilt
+
+
+def _phase(active: Sequence[ActiveRun], building: Sequence[str], evaluations: int) -> str:
+    """What happens now: ``building aloam, 2 runs under way, 3 evaluations to do``."""
+    under_way = [run for run in active if run.state is not RunState.PREPARING]
+    preparing = len(active) - len(under_way) - len(building)
+    parts = [f"building {', '.join(building)}"] if building else []
+    parts += [f"preparing {plural(preparing, 'run')}"] if preparing > 0 else []
+    parts += [f"{plural(len(under_way), 'run')} under way"] if under_way else []
+    parts += [f"{plural(evaluations, 'evaluation')} to do"] if evaluations else []
+    return ", ".join(parts) or "waiting for a worker"
 
 
 def _total_s(t: Transaction, experiment_id: int, waiting: Mapping[Pairing, Unfinished]) -> float:

@@ -170,8 +170,8 @@ class ExperimentStatus:
 
     ``counts`` of runs by phase leave out failed and disturbed runs that were repeated (``retried``). ``disturbed``
     of the counted runs were measured on a disturbed machine.
-    ``failures``: {reason: runs}. ``left_s`` is the estimated time left, None if nothing has been measured. ``missing``
-    runs are not stored, because the start was interrupted.
+    ``failures``: {reason: runs}. ``left_s`` is the estimated time left with builds and evaluations, None if it was
+    not asked for; ``phase`` says what happens now. ``missing`` runs are not stored, because the start was interrupted.
     """
 
     id: int
@@ -190,6 +190,7 @@ class ExperimentStatus:
     failures: Mapping[Failure, int]
     disturbed: int
     left_s: float | None
+    phase: str = ""
 
     @property
     def ended(self) -> int:

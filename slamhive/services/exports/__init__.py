@@ -8,7 +8,7 @@ from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
     from slamhive.services.exports.groups import GroupExport, by_protocol
-    from slamhive.services.exports.runs import RunExport, disturbed_text
+    from slamhive.services.exports.runs import RunExport, disturbed_text, trust_text
     from slamhive.services.exports.table import Format, Page, Record, TableExport, safe_cell
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "by_protocol",
     "disturbed_text",
     "safe_cell",
+    "trust_text",
 ]
 
 if not TYPE_CHECKING:

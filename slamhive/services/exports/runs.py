@@ -8,6 +8,7 @@ from typing import Any
 
 from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.trust import Trust
 from slamhive.errors import unknown
 from slamhive.search.fields import PARAMETER_PREFIX, Kind, Vocabulary
 from slamhive.services.exports.table import TableExport, Value
@@ -30,7 +31,10 @@ _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
     "state": lambda run: run.state.value,
     "reason": lambda run: None if run.reason is None else run.reason.value,
     "verdict": lambda run: None if run.verdict is None else run.verdict.kind.value,
+    "trust": lambda run: trust_text(run.trust),
     "disturbed": lambda run: disturbed_text(run.disturbance),
+    "tags": lambda run: ", ".join(run.tags) or None,
+    "note": lambda run: run.note,
     "created_at": lambda run: timestamp(run.created_at),
     "started_at": lambda run: timestamp(run.started_at),
     "ended_at": lambda run: timestamp(run.ended_at),
@@ -41,6 +45,11 @@ _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
 def disturbed_text(found: Disturbance | None) -> str | None:
     """``yes`` or ``no``; None if unknown."""
     return None if found is None else {True: "yes", False: "no", None: None}[found.disturbed]
+
+
+def trust_text(found: Trust | None) -> str | None:
+    """The level of trust; None if unknown."""
+    return None if found is None or found.level is None else found.level.value
 
 
 class RunExport(TableExport[RunRecord]):

@@ -10,6 +10,7 @@ from slamhive.analysis.report import Report
 from slamhive.clock import utc_now
 from slamhive.errors import InvalidInput
 from slamhive.services.datasets import Catalogue, stored_numbers
+from slamhive.services.reports.names import check_columns
 from slamhive.services.reports.report import make_report
 from slamhive.services.reports.run import AnalysisLimits, AnalysisSources, run_analysis
 from slamhive.services.reports.selection import select_runs
@@ -46,6 +47,12 @@ class Analyses:
             raise InvalidInput(f"{source} is larger than {MAX_SOURCE_BYTES} bytes", "split it into several analyses")
         return parse_analysis(text, source, stored_numbers(self._store), ids)
 
+    def check(self, text: str) -> str:
+        """The name in an analysis file that can be computed here; raises as :meth:`read`, and for unknown columns."""
+        analysis = self.read(text)
+        check_columns(analysis, self._searches.vocabulary(), self._may_be_axis)
+        return analysis.name
+
     def read_file(self, path: Path, ids: Mapping[str, str] | None = None) -> Analysis:
         """The same from a file."""
         return self.read(read_text(path), str(path), ids)
@@ -71,6 +78,10 @@ class Analyses:
         """Identifies the selected runs and their metrics; raises as :meth:`compute`."""
         run_ids = select_runs(analysis, self._store, self._searches.find, self._saved_search)
         return self._store.read(lambda t: t.analyses.fingerprint(run_ids))
+
+    def _may_be_axis(self, name: str) -> bool:
+        """Whether the file of a stored experiment contains the name, and so may have an axis called so."""
+        return self._store.read(lambda t: t.experiments.mention(name))
 
     def _saved_search(self, name: str) -> str:
         return self._searches.saved_named(name).filter_text

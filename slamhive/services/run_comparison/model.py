@@ -34,6 +34,11 @@ class RunColumn:
         """The numbers of its runs."""
         return tuple(run.id for run in self.runs)
 
+    @property
+    def doubtful(self) -> tuple[int, ...]:
+        """The numbers of those of its runs that cannot be trusted fully."""
+        return tuple(run.id for run in self.runs if run.trust is not None and run.trust.reasons)
+
 
 @dataclass(frozen=True, slots=True)
 class CommonProtocol:

@@ -15,9 +15,11 @@ if TYPE_CHECKING:
         dataset_of,
         file_runs,
         found_evaluations,
+        found_notes,
         put_configurations,
         read_filed,
     )
+    from slamhive.services.runs.notes import Notes
     from slamhive.services.runs.progress import RunProgress, untracked_s
     from slamhive.services.runs.record import (
         begin_record,
@@ -66,6 +68,7 @@ __all__ = [
     "FolderRun",
     "FoundEvaluation",
     "Job",
+    "Notes",
     "Places",
     "RecordKeeper",
     "RunLimits",
@@ -87,6 +90,7 @@ __all__ = [
     "events_to_json",
     "file_runs",
     "found_evaluations",
+    "found_notes",
     "gap_of",
     "handle_from_json",
     "handle_to_json",

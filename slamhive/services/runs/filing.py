@@ -15,8 +15,8 @@ from slamhive.domain.affinity import run_affinity
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.external import IMPORTED
-from slamhive.domain.host import Host
 from slamhive.domain.names import check_name
+from slamhive.domain.notes import NO_NOTES, RunNotes
 from slamhive.domain.protocol import Protocol, protocol_from_content
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.job import RESULT_FILE, Artefacts, EvaluationResult, result_from_json
@@ -29,7 +29,7 @@ from slamhive.services.runs.record import snapshot_of
 from slamhive.store import Transaction
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import EndedEvaluation, FiledRun
-from slamhive.store.records import AlgorithmVersion, EvaluationState, RunSnapshot
+from slamhive.store.records import AlgorithmVersion, EvaluationState, Host, RunSnapshot
 
 logger = logging.getLogger(__name__)
 
@@ -76,7 +76,7 @@ class FolderRun:
     """A run to be filed, from its folder.
 
     ``found``: the evaluations in the folder, oldest first; ``history``: evaluations from the ledger or archive.
-    ``current``: the protocol whose metrics are shown.
+    ``current``: the protocol whose metrics are shown. ``notes``: what somebody wrote about it.
     """
 
     filed: Filed
@@ -84,6 +84,7 @@ class FolderRun:
     current: str | None = None
     history: Sequence[EndedEvaluation] = ()
     attempt: int = 1
+    notes: RunNotes = NO_NOTES
 
 
 def read_filed(catalogue: Catalogue, record: dict[str, Any], source: str) -> Filed:
@@ -167,6 +168,15 @@ def found_evaluations(folder: RunFolder) -> list[FoundEvaluation]:
     return found
 
 
+def found_notes(folder: RunFolder) -> RunNotes:
+    """The notes in the folder; a file that cannot be used is named in the log, and counts as none."""
+    try:
+        return folder.read_notes()
+    except InvalidInput as error:
+        logger.warning("%s is skipped: %s", folder.notes, error)
+        return NO_NOTES
+
+
 def _checked(result: EvaluationResult, protocol: Protocol) -> EvaluationResult:
     """Check that a result belongs to ``protocol`` and has finite metrics; raises ValueError or TypeError."""
     if result.fingerprint != protocol.fingerprint:
@@ -194,6 +204,7 @@ def _filed_run(run: FolderRun, snapshot: RunSnapshot) -> FiledRun:
         evaluations=[*run.history, *(e for e in found if (e.protocol.fingerprint, e.state) not in known)],
         figures={result.fingerprint: result.metrics for _, result, _ in run.found if result.succeeded},
         current=run.current,
+        notes=run.notes,
     )
 
 

@@ -58,7 +58,7 @@ def repeat_if_disturbed(t: Transaction, run: RunRecord, now: datetime) -> None:
     if run.experiment is not None and t.experiments.locked(run.experiment).state is ExperimentState.CANCELLED:
         return
     request = retry_request(t, run, run_uid(run.uid, "undisturbed"))
-    t.runs.add_runs([replace(request, repeat_disturbed=run.repeat_disturbed - 1)], now)
+    t.runs.add_runs([replace(request, repeat_disturbed=run.repeat_disturbed - 1)], now, deleted_too=False)
 
 
 def run_uid(origin: str, *parts: object) -> str:

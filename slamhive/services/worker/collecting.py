@@ -15,7 +15,7 @@ from slamhive.executors.status import Exited
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.host_load import read_host_load
 from slamhive.runs.outcome import Evidence, Outcome, decide
-from slamhive.runs.profiling import measure_run, write_plots
+from slamhive.runs.profiling import limit_metrics, measure_run, write_plots
 from slamhive.services.evaluations import protocols_of_all
 from slamhive.services.json_values import exact
 from slamhive.services.runs import repeat_if_disturbed
@@ -47,6 +47,7 @@ class Collecting:
         outcome = decide(evidence)
         ended_at = (status.ended_at if isinstance(status, Exited) else None) or hand.context.now()
         metrics = measure_run(hand.folder, hand.started_at, ended_at, saved.get("peak_memory_bytes"), evidence)
+        metrics |= limit_metrics(metrics, hand.spec.limits.cores)
         disturbance = judge_run(hand.folder, metrics, hand.context.settings)
         self._seal(outcome, evidence, ended_at, metrics, disturbance)
         self._tidy_up()

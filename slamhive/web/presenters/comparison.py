@@ -136,7 +136,10 @@ def _span(chart: Chart) -> tuple[float, float] | None:
 
 def _note(column: RunColumn, *, grouped: bool) -> str:
     if grouped:
-        return plural(len(column.runs), "run") + (f", {len(column.failed)} failed" if column.failed else "")
+        counts = {"failed": len(column.failed), "doubtful": len(column.doubtful)}
+        return ", ".join(
+            [plural(len(column.runs), "run"), *(f"{count} {word}" for word, count in counts.items() if count)]
+        )
     return "failed" if column.failed else ""
 
 

@@ -127,8 +127,8 @@ def status_in_words(status: ExperimentStatus) -> str:
         text += f" Measured on a disturbed machine: {plural(status.disturbed, 'run')}."
     if status.missing:
         text += f" {plural(status.missing, 'run')} not stored yet: the start is in progress or was interrupted."
-    if status.ended < status.runs and status.left_s is not None:
-        text += f" About {duration(status.left_s)} left."
+    if status.left_s:
+        text += f" About {duration(status.left_s)} left with builds and evaluations: {status.phase}."
     return text
 
 

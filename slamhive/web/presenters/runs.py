@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
 from slamhive.domain.algorithm import Algorithm
@@ -13,7 +12,8 @@ from slamhive.domain.external import IMPORTED
 from slamhive.domain.matching import Origin
 from slamhive.domain.metrics import Metric, with_unknown
 from slamhive.domain.parameters import Parameter, Value, default_values
-from slamhive.domain.run import RunState
+from slamhive.domain.run import REMEDIES, RunState
+from slamhive.domain.trust import DISTURBED
 from slamhive.domain.verdict import Verdict, VerdictKind, not_evaluable
 from slamhive.schema.matching import BoundParameter, Match
 from slamhive.store.records import EvaluationRecord, RunRecord
@@ -110,12 +110,17 @@ def outcome(run: RunRecord) -> str:
         return _success(run)
     if run.state is RunState.FAILED:
         reason = "unknown reason" if run.reason is None else run.reason.value.replace("_", " ")
-        return f"Failed: {reason}. {run.detail or ''}".strip()
+        return f"Failed: {reason}. {_sentence(run.detail) if run.detail else ''}".strip()
     if run.state is RunState.CANCELLED:
         return f"Cancelled. {run.detail or ''}".strip()
     if run.state is RunState.QUEUED:
         return "Waiting for a worker."
     return f"In progress: {run.state.value}."
+
+
+def remedy(run: RunRecord) -> str:
+    """What to do about a failed run; empty for any other."""
+    return _sentence(REMEDIES[run.reason]) if run.state is RunState.FAILED and run.reason is not None else ""
 
 
 def verdict(run: RunRecord, evaluations: Sequence[EvaluationRecord]) -> Verdict | None:
@@ -138,8 +143,18 @@ def disturbed(run: RunRecord) -> str:
         meaning = f"{affected}; the estimate does not, because playback was sequential"
     else:
         meaning = f"{affected}, and dropped frames and errors do too, because playback was in real time"
-    remedies = "; ".join(run.disturbance.remedies)
-    return f"Measured on a disturbed machine: {run.disturbance.words}. {meaning}. {remedies[:1].upper()}{remedies[1:]}."
+    remedies = _sentence("; ".join(run.disturbance.remedies))
+    return f"Measured on a disturbed machine: {run.disturbance.words}. {meaning}. {remedies}"
+
+
+def trust_words(run: RunRecord) -> list[str]:
+    """Why the run cannot be trusted fully, and what to do: one text for each reason."""
+    if run.trust is None:
+        return []
+    return [
+        disturbed(run) if reason.kind == DISTURBED else f"{_sentence(reason.words)} {_sentence(reason.remedy)}"
+        for reason in run.trust.reasons
+    ]
 
 
 def machine(run: RunRecord) -> Cell | None:
@@ -176,11 +191,11 @@ def gpu(record: Mapping[str, Any]) -> Cell | None:
     return Cell(str(told.get("model")), f"driver {told.get('driver')}, {told.get('uuid')}")
 
 
-def wall_time_s(run: RunRecord, now: datetime) -> float | None:
-    """Time from the start to the end, or to now for an active run."""
-    if run.started_at is None:
+def wall_time_s(run: RunRecord) -> float | None:
+    """Time from the start to the end; None until the run has ended, because only the live progress stays right."""
+    if run.started_at is None or run.ended_at is None:
         return None
-    return ((run.ended_at or now) - run.started_at).total_seconds()
+    return (run.ended_at - run.started_at).total_seconds()
 
 
 def flatten(record: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
@@ -198,10 +213,15 @@ def flatten(record: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]
     return found
 
 
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
+
+
 def _success(run: RunRecord) -> str:
     parts = ["Succeeded"]
-    if run.started_at is not None and run.ended_at is not None:
-        parts.append(f" in {duration((run.ended_at - run.started_at).total_seconds())}")
+    time_s = wall_time_s(run)
+    if time_s is not None:
+        parts.append(f" in {duration(time_s)}")
     if run.poses is not None:
         parts.append(f" with {plural(run.poses, 'pose')}")
     ate_m = (run.metrics or {}).get("ate.rmse")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
@@ -12,6 +13,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.verdict import GROUPS, VerdictKind
 from slamhive.executors.registry import EXECUTORS
+from slamhive.search.fields import TRUST, Kind, Vocabulary
 from slamhive.services.exports import by_protocol
 from slamhive.store.records import GroupRecord, ProtocolLabel, RunRecord, SavedSearchRecord, Spread
 from slamhive.web.formatting import DASH, Cell, display_unit, mean_text, median_text, plural, significant, value_text
@@ -77,6 +79,7 @@ def choices(
         "state": ("State", _plain(RunState)),
         "reason": ("Failure reason", _plain(FailureReason)),
         "verdict": ("Verdict", _verdicts()),
+        "trust": ("Trust", _plain(TRUST.choices)),
         "executor": ("Executor", _plain(EXECUTORS.names())),
         "experiment": ("Experiment", {}),
     }
@@ -103,6 +106,19 @@ def saved_args(record: SavedSearchRecord) -> dict[str, str]:
     return {name: text for name, text in args.items() if text}
 
 
+def filter_fields(vocabulary: Vocabulary, names: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
+    """Every name that a filter may use, with its label, unit and values to choose from.
+
+    ``names``: {field: the names that are stored}, for fields whose values the language does not fix.
+    """
+    found = []
+    for name in dict.fromkeys(vocabulary.names()):
+        field = vocabulary.fields(name)[0]
+        values = ("yes", "no") if field.kind is Kind.FLAG else names.get(name, field.choices)
+        found.append({"name": name, "label": field.label, "unit": field.unit, "values": list(values)})
+    return found
+
+
 def group_columns(columns: Sequence[str]) -> list[GroupColumn]:
     """The metrics among the selected columns."""
     return [GroupColumn(CATALOGUE[key], display_unit(CATALOGUE[key]).unit) for key in columns if key in CATALOGUE]
@@ -113,13 +129,17 @@ def group_rows(groups: Iterable[GroupRecord], columns: Sequence[GroupColumn]) ->
     return [row for group in groups for row in _rows_of(group, columns)]
 
 
-def protocol_warning(labels: Iterable[ProtocolLabel | None]) -> str:
-    """A warning if a list mixes errors of several protocols; empty otherwise."""
-    several = sorted({label.fingerprint for label in labels if label is not None})
-    if len(several) < 2:
+def mixed_protocols(labels: Iterable[ProtocolLabel | None]) -> list[ProtocolLabel]:
+    """The protocols of a list by label, if it mixes errors of several; empty otherwise."""
+    several = {label.fingerprint: label for label in labels if label is not None}
+    return sorted(several.values(), key=lambda label: (label.label, label.fingerprint)) if len(several) > 1 else []
+
+
+def protocol_warning(mixed: Sequence[ProtocolLabel]) -> str:
+    """What precedes the links to each of these protocols; empty for none."""
+    if not mixed:
         return ""
-    choice = " or ".join(f"protocol = {fingerprint}" for fingerprint in several[:3])
-    return f"This list mixes errors of {len(several)} protocols, which are not comparable. Filter by {choice}."
+    return f"This list mixes errors of {len(mixed)} protocols, which are not comparable. Show them under one:"
 
 
 def trajectory_warning(runs: Iterable[RunRecord]) -> str:

@@ -14,7 +14,7 @@ from slamhive.settings import Mode
 from slamhive.store.analysis_records import AnalysisState
 from slamhive.web import context
 from slamhive.web.analysis_files import MEDIA_TYPES
-from slamhive.web.analysis_text import BOUNDS, first_text, form_helps, selector_text
+from slamhive.web.analysis_text import BOUNDS, experiment_text, first_text, form_helps, selector_text, with_form
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of
 from slamhive.web.rates import CHECKS, CREATIONS
@@ -23,6 +23,8 @@ from slamhive.web.security import FIGURES_POLICY
 
 blueprint = Blueprint("analyses", __name__, url_prefix="/analyses")
 
+INSERT = "insert:"
+"""What a button sends before the key of the plot type that it adds."""
 _LINE = re.compile(r" line (\d+)")
 
 
@@ -34,7 +36,10 @@ def index() -> str:
 
 @blueprint.get("/new")
 def new() -> str:
-    """The editor with a first analysis of the runs that ``where`` selects."""
+    """The editor with a first analysis of an ``experiment``, or of the runs that ``where`` selects."""
+    name = request.args.get("experiment")
+    if name:
+        return _editor(experiment_text(name, hive().experiments.axes(name)))
     return _editor(first_text(request.args.get("where", "")[:50_000]))
 
 
@@ -56,8 +61,11 @@ def create() -> Response:
     """Save the analysis and redirect to its page."""
     services = hive()
     text = _text()
-    if request.form.get("do") == "check":
+    do = request.form.get("do", "")
+    if do == "check":
         return _checked(text)
+    if do.startswith(INSERT):
+        return _inserted(text, do.removeprefix(INSERT))
     _count(CREATIONS, "analyses")
     try:
         record = services.stored_analyses.create(text, listed="unlisted" not in request.form)
@@ -179,6 +187,14 @@ def _checked(text: str) -> Response:
     except InvalidInput as error:
         return make_response(_editor(text, error), status_of(error))
     return make_response(_editor(text, notice=f"{name}: valid."))
+
+
+def _inserted(text: str, key: str) -> Response:
+    """The editor with an entry of a plot type at the end of the list."""
+    try:
+        return make_response(_editor(with_form(text, key), notice=f"An entry {key} was added at the end of 'forms'."))
+    except InvalidInput as error:
+        return make_response(_editor(text, error), status_of(error))
 
 
 def _text() -> str:

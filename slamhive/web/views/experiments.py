@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
@@ -11,16 +11,20 @@ from flask import url_for as address
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.errors import NotFound
+from slamhive.search.build import matching
 from slamhive.services.experiments import METRICS, Cell, ExperimentStatus, Standing
+from slamhive.store.records import RunSort
 from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.experiment_file import parse_experiment
 from slamhive.web.context import hive
 from slamhive.web.experiment_page import CellsQuery, GridQuery, page_number, repeats_count, search_of, stated_axes
 from slamhive.web.formatting import plural
 from slamhive.web.presenters import experiments as presenter
+from slamhive.web.presenters import rankings
 
 blueprint = Blueprint("experiments", __name__, url_prefix="/experiments")
 
+RANKED_BY = "ate.rmse"
 PAGE_LENGTH = 50
 LARGE = 5000
 """With more configurations than this, a second request computes the grid."""
@@ -76,7 +80,23 @@ def show(name: str) -> str:
         cells=cells,
         metrics=metrics,
         lines=presenter.cell_lines(page.cells, shown_axes, metrics, _protocol_labels(page.cells)),
+        rankings=[] if status.cells > LARGE else _rankings(name, page.cells, shown_axes),
     )
+
+
+def _rankings(name: str, cells: Iterable[Cell], axes: Sequence[str]) -> list[rankings.Ranking]:
+    """The best configurations of an experiment on each dataset; empty while none is evaluated."""
+    services = hive()
+    datasets = [str(value) for value in services.experiments.axes(name).get("dataset", ())]
+    named = rankings.configuration_names(cells, axes)
+    found = []
+    for dataset in datasets[: rankings.MOST_RANKINGS]:
+        asked = matching(experiments=(name,), datasets=(dataset,))
+        order = RunSort(RANKED_BY, descending=False)
+        groups = services.searches.groups(asked, order, None, rankings.RANKED, METRICS).records
+        if (ranking := rankings.ranking(dataset, groups, METRICS, named)) is not None:
+            found.append(ranking)
+    return found
 
 
 @blueprint.get(f"/<name>/cells/{CELL_NUMBER}")

@@ -22,6 +22,8 @@ OF_PAGE = {
     "experiments": "experiments",
     "experiment_builder": "experiments",
     "runs": "search",
+    "selected_runs": "search",
+    "trash": "web",
     "searches": "search",
     "start": "web",
     "configurations": "configurations",

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
 from typing import Any
+from urllib.parse import urlencode
 
 from flask import (
     Blueprint,
@@ -22,11 +23,10 @@ from flask import (
 from flask import url_for as address
 
 from slamhive.analysis.colours import colour_of
-from slamhive.clock import utc_now
+from slamhive.domain.notes import NotesChange, split_tags
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import DEFAULT_RULE
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.input_bounds import whole_number
+from slamhive.errors import NotFound
 from slamhive.search.reader import FilterError
 from slamhive.services.evaluations import ToolFigures, evaluation_notes
 from slamhive.services.hive import Hive
@@ -41,7 +41,8 @@ from slamhive.web.formatting import plural
 from slamhive.web.presenters import matching, protocols, search
 from slamhive.web.presenters import runs as presenter
 from slamhive.web.presenters.live import progress_json
-from slamhive.web.run_query import RunQuery, summary
+from slamhive.web.request_input import form_text
+from slamhive.web.run_query import RunQuery, filled, summary
 
 blueprint = Blueprint("runs", __name__, url_prefix="/runs")
 
@@ -53,7 +54,10 @@ RUN_ID = f"<int(max={LARGEST_RUN_ID}):run_id>"
 
 @blueprint.get("")
 def index() -> Response:
-    """List the runs that match the query in the address."""
+    """List the runs that match the query in the address. An address with empty fields redirects to one without."""
+    kept = filled(request.args)
+    if kept != request.args.to_dict(flat=False):
+        return make_response(redirect(list_address(kept), 302))
     services = hive()
     vocabulary = services.searches.vocabulary()
     try:
@@ -67,6 +71,7 @@ def index() -> Response:
         return make_response(_group_page(services, query, shown))
     page = services.runs.page(query.search, query.sort, query.after, query.limit)
     left_out = services.searches.left_out(query.search, page.count)
+    mixed = search.mixed_protocols(run.protocol for run in page.records)
     return make_response(
         _search_page(
             services,
@@ -75,8 +80,8 @@ def index() -> Response:
             columns=shown,
             next_key=page.next_key,
             summary=summary(query, len(page.records), page.count, left_out),
-            warning=search.protocol_warning(run.protocol for run in page.records)
-            or search.trajectory_warning(page.records),
+            warning=search.protocol_warning(mixed) or search.trajectory_warning(page.records),
+            mixed=mixed,
             total=left_out.total,
         )
     )
@@ -88,6 +93,7 @@ def _group_page(services: Hive, query: RunQuery, shown: list[Column]) -> str:
         query.search, query.sort, query.after, query.limit, [entry.metric.key for entry in figures]
     )
     left_out = services.searches.left_out(query.search, page.runs)
+    mixed = search.mixed_protocols(label for group in page.records for label in group.figures)
     return _search_page(
         services,
         query,
@@ -96,7 +102,8 @@ def _group_page(services: Hive, query: RunQuery, shown: list[Column]) -> str:
         columns=shown,
         next_key=page.next_key,
         summary=summary(query, len(page.records), page.runs, left_out),
-        warning=search.protocol_warning(label for group in page.records for label in group.figures),
+        warning=search.protocol_warning(mixed),
+        mixed=mixed,
         total=left_out.total,
     )
 
@@ -148,9 +155,10 @@ def show(run_id: int) -> str:
         outcome=presenter.outcome(run),
         verdict=presenter.verdict(run, evaluations),
         rule=DEFAULT_RULE.words,
-        disturbed=presenter.disturbed(run),
+        remedy=presenter.remedy(run),
+        trust_words=presenter.trust_words(run),
         machine=presenter.machine(run),
-        wall_time_s=presenter.wall_time_s(run, utc_now()),
+        wall_time_s=presenter.wall_time_s(run),
         progress=progress_json(services.runs.progress(run_id)) if run.state.active else None,
         parameters=presenter.parameter_rows(run, algorithm, match),
         match=match,
@@ -165,6 +173,7 @@ def show(run_id: int) -> str:
         measured=presenter.metric_rows(run, needs_protocol=False),
         protections=presenter.protections(record),
         gpu=presenter.gpu(record),
+        noted=bool(record),
         provenance=presenter.flatten(record),
         events=services.runs.events(run_id),
         evaluations=evaluations,
@@ -248,6 +257,17 @@ def evaluate(run_id: int) -> Response:
     return _to_run(run_id)
 
 
+@blueprint.post(f"/{RUN_ID}/notes")
+def annotate(run_id: int) -> Response:
+    """Replace the note and the tags of one run."""
+    services = hive()
+    kept = split_tags(request.form.get("tags", ""))
+    removed = tuple(tag for tag in services.runs.get(run_id).tags if tag not in kept)
+    services.notes.change([run_id], NotesChange(form_text("note"), kept, removed))
+    flash("Note and tags are stored.", "success")
+    return _to_run(run_id)
+
+
 @blueprint.post(f"/{RUN_ID}/compare")
 def compare(run_id: int) -> Response:
     """Evaluate one run under the protocols of all published tools."""
@@ -268,19 +288,6 @@ def use_protocol(run_id: int) -> Response:
     return _to_run(run_id)
 
 
-@blueprint.post("/evaluate")
-def evaluate_many() -> Response:
-    """Evaluate the selected runs, or all that are not evaluated."""
-    if request.form.get("all"):
-        queued = hive().evaluations.queue(None)
-    else:
-        queued = hive().evaluations.queue(_selected(request.form.getlist("run")), request.form.get("protocol") or None)
-    flash(f"{plural(len(queued), 'evaluation')} queued." if queued else "There is nothing to evaluate.", "info")
-    compared = request.form.get("compared")
-    back = address("compare.show", runs=compared) if compared else address("runs.index")
-    return make_response(redirect(back, 303))
-
-
 def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:
     """The metrics under each tool's protocol; none if the dataset or algorithm no longer exists."""
     if run.state is not RunState.SUCCEEDED:
@@ -291,10 +298,10 @@ def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:
         return []
 
 
-def _selected(texts: list[str]) -> list[int]:
-    if not texts:
-        raise InvalidInput("no run is selected", "select the runs to evaluate, then press the button again")
-    return [whole_number(text, "run", 1, LARGEST_RUN_ID) for text in texts]
+def list_address(args: Mapping[str, list[str]]) -> str:
+    """The address of the list with these arguments, whatever their names are."""
+    query = urlencode(args, doseq=True)
+    return address("runs.index") + (f"?{query}" if query else "")
 
 
 def _to_run(run_id: int) -> Response:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from flask import Blueprint, Response, flash, make_response, redirect, request, send_file
+from flask import Blueprint, Response, flash, jsonify, make_response, redirect, request, send_file
 from flask import url_for as address
 from werkzeug.datastructures import MultiDict
 
@@ -15,6 +15,7 @@ from slamhive.services.exports import Format, GroupExport, Page, Record, RunExpo
 from slamhive.services.hive import Hive
 from slamhive.store.records import GroupRecord, RunRecord, SavedSearchRecord
 from slamhive.web.context import hive
+from slamhive.web.presenters.search import filter_fields
 from slamhive.web.run_query import EXPORT_LIMIT, RunQuery
 
 blueprint = Blueprint("searches", __name__, url_prefix="/searches")
@@ -33,6 +34,18 @@ def export(name: str) -> Response:
         metrics = [key for key in query.columns if key in CATALOGUE]
         return _file("configurations", kind, GroupExport(metrics), _group_pages(services, query, metrics))
     return _file("runs", kind, RunExport(query.columns, vocabulary), _run_pages(services, query))
+
+
+@blueprint.get("/fields.json")
+def fields() -> Response:
+    """The names that a filter may use, for completion."""
+    services = hive()
+    algorithms, datasets = services.searches.names()
+    experiments = [entry.name for entry in services.experiments.list()]
+    vocabulary = services.searches.vocabulary()
+    names = {"algorithm": algorithms, "dataset": datasets, "experiment": experiments, "tag": services.notes.tags()}
+    names["protocol"] = list(dict.fromkeys(vocabulary.protocols.values()))
+    return make_response(jsonify(fields=filter_fields(vocabulary, names)))
 
 
 @blueprint.post("")

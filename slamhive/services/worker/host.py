@@ -8,7 +8,7 @@ from pathlib import Path
 
 import psutil
 
-from slamhive.domain.host import Host
+from slamhive.store.records import Host
 
 
 def describe_host() -> Host:

@@ -1,0 +1,47 @@
+"""``slamhive runs note`` and ``slamhive runs tag``: what people write about runs."""
+
+from __future__ import annotations
+
+import click
+
+from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
+from slamhive.cli.output import print_json
+from slamhive.domain.notes import NotesChange, RunNotes
+from slamhive.errors import InvalidInput
+
+
+@click.command("note")
+@click.argument("run_id", type=run_number)
+@click.argument("text")
+@json_option
+@pass_cli
+def note(cli: CliContext, run_id: int, text: str, as_json: bool) -> None:
+    """Write the note of a run; an empty text removes it."""
+    _show(cli.hive().notes.change([run_id], NotesChange(note=text)), as_json=as_json)
+
+
+@click.command("tag")
+@click.argument("run_ids", type=run_number, nargs=-1, required=True)
+@click.option("--add", multiple=True, metavar="TAG", help="Give the runs this tag.")
+@click.option("--remove", multiple=True, metavar="TAG", help="Take this tag away from them.")
+@json_option
+@pass_cli
+def tag(
+    cli: CliContext, run_ids: tuple[int, ...], add: tuple[str, ...], remove: tuple[str, ...], as_json: bool
+) -> None:
+    """Add tags to runs, or remove them. Filters find them: tag = paper."""
+    if not add and not remove:
+        raise InvalidInput("no tag is named", "use --add TAG or --remove TAG")
+    _show(cli.hive().notes.change(run_ids, NotesChange(add=add, remove=remove)), as_json=as_json)
+
+
+def _show(changed: dict[int, RunNotes], *, as_json: bool) -> None:
+    if as_json:
+        print_json([{"id": run_id, **notes.content} for run_id, notes in changed.items()])
+        return
+    for run_id, notes in changed.items():
+        said = [f"tags {', '.join(notes.tags)}" if notes.tags else "no tags"] + ([notes.note] if notes.note else [])
+        click.echo(f"run {run_id}: {'; '.join(said)}")
+
+
+COMMANDS = (note, tag)

@@ -1,1 +1,0 @@
-"""Runs algorithms as jobs of Slurm."""

@@ -1,0 +1,138 @@
+"""Moves runs to the trash and back. Files move first, because folders are the truth."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from slamhive.clock import utc_now
+from slamhive.errors import Conflict, NotFound, SlamHiveError, Unavailable
+from slamhive.files import remedy_of
+from slamhive.runs.folder import RunFolder
+from slamhive.services.datasets import Catalogue, check_writable
+from slamhive.services.ledger import Ledger, LedgerRestore
+from slamhive.services.runs import FolderRun, current_protocol, file_runs, found_evaluations, found_notes, read_filed
+from slamhive.services.trash.folder import DeletedFolder, DeletedRun, deleted_folders
+from slamhive.settings import Settings
+from slamhive.store import RunRecord, Store
+from slamhive.store.deleted_runs import Deleted
+from slamhive.store.records import EvaluationState
+
+_OPEN = (EvaluationState.QUEUED, EvaluationState.RUNNING)
+
+
+class Trash:
+    """Deleted runs of one installation.
+
+    Args:
+        settings: Mode, and where runs and deleted runs lie.
+        store: The database.
+        catalogue: Algorithms and datasets.
+        ledger: What it has of evaluations, and of runs without a folder.
+    """
+
+    def __init__(self, settings: Settings, store: Store, catalogue: Catalogue, ledger: Ledger) -> None:
+        self._settings = settings
+        self._store = store
+        self._catalogue = catalogue
+        self._ledger = ledger
+
+    def delete(self, run_ids: Sequence[int]) -> tuple[RunRecord, ...]:
+        """Move runs that have ended to the trash; raises Conflict, with nothing changed, if one is still needed."""
+        check_writable(self._settings)
+        runs = self._store.read(lambda t: t.runs.get_many(dict.fromkeys(run_ids)))
+        for run in runs:
+            self._check_unused(run)
+        now = utc_now()
+        deleted = [Deleted(run.uid, run.id, now) for run in runs]
+        for run, entry in zip(runs, deleted, strict=True):
+            repeated_by = self._store.read(lambda t: t.deleted_runs.repeated_by(run.id))  # noqa: B023
+            folder = self._folder(run.uid)
+            folder.write(DeletedRun(entry, run.algorithm, run.dataset, tuple(repeated_by)))
+            if self._run_folder(run.id).exists():
+                shutil.rmtree(folder.run, ignore_errors=True)
+                _move(self._run_folder(run.id), folder.run)
+        self._store.write(lambda t: t.deleted_runs.remove(deleted))
+        return runs
+
+    def restore(self, run_ids: Sequence[int]) -> list[int]:
+        """Take runs out of the trash, under their old numbers.
+
+        Raises NotFound for a run that is not there, Conflict if its number is in use again.
+        """
+        check_writable(self._settings)
+        known = {run.deleted.run_id: run for run in self.listed()}
+        for run_id in run_ids:
+            if run_id not in known:
+                raise NotFound(f"run {run_id} is not in the trash", "slamhive runs trash lists what is there")
+            if self._run_folder(run_id).exists():
+                raise Conflict(f"number {run_id} belongs to another run now", "import the old one from an archive")
+        for run_id in dict.fromkeys(run_ids):
+            self._restore(known[run_id])
+        return list(dict.fromkeys(run_ids))
+
+    def listed(self) -> list[DeletedRun]:
+        """The runs in the trash, the last deleted first."""
+        found = [folder.read() for folder in deleted_folders(self._settings.trash_folder)]
+        return sorted((run for run in found if run.kept), key=lambda run: run.deleted.at, reverse=True)
+
+    def empty(self) -> int:
+        """Remove the files of all deleted runs for good; how many there were."""
+        check_writable(self._settings)
+        runs = self.listed()
+        for run in runs:
+            folder = self._folder(run.deleted.uid)
+            # That it was deleted stays known: an experiment would queue it again.
+            folder.write(DeletedRun(run.deleted, run.algorithm, run.dataset, run.repeated_by, kept=False))
+            shutil.rmtree(folder.run, ignore_errors=True)
+        return len(runs)
+
+    def _restore(self, run: DeletedRun) -> None:
+        number, uid = run.deleted.run_id, run.deleted.uid
+        folder = self._folder(uid)
+        ledger = LedgerRestore(self._store, self._catalogue, self._ledger.files)
+        if folder.run.exists():
+            self._file(folder.run, self._run_folder(number), ledger)
+        else:
+            self._store.write(lambda t: t.deleted_runs.forget([uid]))
+            ledger.restore_before_runs()
+            ledger.restore_after_runs()
+        self._store.write(lambda t: t.ledger.repeat(dict.fromkeys(run.repeated_by, number)))
+        shutil.rmtree(folder.root, ignore_errors=True)
+
+    def _file(self, source: Path, target: Path, ledger: LedgerRestore) -> None:
+        """Move a run folder to its old place and file it; back to the trash if the database refuses it."""
+        entry = self._read(RunFolder(source), ledger)
+        _move(source, target)
+        try:
+            self._store.write(lambda t: file_runs(t, self._catalogue, [entry]))
+        except SlamHiveError:
+            _move(target, source)
+            raise
+
+    def _read(self, folder: RunFolder, ledger: LedgerRestore) -> FolderRun:
+        record, found = folder.read_record(), found_evaluations(folder)
+        filed = read_filed(self._catalogue, record, str(folder.record))
+        current, attempt = current_protocol(folder, found), int(record.get("attempt", 1))
+        return FolderRun(filed, found, current, ledger.evaluations.of(filed.file.id), attempt, found_notes(folder))
+
+    def _check_unused(self, run: RunRecord) -> None:
+        if not run.state.ended:
+            raise Conflict(f"run {run.id} has not ended, it is {run.state}", "cancel it first")
+        evaluations = self._store.read(lambda t: t.evaluations.for_run(run.id))
+        if any(entry.state in _OPEN for entry in evaluations):
+            raise Conflict(f"run {run.id} is being evaluated", "wait until that has ended")
+
+    def _folder(self, uid: str) -> DeletedFolder:
+        return DeletedFolder(self._settings.trash_folder / uid)
+
+    def _run_folder(self, run_id: int) -> Path:
+        return self._settings.runs_folder / str(run_id)
+
+
+def _move(source: Path, target: Path) -> None:
+    try:
+        source.rename(target)
+    except OSError as error:
+        raise Unavailable(f"{source} cannot be moved to {target}: {error.strerror}", remedy_of(error)) from None

@@ -1,0 +1,101 @@
+"""Actions on several runs that are selected in a list: evaluate them, tag them, delete them."""
+
+from __future__ import annotations
+
+from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
+from flask import url_for as address
+
+from slamhive.domain.notes import NotesChange, split_tags
+from slamhive.errors import InvalidInput
+from slamhive.input_bounds import whole_number
+from slamhive.web.context import hive
+from slamhive.web.formatting import plural
+from slamhive.web.run_query import filled
+from slamhive.web.views.runs import LARGEST_RUN_ID, list_address
+
+blueprint = Blueprint("selected_runs", __name__, url_prefix="/runs")
+
+UNDO = "undo"
+"""The category of a message with a button that takes the named runs out of the trash again."""
+MOST_RUNS = 1000
+"""Runs that are selected at once; a page of a list has fewer."""
+
+
+@blueprint.post("/evaluate")
+def evaluate() -> Response:
+    """Evaluate the selected runs, or all that are not evaluated, and return to the list."""
+    runs = _selected(request.form.getlist("run"))
+    if not runs and not request.form.get("all"):
+        return _nothing_selected()
+    wanted = None if request.form.get("all") else runs
+    queued = hive().evaluations.queue(wanted, request.form.get("protocol") or None)
+    flash(f"{plural(len(queued), 'evaluation')} queued." if queued else "There is nothing to evaluate.", "info")
+    return _to_list()
+
+
+@blueprint.get("/tags")
+def tags() -> Response:
+    """The web form that tags the selected runs."""
+    hive().check_writable()
+    runs = _selected(request.args.getlist("run"))
+    if not runs:
+        return _nothing_selected()
+    services = hive()
+    records = services.store.read(lambda t: t.runs.get_many(runs))
+    given = sorted({tag for record in records for tag in record.tags})
+    return make_response(render_template("runs/tags.html", runs=records, given=given, known=services.notes.tags()))
+
+
+@blueprint.post("/tags")
+def tag() -> Response:
+    """Add and remove tags of the selected runs."""
+    runs = _selected(request.form.getlist("run"))
+    if not runs:
+        return _nothing_selected()
+    change = NotesChange(add=split_tags(request.form.get("add", "")), remove=tuple(request.form.getlist("remove")))
+    hive().notes.change(runs, change)
+    flash(f"The tags of {plural(len(runs), 'run')} are stored.", "success")
+    return make_response(redirect(address("runs.index", columns="id,algorithm,dataset,state,tags,note"), 303))
+
+
+@blueprint.get("/delete")
+def confirm() -> Response:
+    """Say what moves to the trash, before it does."""
+    hive().check_writable()
+    runs = _selected(request.args.getlist("run"))
+    if not runs:
+        return _nothing_selected()
+    records = hive().store.read(lambda t: t.runs.get_many(runs))
+    return make_response(render_template("runs/delete.html", runs=records))
+
+
+@blueprint.post("/delete")
+def delete() -> Response:
+    """Move the selected runs to the trash."""
+    runs = _selected(request.form.getlist("run"))
+    if not runs:
+        return _nothing_selected()
+    hive().trash.delete(runs)
+    flash(f"{plural(len(runs), 'run')} moved to the trash.", f"{UNDO} {' '.join(map(str, runs))}")
+    return make_response(redirect(address("runs.index"), 303))
+
+
+def _selected(texts: list[str]) -> list[int]:
+    """The numbers of the selected runs, each once; raises InvalidInput."""
+    if len(texts) > MOST_RUNS:
+        raise InvalidInput(f"{len(texts)} runs are selected", f"select at most {MOST_RUNS}")
+    return list(dict.fromkeys(whole_number(text, "run", 1, LARGEST_RUN_ID) for text in texts))
+
+
+def _nothing_selected() -> Response:
+    hive().check_writable()
+    flash("No run is selected. Select runs, then press the button again.", "warning")
+    return _to_list()
+
+
+def _to_list() -> Response:
+    """Back to the comparison or the list of runs that the action came from."""
+    compared = request.form.get("compared")
+    if compared:
+        return make_response(redirect(address("compare.show", runs=compared), 303))
+    return make_response(redirect(list_address({} if request.method == "GET" else filled(request.args)), 303))
