@@ -34,13 +34,14 @@ UNIT_LIMIT_S = 15.0
 """The unit tier is for use before each commit. Its limit is on CPU time: a busy machine slows no test down."""
 QUICK_LIMIT_S = 40.0
 """The quick tier holds what needs a database or pages, but no other processes: for use before each merge."""
-PLAIN = "not integration and not docker and not mysql"
-CHEAP = "not images and not packages and not classical"
+PLAIN = "not integration and not docker and not mysql and not cluster"
+CHEAP = "not images and not packages and not classical and not cluster"
 MAY_BE_ABSENT = ("shared/data", "shared/upstream")
 """A skipped test whose reason names one is fine everywhere: recordings and other projects' sources are not here."""
 
 RUFF = (("check", "."), ("format", "--check", "."))
 ORB_SLAM3_LIBRARIES = ("libgl1", "libegl1", "libopengl0", "libsm6", "libice6", "libx11-6", "libxext6")
+SLURM_PACKAGES = ("slurm-wlm", "munge", "charliecloud")
 ENGINE_PACKAGES = ("docker.io", "iptables", "debootstrap")
 COMPOSE_PACKAGES = ("docker-compose-v2", "docker-compose-plugin", "docker-compose")
 CLIENT_PACKAGE = "docker-cli"
@@ -119,6 +120,9 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
     def with_engine() -> str:
         return prepare_database() + prepare_engine(engine)
 
+    def with_clusters() -> str:
+        return with_engine() + prepare_clusters()
+
     with_site = (str(BIN / "mkdocs"), "build", "--strict", "--quiet", "--site-dir", str(ROOT / "site"))
     return [
         Tier("types", ((str(BIN / "mypy"),),), group="static"),
@@ -131,7 +135,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("quick", marks=f"quick and {PLAIN}", workers=2, limit_s=QUICK_LIMIT_S),
         Tier(
             "integration",
-            marks="integration and not docker and not mysql",
+            marks="integration and not docker and not mysql and not cluster",
             workers=3,  # on two cores: the tests often wait, and the other tiers of the group end sooner
             prepare=prepare_libraries,
             group="processes",
@@ -142,6 +146,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("systems", marks=f"docker and alone and {CHEAP}", engine=True, prepare=with_engine),
         Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),
         Tier("classical", marks="classical", engine=True, prepare=with_engine, asked_only=True),
+        Tier("cluster", marks="cluster", engine=True, prepare=with_clusters, asked_only=True),
     ]
 
 
@@ -296,6 +301,16 @@ def prepare_libraries() -> str:
         machine.install(wanted)
         return ""
     return f"parts are skipped; enable: {machine.install_command(wanted)}"
+
+
+def prepare_clusters() -> str:
+    """Slurm, and a container runtime that needs no root."""
+    missing = machine.absent(SLURM_PACKAGES) if shutil.which("dpkg-query") else ()
+    if missing and not machine.can_install():
+        return f"parts are skipped; enable: {machine.install_command(missing)}"
+    if missing:
+        machine.install(missing)
+    return ""
 
 
 def prepare_engine(engine: machine.Engine) -> str:

@@ -34,6 +34,9 @@ RENDERING_PARTS = (
 )
 """The code that renders images on which the ``prepare.py`` of a package can train."""
 
+CONTENT_LABEL = "slamhive.content"
+"""The label of an image that holds what :func:`context_hash` was when it was built."""
+
 BASE_SCRIPT = "docker/base/install-runtime.sh"
 STANDARD_DOCKERFILES = {Base.PYTHON: "docker/algorithm/Dockerfile", Base.ROS1: "docker/ros1/Dockerfile"}
 """What makes the images of packages with ``image: standard``."""

@@ -10,7 +10,7 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import counting_bar, print_json, print_table, tell
 from slamhive.cli.plugins import all_origins
 from slamhive.project import project_root
-from slamhive.services.doctor import Verdict, examine, plugin_checks
+from slamhive.services.doctor import Verdict, examine, examine_cluster, plugin_checks
 from slamhive.services.reindex import reindex, run_folders
 from slamhive.settings_sources import settings_in_force
 
@@ -46,11 +46,16 @@ def reindex_command(cli: CliContext, as_json: bool) -> None:
 
 
 @click.command("doctor")
+@click.argument("what", type=click.Choice(["machine", "cluster"]), default="machine")
 @json_option
 @pass_cli
-def doctor(cli: CliContext, as_json: bool) -> None:
-    """Check what works on this machine, and say how to fix the rest."""
-    checks = [*examine(cli.hive(indexed=False)), *plugin_checks(all_origins())]
+def doctor(cli: CliContext, what: str, as_json: bool) -> None:
+    """Check what works on this machine, and say how to fix the rest.
+
+    `slamhive doctor cluster` asks each node of the cluster instead: what it is, and which container runtime it has.
+    """
+    hive = cli.hive(indexed=False)
+    checks = examine_cluster(hive) if what == "cluster" else [*examine(hive), *plugin_checks(all_origins())]
     if as_json:
         print_json([asdict(check) for check in checks])
     else:

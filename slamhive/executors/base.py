@@ -62,8 +62,9 @@ class Capabilities:
         isolates: A run sees nothing of the machine but its inputs and outputs.
         limits: The limits that the executor enforces. It refuses a run with any other limit.
         needs: What it needs from a package.
-        shares_files: Runs read and write the files of the controller, on the cores of its machine. Otherwise the
-            executor transfers inputs, outputs and the files that are watched meanwhile.
+        shares_files: Runs read and write the files of the controller. Otherwise the executor transfers inputs, outputs
+            and the files that are watched meanwhile.
+        elsewhere: Runs take cores of other machines, though they share files with the controller.
         gpu: It can give a run a GPU of this machine.
         several_at_once: One worker may start several runs at the same time.
         evaluates_in: Where evaluations take place.
@@ -74,10 +75,16 @@ class Capabilities:
     limits: frozenset[Limit] = frozenset()
     needs: PackageNeed = PackageNeed.ENVIRONMENT
     shares_files: bool = True
+    elsewhere: bool = False
     gpu: bool = False
     several_at_once: bool = True
     evaluates_in: EvaluationPlace = EvaluationPlace.PROCESS
     preference: int | None = None
+
+    @property
+    def takes_cores_here(self) -> bool:
+        """Whether runs take cores of the controller's machine, so that slots share them."""
+        return self.shares_files and not self.elsewhere
 
     def refusal(self, name: str, limits: Limits) -> str | None:
         """In words, which of ``limits`` the executor ``name`` does not enforce; None if it enforces all."""
@@ -95,6 +102,8 @@ class ExecutorContext:
         installation: Distinguishes the runs of this data root from those of another on the same engine.
         log_max_bytes: How much of a run's output is kept.
         source_archives: Folder with archives of sources, for images that are built without the internet.
+        slurm_options: What is added to each job of Slurm, as the user wrote it.
+        slurm_containers: The container runtime of jobs: its name, ``auto`` or ``none``.
     """
 
     data: Path
@@ -102,6 +111,8 @@ class ExecutorContext:
     installation: str
     log_max_bytes: int = 10_000_000
     source_archives: Path | None = None
+    slurm_options: str = ""
+    slurm_containers: str = "auto"
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +146,10 @@ class Executor(ABC):
     def examine(self) -> list[Finding]:
         """What ``slamhive doctor`` reports besides whether the executor can be used. Raises Unavailable."""
         return []
+
+    def examine_nodes(self) -> list[Finding]:
+        """What ``slamhive doctor cluster`` reports: what each node offers. Takes a while. Raises Unavailable."""
+        raise Unavailable(f"the executor {self.name} uses no other machines", "set EXECUTOR to one that does")
 
     def check_package(self, package: AlgorithmPackage) -> None:  # noqa: B027 - most take every package
         """Raise ImageMissing if the package can never run here. Quick: it is called before a run is queued."""

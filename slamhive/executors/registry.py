@@ -34,11 +34,11 @@ def _read(name: str, found: Any) -> Mapping[str, ExecutorFactory]:
 EXECUTORS: Registry[ExecutorFactory] = Registry("executor", "slamhive.executors", _read)
 
 
-def _loaded_late(module: str, class_name: str) -> ExecutorFactory:
-    """A class that is imported when the first executor is made from it: the Docker SDK takes 0.2 s to import."""
+def _loaded_late(module: str, name: str) -> ExecutorFactory:
+    """A class or function that is imported when it makes its first executor: the Docker SDK takes 0.2 s to import."""
 
     def make(context: ExecutorContext) -> Executor:
-        executor: Executor = getattr(import_module(module), class_name)(context)
+        executor: Executor = getattr(import_module(module), name)(context)
         return executor
 
     return make
@@ -46,6 +46,7 @@ def _loaded_late(module: str, class_name: str) -> ExecutorFactory:
 
 EXECUTORS.register("docker", _loaded_late("slamhive.executors.docker.executor", "DockerExecutor"))
 EXECUTORS.register("process", _loaded_late("slamhive.executors.process.executor", "ProcessExecutor"))
+EXECUTORS.register("slurm", _loaded_late("slamhive.executors.slurm.containers", "open_slurm"))
 
 
 def open_executor(name: str, context: ExecutorContext) -> Executor:

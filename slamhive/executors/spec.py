@@ -14,6 +14,9 @@ from slamhive.domain.algorithm import RunUser
 
 _FILE_SLACK_BYTES = 1_000_000
 
+ROS_ENVIRONMENT = {"ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://localhost:11311"}
+"""What each container gets: a ROS master inside is found without a network."""
+
 
 class Limit(StrEnum):
     """What a run can be limited in."""

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Protocol
 
+from slamhive.domain.host import Host
+
 
 @dataclass(frozen=True, slots=True)
 class Protections:
@@ -41,12 +43,14 @@ class RunHandle:
     """What a restarted worker needs to find a run again: plain strings, stored with the run.
 
     ``data["started_at"]`` is the time at which the engine started the run (ISO 8601, UTC). It is the same for each
-    worker that adopts the run, and absent if the engine does not know it. ``protections`` go into the record.
+    worker that adopts the run, and absent if the engine does not know it. ``protections`` go into the record, and
+    so does ``host``: the machine of the run, None if it is that of the worker.
     """
 
     executor: str
     data: dict[str, str] = field(default_factory=dict)
     protections: Protections | None = None
+    host: Host | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import Annotated, Literal
 
-from pydantic import FiniteFloat
+from pydantic import Field
 
 from slamhive.domain.gate import Answer
 from slamhive.domain.metrics import Direction
@@ -17,6 +17,10 @@ from slamhive.schema.record import ConfigurationContent
 from slamhive.schema.run import ProtocolName
 from slamhive.schema.submission import Limits
 from slamhive.schema.types import Moment
+
+LARGEST_VALUE = 1e15
+"""Of a metric in a baseline, in its unit: sums and ratios of values stay finite."""
+Value = Annotated[float, Field(ge=-LARGEST_VALUE, le=LARGEST_VALUE, allow_inf_nan=False)]
 
 
 class MeasuredRun(Document):
@@ -30,7 +34,7 @@ class MeasuredRun(Document):
     limits: Limits
     disturbed: Annotated[bool | None, described("Whether the machine was disturbed; null if unknown.")]
     failed: Annotated[VerdictKind | None, described("Why the run counts as failed; null for a good run.")]
-    metrics: Annotated[dict[str, FiniteFloat], described("Values by metric, in the units of the catalogue.")]
+    metrics: Annotated[dict[str, Value], described("Values by metric, in the units of the catalogue.")]
 
 
 class BaselineConfiguration(ConfigurationContent):

@@ -51,6 +51,15 @@ def examine(hive: Hive) -> list[Check]:
     return checks
 
 
+def examine_cluster(hive: Hive) -> list[Check]:
+    """What each machine offers that the executor of the settings uses. Raises Unavailable if it uses none."""
+    executor = hive.executors.get(hive.executors.choose())
+    return [
+        Check(finding.name, Verdict.OK if finding.remedy is None else Verdict.WARNING, finding.found, finding.remedy)
+        for finding in executor.examine_nodes()
+    ]
+
+
 def plugin_checks(origins: Iterable[Origin]) -> list[Check]:
     """One check for each plug-in that is broken, or one for all that work."""
     plugins = [origin for origin in origins if origin.is_plugin]

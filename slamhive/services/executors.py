@@ -78,4 +78,6 @@ class Executors:
             installation=installation_id(data) if data.is_dir() else NO_INSTALLATION,
             log_max_bytes=self._settings.log_max_bytes,
             source_archives=Path(archives) if archives else None,
+            slurm_options=self._settings.slurm_options,
+            slurm_containers=self._settings.slurm_containers,
         )

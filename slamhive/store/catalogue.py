@@ -11,11 +11,11 @@ from sqlalchemy import Row, select, update
 from slamhive.domain import protocol as domain
 from slamhive.domain.algorithm import Algorithm as AlgorithmDefinition
 from slamhive.domain.dataset import Dataset as DatasetDefinition
+from slamhive.domain.host import Host as HostRecord
 from slamhive.errors import unknown
 from slamhive.store.changes import changes_of
 from slamhive.store.models import Algorithm, Dataset, Host, Protocol
 from slamhive.store.records import AlgorithmRecord, DatasetRecord
-from slamhive.store.records import Host as HostRecord
 from slamhive.store.rows import Repository, cut, get_or_insert
 
 

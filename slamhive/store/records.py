@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from typing import Any, NamedTuple, TypedDict
@@ -12,6 +10,7 @@ from typing import Any, NamedTuple, TypedDict
 from slamhive.domain.configuration import InputMap, Playback, PlaybackMode
 from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.external import IMPORTED
+from slamhive.domain.host import Host
 from slamhive.domain.notes import NO_NOTES, RunNotes
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Protocol
@@ -38,22 +37,6 @@ class EvaluationState(StrEnum):
     RUNNING = "running"
     SUCCEEDED = "succeeded"
     FAILED = "failed"
-
-
-@dataclass(frozen=True, slots=True)
-class Host:
-    """The machine that measured a run, identified by its ``fingerprint``."""
-
-    cpu_model: str
-    cpu_count: int
-    memory_bytes: int
-    kernel: str
-    os: str
-
-    @property
-    def fingerprint(self) -> str:
-        """SHA-256 over the content, in hex."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)

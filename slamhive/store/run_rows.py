@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 
 from slamhive.domain.configuration import InputMap, Playback
 from slamhive.domain.disturbance import Disturbance
+from slamhive.domain.host import Host as HostRecord
 from slamhive.domain.notes import NO_NOTES, RunNotes
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import protocol_from_content
@@ -22,7 +23,6 @@ from slamhive.store.metrics import VERDICT, MetricRepository
 from slamhive.store.models import Algorithm, AlgorithmVersion, Configuration, Dataset, Experiment, Host, Protocol, Run
 from slamhive.store.notes import NoteRepository
 from slamhive.store.records import AlgorithmVersion as VersionRecord
-from slamhive.store.records import Host as HostRecord
 from slamhive.store.records import ProtocolLabel, RunRecord
 from slamhive.store.verdicts import kind_of
 

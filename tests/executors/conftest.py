@@ -5,6 +5,7 @@ import stat
 import sys
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.runs.folder import RunFolder
 from tests.executors.plugins import PLUGINS, Agent, distributions_in, install_plugins
+from tests.executors.slurm_cluster import Cluster, cannot_start_because
 from tests.shared_environments import share_environments
 from tests.waiting import eventually
 
@@ -188,6 +190,24 @@ def agent(tmp_path: Path, plugin_folder: Path, monkeypatch: pytest.MonkeyPatch) 
         yield agent
 
 
+@pytest.fixture(scope="session")
+def slurm_daemons(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A Slurm of these tests with two nodes, both this machine."""
+    reason = cannot_start_because()
+    if reason is not None:
+        pytest.skip(reason)  # under CI=true a failure, see tools/test.py
+    with Cluster(tmp_path_factory.mktemp("slurm")) as cluster:
+        yield cluster
+
+
+@pytest.fixture
+def slurm_cluster(slurm_daemons: Cluster, monkeypatch: pytest.MonkeyPatch) -> Cluster:
+    """The Slurm of these tests, which the commands of this process find."""
+    for name, value in slurm_daemons.variables.items():
+        monkeypatch.setenv(name, value)
+    return slurm_daemons
+
+
 LIVE = ("ready", "starts", "alive", "used")
 """What the scripts of these tests write while they run."""
 
@@ -200,8 +220,13 @@ REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
 """Those where the kernel refuses a process; the supervisor can only end the run."""
 
 
-ALL = ["process", _DOCKER, "remote", "plain"]
-"""The parameters of ``bench`` for every executor: two that ship, one on another machine, one of the documentation."""
+_SLURM = pytest.param("slurm", marks=pytest.mark.cluster)
+_SLURM_ENVIRONMENT = pytest.param("slurm-none", marks=pytest.mark.cluster)
+ALL = ["process", _DOCKER, _SLURM, _SLURM_ENVIRONMENT, "remote", "plain"]
+"""The parameters of ``bench`` for every executor: those that ship, one on another machine, one of the documentation.
+
+Slurm has two, with containers and without.
+"""
 
 
 @pytest.fixture
@@ -211,6 +236,10 @@ def maker(request, tmp_path: Path, environment_data: Path) -> Maker:
     if containment == "user":
         open_to_other_users(tmp_path, environment_data)
     context = ExecutorContext(environment_data, PROJECT_ROOT, uuid.uuid4().hex, 100_000)
+    if name == "slurm":
+        request.getfixturevalue("slurm_cluster")
+        slurm = replace(context, slurm_containers=containment or "auto")
+        return Maker(name, slurm, lambda: open_executor(name, slurm))
     if containment:
         return Maker(name, context, lambda: ProcessExecutor(context, containment), containment)
     if name in PLUGINS:
@@ -226,10 +255,14 @@ def bench(request, maker: Maker, tmp_path: Path, test_package: AlgorithmPackage)
     """An executor by its name, or the process executor with one containment (``process-tree``)."""
     executor = maker.make()
     if executor.capabilities.needs is PackageNeed.IMAGE:
-        from tests.services.docker_base import run_docker  # noqa: PLC0415 - the SDK takes long to load
+        from slamhive.executors.docker.executor import DockerExecutor  # noqa: PLC0415 - the SDK takes long to load
+        from tests.services.docker_base import run_docker  # noqa: PLC0415
 
         image = request.getfixturevalue("base_image")
         identity = run_docker("image", "inspect", "--format", "{{.Id}}", image).stdout.strip()
+        if not executor.has(test_package, identity):
+            with closing(DockerExecutor(maker.context)) as docker:
+                assert executor.load_image(docker.save_image(identity)) == identity
     else:
         image, identity = test_package.image, executor.build(test_package, lambda line: None)
     bench = Bench(maker.name, maker.context, tmp_path, replace(test_package), image, identity, executor, maker.make)

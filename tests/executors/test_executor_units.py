@@ -17,7 +17,7 @@ from slamhive.executors.docker.engine import connect, container_name, engine_err
 from slamhive.executors.docker.stats import parse_stats
 from slamhive.executors.process.capped_log import CappedLog, assemble
 from slamhive.executors.process.environment import Environments
-from slamhive.executors.registry import choose_executor, installation_id, open_executor
+from slamhive.executors.registry import EXECUTORS, choose_executor, installation_id, open_executor
 from slamhive.executors.sampler import HEADER, Sampler
 from slamhive.executors.spec import Limit, Limits, RunOutput, RunSpec
 
@@ -52,8 +52,13 @@ class Choice:
 
 
 def executors(docker: str | None, process: str | None) -> Any:
-    made = {"docker": Choice("docker", docker, 10), "process": Choice("process", process, 20)}
-    return made.__getitem__
+    return found(docker=Choice("docker", docker, 10), process=Choice("process", process, 20))
+
+
+def found(**made: Choice) -> Any:
+    """Finds the executors that are made for a test; those that ship otherwise must be asked for by name."""
+    others = {name: Choice(name, None, None) for name in EXECUTORS.names() if name not in made}
+    return (others | made).__getitem__
 
 
 def test_auto_prefers_the_lowest_number_and_says_why_not():
@@ -65,8 +70,9 @@ def test_auto_prefers_the_lowest_number_and_says_why_not():
 
 
 def test_auto_never_takes_an_executor_without_preference():
-    made: Any = {"docker": Choice("docker", None, None), "process": Choice("process", None, 20)}
-    assert choose_executor("auto", made.__getitem__) == (made["process"], "process, the first choice")
+    process: Any = Choice("process", None, 20)
+    find = found(docker=Choice("docker", None, None), process=process)
+    assert choose_executor("auto", find) == (process, "process, the first choice")
 
 
 def test_named_executor():

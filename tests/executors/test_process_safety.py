@@ -12,7 +12,7 @@ import pytest
 
 from slamhive.executors.process import landlock, namespaces
 from slamhive.executors.process.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
-from slamhive.executors.process.shim import OUTPUT_FOLDER
+from slamhive.executors.process.supervisor import OUTPUT_FOLDER
 from slamhive.executors.registry import installation_id
 from slamhive.executors.spec import Limits
 from slamhive.runs.log_line import last_error_line

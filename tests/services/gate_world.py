@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from slamhive.domain.host import Host
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.evaluation.job import EvaluationResult
 from slamhive.services.hive import Hive
-from slamhive.store import Host, Lease, Transaction
+from slamhive.store import Lease, Transaction
 from tests.web import web_world as world
 
 CHECKSUM = f"sha256:{'1' * 64}"

@@ -37,6 +37,7 @@ from slamhive.services.configurations.changes import Label
 from slamhive.services.executors import Executors
 from slamhive.services.experiments.folder import ExperimentFolder
 from slamhive.services.experiments.views import ExperimentSource
+from slamhive.services.gates import answer_junit, answer_markdown
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.imports.request import ImportRequest
 from slamhive.services.reindex import reindex, run_folders
@@ -259,6 +260,19 @@ def stored_experiment(hive: Hive) -> bytes:
     return (hive.settings.experiments_folder / "fuzzed" / "experiment.json").read_bytes()
 
 
+def stored_baseline(hive: Hive) -> bytes:
+    if not hive.gates.baselines.briefs():
+        hive.gates.baselines.freeze("fuzzed", "id < 5")
+    return (hive.settings.baselines_folder / "fuzzed.json").read_bytes()
+
+
+def check_gate(hive: Hive, folder: Path, data: bytes) -> object:
+    """A baseline from elsewhere, compared with runs that are here and shown."""
+    check = hive.gates.prepare(str(written(folder, "b.json", data)))
+    found = hive.gates.answer(check, hive.gates.find("id > 105"))
+    return found.content, answer_markdown(found), answer_junit(found)
+
+
 COMBINATION = FILE.replace("orb-slam3-ros-stereo-inertial", "tiny").replace("nFeatures: 1000 | 2000", "seconds: 1 | 2")
 EVALUATION = f"evaluations/{PROTOCOL.fingerprint}"
 FORMATS: dict[str, tuple[bytes | Callable[[Hive], bytes], Reader]] = {
@@ -275,6 +289,7 @@ FORMATS: dict[str, tuple[bytes | Callable[[Hive], bytes], Reader]] = {
     "result.json of an engine": (result_of_a_run, lambda _h, _f, d: result_from_json(text_of(d))),
     "experiment.json": (stored_experiment, read_experiment_record),
     "state.json of an analysis": (lambda h: (stored_analysis(h).root / "state.json").read_bytes(), read_analysis_state),
+    "baseline of a gate": (stored_baseline, check_gate),
     "archive": (zip_of, lambda h, f, d: import_archive(h, written(f, "b.zip", d))),
     **{f"archive {name}": (member(name), archived(name)) for name in (*ROWS, ABOUT, "runs/1/run.json")},
     "TUM": (trajectory().encode(), lambda _, f, d: read_tum(written(f, "t.txt", d))),

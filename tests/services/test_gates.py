@@ -176,6 +176,9 @@ def test_a_baseline_needs_a_run_that_works(hive: Hive):
     add_failed(hive, 2, nFeatures=6000)
     with pytest.raises(InvalidInput, match="all runs of eye-slam-stereo on room failed"):
         hive.gates.baselines.freeze("broken", "nFeatures = 6000")
+    add_good(hive, [9.0], nFeatures=6000)  # it diverged
+    with pytest.raises(InvalidInput, match="a baseline needs a good one"):
+        hive.gates.baselines.freeze("broken", "nFeatures = 6000")
     with pytest.raises(InvalidInput, match="none of the 0 runs that match has ended"):
         hive.gates.baselines.freeze("broken", "nFeatures = 7000")
     assert not (hive.settings.baselines_folder / "broken.json").exists()

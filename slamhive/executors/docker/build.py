@@ -11,12 +11,11 @@ from typing import Any
 import docker
 import docker.errors
 
-from slamhive.catalogue.image_context import BuildContext
+from slamhive.catalogue.image_context import CONTENT_LABEL, BuildContext
 from slamhive.executors.base import ImageMissing, ProgressCallback
 from slamhive.executors.docker.engine import engine_errors
 from slamhive.files import temporary_folder
 
-CONTENT_LABEL = "slamhive.content"
 PUBLIC_BASE = "debian:bookworm-slim"
 OWN_BASE = "slam-hive-base:bookworm"
 BASE_ARGUMENT = "BASE_IMAGE"

@@ -19,9 +19,8 @@ from slamhive.executors.docker.engine import (
 )
 from slamhive.executors.docker.run_user import container_user
 from slamhive.executors.local_files import read_places, written_places
-from slamhive.executors.spec import RunSpec
+from slamhive.executors.spec import ROS_ENVIRONMENT, RunSpec
 
-ROS_ENVIRONMENT = {"ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://localhost:11311"}
 WORKER_HOME = {"HOME": "/tmp"}  # noqa: S108 - the container's own
 """The worker's user has no other folder to write to. The users of images have the home that the image gives them."""
 

@@ -32,8 +32,9 @@ from slamhive.executors.process.environment import Environment, Environments, pi
 from slamhive.executors.process.exit_file import EXIT_FILE
 from slamhive.executors.process.paths import shim_spec_of
 from slamhive.executors.process.run_cgroup import group_name, left_over_groups
-from slamhive.executors.process.shim import IDENTITY_FILE, LOCK_FILE, OUTPUT_FOLDER
+from slamhive.executors.process.shim import IDENTITY_FILE, LOCK_FILE
 from slamhive.executors.process.shim_spec import ShimSpec
+from slamhive.executors.process.supervisor import OUTPUT_FOLDER
 from slamhive.executors.process.supervisors import (
     KILL_WAIT_S,
     START_WAIT_S,
@@ -160,7 +161,7 @@ class ProcessExecutor(Executor):
         if shim is not None:
             self.stop(handle, 0.0)
         kill_leftovers(handle)
-        _remove_work(Path(handle.data["work"]))
+        remove_work(Path(handle.data["work"]))
 
     def discard(self, spec: RunSpec) -> None:
         """End and remove the run, whichever supervisor it has. Waits for one that is just starting."""
@@ -175,7 +176,7 @@ class ProcessExecutor(Executor):
             identity = read_json(work / IDENTITY_FILE)
             if identity is not None:
                 self.remove(_handle(spec, work, identity))
-            _remove_work(work)
+            remove_work(work)
         finally:
             os.close(descriptor)
 
@@ -208,7 +209,8 @@ def _work_folder(spec: RunSpec) -> Path:
     return spec.work.resolve()
 
 
-def _remove_work(work: Path) -> None:
+def remove_work(work: Path) -> None:
+    """Delete the work folder of a run; what cannot be deleted is left, with a warning."""
     try:
         remove_tree(work)
     except OSError as error:

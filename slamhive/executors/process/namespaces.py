@@ -18,7 +18,10 @@ SHARED_MEMORY_BYTES = 256 * 1024 * 1024
 """As much as containers get."""
 
 _CLONE_NEWNS, _CLONE_NEWUSER, _CLONE_NEWNET = 0x00020000, 0x10000000, 0x40000000
-_MS_NOSUID, _MS_NODEV, _MS_REC, _MS_PRIVATE = 1 << 1, 1 << 2, 1 << 14, 1 << 18
+_MS_RDONLY, _MS_NOSUID, _MS_NODEV, _MS_REMOUNT = 1 << 0, 1 << 1, 1 << 2, 1 << 5
+_MS_BIND, _MS_REC, _MS_PRIVATE, _MS_RELATIME = 1 << 12, 1 << 14, 1 << 18, 1 << 21
+_SAME_FLAGS = os.ST_NOSUID | os.ST_NODEV | os.ST_NOEXEC | os.ST_NOATIME | os.ST_NODIRATIME
+"""Flags that ``statvfs`` and ``mount`` number alike."""
 _GET_FLAGS, _SET_FLAGS, _UP = 0x8913, 0x8914, 1
 _INTERFACE = struct.Struct("16sh22x")
 
@@ -57,6 +60,15 @@ def enter_namespaces() -> None:
         options = f"size={SHARED_MEMORY_BYTES},mode=1777"
         _mount("tmpfs", SHARED_MEMORY, "tmpfs", _MS_NOSUID | _MS_NODEV, options)
     _raise_loopback()
+
+
+def make_read_only(path: str) -> None:
+    """From now on nothing in these namespaces changes the file or folder. After :func:`enter_namespaces`."""
+    # A user namespace may not take away the other flags of a mount.
+    found = os.statvfs(path).f_flag
+    flags = found & _SAME_FLAGS | (_MS_RELATIME if found & os.ST_RELATIME else 0)
+    _mount(path, path, "none", _MS_BIND | _MS_REC, "")
+    _mount("none", path, "none", _MS_REMOUNT | _MS_BIND | _MS_RDONLY | flags, "")
 
 
 def _stay(uid: int, gid: int) -> None:

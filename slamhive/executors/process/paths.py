@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from slamhive.executors.base import ExecutorContext
@@ -80,11 +81,24 @@ def shim_spec_of(
         KEY_VARIABLE: spec.key,
     }
     program = str(environment.python) if spec.command[0] == "python3" else spec.command[0]
-    limits = spec.limits
-    return ShimSpec(
+    return replace(
+        orders_for_limits(spec, context),
         command=[program, *map(paths.translate, spec.command[1:])],
         environment=variables,
         folder=str(home),
+        readable=[program, *filter(_is_file_here, variables.values()), *map(str, paths.places.values())],
+        writable=[str(home), *map(str, paths.writable.values())],
+        containment=containment,
+    )
+
+
+def orders_for_limits(spec: RunSpec, context: ExecutorContext) -> ShimSpec:
+    """Orders for the supervisor that say what ``spec`` may use, but not yet what to start."""
+    limits = spec.limits
+    return ShimSpec(
+        command=[],
+        environment={},
+        folder="",
         cores=None if limits.cpuset is None else list(limits.cpuset),
         memory_bytes=limits.memory_bytes,
         tasks=_NO_LIMIT_OF_TASKS if limits.pids is None else limits.pids,
@@ -93,9 +107,6 @@ def shim_spec_of(
         cpu_cores=limits.cpu_cores,
         installation=context.installation,
         key=spec.key,
-        readable=[program, *filter(_is_file_here, variables.values()), *map(str, paths.places.values())],
-        writable=[str(home), *map(str, paths.writable.values())],
-        containment=containment,
     )
 
 

@@ -17,7 +17,8 @@ class ShimSpec:
     """What to start, and its limits.
 
     ``cores`` are those to bind to. ``tasks`` counts processes and threads, as a container's limit of pids does. The
-    fields after ``cpu_cores`` are for the containment, see ``ContainmentRequest``.
+    fields after ``cpu_cores`` are for the containment, see ``ContainmentRequest``. ``read_only`` is for a command that
+    makes a container of the files it is given: what the container must not change. None for any other command.
     """
 
     command: list[str]
@@ -34,6 +35,7 @@ class ShimSpec:
     readable: list[str] = field(default_factory=list)
     writable: list[str] = field(default_factory=list)
     containment: str | None = None
+    read_only: list[str] | None = None
 
     def save(self, work: Path) -> None:
         """Write into the work folder."""

@@ -189,14 +189,12 @@ def _configuration(
             f"the runs of {words} were evaluated under {len(own)} protocols, which are never mixed: {found}",
             "choose one with --protocol",
         )
-    if asked is None and not own:
-        if all(run.state is RunState.FAILED for run in runs):
-            raise InvalidInput(f"all runs of {words} failed", "a baseline needs one that succeeded; leave these out")
-        return None
-    fingerprint = asked or next(iter(own))
-    measured = measured_runs(t, runs, fingerprint)
+    fingerprint = asked or next(iter(own), None)
+    measured = {} if fingerprint is None else measured_runs(t, runs, fingerprint)
+    if all(run.state is RunState.FAILED or (run.id in measured and measured[run.id].failed) for run in runs):
+        raise InvalidInput(f"all runs of {words} failed", "a baseline needs a good one; leave these out by the filter")
     kept = [run for run in runs if run.id in measured]
-    if not kept:
+    if fingerprint is None or not kept:
         return None
     return BaselineConfiguration.of(
         kept[0],

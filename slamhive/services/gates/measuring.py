@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from slamhive.domain.metrics import METRICS, Direction, Group
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import FROM_REPEATS, VerdictKind
-from slamhive.schema.gate import MeasuredRun
+from slamhive.schema.gate import LARGEST_VALUE, MeasuredRun
 from slamhive.store import RunRecord, Transaction
 from slamhive.store.metrics import VERDICT
 from slamhive.store.verdicts import kind_of
@@ -44,7 +44,7 @@ def _measured(run: RunRecord, values: Mapping[str, float], failed: VerdictKind |
         cpu_model=None if run.host is None else run.host.cpu_model,
         disturbed=None if run.disturbance is None else run.disturbance.disturbed,
         failed=failed,
-        metrics={key: value for key, value in values.items() if _can_become_worse(key)},
+        metrics={key: value for key, value in values.items() if _can_become_worse(key) and abs(value) <= LARGEST_VALUE},
     )
 
 

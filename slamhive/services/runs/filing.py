@@ -15,6 +15,7 @@ from slamhive.domain.affinity import run_affinity
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.external import IMPORTED
+from slamhive.domain.host import Host
 from slamhive.domain.names import check_name
 from slamhive.domain.notes import NO_NOTES, RunNotes
 from slamhive.domain.protocol import Protocol, protocol_from_content
@@ -29,7 +30,7 @@ from slamhive.services.runs.record import snapshot_of
 from slamhive.store import Transaction
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import EndedEvaluation, FiledRun
-from slamhive.store.records import AlgorithmVersion, EvaluationState, Host, RunSnapshot
+from slamhive.store.records import AlgorithmVersion, EvaluationState, RunSnapshot
 
 logger = logging.getLogger(__name__)
 

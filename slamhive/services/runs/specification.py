@@ -160,7 +160,7 @@ def build_spec(
         capabilities: Of the executor: default limits that it does not enforce are left out.
     """
     # The numbers of this machine's cores mean nothing on another one.
-    limits = _limits(job, settings, cores if capabilities.shares_files else None).only(capabilities.limits)
+    limits = _limits(job, settings, cores if capabilities.takes_cores_here else None).only(capabilities.limits)
     results = RunOutput(
         "result",
         folder.result,

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict
 from datetime import datetime
+from typing import Any
 
 from slamhive.domain.gpu import Gpu
 from slamhive.domain.run import FailureReason, RunState
@@ -120,7 +121,11 @@ class RunDriver:
         started_at = _start_time(handle, self._context.now())
         protections = {} if handle.protections is None else {"protections": asdict(handle.protections)}
         started = {"handle": stored, "started_at": exact(started_at), **protections}
-        hand.move(RunState.RUNNING, "started", record=started, started_at=started_at, handle=stored)
+        row: dict[str, Any] = {"started_at": started_at, "handle": stored}
+        if (host := handle.host) is not None:
+            started["host"] = asdict(host)
+            row["host_id"] = self._context.store.write(lambda t: t.catalogue.put_host(host))
+        hand.move(RunState.RUNNING, "started", record=started, **row)
 
     def _cancel(self) -> None:
         hand = self._hand

@@ -9,10 +9,12 @@ from dataclasses import asdict, replace
 
 from slamhive.catalogue.algorithm_file import package_hash
 from slamhive.domain.gpu import GpuNeed
+from slamhive.domain.host import Host
 from slamhive.domain.parameters import check_stored
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.executors.base import ImageMissing
+from slamhive.executors.host import describe_host
 from slamhive.runs.early_end import EarlyEnd, skipped
 from slamhive.services.configurations import find_map
 from slamhive.services.runs import (
@@ -30,10 +32,9 @@ from slamhive.services.versions import identity_of_version, keep_version
 from slamhive.services.weights import WeightsStore
 from slamhive.services.worker.evidence import STARTED_BY
 from slamhive.services.worker.gpu import hold_gpu
-from slamhive.services.worker.host import describe_host
 from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
 from slamhive.store import Transaction
-from slamhive.store.records import AlgorithmVersion, Host
+from slamhive.store.records import AlgorithmVersion
 
 logger = logging.getLogger(__name__)
 

@@ -16,6 +16,7 @@ from slamhive.domain.run import RunEvent, RunState
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.executors.base import EngineUnavailable, Executor
 from slamhive.executors.identity import owner_is_dead, worker_identity
+from slamhive.executors.registry import AUTO
 from slamhive.runs.folder import RunFolder
 from slamhive.services.analyses import AnalysisJobs
 from slamhive.services.datasets import Catalogue, Variants
@@ -99,7 +100,7 @@ class Worker:
         Raises Conflict if a worker of this data root is already running on this machine.
         """
         slots = self._settings.worker_slots
-        cores = share_cores(slots)
+        cores = share_cores(slots) if self._takes_cores_here() else [None] * slots
         with WorkerLock(self._settings.data):
             self._take_over_from_the_dead()
             self._store.recheck()
@@ -127,6 +128,11 @@ class Worker:
                 self._let_go()
             if ended_by_itself:
                 self._engine_sweep.sweep()
+
+    def _takes_cores_here(self) -> bool:
+        """Whether the runs of the executor in the settings compete for the cores of this machine."""
+        name = self._settings.executor
+        return name == AUTO or self._context.executors(name).capabilities.takes_cores_here
 
     def _slot(self, cores: tuple[int, ...] | None, until_idle: bool) -> None:
         if cores is not None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import psutil
 
-from slamhive.store.records import Host
+from slamhive.domain.host import Host
 
 
 def describe_host() -> Host:

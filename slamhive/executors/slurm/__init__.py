@@ -1,0 +1,1 @@
+"""Runs algorithms as jobs of Slurm."""

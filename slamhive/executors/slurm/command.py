@@ -1,0 +1,203 @@
+"""The commands of Slurm: ``sbatch``, ``squeue``, ``scancel`` and ``scontrol``. Needs no accounting."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from slamhive.errors import InvalidInput
+from slamhive.executors.base import EngineUnavailable, StartFailed
+from slamhive.executors.process.paths import INHERITED
+
+ALLOWED_OPTIONS = frozenset(
+    ("partition", "account", "qos", "constraint", "gres", "exclusive", "exclude", "nodelist", "reservation")
+)
+"""What the setting ``SLURM_OPTIONS`` may hold. Everything else follows from the run."""
+_PASSED_ON = (*INHERITED, "USER", "HOME", "SLURM_CONF")
+_TIMEOUT_S = 60.0
+_CONTROLLER_AWAY = ("unable to contact slurm controller", "connection refused", "timed out", "connection timeout")
+_NO_CONFIGURATION = ("could not establish a configuration", "unable to process configuration")
+_WAITING = frozenset(("PENDING", "CONFIGURING", "REQUEUED", "REQUEUE_HOLD", "SPECIAL_EXIT"))
+_RUNNING = frozenset(("RUNNING", "COMPLETING", "SUSPENDED", "STOPPED", "SIGNALING", "STAGE_OUT", "RESIZING"))
+_NEVER = frozenset(("PartitionConfig", "BadConstraints", "PartitionNodeLimit", "PartitionTimeLimit", "NodeNotAvail"))
+"""Reasons of waiting jobs that no node and no partition can ever run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One job as ``squeue`` shows it. ``states`` holds the state and, from Slurm 23.11 on, its flags."""
+
+    number: int
+    comment: str
+    states: tuple[str, ...]
+    reason: str
+    node: str
+
+    @property
+    def waits(self) -> bool:
+        """It has no node yet."""
+        return not self.runs and not _WAITING.isdisjoint(self.states)
+
+    @property
+    def runs(self) -> bool:
+        """Its processes may live."""
+        return not _RUNNING.isdisjoint(self.states)
+
+    @property
+    def over(self) -> bool:
+        """It has ended in some way."""
+        return not (self.waits or self.runs)
+
+    @property
+    def never_starts(self) -> bool:
+        """It asks for what no node of its partition has."""
+        return self.waits and self.reason in _NEVER
+
+    @property
+    def text(self) -> str:
+        """Number, state, reason and node in words."""
+        reason = f" ({self.reason})" if self.reason not in ("", "None") else ""
+        return f"job {self.number} is {' '.join(self.states)}{reason}{f' on {self.node}' if self.node else ''}"
+
+
+def read_options(text: str) -> list[str]:
+    """The value of ``SLURM_OPTIONS`` as arguments of ``sbatch``. Raises InvalidInput."""
+    try:
+        options = shlex.split(text)
+    except ValueError as error:
+        raise InvalidInput(f"SLURM_OPTIONS={text!r}: {error}", "close the quotation mark") from None
+    for option in options:
+        name = option.removeprefix("--").partition("=")[0]
+        if not option.startswith("--") or name not in ALLOWED_OPTIONS:
+            known = ", ".join(f"--{name}" for name in sorted(ALLOWED_OPTIONS))
+            raise InvalidInput(f"SLURM_OPTIONS has {option!r}", f"write --NAME=VALUE with one of {known}")
+    return options
+
+
+def parse_jobs(text: str) -> list[Job]:
+    """The jobs in the output of ``squeue --json``. Raises EngineUnavailable if it is something else."""
+    try:
+        content = json.loads(text)
+        # With its controller away, squeue prints an empty list and ends with 0.
+        errors = [str(error.get("description")) for error in content.get("errors", ())]
+        jobs = [_job(entry) for entry in content["jobs"]]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise EngineUnavailable(
+            f"squeue --json answered something unknown: {text[:80]!r} ({type(error).__name__})", "try squeue by hand"
+        ) from None
+    if errors:
+        raise EngineUnavailable(f"squeue could not list the jobs: {'; '.join(errors)}", "try scontrol ping")
+    return jobs
+
+
+def _job(entry: dict[str, Any]) -> Job:
+    state = entry["job_state"]
+    states = (state,) if isinstance(state, str) else tuple(state)
+    return Job(int(entry["job_id"]), entry["comment"] or "", states, entry["state_reason"], entry["nodes"] or "")
+
+
+def list_jobs() -> list[Job]:
+    """The jobs of this user that the controller remembers: those that wait, run, or ended some minutes ago.
+
+    Older versions list those of others as well.
+    """
+    return parse_jobs(_run(["squeue", "--json", "--me"]))
+
+
+def submit(options: Sequence[str], script: str) -> None:
+    """Submit a job. Raises StartFailed with the words of ``sbatch`` if Slurm refuses it."""
+    _run(["sbatch", "--parsable", *options], script)
+
+
+def send_signal(job: Job, name: str) -> None:
+    """Send a signal to the process of the job's script alone. Does nothing if the job has ended."""
+    _cancel(["--batch", f"--signal={name}", str(job.number)])
+
+
+def cancel(job: Job) -> None:
+    """End the job. Does nothing if it has ended."""
+    _cancel([str(job.number)])
+
+
+def _cancel(arguments: Sequence[str]) -> None:
+    try:
+        _run(["scancel", *arguments])
+    except StartFailed:
+        return  # it has ended
+
+
+def ping() -> str:
+    """What ``scontrol ping`` says; raises EngineUnavailable if no controller answers."""
+    try:
+        return " ".join(_run(["scontrol", "ping"]).split())
+    except StartFailed:
+        raise EngineUnavailable("Slurm's controller is down", "ask whoever runs the cluster") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """One node as ``sinfo`` shows it."""
+
+    name: str
+    state: str
+
+    @property
+    def takes_jobs(self) -> bool:
+        """Whether a job could start there now or soon."""
+        return self.state.rstrip("*$~#!%@^-+") in {"idle", "mixed", "allocated", "completing"} and "*" not in self.state
+
+
+def list_nodes(options: Sequence[str]) -> list[Node]:
+    """The nodes of the partition that ``options`` name, or of all partitions."""
+    partition = [option for option in options if option.startswith("--partition=")]
+    lines = _run(["sinfo", "--noheader", "--Node", "--format=%N %T", *partition]).splitlines()
+    found = dict(line.split(maxsplit=1) for line in lines if line.strip())
+    return [Node(name, state.strip()) for name, state in sorted(found.items())]
+
+
+def run_on(node: str, options: Sequence[str], program: Sequence[str], patience_s: int) -> str:
+    """What a program prints on a node. Raises StartFailed if it fails, or if the node is busy for ``patience_s``."""
+    place = [f"--nodelist={node}", "--nodes=1", "--ntasks=1", "--mem=500M", "--time=2", "--chdir=/"]
+    return _run(["srun", *options, *place, f"--immediate={patience_s}", *program])
+
+
+def version() -> str:
+    """Such as ``slurm-wlm 22.05.8``."""
+    return _run(["sbatch", "--version"]).strip()
+
+
+def _run(command: Sequence[str], stdin: str = "") -> str:
+    """The output of a command. Jobs inherit its environment, so that it gets no secrets."""
+    environment = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
+    try:
+        done = subprocess.run(
+            command, input=stdin, env=environment, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
+        )
+    except FileNotFoundError:
+        raise EngineUnavailable(
+            f"there is no {command[0]} on this machine", "install Slurm's commands, or work on a login node"
+        ) from None
+    except subprocess.TimeoutExpired:
+        raise EngineUnavailable(f"{command[0]} has not answered for {_TIMEOUT_S:.0f} s", "try scontrol ping") from None
+    if done.returncode:
+        raise _failure(command[0], done.stderr)
+    return done.stdout
+
+
+def _failure(program: str, said: str) -> EngineUnavailable | StartFailed:
+    """The error that the words of a command mean."""
+    lines = [line.removeprefix(f"{program}: ").removeprefix("error: ") for line in said.splitlines() if line.strip()]
+    text = "; ".join(lines) or "it says nothing"
+    lower = text.lower()
+    if "unrecognized option" in lower and "json" in lower:
+        return EngineUnavailable("this Slurm is too old: its squeue has no --json", "use Slurm 21.08 or later")
+    if any(words in lower for words in _CONTROLLER_AWAY):
+        return EngineUnavailable(f"Slurm's controller does not answer: {text}", "try scontrol ping")
+    if any(words in lower for words in _NO_CONFIGURATION):
+        return EngineUnavailable("Slurm has no configuration on this machine", "set SLURM_CONF, or use a login node")
+    return StartFailed(f"{program} refuses: {text}", "compare SLURM_OPTIONS and the limits of the run with sinfo")

@@ -1,0 +1,173 @@
+"""Jobs of Slurm that run in containers without root."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from slamhive.catalogue.image_context import CONTENT_LABEL, context_hash, dockerfile_of
+from slamhive.domain.algorithm import AlgorithmPackage, RunUser
+from slamhive.errors import InvalidInput
+from slamhive.executors.base import (
+    Executor,
+    ExecutorContext,
+    Finding,
+    ImageMissing,
+    LiveKeys,
+    PackageNeed,
+    ProgressCallback,
+    StartFailed,
+)
+from slamhive.executors.local_files import make_own_copies, read_places, written_places
+from slamhive.executors.process.paths import orders_for_limits
+from slamhive.executors.process.shim_spec import ShimSpec
+from slamhive.executors.slurm.docker_archive import make_mount_point
+from slamhive.executors.slurm.executor import SlurmExecutor
+from slamhive.executors.slurm.image_folders import ImageFolder, ImageFolders
+from slamhive.executors.slurm.runtimes import AUTO, NONE, RUNTIMES, ContainerOrders
+from slamhive.executors.spec import ROS_ENVIRONMENT, RunSpec
+
+_HOME = "/tmp"  # noqa: S108 - in the container
+_DATASET = "/slamhive/dataset"
+_SEPARATORS = ":,"
+"""They end a path in the options of container runtimes."""
+
+
+def open_slurm(context: ExecutorContext) -> SlurmExecutor:
+    """The executor ``slurm``, with or without containers. Raises InvalidInput for an unknown runtime."""
+    asked = context.slurm_containers
+    if asked == NONE:
+        return SlurmExecutor(context)
+    if asked not in (AUTO, *RUNTIMES):
+        known = ", ".join((AUTO, *RUNTIMES, NONE))
+        raise InvalidInput(f"SLURM_CONTAINERS={asked!r} is unknown", f"choose one of {known}")
+    return ContainerSlurmExecutor(context)
+
+
+class ContainerSlurmExecutor(SlurmExecutor):
+    """Runs the images of packages. They come from Docker on the machine of the worker, or from an archive."""
+
+    capabilities = replace(SlurmExecutor.capabilities, needs=PackageNeed.IMAGE)
+
+    def __init__(self, context: ExecutorContext) -> None:
+        super().__init__(context)
+        self._images = ImageFolders(context.data.resolve())
+
+    def examine(self) -> list[Finding]:
+        """Also which runtime is used. Only the nodes know which they have."""
+        return [*super().examine(), Finding("SLURM_CONTAINERS", self._context.slurm_containers)]
+
+    def check_package(self, package: AlgorithmPackage) -> None:
+        """Raise ImageMissing for a package that has to write into its image."""
+        if package.user is not RunUser.WORKER:
+            raise ImageMissing(
+                f"{package.name} runs as {package.user.in_words} and writes into its image, which jobs cannot change",
+                "use --executor docker",
+            )
+
+    def identity(self, package: AlgorithmPackage) -> str | None:
+        """The digest of the image that was unpacked for this version of the package; None if there is none."""
+        if dockerfile_of(package, self._context.project_root) is not None:
+            return self._images.with_label(CONTENT_LABEL, context_hash(package, self._context.project_root))
+        with self._docker() as docker:
+            found = docker.identity(package) if docker.unavailable_because() is None else None
+        return found if found is not None and self._images.find(found) is not None else None
+
+    def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
+        """Let Docker build the image and unpack it, unless that has been done. Raises ImageMissing."""
+        known = self.identity(package)
+        if known is not None:
+            return known
+        with self._docker() as docker:
+            problem = docker.unavailable_because()
+            if problem is not None:
+                raise ImageMissing(
+                    f"{package.name} has no image here, and Docker cannot build it: {problem}",
+                    f"where Docker is: slamhive algorithm export {package.name} FILE; then here: slamhive algorithm "
+                    f"import FILE; or set SLURM_CONTAINERS={NONE}",
+                )
+            identity = docker.build(package, progress)
+            progress(f"{package.name}: unpacking its image for the nodes")
+            return self._images.add(docker.save_image(identity), identity)
+
+    def has(self, package: AlgorithmPackage, identity: str) -> bool:  # noqa: ARG002 - a digest names one image
+        """Whether the image with this digest has been unpacked."""
+        return self._images.find(identity) is not None
+
+    def forget(self, package: str, identity: str, number: int) -> None:  # noqa: ARG002 - as above
+        """Remove the folder of the image. Docker keeps its own."""
+        self._images.remove(identity)
+
+    def load_image(self, chunks: Iterable[bytes]) -> str:
+        """Unpack the image of an archive; its digest. Needs no Docker."""
+        return self._images.add(chunks)
+
+    def sweep(self, live_keys: LiveKeys) -> list[str]:
+        """Also remove the remains of images that were being unpacked."""
+        self._images.sweep()
+        return super().sweep(live_keys)
+
+    def _give_orders(self, spec: RunSpec, work: Path) -> None:
+        image = self._images.find(spec.identity)
+        if image is None:
+            raise ImageMissing(f"the image {spec.identity[:19]} of {spec.package} is gone", "build it again")
+        if spec.user is not RunUser.WORKER:
+            raise StartFailed(f"run {spec.run_id} cannot be {spec.user.in_words} in a job of Slurm")
+        orders = container_orders(spec, image, self._context.slurm_containers)
+        make_own_copies(spec)
+        make_mount_points(orders)
+        container_shim_spec(spec, orders, self._context).save(work)
+        orders.save(work)
+
+    @contextlib.contextmanager
+    def _docker(self) -> Iterator[Executor]:
+        from slamhive.executors.docker.executor import DockerExecutor  # noqa: PLC0415 - the SDK takes long to load
+
+        with contextlib.closing(DockerExecutor(self._context)) as docker:
+            yield docker
+
+
+def container_orders(spec: RunSpec, image: ImageFolder, runtime: str) -> ContainerOrders:
+    """What the container of a run holds. Raises StartFailed for a path that no runtime takes."""
+    work = spec.work.resolve()
+    # What is mounted into the folder of the dataset needs a place in it, which must not show in other runs.
+    read = {_DATASET: work / "dataset", **read_places(spec)}
+    written = {_HOME: work / "tmp", **written_places(spec)}
+    orders = ContainerOrders(
+        runtime=runtime,
+        image=str(image.root),
+        command=list(spec.command),
+        environment={**image.environment, **ROS_ENVIRONMENT, "HOME": _HOME, **spec.environment},
+        read={target: str(path) for target, path in read.items()},
+        written={target: str(path) for target, path in written.items()},
+    )
+    for source, target, _ in orders.mounts():
+        if not set(_SEPARATORS).isdisjoint(source + target):
+            raise StartFailed(f"{source} cannot be given to a container: its path has a colon or a comma", "rename it")
+    return orders
+
+
+def make_mount_points(orders: ContainerOrders) -> None:
+    """See that there is something to mount on: in the image, or in the folder that is mounted further out."""
+    places = {target: Path(source) for source, target, _ in orders.mounts()}
+    for place in (_DATASET, *orders.written):
+        if not places[place].exists():
+            places[place].mkdir(parents=True)
+    for target, source in places.items():
+        outer = [place for place in (_DATASET, *orders.written) if target.startswith(f"{place}/")]
+        above = max(outer, key=len, default="")
+        root = places.get(above, Path(orders.image))
+        make_mount_point(root, target.removeprefix(above), is_folder=source.is_dir())
+
+
+def container_shim_spec(spec: RunSpec, orders: ContainerOrders, context: ExecutorContext) -> ShimSpec:
+    """The orders for the supervisor; the node adds the command, since it knows its runtime."""
+    return replace(
+        orders_for_limits(spec, context),
+        folder=orders.written[_HOME],
+        readable=[orders.image, *orders.read.values()],
+        writable=list(orders.written.values()),
+        read_only=list(orders.read.values()),
+    )

@@ -1,0 +1,273 @@
+"""Runs algorithms as jobs of Slurm, on nodes that share the file system of the worker.
+
+A job starts the supervisor of the process executor on its node. What it writes into the work folder says how the run
+goes and how it ended. Slurm is asked for everything else, by the comment of the job: nothing is remembered here.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+from slamhive.clock import monotonic_s
+from slamhive.executors.base import (
+    Capabilities,
+    EngineUnavailable,
+    EvaluationPlace,
+    ExecutorContext,
+    Finding,
+    ImageMissing,
+    LiveKeys,
+    PackageNeed,
+    StartFailed,
+)
+from slamhive.executors.process.executor import ProcessExecutor, remove_work
+from slamhive.executors.process.exit_file import EXIT_FILE
+from slamhive.executors.process.paths import shim_spec_of
+from slamhive.executors.process.shim import IDENTITY_FILE
+from slamhive.executors.process.supervisors import KILL_WAIT_S, START_WAIT_S, read_exit, read_json, wait_until
+from slamhive.executors.slurm import command
+from slamhive.executors.slurm.job import ERRORS_FILE, comment_of, job_limits, job_options, job_script
+from slamhive.executors.slurm.node import USAGE_FILE, Place
+from slamhive.executors.slurm.survey import survey
+from slamhive.executors.spec import Limit, RunSpec
+from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
+
+_QUEUE_AGE_S = 1.0
+"""All runs of a worker share one look at the queue in this time."""
+_SHORT_AGE_S = 0.25
+"""The same while somebody waits for the end of a job."""
+
+
+class SlurmExecutor(ProcessExecutor):
+    """The executor ``slurm``. It has the environments of the process executor. Safe to share between threads."""
+
+    name = "slurm"
+    capabilities = Capabilities(
+        limits=frozenset({Limit.CORES, Limit.MEMORY, Limit.PROCESSES, Limit.DISK}),
+        needs=PackageNeed.ENVIRONMENT,
+        elsewhere=True,
+        evaluates_in=EvaluationPlace.PROCESS,
+    )
+
+    def __init__(self, context: ExecutorContext) -> None:
+        super().__init__(context)
+        self._options = command.read_options(context.slurm_options)
+        self._queue = Queue()
+
+    def unavailable_because(self) -> str | None:
+        """Why no job can be submitted; None if a controller answers."""
+        problem = super().unavailable_because()
+        try:
+            command.ping()
+        except (EngineUnavailable, StartFailed) as error:
+            return str(error)
+        return problem
+
+    def examine(self) -> list[Finding]:
+        """Which Slurm it is, and what is added to each job."""
+        options = " ".join(self._options) or "none"
+        return [Finding("version", command.version()), Finding("SLURM_OPTIONS", options)]
+
+    def examine_nodes(self) -> list[Finding]:
+        """What each node is, which container runtime it has, and why not the others."""
+        return survey(self._options, self._context.slurm_containers)
+
+    def start(self, spec: RunSpec) -> RunHandle:
+        """Submit a job unless there is one, and wait a little. Raises EngineUnavailable while it waits for a node."""
+        work = spec.work.resolve()
+        if not _begun(work):
+            self._submit(spec, work)
+            wait_until(lambda: _begun(work) or self._is_stuck(spec.key), START_WAIT_S)
+        identity = read_json(work / IDENTITY_FILE)
+        if identity is None:
+            raise self._why_not_started(spec, work)
+        place = Place.load(work)
+        data = {name: str(identity[name]) for name in ("pid", "birth", "started_at")}
+        data |= {"work": str(work), "key": spec.key, "timeout_s": str(spec.timeout_s)}
+        data |= {"node": place.node, "job": place.job}
+        protections = Protections(**identity["protections"])
+        container = f"a container of {place.runtime}, " if place.runtime else ""
+        where = f"{container}job {place.job} of Slurm on node {place.node}, {protections.held_by}"
+        return RunHandle(self.name, data, replace(protections, held_by=where), place.host)
+
+    def poll(self, handle: RunHandle) -> RunStatus:
+        """``exit.json`` says how the run ended. Without it, Slurm knows whether the job goes on or what ended it."""
+        exited = _exit_of(handle)
+        if exited is not None:
+            return exited
+        jobs = self._jobs(handle.data["key"])
+        if any(job.runs or job.waits for job in jobs):
+            return Running()
+        exited = _exit_of(handle)
+        if exited is not None:
+            return exited
+        if any("OUT_OF_MEMORY" in job.states for job in jobs):
+            return Exited(137, out_of_memory=True)
+        said = "; ".join(job.text for job in jobs) or "Slurm does not know the job any more"
+        return Gone(f"the job has ended, but its supervisor could not record how: {said}")
+
+    def stop(self, handle: RunHandle, grace_s: float) -> None:
+        """SIGTERM to all processes of the run, SIGKILL after ``grace_s``, and the end of the job."""
+        key, exit_file = handle.data["key"], Path(handle.data["work"]) / EXIT_FILE
+        self._queue.forget()  # another worker may have submitted the job just now
+        for name, patience_s in (("TERM", grace_s), ("USR1", KILL_WAIT_S)):
+            # A signal to a job that waits would never be answered.
+            jobs = [] if exit_file.exists() else [job for job in self._active(key) if job.runs]
+            for job in jobs:
+                command.send_signal(job, name)
+            if not jobs or wait_until(lambda: exit_file.exists() or not self._active(key), patience_s):
+                break
+        self._end_jobs(key)
+
+    def remove(self, handle: RunHandle) -> None:
+        """End the job and delete the work folder."""
+        self.stop(handle, 0.0)
+        remove_work(Path(handle.data["work"]))
+
+    def discard(self, spec: RunSpec) -> None:
+        """End the jobs of the key and delete the work folder."""
+        work = spec.work.resolve()
+        self.remove(RunHandle(self.name, {"key": spec.key, "work": str(work)}))
+
+    def sweep(self, live_keys: LiveKeys) -> list[str]:
+        """End the jobs of this installation whose runs are over, and remove the remains of environments."""
+        self._environments.sweep()
+        prefix = comment_of(self._context.installation, "")
+        found = [job for job in self._queue.jobs(0.0) if not job.over and job.comment.startswith(prefix)]
+        live = live_keys()
+        stale = [job for job in found if job.comment.removeprefix(prefix) not in live]
+        for job in stale:
+            command.cancel(job)
+        return [f"job {job.number}" for job in stale]
+
+    def usage_source(self, handle: RunHandle) -> UsageSource | None:
+        """What the job measures on its node; None if the run has ended."""
+        work = Path(handle.data["work"])
+        if not work.is_dir():
+            return None
+        wait_until(lambda: (work / USAGE_FILE).exists() or (work / EXIT_FILE).exists(), START_WAIT_S)
+        return NodeUsage(work) if not (work / EXIT_FILE).exists() else None
+
+    def _submit(self, spec: RunSpec, work: Path) -> None:
+        """Submit the job of the run unless Slurm has one. A second job would find the lock of the first and end."""
+        if any(not job.over for job in self._jobs(spec.key, 0.0)):
+            return
+        self._give_orders(replace(spec, limits=job_limits(spec.limits)), work)
+        command.submit(job_options(spec, self._context.installation, self._options), job_script(work))
+        self._queue.forget()
+
+    def _give_orders(self, spec: RunSpec, work: Path) -> None:
+        """Write into the work folder what the job starts. Raises ImageMissing."""
+        environment = self._environments.find(spec.package, spec.identity)
+        if not environment.ready:
+            raise ImageMissing(f"the environment {spec.identity} of {spec.package} is gone", "build it again")
+        shim_spec_of(spec, environment, work, self._context, None).save(work)
+
+    def _is_stuck(self, key: str) -> bool:
+        """Whether waiting longer for the job is of no use."""
+        jobs = self._jobs(key)
+        return all(job.over or job.never_starts for job in jobs)
+
+    def _why_not_started(self, spec: RunSpec, work: Path) -> EngineUnavailable | StartFailed:
+        jobs = self._jobs(spec.key, 0.0)
+        active = [job for job in jobs if not job.over]
+        said = "; ".join(job.text for job in active or jobs) or "Slurm does not know its job"
+        if any(job.never_starts for job in active):
+            return StartFailed(f"no node meets what run {spec.run_id} asks for: {said}", "compare it with sinfo -Nl")
+        if active:
+            return EngineUnavailable(f"run {spec.run_id} waits in Slurm: {said}", "see squeue")
+        return StartFailed(f"the job of run {spec.run_id} did not start: {said}{_last_line(work)}")
+
+    def _end_jobs(self, key: str) -> None:
+        """End what is left of the jobs, and wait until they are over."""
+        if any(job.runs for job in self._active(key)):
+            wait_until(lambda: not self._active(key), KILL_WAIT_S)
+        for job in self._active(key):
+            command.cancel(job)
+        if not wait_until(lambda: not self._active(key), START_WAIT_S):
+            raise EngineUnavailable(f"Slurm does not end the job of {key}", "see squeue")
+
+    def _active(self, key: str) -> list[command.Job]:
+        """The jobs of the key that wait or run now."""
+        return [job for job in self._jobs(key, _SHORT_AGE_S) if not job.over]
+
+    def _jobs(self, key: str, age_s: float = _QUEUE_AGE_S) -> list[command.Job]:
+        comment = comment_of(self._context.installation, key)
+        return [job for job in self._queue.jobs(age_s) if job.comment == comment]
+
+
+class Queue:
+    """The jobs that Slurm knows, read once for all who ask within a short time."""
+
+    def __init__(self, read: Callable[[], list[command.Job]] = command.list_jobs) -> None:
+        self._read = read
+        self._lock = threading.Lock()
+        self._jobs: list[command.Job] = []
+        self._read_at_s: float | None = None
+
+    def jobs(self, age_s: float) -> list[command.Job]:
+        """The jobs as they were at most ``age_s`` ago."""
+        with self._lock:
+            if self._read_at_s is None or monotonic_s() - self._read_at_s >= age_s:
+                begun_s = monotonic_s()
+                self._jobs = self._read()
+                self._read_at_s = begun_s
+            return self._jobs
+
+    def forget(self) -> None:
+        """What was read is known to be out of date."""
+        with self._lock:
+            self._read_at_s = None
+
+
+class NodeUsage:
+    """CPU and memory of a run as its job measures them."""
+
+    on_this_machine = False
+
+    def __init__(self, work: Path) -> None:
+        self._work = work
+        self._peak_bytes: int | None = None
+
+    def read(self) -> tuple[float, int] | None:
+        """CPU time (s) and memory (bytes); None once the run has ended."""
+        if (self._work / EXIT_FILE).exists():
+            return None
+        try:
+            content = json.loads((self._work / USAGE_FILE).read_text(encoding="ascii"))
+        except FileNotFoundError:
+            return None
+        self._peak_bytes = content["peak_bytes"]
+        return content["cpu_s"], content["memory_bytes"]
+
+    def peak_memory_bytes(self) -> int | None:
+        """As of the last reading."""
+        return self._peak_bytes
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+
+def _begun(work: Path) -> bool:
+    return (work / IDENTITY_FILE).exists()
+
+
+def _exit_of(handle: RunHandle) -> Exited | None:
+    """How the run ended. Slurm ends late runs by the signals that the supervisor knows, so the time says it."""
+    exited = read_exit(handle)
+    if exited is None or exited.started_at is None or exited.ended_at is None:
+        return exited
+    late = exited.ended_at - exited.started_at > timedelta(seconds=float(handle.data["timeout_s"]))
+    return replace(exited, timed_out=late and exited.exit_code in (137, 143))
+
+
+def _last_line(work: Path) -> str:
+    """What the job printed last, as the end of a message."""
+    errors = work / ERRORS_FILE
+    lines = errors.read_text(errors="replace").strip().splitlines() if errors.exists() else []
+    return f"; it printed: {lines[-1]}" if lines else ""

@@ -1,0 +1,71 @@
+"""What is submitted for a run: pure functions from its specification."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import slamhive
+from slamhive.executors.spec import Limits, RunSpec
+
+ERRORS_FILE = "shim-errors.txt"
+_SUPERVISOR_BYTES = 200_000_000
+"""Slurm counts the supervisor and the process that measures with the run."""
+_LATEST_END_S = 120.0
+"""The worker enforces the time limit. Slurm ends a run so much later if the worker is away."""
+
+
+def comment_of(installation: str, key: str) -> str:
+    """By this comment a job is found again."""
+    return f"slamhive:{installation}:{key}"
+
+
+def job_limits(limits: Limits) -> Limits:
+    """The limits that the supervisor on the node enforces.
+
+    Slurm chooses the cores. Numbers of cores of the controller's machine mean nothing there, but how many counts.
+    """
+    cores = limits.cpu_cores if limits.cpuset is None else float(len(limits.cpuset))
+    return replace(limits, cpuset=None, cpu_cores=cores)
+
+
+def job_options(spec: RunSpec, installation: str, options: Sequence[str]) -> list[str]:
+    """The arguments of ``sbatch``. ``options`` are those of the user."""
+    work, limits = spec.work.resolve(), job_limits(spec.limits)
+    chosen = [
+        f"--job-name=slamhive-{spec.run_id}",
+        f"--comment={comment_of(installation, spec.key)}",
+        f"--time={math.ceil((spec.timeout_s + _LATEST_END_S) / 60)}",
+        "--nodes=1",
+        "--ntasks=1",
+        "--no-requeue",
+        "--chdir=/",
+        f"--output={work / ERRORS_FILE}",
+        "--open-mode=append",
+    ]
+    if limits.cpu_cores is not None:
+        chosen.append(f"--cpus-per-task={math.ceil(limits.cpu_cores)}")
+    if limits.memory_bytes is not None:
+        chosen.append(f"--mem={math.ceil((limits.memory_bytes + _SUPERVISOR_BYTES) / 2**20)}M")
+    return [*chosen, *options]
+
+
+def job_script(work: Path) -> str:
+    """The script of the job. The supervisor takes the place of the shell, so that signals to the script reach it."""
+    folder = str(work.resolve())
+    return (
+        "#!/bin/sh\n"
+        # An orphan: what the supervisor's own children use is counted for the run.
+        f"({shlex.join(node_program('measure', folder))} &)\n"
+        f"exec {shlex.join(node_program('supervise', folder))}\n"
+    )
+
+
+def node_program(*arguments: str) -> list[str]:
+    """The command for :mod:`slamhive.executors.slurm.node` on a node."""
+    path = str(Path(slamhive.__file__).parent.parent)
+    return ["env", f"PYTHONPATH={path}", sys.executable, "-m", "slamhive.executors.slurm.node", *arguments]

@@ -1,0 +1,135 @@
+"""What a job starts on its node: ``python -m slamhive.executors.slurm.node (supervise|measure) <work folder>``.
+
+``... node report`` prints what the node has to offer, see :class:`NodeReport`.
+
+The supervisor is the one of the process executor, in the foreground: the job lasts as long as it does. Beside it, and
+outside of what counts for the run, a second process writes the usage of the run to ``usage.json`` ten times a second.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from slamhive.domain.host import Host
+from slamhive.executors.host import describe_host
+from slamhive.executors.process.shim import IDENTITY_FILE, supervise
+from slamhive.executors.process.shim_spec import ShimSpec
+from slamhive.executors.process.supervisors import (
+    START_WAIT_S,
+    containment_of,
+    read_json,
+    supervisor_of,
+    wait_until,
+)
+from slamhive.executors.process.tree_usage import ProcessTreeSource
+from slamhive.executors.slurm.runtimes import ContainerOrders, Tried, choose_runtime, command_of, try_runtimes
+from slamhive.executors.status import RunHandle, UsageSource
+from slamhive.files import write_aside
+
+USAGE_FILE = "usage.json"
+PLACE_FILE = "place.json"
+_INTERVAL_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a run takes place: the node, its job, and the container runtime with its version; empty for none."""
+
+    node: str
+    job: str
+    runtime: str
+    host: Host
+
+    @classmethod
+    def load(cls, work: Path) -> Place:
+        """Read what :func:`prepare` wrote into the work folder."""
+        content = json.loads((work / PLACE_FILE).read_text(encoding="utf-8"))
+        return cls(**{**content, "host": Host(**content["host"])})
+
+
+@dataclass(frozen=True, slots=True)
+class NodeReport:
+    """What a node is, and which container runtimes it has."""
+
+    node: str
+    host: Host
+    runtimes: list[Tried]
+
+    @classmethod
+    def loads(cls, text: str) -> NodeReport:
+        """Read what :func:`report` printed. Raises ValueError, KeyError or TypeError if it is something else."""
+        content = json.loads(text)
+        return cls(content["node"], Host(**content["host"]), [Tried(**entry) for entry in content["runtimes"]])
+
+
+def prepare(work: Path) -> None:
+    """Record where the run takes place, and complete the orders of a container. Without a runtime, end the process."""
+    orders, runtime = ContainerOrders.load(work), None
+    if orders is not None:
+        try:
+            runtime = choose_runtime(try_runtimes(orders.runtime))
+        except LookupError as reasons:
+            sys.exit(f"node {_node()} has no container runtime: {reasons}")
+        called = command_of(orders, runtime)
+        replace(ShimSpec.load(work), command=called.arguments, environment=called.environment).save(work)
+    text = "" if runtime is None else runtime.text
+    place = Place(_node(), os.environ.get("SLURM_JOB_ID", ""), text, describe_host())
+    write_aside(work / PLACE_FILE, json.dumps(asdict(place)))
+
+
+def report() -> None:
+    """Print what this node has to offer, as JSON."""
+    json.dump(asdict(NodeReport(_node(), describe_host(), list(try_runtimes()))), sys.stdout)
+
+
+def _node() -> str:
+    return os.environ.get("SLURMD_NODENAME") or platform.node()
+
+
+def measure(work: Path) -> None:
+    """Write CPU time (s), memory and peak (bytes) of the run until its supervisor ends."""
+    if not wait_until((work / IDENTITY_FILE).exists, START_WAIT_S):
+        return
+    identity = read_json(work / IDENTITY_FILE) or {}
+    data = {"pid": str(identity["pid"]), "birth": str(identity["birth"])}
+    data["containment"] = json.dumps(identity["containment"])
+    handle = RunHandle("", data)
+    supervisor = supervisor_of(handle)
+    if supervisor is None:
+        return
+    containment = containment_of(handle)
+    source: UsageSource = (None if containment is None else containment.usage()) or ProcessTreeSource(supervisor)
+    try:
+        while supervisor_of(handle) is not None and _write(work, source):
+            time.sleep(_INTERVAL_S)
+    except FileNotFoundError:
+        return  # the run was removed
+    finally:
+        source.close()
+
+
+def _write(work: Path, source: UsageSource) -> bool:
+    """Write one reading; False once the run is gone. It is not flushed to disk, because only the newest one counts."""
+    usage = source.read()
+    if usage is None:
+        return False
+    aside = work / f".{USAGE_FILE}"
+    content = {"cpu_s": usage[0], "memory_bytes": usage[1], "peak_bytes": source.peak_memory_bytes()}
+    aside.write_text(json.dumps(content), encoding="ascii")
+    aside.replace(work / USAGE_FILE)
+    return True
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "report":
+        report()
+    elif sys.argv[1] == "measure":
+        measure(Path(sys.argv[2]))
+    else:
+        supervise(Path(sys.argv[2]), prepare)

@@ -1,0 +1,212 @@
+"""Container runtimes that need no root: the command of each, and which of them a node has.
+
+All start the same folder. Charliecloud is tried in the tests; Apptainer and Podman are unverified.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from slamhive.executors.process import namespaces
+from slamhive.files import write_aside
+
+ORDERS_FILE = "container.json"
+AUTO, NONE = "auto", "none"
+_WORKING_FOLDER = "/tmp"  # noqa: S108 - in the container
+_NEEDED_ON_NODE = ("PATH", "USER", "HOME", "XDG_RUNTIME_DIR")
+_TIMEOUT_S = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerOrders:
+    """What to start in a container, whichever runtime does it.
+
+    Attributes:
+        runtime: The key of the runtime to use; ``auto`` for the first that the node has.
+        image: The folder with the files of the image.
+        command: Program and arguments in the container.
+        environment: All variables of the command.
+        read: {path in the container: path on the node} of what it must not change.
+        written: The same for what it may change.
+    """
+
+    runtime: str
+    image: str
+    command: list[str]
+    environment: dict[str, str]
+    read: dict[str, str]
+    written: dict[str, str]
+
+    def mounts(self) -> list[tuple[str, str, bool]]:
+        """(path on the node, path in the container, may be changed) of all files, outer folders first."""
+        places = {**self.read, **self.written}
+        return [(places[target], target, target in self.written) for target in sorted(places)]
+
+    def save(self, work: Path) -> None:
+        """Write into the work folder."""
+        write_aside(work / ORDERS_FILE, json.dumps(asdict(self)))
+
+    @classmethod
+    def load(cls, work: Path) -> ContainerOrders | None:
+        """Read from the work folder; None for a run without a container."""
+        try:
+            return cls(**json.loads((work / ORDERS_FILE).read_text(encoding="utf-8")))
+        except FileNotFoundError:
+            return None
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerCommand:
+    """A command, and what is added to the environment of the runtime itself."""
+
+    arguments: list[str]
+    environment: dict[str, str]
+
+
+def charliecloud(program: str, orders: ContainerOrders) -> ContainerCommand:
+    """``ch-run`` has no network of its own and mounts everything writable: the supervisor takes care of both."""
+    return ContainerCommand(
+        [
+            program,
+            "--unset-env=*",
+            "--env-no-expand",
+            *(f"--set-env={name}={value}" for name, value in orders.environment.items()),
+            "--private-tmp",
+            *(f"--bind={source}:{target}" for source, target, _ in orders.mounts()),
+            f"--cd={_WORKING_FOLDER}",
+            orders.image,
+            "--",
+            *orders.command,
+        ],
+        {},
+    )
+
+
+def apptainer(program: str, orders: ContainerOrders) -> ContainerCommand:
+    """``apptainer exec`` without its setuid helper. Variables pass through its environment, which knows no commas."""
+    return ContainerCommand(
+        [
+            program,
+            "exec",
+            "--userns",
+            "--containall",
+            "--no-home",
+            "--net",
+            "--network=none",
+            *(f"--bind={source}:{target}:{_rights(written)}" for source, target, written in orders.mounts()),
+            f"--pwd={_WORKING_FOLDER}",
+            orders.image,
+            *orders.command,
+        ],
+        {f"APPTAINERENV_{name}": value for name, value in orders.environment.items()},
+    )
+
+
+def podman(program: str, orders: ContainerOrders) -> ContainerCommand:
+    """``podman run`` in the control group of the supervisor, which therefore enforces the limits."""
+    return ContainerCommand(
+        [
+            program,
+            "run",
+            "--rm",
+            "--network=none",
+            "--cgroups=disabled",
+            "--log-driver=none",
+            "--cap-drop=all",
+            "--security-opt=no-new-privileges",
+            "--read-only",
+            "--userns=keep-id",
+            *(f"--env={name}={value}" for name, value in orders.environment.items()),
+            *(f"--volume={source}:{target}:{_rights(written)}" for source, target, written in orders.mounts()),
+            f"--workdir={_WORKING_FOLDER}",
+            "--rootfs",
+            orders.image,
+            *orders.command,
+        ],
+        {},
+    )
+
+
+def _rights(written: bool) -> str:
+    return "rw" if written else "ro"
+
+
+@dataclass(frozen=True, slots=True)
+class Runtime:
+    """A container runtime: its name in words, its program, and how it is called."""
+
+    label: str
+    program: str
+    command: Callable[[str, ContainerOrders], ContainerCommand]
+
+
+RUNTIMES = {
+    "charliecloud": Runtime("Charliecloud", "ch-run", charliecloud),
+    "apptainer": Runtime("Apptainer", "apptainer", apptainer),
+    "podman": Runtime("Podman", "podman", podman),
+}
+"""In the order of preference: what asks for least comes first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A runtime on this node: its version if it can be used, otherwise why not."""
+
+    key: str
+    version: str = ""
+    problem: str = ""
+
+    @property
+    def text(self) -> str:
+        """Name and version, or name and problem."""
+        label = RUNTIMES[self.key].label
+        return f"{label}: {self.problem}" if self.problem else f"{label} {self.version}"
+
+
+def try_runtimes(asked: str = AUTO) -> Iterator[Tried]:
+    """What the runtimes are on this node, one after the other: all, or the one that was asked for."""
+    refused = namespaces.refused_because()
+    return (_try(key, refused) for key in RUNTIMES if asked in (AUTO, key))
+
+
+def choose_runtime(tried: Iterable[Tried]) -> Tried:
+    """The first that can be used. Raises LookupError with the reasons why none can."""
+    problems = []
+    for entry in tried:
+        if not entry.problem:
+            return entry
+        problems.append(entry.text)
+    raise LookupError("; ".join(problems))
+
+
+def command_of(orders: ContainerOrders, runtime: Tried) -> ContainerCommand:
+    """What the supervisor starts on this node, with all variables of the runtime itself."""
+    found = RUNTIMES[runtime.key]
+    called = found.command(shutil.which(found.program) or found.program, orders)
+    inherited = {name: os.environ[name] for name in _NEEDED_ON_NODE if name in os.environ}
+    return ContainerCommand(called.arguments, {"USER": str(os.getuid()), **inherited, **called.environment})
+
+
+def _try(key: str, refused: str | None) -> Tried:
+    program = RUNTIMES[key].program
+    if shutil.which(program) is None:
+        return Tried(key, problem=f"there is no {program} in PATH")
+    if refused is not None:
+        return Tried(key, problem=f"it needs user namespaces, which this node refuses: {refused}")
+    environment = {"USER": str(os.getuid()), **os.environ}
+    try:
+        done = subprocess.run(
+            [program, "--version"], env=environment, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return Tried(key, problem=f"{program} --version failed: {error}")
+    said = (done.stdout + done.stderr).split()
+    if done.returncode or not said:
+        return Tried(key, problem=f"{program} --version failed: {' '.join(said)[:200]}")
+    return Tried(key, said[-1])

@@ -1,0 +1,151 @@
+"""A private Slurm in a folder: two nodes, bound to the loopback address. Starts in a second, as root only."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Self
+
+from tests.waiting import eventually
+
+PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "ch-run")
+NODES = ("one", "two")
+_CONFIGURATION = """
+ClusterName=tests
+SlurmctldHost={host}(127.0.0.1)
+SlurmctldPort={controller_port}
+AuthInfo=socket={folder}/munge/socket
+CommunicationParameters=NoCtldInAddrAny
+SlurmUser=root
+SlurmdUser=root
+StateSaveLocation={folder}/state
+SlurmdSpoolDir={folder}/spool-%n
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/slurmd-%n.pid
+SlurmctldLogFile={folder}/slurmctld.log
+SlurmdLogFile={folder}/slurmd-%n.log
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/affinity
+SwitchType=switch/none
+MpiDefault=none
+ReturnToService=2
+KillWait=2
+MessageTimeout=2
+SelectType=select/cons_tres
+SelectTypeParameters=CR_Core_Memory
+DefMemPerCPU=400
+SchedulerParameters=sched_interval=1,batch_sched_delay=0,bf_interval=1,sched_min_interval=0
+NodeName=one NodeHostname={host} NodeAddr=127.0.0.1 Port={first_port} CPUs={cores} RealMemory=4000 State=UNKNOWN
+NodeName=two NodeHostname={host} NodeAddr=127.0.0.1 Port={second_port} CPUs={cores} RealMemory=4000 State=UNKNOWN
+PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP
+"""
+
+
+def cannot_start_because() -> str | None:
+    """Why there can be no cluster on this machine; None if there can."""
+    if os.geteuid() != 0:
+        return "these tests start daemons of Slurm as root"
+    missing = [name for name in PROGRAMS if shutil.which(name, path=_path()) is None]
+    return f"no {', '.join(missing)}; apt-get install slurm-wlm munge charliecloud" if missing else None
+
+
+class Cluster:
+    """The daemons, which can be killed and started again."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        for name in ("munge", "state", *(f"spool-{node}" for node in NODES)):
+            (folder / name).mkdir(mode=0o700)
+        controller_port, first_port, second_port = _free_ports(3)
+        configuration = _CONFIGURATION.format(
+            folder=folder,
+            host=socket.gethostname().partition(".")[0],
+            controller_port=controller_port,
+            first_port=first_port,
+            second_port=second_port,
+            cores=os.cpu_count(),
+        )
+        (folder / "slurm.conf").write_text(configuration)
+        key = folder / "munge.key"
+        key.touch(mode=0o600)
+        key.write_bytes(os.urandom(1024))
+
+    @property
+    def variables(self) -> dict[str, str]:
+        """What the commands need to find it."""
+        return {"SLURM_CONF": str(self.folder / "slurm.conf"), "USER": "root"}
+
+    def start_controller(self) -> None:
+        """Start ``slurmctld``, with its jobs if it has any, and wait until it answers."""
+        self.run("slurmctld")
+        eventually(lambda: self.run("scontrol", "ping", check=False).returncode == 0, "the controller")
+
+    def start_node(self, node: str) -> None:
+        """Start a ``slurmd``, and wait until its node takes jobs."""
+        self.run("slurmd", "-N", node)
+        states = ("idle", "mixed", "allocated")
+        eventually(lambda: self.run("sinfo", "-h", "-n", node, "-o", "%T").stdout.strip() in states, f"node {node}")
+
+    def set_nodes(self, *changes: str) -> None:
+        """Change both nodes, as ``scontrol update`` does."""
+        self.run("scontrol", "update", f"nodename={','.join(NODES)}", *changes)
+
+    def wait_until_saved(self) -> None:
+        """Let the controller save the jobs as they are now: it does so within 5 s of each change.
+
+        A controller that is killed before forgets that a job has started, and ends it when it is back.
+        """
+        saved, now_s = self.folder / "state" / "job_state", time.time()
+        self.run("sbatch", "--hold", "--mem=1M", "--output=/dev/null", "--wrap=true")
+        eventually(lambda: saved.exists() and saved.stat().st_mtime > now_s, "the saved state of the controller")
+
+    def kill(self, daemon: str) -> None:
+        """SIGKILL; jobs go on."""
+        pid = int((self.folder / f"{daemon}.pid").read_text())
+        os.kill(pid, 9)
+        eventually(lambda: not _lives(pid), f"the end of {daemon}")
+
+    def run(self, *command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, **self.variables, "PATH": _path()}
+        return subprocess.run(command, env=environment, check=check, capture_output=True, text=True, timeout=60)
+
+    def __enter__(self) -> Self:
+        munge = self.folder / "munge"
+        files = {"socket": "socket", "pid-file": "munged.pid", "log-file": "log", "seed-file": "seed"}
+        options = [f"--{name}={munge / file}" for name, file in files.items()]
+        self.run("munged", "--force", "--num-threads=1", f"--key-file={self.folder / 'munge.key'}", *options)
+        self.start_controller()
+        for node in NODES:
+            self.start_node(node)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.run("scancel", "--user=root", check=False)
+        for file in (*(f"slurmd-{node}.pid" for node in NODES), "slurmctld.pid", "munge/munged.pid"):
+            with suppress(ProcessLookupError):  # a failed test has killed it
+                os.kill(int((self.folder / file).read_text()), 15)
+
+
+def _lives(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def _free_ports(count: int) -> list[int]:
+    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
+    ports = [int(entry.getsockname()[1]) for entry in sockets]
+    for entry in sockets:
+        entry.close()
+    return ports
+
+
+def _path() -> str:
+    """Daemons lie in folders that only root has in its path."""
+    return f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"

@@ -1,0 +1,108 @@
+"""Runs on a real Slurm whose parts are killed, and jobs that it cannot run."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from slamhive.executors.base import EngineUnavailable, StartFailed
+from slamhive.executors.registry import open_executor
+from slamhive.executors.slurm import command
+from slamhive.executors.slurm.executor import SlurmExecutor
+from slamhive.executors.spec import Limits
+from slamhive.executors.status import Gone, Running
+from tests.executors.conftest import wait_for_end
+from tests.executors.processes import processes_of
+from tests.executors.test_contract import RESULT
+from tests.waiting import eventually
+
+pytestmark = [pytest.mark.cluster, pytest.mark.parametrize("maker", ["slurm"], indirect=True)]
+
+
+UNTIL_TOLD = RESULT + (
+    "open(result / 'starts', 'a').write('x')\nwhile not (result / 'end').exists():\n    time.sleep(0.02)\n"
+)
+
+
+def test_runs_go_on_and_are_adopted_while_the_controller_and_the_node_daemon_are_away(bench, slurm_cluster):
+    spec, handle = bench.start(UNTIL_TOLD)
+    bench.wait_for(spec, handle, "starts")
+    slurm_cluster.wait_until_saved()
+    slurm_cluster.kill("slurmctld")
+    node = handle.data["node"]
+    slurm_cluster.kill(f"slurmd-{node}")
+    other = bench.again()
+    with pytest.raises(EngineUnavailable):
+        other.poll(handle)
+    assert "controller" in str(other.unavailable_because())
+    assert other.start(spec) == handle
+    slurm_cluster.start_controller()
+    slurm_cluster.start_node(node)
+    assert isinstance(bench.again().poll(handle), Running)
+    (bench.result(spec) / "end").touch()
+    assert wait_for_end(other, handle).exit_code == 0
+    assert (bench.result(spec) / "starts").read_text() == "x"
+
+
+def test_a_run_that_ended_while_the_controller_was_away(bench, slurm_cluster):
+    spec, handle = bench.start(UNTIL_TOLD)
+    slurm_cluster.wait_until_saved()
+    slurm_cluster.kill("slurmctld")
+    (bench.result(spec) / "end").touch()
+    eventually((spec.work / "exit.json").exists, "the end")
+    assert bench.executor.poll(handle).exit_code == 0
+    slurm_cluster.start_controller()
+
+
+def test_a_killed_supervisor_is_lost_and_leaves_nothing(bench):
+    spec, handle = bench.start(UNTIL_TOLD)
+    bench.wait_for(spec, handle, "starts")
+    os.kill(int(handle.data["pid"]), signal.SIGKILL)
+    eventually(lambda: not isinstance(bench.executor.poll(handle), Running), "the end of the job")
+    status = bench.executor.poll(handle)
+    assert isinstance(status, Gone)
+    assert "is FAILED" in status.why
+    eventually(lambda: not processes_of(handle), "the end of the run")
+
+
+def test_a_job_that_no_node_can_run(bench):
+    with pytest.raises(StartFailed, match="Memory specification can not be satisfied"):
+        bench.start(UNTIL_TOLD, Limits(memory_bytes=10**14))
+
+
+def test_a_job_that_waits_forever(bench):
+    spec = bench.spec(UNTIL_TOLD, Limits(cpu_cores=5000.0))
+    with pytest.raises(StartFailed, match=r"no node meets what run 1 asks for: job .* is PENDING"):
+        bench.executor.start(spec)
+    bench.executor.discard(spec)
+    assert not [job for job in command.list_jobs() if spec.key in job.comment and not job.over]
+
+
+def test_a_job_that_waits_for_its_turn_starts_later_and_once(bench, slurm_cluster, monkeypatch):
+    monkeypatch.setattr("slamhive.executors.slurm.executor.START_WAIT_S", 0.5)
+    slurm_cluster.set_nodes("state=drain", "reason=test")
+    spec = bench.spec(UNTIL_TOLD)
+    for _ in range(2):
+        with pytest.raises(EngineUnavailable, match=r"run 1 waits in Slurm: job .* is PENDING"):
+            bench.executor.start(spec)
+    slurm_cluster.set_nodes("state=resume")
+    eventually((spec.work / "shim.json").exists, "the start")
+    bench.handles.append(bench.executor.start(spec))
+    bench.wait_for(spec, bench.handles[0], "starts")
+    assert len([job for job in command.list_jobs() if spec.key in job.comment]) == 1
+
+
+def test_jobs_of_runs_that_are_over_are_swept(bench):
+    spec, handle = bench.start(UNTIL_TOLD)
+    assert bench.again().sweep(lambda: {spec.key}) == []
+    (swept,) = bench.again().sweep(set)
+    assert swept.startswith("job ")
+    eventually(lambda: not isinstance(bench.again().poll(handle), Running), "the end of the job")
+
+
+def test_doctor_findings(bench):
+    assert isinstance(bench.executor, SlurmExecutor)
+    assert open_executor("slurm", bench.context).unavailable_because() is None
+    assert [finding.name for finding in bench.executor.examine()] == ["version", "SLURM_OPTIONS", "SLURM_CONTAINERS"]

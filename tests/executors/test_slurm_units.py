@@ -1,0 +1,144 @@
+"""What is said to Slurm, and what its answers mean: outputs recorded from Slurm 22.05."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from slamhive.errors import InvalidInput
+from slamhive.executors.base import EngineUnavailable, StartFailed
+from slamhive.executors.slurm import command
+from slamhive.executors.slurm.command import Job, parse_jobs, read_options
+from slamhive.executors.slurm.executor import Queue
+from slamhive.executors.slurm.job import job_limits, job_options, job_script
+from slamhive.executors.spec import Limits, RunSpec
+
+OUTPUTS = Path(__file__).parent / "slurm_outputs"
+RECORDED = (OUTPUTS / "squeue-22.05.json").read_text()
+SPEC = RunSpec(
+    key="k1",
+    run_id=7,
+    package="kiss",
+    package_folder=Path("/packages/kiss"),
+    image="",
+    identity="",
+    command=("python3",),
+    inputs=(),
+    outputs=(),
+    environment={},
+    limits=Limits(cpu_cores=1.5, memory_bytes=1_000_000_000),
+    timeout_s=61.0,
+    work=Path("/data/runs/7/work"),
+)
+
+
+def test_recorded_jobs():
+    assert parse_jobs(RECORDED) == [
+        Job(1, "slamhive:abc", ("RUNNING",), "None", "vm"),
+        Job(2, "", ("PENDING",), "PartitionConfig", ""),
+        Job(3, "", ("FAILED",), "BadConstraints", ""),
+    ]
+    running, waiting, failed = parse_jobs(RECORDED)
+    assert (running.runs, running.over, running.text) == (True, False, "job 1 is RUNNING on vm")
+    assert (waiting.waits, waiting.never_starts) == (True, True)
+    assert failed.over
+    assert failed.text == "job 3 is FAILED (BadConstraints)"
+
+
+def test_states_as_a_list():
+    content = json.loads(RECORDED)
+    content["jobs"][0]["job_state"] = ["RUNNING", "COMPLETING"]
+    assert parse_jobs(json.dumps(content))[0].runs
+
+
+def test_an_empty_list_without_a_controller_is_no_answer():
+    with pytest.raises(EngineUnavailable, match="Failed while looking for jobs"):
+        parse_jobs((OUTPUTS / "squeue-22.05-controller-away.json").read_text())
+
+
+@pytest.mark.parametrize("text", ["", "JOBID PARTITION", "[]", "{}", '{"jobs": [{}]}', '{"jobs": null}'])
+def test_answers_of_another_kind(text):
+    with pytest.raises(EngineUnavailable, match="something unknown"):
+        parse_jobs(text)
+
+
+@pytest.mark.parametrize(
+    ("said", "kind", "part"),
+    [
+        ("squeue: unrecognized option '--json'\n", EngineUnavailable, "too old"),
+        (
+            "sbatch: error: Batch job submission failed: Unable to contact slurm controller (connect failure)\n",
+            EngineUnavailable,
+            "does not answer",
+        ),
+        ("sbatch: fatal: Could not establish a configuration source\n", EngineUnavailable, "no configuration"),
+        ("sbatch: error: invalid partition specified: nope\n", StartFailed, "refuses: invalid partition specified"),
+        ("", StartFailed, "says nothing"),
+    ],
+)
+def test_words_of_failing_commands(said, kind, part):
+    error = command._failure(said.partition(":")[0] or "sbatch", said)
+    assert type(error) is kind
+    assert part in str(error)
+
+
+def test_commands_that_are_not_there(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(EngineUnavailable, match="there is no sbatch on this machine; install"):
+        command.version()
+
+
+def test_options_of_the_user():
+    assert read_options("--partition=gpu --exclusive '--constraint=a&b'") == [
+        "--partition=gpu",
+        "--exclusive",
+        "--constraint=a&b",
+    ]
+
+
+@pytest.mark.parametrize("text", ["--wrap=reboot", "-p gpu", "--partition gpu", "--comment=x", "'--qos=x"])
+def test_options_that_the_user_may_not_give(text):
+    with pytest.raises(InvalidInput, match="SLURM_OPTIONS"):
+        read_options(text)
+
+
+def test_options_of_a_job():
+    options = job_options(SPEC, "home", ["--partition=gpu"])
+    assert "--comment=slamhive:home:k1" in options
+    assert "--time=4" in options
+    assert "--cpus-per-task=2" in options
+    assert "--mem=1145M" in options
+    assert "--no-requeue" in options
+    assert options[-1] == "--partition=gpu"
+
+
+def test_slurm_chooses_the_cores():
+    assert job_limits(Limits(cpuset=(2, 3))) == Limits(cpu_cores=2.0)
+    assert not [entry for entry in job_options(replace(SPEC, limits=Limits()), "home", []) if "cpus" in entry]
+
+
+def test_script_of_a_job():
+    lines = job_script(Path("/a folder")).splitlines()
+    assert lines[0] == "#!/bin/sh"
+    assert lines[-1].startswith("exec ")
+    assert lines[-1].endswith("supervise '/a folder'")
+
+
+def test_runs_share_a_look_at_the_queue():
+    looks: list[int] = []
+
+    def look() -> list[Job]:
+        looks.append(1)
+        return []
+
+    queue = Queue(look)
+    queue.jobs(60.0)
+    queue.jobs(60.0)
+    assert len(looks) == 1
+    queue.forget()
+    queue.jobs(60.0)
+    queue.jobs(0.0)
+    assert len(looks) == 3
