@@ -21,6 +21,9 @@ Array = arrays.Array
 REFERENCE = "reference"
 """The colour of ground truth: dark grey on white, light grey on black."""
 
+PRINT_FORMATS = ("pdf", "svg", "png")
+"""The file formats of :func:`slamhive.analysis.print_chart.print_chart`, whose module takes long to load."""
+
 
 @dataclass(frozen=True, slots=True)
 class Axis:

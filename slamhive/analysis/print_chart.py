@@ -18,7 +18,6 @@ from slamhive.analysis.chart import Array, Axis, Chart, FailedRuns
 from slamhive.analysis.density import thinned
 from slamhive.analysis.print_marks import draw_failed, draw_mark, plain
 
-FORMATS = ("pdf", "svg", "png")
 WIDTH_INCHES, HEIGHT_INCHES = 6.4, 4.2
 DOTS_PER_INCH = 200
 _LEGEND_MOST = 24

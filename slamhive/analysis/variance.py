@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import scipy  # loads scipy.sparse when it is first used
 from numpy.typing import NDArray
-from scipy import sparse
 
 Numbers = NDArray[np.float64]
 Codes = NDArray[np.intp]
@@ -94,7 +94,7 @@ class _Design:
         self.total = float(centred @ centred)
         self._joint = {term: _joint([codes[name] for name in term]) for term in terms}
         blocks = [_indicators(np.zeros(len(values), dtype=np.intp)), *map(_indicators, self._joint.values())]
-        matrix = sparse.hstack(blocks, format="csr")
+        matrix = scipy.sparse.hstack(blocks, format="csr")
         ends = np.cumsum([block.shape[1] for block in blocks])
         self._columns = dict(zip(terms, map(np.arange, ends[:-1], ends[1:]), strict=True))
         self._gram = (matrix.T @ matrix).toarray()
@@ -189,9 +189,9 @@ def _joint(codes: Sequence[Codes]) -> Codes:
     return joint
 
 
-def _indicators(codes: Codes) -> sparse.csr_array:
+def _indicators(codes: Codes) -> scipy.sparse.csr_array:
     """One column for each level, 1 where a value has that level."""
-    return sparse.csr_array((np.ones(len(codes)), (np.arange(len(codes)), codes)))
+    return scipy.sparse.csr_array((np.ones(len(codes)), (np.arange(len(codes)), codes)))
 
 
 def _nested(first: Codes, second: Codes) -> bool:

@@ -62,7 +62,8 @@ class AnalysisFiles:
 
     def _make(self, folder: AnalysisFolder, name: str, place: tuple[int, str] | None) -> bytes:
         # matplotlib, pandas and plotly take two seconds to load. No other page should wait for that.
-        from slamhive.analysis.print_chart import FORMATS, print_chart  # noqa: PLC0415
+        from slamhive.analysis.chart import PRINT_FORMATS  # noqa: PLC0415
+        from slamhive.analysis.print_chart import print_chart  # noqa: PLC0415
         from slamhive.analysis.report import Report  # noqa: PLC0415
         from slamhive.services.reports import report_page, table_file, zipped  # noqa: PLC0415
 
@@ -73,7 +74,7 @@ class AnalysisFiles:
         number, wanted = place
         plot = report.forms[number - 1]
         ending = name.rpartition(".")[2]
-        if ending in FORMATS:
+        if ending in PRINT_FORMATS:
             return print_chart(next(chart for chart in plot.charts if chart.key == wanted), ending)
         table = next(entry for entry in plot.tables if entry.key == wanted)
         return table_file(table, ending)

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.analysis_file import parse_analysis
-from slamhive.analysis.chart import Bars, Cells, FailedRuns, Line, Points
+from slamhive.analysis.chart import PRINT_FORMATS, Bars, Cells, FailedRuns, Line, Points
 from slamhive.analysis.colours import PALETTE, algorithm_colours
 from slamhive.analysis.plot_types import RunTrack
 from slamhive.analysis.plot_types.pareto import pareto_front
 from slamhive.analysis.plotly_chart import plotly_figure
-from slamhive.analysis.print_chart import FORMATS, print_chart
+from slamhive.analysis.print_chart import print_chart
 from slamhive.analysis.result import PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED as FAILED_COLUMN
 from slamhive.analysis.table import Column, ColumnKind
@@ -64,7 +64,7 @@ def test_every_form_draws_and_counts(form):
         assert "A run counts as failed if" in chart.caption
         figure = json.loads(json.dumps(plotly_figure(chart), allow_nan=False))
         assert figure["data"]
-    for file_format in FORMATS:
+    for file_format in PRINT_FORMATS:
         assert len(print_chart(result.charts[0], file_format)) > 1000
     assert any(table.raw and len(table.rows) for table in result.tables)
 
@@ -109,7 +109,7 @@ def test_protocols_are_never_mixed():
     assert mixed.protocol is None
 
 
-@pytest.mark.parametrize("file_format", FORMATS)
+@pytest.mark.parametrize("file_format", PRINT_FORMATS)
 def test_the_same_chart_gives_the_same_file(file_format: str):
     (chart,) = build("form: line, x: image_rate").charts
     assert len({print_chart(chart, file_format) for _ in range(8)}) == 1

@@ -14,8 +14,8 @@ import plotly
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from slamhive.analysis.chart import PRINT_FORMATS
 from slamhive.analysis.plotly_chart import plotly_figure
-from slamhive.analysis.print_chart import FORMATS, print_chart
 from slamhive.analysis.report import Plot, RawData, Report, ShownPlot, ShownTable
 from slamhive.analysis.result import ResultTable
 from slamhive.files import write_aside
@@ -30,16 +30,19 @@ Progress = Callable[[float, str], None]
 
 
 def report_files(
-    report: Report, project_root: Path, formats: Collection[str] = FORMATS, progress: Progress | None = None
+    report: Report, project_root: Path, formats: Collection[str] = PRINT_FORMATS, progress: Progress | None = None
 ) -> Iterator[tuple[str, bytes]]:
     """The files of a report, one at a time, each with its path in the folder.
 
     Args:
         report: From :func:`slamhive.services.reports.report.make_report`.
         project_root: The folder that contains the templates.
-        formats: Formats of plots for print, from :data:`slamhive.analysis.print_chart.FORMATS`.
+        formats: Formats of plots for print, from :data:`slamhive.analysis.chart.PRINT_FORMATS`.
         progress: Called with the fraction done and the title of the current plot.
     """
+    # Matplotlib takes a moment to load, which an analysis for the web need not wait for.
+    from slamhive.analysis.print_chart import print_chart  # noqa: PLC0415
+
     tell = progress or (lambda _share, _what: None)
     yield "analysis.yaml", report.source.encode()
     tell(0.0, PAGE)
@@ -58,7 +61,7 @@ def write_folder(
     report: Report,
     project_root: Path,
     folder: Path,
-    formats: Collection[str] = FORMATS,
+    formats: Collection[str] = PRINT_FORMATS,
     progress: Progress | None = None,
 ) -> list[Path]:
     """Write the report into ``folder``, each file atomically; returns the paths. Raises Unavailable."""
@@ -71,7 +74,7 @@ def write_folder(
     return written
 
 
-def zipped(report: Report, project_root: Path, formats: Collection[str] = FORMATS) -> bytes:
+def zipped(report: Report, project_root: Path, formats: Collection[str] = PRINT_FORMATS) -> bytes:
     """The report as a zip file; the same report gives the same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
