@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -19,9 +20,9 @@ while time.monotonic() < end_s:
 
 
 @contextmanager
-def busy_machine(per_core: int = 2) -> Iterator[None]:
+def busy_machine(per_core: float = 2) -> Iterator[None]:
     """So many busy processes for each core; they have begun when the block does, and end with it or after a minute."""
-    count = per_core * (os.cpu_count() or 1)
+    count = math.ceil(per_core * (os.cpu_count() or 1))
     burners = [subprocess.Popen([sys.executable, "-c", _BURN], stdout=subprocess.PIPE) for _ in range(count)]
     try:
         for burner in burners:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import pytest
 from _pytest.mark.expression import Expression
 
+from tests import durability
 from tests.shared_environments import SHARED_ENVIRONMENTS
 
 if TYPE_CHECKING:
@@ -30,6 +31,25 @@ TESTS = Path(__file__).parent
 NAMED_MARK = re.compile(r"(?:\bmark\.|\")(\w+)")
 IMPORTED = re.compile(r"^from tests\.([\w.]+) import", re.MULTILINE)
 PYTESTMARK = re.compile(r"^pytestmark = (\[[^\]]*\]|.*)", re.MULTILINE)
+
+
+LONGEST = (
+    "services/test_file_fuzz.py",
+    "web/test_web_fuzz.py",
+    "extend/test_extend_examples.py",
+    "services/test_unbreakable.py",
+    "services/test_worker_recovery.py",
+    "evaluation/test_hints.py",
+    "analysis/test_plot_types.py",
+    "services/analyses/test_stored_analyses.py",
+    "algorithms/test_real_algorithms.py",
+    "bags/test_room_dataset.py",
+    "evaluation/test_evo_agreement.py",
+    "executors/test_remote_run.py",
+    "services/test_early_ending.py",
+    "end_to_end/test_hostile_algorithms.py",
+)
+"""The files that take longest begin first, so that no worker is still busy with one when the others have ended."""
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -81,6 +101,17 @@ def read_names(file: Path) -> tuple[frozenset[str], tuple[Path, ...]]:
 def is_among(marks: set[str], name: str, /, **_: object) -> bool:
     """Whether a test with ``marks`` carries the one of that name."""
     return name in marks
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests of ``LONGEST`` first, in its order. Workers get whole files in the order of their tests."""
+    places = {TESTS / name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, len(places)))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Let integration tests go without fsync."""
+    durability.leave_out(item.get_closest_marker("integration") is not None)
 
 
 def pytest_configure(config: pytest.Config) -> None:

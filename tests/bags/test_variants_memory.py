@@ -32,17 +32,16 @@ folder = Path(sys.argv[1])
 size = {"width": 1504, "height": 960, "fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0}
 sensor = Sensor("cam0", SensorKind.CAMERA, "/cam0/image_raw", 20.0, calibration=size)
 steps = [VariantStep("rate", ("cam0",), {"every": 2}), VariantStep("resolution", ("cam0",), {"scale": 0.9})]
-(folder / "v").mkdir()
+made = folder / f"v{sys.argv[2]}"
+made.mkdir()
 source = Dataset("d", folder, sys.argv[3], 1.0, (sensor,), None, "sha256:" + 64 * "0")
-build_variant(source, steps[-int(sys.argv[2]):], folder / "v", lambda fraction, text: None)
+build_variant(source, steps[-int(sys.argv[2]):], made, lambda fraction, text: None)
 print(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1])
 """
 
 
-@pytest.mark.integration
 @pytest.mark.parametrize(("compression", "chunk"), [(None, 1 << 20), (None, 1 << 30), ("lz4", 1 << 20)])
-@pytest.mark.parametrize("steps", [1, 2])
-def test_memory_stays_below_its_bound(tmp_path: Path, compression: str | None, chunk: int, steps: int) -> None:
+def test_memory_stays_below_its_bound(tmp_path: Path, compression: str | None, chunk: int) -> None:
     writer = Writer(tmp_path / "d.bag")
     writer.chunk_threshold = chunk
     if compression is not None:
@@ -52,7 +51,8 @@ def test_memory_stays_below_its_bound(tmp_path: Path, compression: str | None, c
         for stamp_ns, content in images():
             writer.write(connection, stamp_ns, STORE.serialize_ros1(content, IMAGE))
     assert (tmp_path / "d.bag").stat().st_size > 500_000_000
-    assert peak_bytes(tmp_path, "d.bag", steps) < BOUND_BYTES
+    for steps in (1, 2):
+        assert peak_bytes(tmp_path, "d.bag", steps) < BOUND_BYTES
 
 
 @pytest.mark.parametrize("plugin", list(StoragePlugin))

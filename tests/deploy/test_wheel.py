@@ -35,7 +35,9 @@ def source(tmp_path_factory):
 def wheel(source, tmp_path_factory):
     """The wheel, built by way of the source distribution."""
     out = tmp_path_factory.mktemp("dist")
-    subprocess.run([sys.executable, "-m", "build", "--outdir", out, source], check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-m", "build", "--no-isolation", "--outdir", out, source], check=True, capture_output=True
+    )
     return next(out.glob("*.whl"))
 
 
@@ -63,9 +65,10 @@ def test_package_is_whole_with_migrations(source, wheel):
 
 def test_installed_copy_finds_its_folders(wheel, tmp_path):
     environment = tmp_path / "environment"
-    subprocess.run([sys.executable, "-m", "venv", environment], check=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", environment], check=True)
     python = environment / "bin" / "python"
-    subprocess.run([python, "-m", "pip", "install", "--no-deps", wheel], check=True, capture_output=True)
+    install = [sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", wheel]
+    subprocess.run(install, check=True, capture_output=True)
     code = "from slamhive.project import project_root; print(project_root())"
     found = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True, cwd=tmp_path)
     assert Path(found.stdout.strip()) == environment / "share" / "slamhive"

@@ -138,7 +138,7 @@ def test_killed_at_any_step_the_run_ends_once_and_well(far, agent, monkeypatch):
     monkeypatch.setattr(Evaluations, "work_once", lambda *_arguments, **_options: 0)
     submit(far)
     with killed_workers() as work:
-        steps = work(MOST_STEPS).steps
+        steps = work(MOST_STEPS).value
         assert steps > 20
         # Each call is two steps. After one call is as good as before the next, so every second step will do.
         for fatal_step in range(2, steps + 1, 2):

@@ -13,6 +13,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+from tests.forked_commands import Run
 from tests.shared_environments import share_environments
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -99,18 +100,19 @@ class Command:
     """``slamhive`` in a process of its own.
 
     Args:
+        carry_out: What :func:`tests.forked_commands.forked_commands` yields.
         root: The project folder.
         data: The data root.
-        plugins: The folder of installed plug-ins; None for none.
+        plugins: The folders of installed plug-ins.
     """
 
-    def __init__(self, root: Path, data: Path, plugins: Path | None, **settings: str) -> None:
-        paths = [str(CHECKOUT), *([] if plugins is None else [str(plugins)])]
+    def __init__(self, carry_out: Run, root: Path, data: Path, *plugins: Path, **settings: str) -> None:
+        self._carry_out = carry_out
         share_environments(data)
         own = {f"SLAMHIVE_{key.upper()}": value for key, value in settings.items()}
         self.environment = {
             **os.environ,
-            "PYTHONPATH": os.pathsep.join(paths),
+            "PYTHONPATH": os.pathsep.join(map(str, (CHECKOUT, *plugins))),
             "SLAMHIVE_ROOT": str(root),
             "SLAMHIVE_DATA": str(data),
             "SLAMHIVE_EXECUTOR": "process",
@@ -121,8 +123,7 @@ class Command:
 
     def run(self, *arguments: str, expected: int = 0) -> subprocess.CompletedProcess[str]:
         """Run one command to its end; it must end with the exit code ``expected``."""
-        command = [sys.executable, "-m", "slamhive", *arguments]
-        ended = subprocess.run(command, env=self.environment, cwd=CHECKOUT, capture_output=True, text=True, check=False)
+        ended = self._carry_out(arguments, self.environment)
         assert ended.returncode == expected, ended.stdout + ended.stderr
         return ended
 

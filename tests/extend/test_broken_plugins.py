@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.extend.plugin_packages import Command, install, write_wheel
+from tests.forked_commands import Run
 from tests.services.tiny_project import make_dataset, make_project
 
 pytestmark = pytest.mark.integration
@@ -85,7 +86,7 @@ def entry_points(group: str, **entries: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def broken(examples: Path, tmp_path_factory: pytest.TempPathFactory) -> Command:
+def broken(examples: Path, carry_out: Run, tmp_path_factory: pytest.TempPathFactory) -> Command:
     """A project with a run, where the good examples are installed and all kinds of broken plug-ins."""
     folder = tmp_path_factory.mktemp("broken")
     packages = [
@@ -113,9 +114,7 @@ def broken(examples: Path, tmp_path_factory: pytest.TempPathFactory) -> Command:
     make_dataset(folder / "data")
     installed = install(packages, folder / "installed")
     root = make_project(folder / "project")
-    command = Command(root, folder / "data", installed)
-    command.environment["PYTHONPATH"] += f":{examples}"
-    return command
+    return Command(carry_out, root, folder / "data", installed, examples)
 
 
 EXPECTED = {

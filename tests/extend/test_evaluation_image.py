@@ -10,6 +10,7 @@ import pytest
 from slamhive.evaluation.image_context import EvaluationContext
 from slamhive.evaluation.plugin_code import evaluator_code
 from tests.extend.plugin_packages import CHECKOUT, EXTEND, Command, install, write_package
+from tests.forked_commands import Run
 from tests.services.docker_base import run_docker
 from tests.services.tiny_project import make_dataset, make_project
 
@@ -90,17 +91,16 @@ def test_a_package_that_is_edited_in_place_is_found(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.docker
-def test_an_evaluator_works_in_the_image(examples: Path, tmp_path: Path, base_image: str):
+def test_an_evaluator_works_in_the_image(examples: Path, carry_out: Run, tmp_path: Path, base_image: str):
     packages = [needy(tmp_path, "needy", "tabulate"), needy(tmp_path, "hopeless", "toolz>=999")]
     installed = install(packages, tmp_path / "installed")
     root = make_project(tmp_path / "project")
     (root / "docker").symlink_to(CHECKOUT / "docker")
     make_dataset(tmp_path / "data")
-    Command(root, tmp_path / "data", None).run(
+    Command(carry_out, root, tmp_path / "data").run(
         "run", "tiny", "track", "--set", "seconds=0.01", "--no-evaluate", "--wait"
     )
-    command = Command(root, tmp_path / "data", examples, executor="docker")
-    command.environment["PYTHONPATH"] += f":{installed}"
+    command = Command(carry_out, root, tmp_path / "data", examples, installed, executor="docker")
     before = tags()
     try:
         told = command.run("evaluate", "1")

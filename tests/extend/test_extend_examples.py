@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from tests.extend.plugin_packages import CHECKOUT, EXTEND, Command
+from tests.forked_commands import Run
 from tests.services.tiny_project import make_dataset, make_project
 from tests.waiting import PATIENCE_S
 
@@ -39,11 +40,11 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def evaluated(root: Path, examples: Path, tmp_path_factory: pytest.TempPathFactory) -> Command:
+def evaluated(root: Path, examples: Path, carry_out: Run, tmp_path_factory: pytest.TempPathFactory) -> Command:
     """One run that was evaluated with the plug-ins, and one that failed."""
     data = tmp_path_factory.mktemp("data")
     make_dataset(data)
-    command = Command(root, data, examples)
+    command = Command(carry_out, root, data, examples)
     command.run("run", "tiny", "track", "--set", "seconds=0.01", "--wait")
     command.run("run", "tiny", "track", "--set", "seconds=0.01", "--set", "behaviour=crash", "--wait", expected=1)
     return command
@@ -128,11 +129,11 @@ def test_a_metric_is_computed_listed_and_searched(evaluated: Command):
 
 
 def test_a_metric_survives_an_archive_with_and_without_its_plugin(
-    evaluated: Command, root: Path, examples: Path, tmp_path: Path
+    evaluated: Command, root: Path, examples: Path, carry_out: Run, tmp_path: Path
 ):
     evaluated.run("archive", "export", str(tmp_path / "all.zip"), "--all")
-    for plugins, unit, label in ((examples, "m/s³", "Jerk RMS"), (None, None, KEY)):
-        copy = Command(root, tmp_path / f"copy-{label}", plugins)
+    for plugins, unit, label in (((examples,), "m/s³", "Jerk RMS"), ((), None, KEY)):
+        copy = Command(carry_out, root, tmp_path / f"copy-{label}", *plugins)
         copy.run("archive", "import", str(tmp_path / "all.zip"))
         metrics = copy.json("runs", "show", "1")["metrics"]
         assert metrics[KEY] == {**evaluated.json("runs", "show", "1")["metrics"][KEY], "unit": unit}
@@ -199,7 +200,7 @@ def test_an_exporter_exports_a_step_makes_a_variant_and_an_algorithm_runs_on_it(
     assert errors_m[0] < 0.2 < errors_m[1]
 
 
-def test_a_page_is_in_the_menu_and_keeps_the_rules(evaluated: Command):
+def test_a_page_is_in_the_menu_and_keeps_the_rules(evaluated: Command, root: Path, examples: Path, carry_out: Run):
     with serving(evaluated) as address:
         assert '<a href="/failures/">Failures</a>' in get(address)
         opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(http.cookiejar.CookieJar()))
@@ -210,12 +211,8 @@ def test_a_page_is_in_the_menu_and_keeps_the_rules(evaluated: Command):
         token = re.findall(r'name="csrf_token" value="([^"]+)"', page)[0]
         form = urllib.parse.urlencode({"csrf_token": token, "run": 2}).encode()
         assert "waits for a worker" in opener.open(f"{address}/failures/again", data=form).read().decode()
-    viewing = Command(
-        Path(evaluated.environment["SLAMHIVE_ROOT"]),
-        Path(evaluated.environment["SLAMHIVE_DATA"]),
-        Path(evaluated.environment["PYTHONPATH"].split(":")[1]),
-        mode="view-only",
-    )
+    data = Path(evaluated.environment["SLAMHIVE_DATA"])
+    viewing = Command(carry_out, root, data, examples, mode="view-only")
     with serving(viewing) as address:
         assert "Start again" not in get(f"{address}/failures/")
         with pytest.raises(urllib.error.HTTPError, match="403"):

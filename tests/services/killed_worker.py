@@ -2,29 +2,22 @@
 
 Every write to the database and to the record, and every call of the executor, is two steps: before and after.
 
-Run as a program, it reads one N from each line. Each worker is a process of its own, forked from this one, which
-imports what the first one has used: importing takes longer than the work. A line with its exit code (-9: step N was
-reached) and the number of its steps, 0 if it was killed, answers each N.
+Run as a program, it answers each line with an N by the number of steps of a worker, see :mod:`tests.forking`.
 """
 
 from __future__ import annotations
 
-import contextlib
-import importlib
 import os
 import signal
-import subprocess
-import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluations.service import Evaluations
 from slamhive.services.hive import open_hive
 from slamhive.store import Store
+from tests.forking import Ended, forked, serve
 
 
 class Countdown:
@@ -67,60 +60,15 @@ def work(fatal_step: int) -> int:
     return countdown.step
 
 
-def serve(work: Callable[[int], int]) -> None:
-    """Answer each line of standard input. ``work`` gets the fatal step and returns the number of its steps."""
-    for line in sys.stdin:
-        reading, writing = os.pipe()
-        child = os.fork()
-        if child == 0:
-            with os.fdopen(writing, "w") as report:
-                report.write(" ".join((str(work(int(line))), *sys.modules)))
-            os._exit(0)
-        os.close(writing)
-        with os.fdopen(reading) as report:
-            steps, *modules = report.read().split() or ("0",)
-        _, status = os.waitpid(child, 0)
-        sys.stdout.write(f"{os.waitstatus_to_exitcode(status)} {steps}\n")
-        sys.stdout.flush()
-        for name in modules:
-            with contextlib.suppress(ImportError):  # some modules have names that cannot be imported
-                importlib.import_module(name)
-
-
-@dataclass(frozen=True)
-class Ended:
-    """How a worker ended; ``errors`` is what all workers have written to standard error so far."""
-
-    returncode: int
-    steps: int
-    errors: str
-
-
 @contextmanager
 def killed_workers(script: str = __file__, *arguments: str) -> Iterator[Callable[[int], Ended]]:
     """Yields what runs one worker up to a step. The environment of this moment says on which data root.
 
-    ``script`` is a program that calls :func:`serve`.
+    ``script`` is a program that calls :func:`tests.forking.serve`.
     """
-    with tempfile.TemporaryFile("w+") as errors:
-        program = [sys.executable, script, *arguments]
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors, "text": True}
-        with subprocess.Popen(program, env=dict(os.environ), **pipes) as server:  # type: ignore[call-overload]
-
-            def run(fatal_step: int) -> Ended:
-                server.stdin.write(f"{fatal_step}\n")
-                server.stdin.flush()
-                answer = server.stdout.readline().split()
-                errors.seek(0)
-                said = errors.read()
-                assert len(answer) == 2, said
-                return Ended(int(answer[0]), int(answer[1]), said)
-
-            try:
-                yield run
-            finally:
-                server.kill()
+    with forked(script, *arguments) as run:
+        yield lambda fatal_step: run(str(fatal_step))
 
 
 if __name__ == "__main__":
-    serve(work)
+    serve(lambda line: work(int(line)))

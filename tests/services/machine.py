@@ -57,13 +57,15 @@ class Machine:
         self.database = database
         self._containers = containers
         self._workers: list[int] = []
-        self._nursery = subprocess.Popen(
-            [sys.executable, str(NURSERY), str(log)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=CHECKOUT, env={**os.environ},
-        )  # fmt: skip
+        self._nursery: subprocess.Popen[str] | None = None
 
     def start_worker(self, **options: Any) -> int:
         """Start a worker; its pid. ``options``: settings, ``until_idle``, and ``host``, the name of its machine."""
+        if self._nursery is None:
+            self._nursery = subprocess.Popen(
+                [sys.executable, str(NURSERY), str(self.log)],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=CHECKOUT, env={**os.environ},
+            )  # fmt: skip
         assert self._nursery.stdin is not None
         assert self._nursery.stdout is not None
         self._nursery.stdin.write(json.dumps(options) + "\n")
@@ -126,6 +128,8 @@ class Machine:
     def close(self) -> None:
         """End everything."""
         self.die()
+        if self._nursery is None:
+            return
         self._nursery.kill()
         self._nursery.wait()
         for stream in (self._nursery.stdin, self._nursery.stdout):
@@ -133,7 +137,7 @@ class Machine:
                 stream.close()
 
     def _own(self) -> Iterator[int]:
-        spared = {os.getpid(), os.getppid(), self._nursery.pid, self.database and self.database.pid}
+        spared = {os.getpid(), os.getppid(), self._nursery and self._nursery.pid, self.database and self.database.pid}
         name = str(self.data)
         for process in psutil.process_iter():
             if process.pid in spared:

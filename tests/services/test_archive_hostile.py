@@ -174,8 +174,8 @@ def in_bag(name: str) -> str:
     return f"a/{name if name in TAGS else PAYLOAD + name}"
 
 
-def rewritten(path: Path, members: Members) -> Path:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+def rewritten(path: Path, members: Members, compression: int = zipfile.ZIP_DEFLATED) -> Path:
+    with zipfile.ZipFile(path, "w", compression) as file:
         for name, data in members.items():
             file.writestr(in_bag(name), data)
     return path

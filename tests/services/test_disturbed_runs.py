@@ -138,7 +138,7 @@ def test_a_record_without_it_is_unknown(hive: Hive, tmp_path: Path) -> None:
 
 
 def test_a_real_run_under_real_load_is_disturbed(hive: Hive) -> None:
-    with busy_machine():
+    with busy_machine(per_core=0.5):
         (run,) = hive.runs.submit(Submission("tiny", "track", parameters={"seconds": 3.5}, evaluate=False))
         hive.worker().run(until_idle=True)
     ended = hive.runs.get(run.id)

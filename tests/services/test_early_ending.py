@@ -202,7 +202,7 @@ def test_killed_at_any_step_around_the_stop_the_reason_stays(hive):
         assert undisturbed.returncode == 0, undisturbed.errors
         assert hive.runs.get(warm_up.id).reason is FailureReason.LOST_TRACKING
         # "After one" and "before the next" are the same moment, so every other step meets all of them.
-        for fatal_step in range(undisturbed.steps - 18, undisturbed.steps + 1, 2):
+        for fatal_step in range(undisturbed.value - 18, undisturbed.value + 1, 2):
             (run,) = hive.runs.submit(asked)
             killed = work(fatal_step)
             assert killed.returncode in (-signal.SIGKILL, 0), killed.errors

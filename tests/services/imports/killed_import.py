@@ -5,7 +5,6 @@ Run as ``python killed_import.py SOURCE``; it answers each line with an N as :mo
 
 from __future__ import annotations
 
-import functools
 import sys
 from pathlib import Path
 
@@ -14,7 +13,8 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.hive import open_hive
 from slamhive.services.imports.request import ImportRequest
 from slamhive.store import Store
-from tests.services.killed_worker import Countdown, serve
+from tests.forking import serve
+from tests.services.killed_worker import Countdown
 
 
 def import_source(source: Path, fatal_step: int) -> int:
@@ -30,4 +30,4 @@ def import_source(source: Path, fatal_step: int) -> int:
 
 
 if __name__ == "__main__":
-    serve(functools.partial(import_source, Path(sys.argv[1])))
+    serve(lambda line: import_source(Path(sys.argv[1]), int(line)))
