@@ -184,13 +184,13 @@ def check(cli: CliContext, /, baseline_name: str, as_json: bool, **options: Any)
         raise InvalidInput("name the runs to check by --where, or start them by --run: one of the two")
     if options["budget"] is not None and not options["algorithms"]:
         raise InvalidInput("--budget is for runs that the check starts", "give --run, or leave it out")
+    for path in (options["markdown"], options["junit"]):
+        if path is not None and not path.parent.is_dir():
+            raise InvalidInput(f"folder {path.parent} does not exist", "make it first")
     prepared = hive.gates.prepare(baseline_name, options["margins"], options["ignored"], partial=options["partial"])
     answer = _of_new(hive, prepared, options) if options["algorithms"] else _of_existing(hive, prepared, options)
+    print_json(answer.content) if as_json else _print(answer)
     _write(answer, options["markdown"], options["junit"])
-    if as_json:
-        print_json(answer.content)
-    else:
-        _print(answer)
     raise click.exceptions.Exit(EXIT_CODES[answer.answer])
 
 

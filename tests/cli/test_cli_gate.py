@@ -115,6 +115,7 @@ def test_a_baseline_is_removed(data: Path):
         (("check", "main", "--where", "id >"), "the filter has its end where a value belongs"),
         (("check", "main", "--where", "id > 8", "--margin", "ate.rmse=much"), "margin 'much' of ate.rmse"),
         (("check", "main", "--run", "eye-slam-stereo", "--budget", "much"), "budget 'much' is not clear"),
+        (("check", "main", "--where", "id > 8", "--junit", "/none/gate.xml"), "folder /none does not exist"),
         (("check", "none.json", "--where", "id > 8"), "none.json does not exist"),
         (("check", "main", "--nonsense"), "No such option"),
         (("--nonsense",), "No such option"),

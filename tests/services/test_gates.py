@@ -11,16 +11,19 @@ import pytest
 from slamhive.domain.configuration import Playback
 from slamhive.domain.gate import FAILURES, Answer, Budget
 from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.run import RunState
 from slamhive.domain.verdict import VerdictKind
-from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound
+from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, Unavailable
 from slamhive.schema.gate import Baseline, BaselineConfiguration, GateAnswer
 from slamhive.schema.record import ConfigurationContent
+from slamhive.schema.submission import Submission
 from slamhive.services.gates import Gates, Repeats, answer_junit, answer_markdown, repeat_until_decided
 from slamhive.services.gates.pairing import find_pair, pairing_key
 from slamhive.services.gates.service import Rerun
 from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
 from slamhive.settings import Mode
+from slamhive.store import RunRecord
 from tests.services.gate_world import add_failed, add_good, errors_m, finish
 from tests.web import web_world as world
 
@@ -240,9 +243,9 @@ class Started(Gates):
         self._hive = hive
         self._errors = iter(errors)
 
-    def start(self, rerun: Rerun, repeats: int, seed: int) -> list[int]:
+    def start(self, reruns: Sequence[Rerun], repeats: int, seed: int) -> list[int]:
         self.asked.append((repeats, seed))
-        return world.add_runs(self._hive, repeats)
+        return world.add_runs(self._hive, repeats * len(reruns))
 
     def work(self, run_ids: Sequence[int]) -> None:
         for run_id in run_ids:
@@ -283,6 +286,22 @@ def test_a_budget_that_is_too_small_is_refused_before_anything_runs(hive: Hive):
     with pytest.raises(InvalidInput, match="named with two versions"):
         gates.reruns(gates.prepare("main"), ["eye-slam-stereo@1", "eye-slam-stereo@2"])
     assert gates.asked == []
+
+
+def test_runs_are_cancelled_if_not_all_can_be_queued(hive: Hive, monkeypatch: pytest.MonkeyPatch):
+    queued: list[int] = []
+
+    def submit(submission: Submission, _protocol: Protocol) -> tuple[RunRecord, ...]:
+        if queued:
+            raise Unavailable("the disk is full")
+        queued.extend(world.add_runs(hive, submission.repeat))
+        return tuple(map(hive.runs.get, queued))
+
+    monkeypatch.setattr(hive.runs, "submit", submit)
+    (rerun,) = hive.gates.reruns(hive.gates.prepare("main"), ["eye-slam-stereo"])
+    with pytest.raises(Unavailable, match="the disk is full"):
+        hive.gates.start([rerun, rerun], 2, 0)
+    assert [hive.runs.get(run_id).state for run_id in queued] == [RunState.CANCELLED] * 2
 
 
 def content(**changes: object) -> ConfigurationContent:

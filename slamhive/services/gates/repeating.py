@@ -62,7 +62,7 @@ def repeat_until_decided(
     run_ids: list[int] = []
     done, more, look = 0, repeats.first, 0
     while True:
-        new = [run_id for rerun in reruns for run_id in gates.start(rerun, more, done)]
+        new = gates.start(reruns, more, done)
         work(new)
         run_ids += new
         done += more

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from slamhive.domain.gate import SIGNIFICANCE, chosen_margins
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.versions import split_version
-from slamhive.errors import InvalidInput, unknown
+from slamhive.errors import InvalidInput, SlamHiveError, unknown
 from slamhive.schema.gate import BaselineConfiguration, GateAnswer
 from slamhive.schema.submission import Submission
 from slamhive.services.gates.baselines import Baselines
@@ -127,10 +127,18 @@ class Gates:
                 found.append(Rerun(held, submission))
         return found
 
-    def start(self, rerun: Rerun, repeats: int, seed: int) -> list[int]:
-        """Queue ``repeats`` runs of a configuration of the baseline, to be evaluated as it was; their numbers."""
-        submission = replace(rerun.submission, repeat=repeats, seed=seed)
-        return [run.id for run in self._runs.submit(submission, rerun.held.protocol)]
+    def start(self, reruns: Sequence[Rerun], repeats: int, seed: int) -> list[int]:
+        """Queue ``repeats`` runs of each, to be evaluated as the baseline was: all or none. Returns their numbers."""
+        queued: list[int] = []
+        try:
+            for rerun in reruns:
+                submission = replace(rerun.submission, repeat=repeats, seed=seed)
+                queued += [run.id for run in self._runs.submit(submission, rerun.held.protocol)]
+        except SlamHiveError:
+            for run_id in queued:
+                self._runs.cancel(run_id)
+            raise
+        return queued
 
     def _submission(
         self, check: GateCheck, held: BaselineConfiguration, algorithm: str, executor: str | None
