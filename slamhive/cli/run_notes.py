@@ -30,9 +30,10 @@ def tag(
     cli: CliContext, run_ids: tuple[int, ...], add: tuple[str, ...], remove: tuple[str, ...], as_json: bool
 ) -> None:
     """Add tags to runs, or remove them. Filters find them: tag = paper."""
+    hive = cli.hive()
     if not add and not remove:
         raise InvalidInput("no tag is named", "use --add TAG or --remove TAG")
-    _show(cli.hive().notes.change(run_ids, NotesChange(add=add, remove=remove)), as_json=as_json)
+    _show(hive.notes.change(run_ids, NotesChange(add=add, remove=remove)), as_json=as_json)
 
 
 def _show(changed: dict[int, RunNotes], *, as_json: bool) -> None:

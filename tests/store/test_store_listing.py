@@ -154,7 +154,7 @@ def test_a_long_page_takes_no_more_queries_than_a_short_one(store: Store, sample
         assert len(page.records) == limit
         counts.append(sum(statement.startswith("SELECT") for statement in statements))
     event.remove(store.engine, "before_cursor_execute", note)
-    assert counts == [7, 7]
+    assert counts == [9, 9]
 
 
 def test_many_by_id_keep_their_order(store: Store, samples: Samples) -> None:
