@@ -74,7 +74,7 @@ class Tier:
     """One tier: what must be there first, the commands, or the pytest marks that select its tests.
 
     ``limit_s`` is the time it may take if each of its workers has a core. It fails if it uses more CPU time than that,
-    and warns if it takes longer although no other tier runs. Tests of a tier without ``engine`` see no Docker engine,
+    and warns if it only takes longer. Tests of a tier without ``engine`` see no Docker engine,
     so that they behave the same on every machine. Tiers that follow each other in the list and name the same ``group``
     run together. Tiers that take very long run if they are named (``asked_only``).
     """
@@ -131,7 +131,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         ),
         Tier("imports", ((str(BIN / "lint-imports"),),), group="static"),
         Tier("docs", (with_site,), group="static"),
-        Tier("unit", marks=f"not quick and {PLAIN}", workers=2, limit_s=UNIT_LIMIT_S, group="static"),
+        Tier("unit", marks=f"not quick and {PLAIN}", workers=2, limit_s=UNIT_LIMIT_S),
         Tier("quick", marks=f"quick and {PLAIN}", workers=2, limit_s=QUICK_LIMIT_S),
         Tier(
             "integration",
@@ -176,7 +176,7 @@ def run_group(tiers: Sequence[Tier]) -> dict[str, Outcome]:
     for tier in tiers:
         outcome = outcomes[tier.name]
         if tier.limit_s is not None and outcome.state == "passed":
-            check_time(tier, outcome, tier.limit_s, alone=len(tiers) == 1)
+            check_time(tier, outcome, tier.limit_s)
         outcome.note = outcome.note or notes.get(tier.name, "")
     return outcomes
 
@@ -221,13 +221,13 @@ def run_measured(command: Sequence[str], environment: Mapping[str, str], output:
     return process.returncode, usage.ru_utime + usage.ru_stime
 
 
-def check_time(tier: Tier, outcome: Outcome, limit_s: float, *, alone: bool) -> None:
-    """Fail a tier that uses too much CPU time; note one that takes long for another reason, if it was ``alone``."""
+def check_time(tier: Tier, outcome: Outcome, limit_s: float) -> None:
+    """Fail a tier that uses too much CPU time; note one that takes long for another reason."""
     cpu_limit_s = limit_s * max(1, tier.workers)
     if outcome.cpu_s > cpu_limit_s:
         outcome.state = "failed"
         outcome.note = f"used {outcome.cpu_s:.1f} s of CPU time, must stay under {cpu_limit_s:g} s"
-    elif alone and outcome.seconds > limit_s:
+    elif outcome.seconds > limit_s:
         outcome.note = f"WARNING: took longer than {limit_s:g} s with {outcome.cpu_s:.1f} s of CPU time"
 
 

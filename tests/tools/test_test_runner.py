@@ -76,13 +76,6 @@ def test_a_busy_machine_fails_no_tier_but_slow_tests_do(runner, monkeypatch, sec
     assert (outcome.state, outcome.note) == (state, note)
 
 
-def test_tiers_that_share_the_cores_are_not_said_to_be_slow(runner, monkeypatch):
-    slow = runner.Outcome(passed=1, seconds=40.0, cpu_s=17.0)
-    monkeypatch.setattr(runner, "run_timed", lambda tier, output=None: slow)
-    tiers = [runner.Tier(name, marks="x", workers=2, limit_s=10.0) for name in ("one", "two")]
-    assert {outcome.note for outcome in runner.run_group(tiers).values()} == {""}
-
-
 def test_compiled_modules_are_kept(runner, monkeypatch):
     monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
     asked = (sys.executable, "-c", "import sys; sys.exit(sys.dont_write_bytecode)")
