@@ -32,7 +32,7 @@
       showTips: false,
     });
     if ("time" in place.dataset) linkTime(place);
-    place.setAttribute("role", "img");
+    place.setAttribute("role", "group");
     place.setAttribute("aria-label", document.querySelector(`[data-caption="${key}"]`)?.textContent || key);
   }
 

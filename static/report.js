@@ -2,8 +2,11 @@
 // figures.js, which draws the plots of runs and datasets, takes its colours from here.
 "use strict";
 (() => {
+  const PAPER_PX = 680;
+  const MOST_COLOURS = 1000;
   const preferred = window.matchMedia("(prefers-color-scheme: dark)");
-  const dark = () => (document.documentElement.dataset.bsTheme || (preferred.matches ? "dark" : "light")) === "dark";
+  let onPaper = false;
+  const dark = () => !onPaper && (document.documentElement.dataset.bsTheme || (preferred.matches ? "dark" : "light")) === "dark";
   const inks = () => dark()
     ? { text: "#d7dbe0", grid: "#3a4047", truth: "#c3c9d0", modebar: "#7b838c" }
     : { text: "#2b3035", grid: "#e3e6ea", truth: "#3d4247", modebar: "#9aa1a8" };
@@ -16,10 +19,19 @@
     return { ...(line ? { line } : {}), ...(marker ? { marker } : {}) };
   }
 
+  /** A copy of a trace in which each colour is replaced by the one in the map; big arrays are kept. */
+  function recoloured(part, colours) {
+    if (typeof part === "string") return colours[part] || part;
+    if (Array.isArray(part)) return part.length > MOST_COLOURS ? part : part.map((entry) => recoloured(entry, colours));
+    if (part === null || typeof part !== "object" || ArrayBuffer.isView(part)) return part;
+    return Object.fromEntries(Object.entries(part).map(([key, entry]) => [key, recoloured(entry, colours)]));
+  }
+
   /** The figure with what depends on light or dark; references carry a mark, since no single grey is seen on both. */
   function themed(figure, margin) {
     const ink = inks();
-    const data = figure.data.map((trace) => ({
+    const onDark = dark() && figure.layout.meta?.dark;
+    const data = figure.data.map((trace) => onDark ? recoloured(trace, onDark) : trace).map((trace) => ({
       ...trace,
       ...(trace.type === "bar" && trace.error_y ? { error_y: { ...trace.error_y, color: ink.truth } } : {}),
       ...(trace.meta === "theme:groundtruth" ? inked(trace, ink.truth) : {}),
@@ -46,20 +58,64 @@
     return { data, layout };
   }
 
+  /** The buttons of a plot are one Tab stop; the arrow keys move between them. */
+  function asToolbar(place) {
+    const bar = place.querySelector(".modebar");
+    const buttons = [...place.querySelectorAll(".modebar-btn")];
+    if (!bar || !buttons.length) return;
+    bar.setAttribute("role", "toolbar");
+    bar.setAttribute("aria-label", "Tools of the plot");
+    buttons.forEach((button, at) => {
+      button.tabIndex = at ? -1 : 0;
+      button.onkeydown = (event) => {
+        const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+        if (!step) return;
+        const next = buttons[(at + step + buttons.length) % buttons.length];
+        buttons.forEach((other) => { other.tabIndex = other === next ? 0 : -1; });
+        next.focus();
+      };
+    });
+  }
+
+  const shown = new Map();
+
   /** Draws a figure anew; its bar of buttons does not offer Plotly's own, to upload the chart to a server. */
   function show(place, figure, margin, options) {
+    shown.set(place, [figure, margin, options]);
     const { data, layout } = themed(figure, margin);
-    return Plotly.react(place, data, layout, {
+    const drawn = Plotly.react(place, data, layout, {
       responsive: true,
       displaylogo: false,
       plotlyServerURL: "",
       modeBarButtonsToRemove: ["sendChartToCloud", "select2d", "lasso2d", "autoScale2d"],
       ...options,
     });
+    return drawn.then(() => asToolbar(place));
   }
   window.slamhiveShow = show;
 
+  /** All plots in light colours and as wide as a sheet of paper; a plot that needs more is made smaller. */
+  function toPaper(printing) {
+    onPaper = printing;
+    for (const [place, drawn] of shown) {
+      if (!place.isConnected || !place.classList.contains("js-plotly-plot")) {
+        shown.delete(place);
+        continue;
+      }
+      const width = Math.max(PAPER_PX, Number(place.dataset.leastWidth || 0));
+      place.style.width = printing ? `${width}px` : "";
+      place.style.zoom = printing ? PAPER_PX / width : "";
+      show(place, ...drawn);
+    }
+  }
+  window.addEventListener("afterprint", () => toPaper(false));
+  window.addEventListener("beforeprint", () => {
+    places().forEach(draw);
+    toPaper(true);
+  });
+
   const source = document.getElementById("figures");
+  const places = () => source ? document.querySelectorAll("[data-chart]") : [];
   if (!source) return;
   const MARGIN = { l: 64, r: 16, t: 36, b: 52 };
   const NARROW_PX = 600;
@@ -98,7 +154,7 @@
   }
 
   function draw(place) {
-    const figure = figures[place.dataset.chart];
+    const figure = figures?.[place.dataset.chart];
     if (!figure) return;
     place.showsPoints = false;
     show(place, figure, MARGIN, {
@@ -124,7 +180,6 @@
       draw(entry.target);
     }
   }, { rootMargin: "800px" });
-  const places = () => document.querySelectorAll("[data-chart]");
   const begin = () => places().forEach((place) => watcher.observe(place));
   // The server's policy forbids style attributes. Reserve the space before drawing, so nothing jumps.
   places().forEach((place) => {
@@ -132,7 +187,6 @@
     if (place.dataset.leastWidth > 0) place.style.minWidth = `${place.dataset.leastWidth}px`;
   });
   const again = () => places().forEach((place) => { if (place.classList.contains("js-plotly-plot")) draw(place); });
-  window.addEventListener("beforeprint", () => places().forEach(draw));
   document.addEventListener("themechange", again);
   preferred.addEventListener("change", again);
   if (figures) begin();

@@ -23,6 +23,9 @@ REFERENCE = "reference"
 
 PRINT_FORMATS = ("pdf", "svg", "png")
 """The file formats of :func:`slamhive.analysis.print_chart.print_chart`, whose module takes long to load."""
+PAPER_FORMATS = ("88mm.pdf", "180mm.pdf")
+"""Files of one and two columns of a paper, without title and caption, which LaTeX adds."""
+Font = Literal["serif", "sans"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,6 +233,11 @@ class Parallel:
     runs: Array
 
 
+def file_key(text: str) -> str:
+    """The key of a plot or table for the name of its files, reduced to letters, digits, ``_``, ``.`` and ``-``."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "_", text)[:100]
+
+
 MOST_THICK = 12
 """A plot with more lines draws them thin."""
 
@@ -262,16 +270,15 @@ class Chart:
     def __post_init__(self) -> None:
         if self.marks:
             object.__setattr__(self, "least_width_px", max(_least_width_px(mark, self) for mark in self.marks))
-        object.__setattr__(self, "key", re.sub(r"[^A-Za-z0-9_.-]+", "_", self.key)[:100])
+        object.__setattr__(self, "key", file_key(self.key))
 
-    @property
-    def bare_margin(self) -> float:
+    def bare_margin(self, whole_letters: float = 140) -> float:
         """Margin for the labels left and right of a plot without axes, as a share of the inner width.
 
-        A letter takes about 1/140 of the whole width, on screen and on paper.
+        ``whole_letters`` fit into the whole width: about 140 on a screen.
         """
         letters = max((len(t) for m in self.marks if isinstance(m, Labels) for t in m.texts), default=0)
-        share = min(0.42, (letters + 2) / 140)
+        share = min(0.42, (letters + 2) / whole_letters)
         return share / (1 - 2 * share)
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 from slamhive.analysis.chart import Axis, Bars, Boxes, Cells, Chart, Density, FailedRuns, Parallel, Points, Segments
 from slamhive.analysis.density import SINGLE_MOST, thinned
 from slamhive.analysis.plotly_marks import MOST_LEVEL_DIMENSIONS, traces_of
-from slamhive.analysis.plotly_values import Json, drawable, escaped, numbers
+from slamhive.analysis.plotly_values import Json, drawable, escaped, numbers, with_dark_colours
 
 LEGEND_MOST = 40
 """A longer legend would hide the plot; hovering shows the name of a mark."""
@@ -24,7 +24,7 @@ def plotly_figure(chart: Chart) -> Json:
     """``{"data": [...], "layout": {...}}``, with escaped text."""
     drawn = thinned(chart)
     data = [trace for mark in drawn.marks for trace in traces_of(mark, drawn)]
-    figure = {"data": data, "layout": _layout(drawn)}
+    figure = with_dark_colours({"data": data, "layout": _layout(drawn)})
     return figure | {"zoom": _zoom(chart, drawn)} if any(isinstance(m, Density) for m in drawn.marks) else figure
 
 
@@ -105,7 +105,7 @@ def _parallel_margin(mark: Parallel) -> Json:
 def _bare_range(chart: Chart) -> list[float]:
     ends = [part for mark in chart.marks if isinstance(mark, Segments) for part in (mark.x0, mark.x1)]
     places = np.concatenate(ends) if ends else np.zeros(1)
-    room = chart.bare_margin * float(np.ptp(places))
+    room = chart.bare_margin() * float(np.ptp(places))
     return [float(places.min()) - room, float(places.max()) + room]
 
 
@@ -118,4 +118,5 @@ def _axis(axis: Axis) -> Json:
         return entry | {"type": "category", "categoryorder": "array", "categoryarray": names}
     if axis.unit == "bytes":
         entry |= {"exponentformat": "SI"}
-    return entry | ({"type": "log", "tickformat": "~s" if axis.unit == "bytes" else "~g"} if axis.log else {})
+    # Plotly's own labels: in a part of a decade single digits, where a format of ours would make all labels long.
+    return entry | ({"type": "log"} if axis.log else {})

@@ -4,15 +4,36 @@ from __future__ import annotations
 
 import base64
 import html
+import re
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from slamhive.analysis.chart import REFERENCE, Array, Axis
+from slamhive.analysis.colours import on_dark
 
 THEMED = "theme:groundtruth"
 
 Json = dict[str, Any]
+
+
+def with_dark_colours(figure: Json) -> Json:
+    """The figure with the colours for dark pages, {colour: its lighter one}, in its layout; changes the figure."""
+    lighter = {colour: on_dark(colour) for colour in sorted(set(_colours(figure["data"])))}
+    figure["layout"]["meta"] = {"dark": {colour: other for colour, other in lighter.items() if colour != other}}
+    return figure
+
+
+def _colours(part: object) -> Iterator[str]:
+    if isinstance(part, str):
+        yield from _COLOUR.findall(part)
+    elif isinstance(part, dict | list):
+        for entry in part.values() if isinstance(part, dict) else part:
+            yield from _colours(entry)
+
+
+_COLOUR = re.compile(r"^#[0-9A-Fa-f]{6}$")
 
 
 def numbers(values: Array) -> Json:

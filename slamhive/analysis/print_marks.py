@@ -33,6 +33,7 @@ MOST_LEVEL_LABELS = 20
 """Labels of more bars than these would overlap, they stand upright."""
 
 _REFERENCE_COLOUR = "#3d4247"
+_OPEN = "-open"
 _MARKERS = {
     "circle": "o", "square": "s", "triangle-up": "^", "diamond": "D",
     "cross": "P", "star": "*", "triangle-down": "v", "pentagon": "p",
@@ -69,10 +70,11 @@ def _points(axes: Any, mark: Points, chart: Chart) -> None:
     places = (mark.x, mark.y) if mark.z is None else (mark.x, mark.y, mark.z)
     if chart.z is not None and mark.z is None:
         places = (mark.x, mark.y, np.zeros(0))  # only an entry of the legend
+    hollow = mark.marker.endswith(_OPEN)
     look: dict[str, Any] = {
         "s": 6 if crowded(chart) else 16,
-        "marker": _MARKERS.get(mark.marker, "o"),
-        "linewidths": 0,
+        "marker": _MARKERS.get(mark.marker.removesuffix(_OPEN), "o"),
+        "linewidths": 0.8 if hollow else 0,
         "alpha": 0.85,
     }
     if mark.emphasis:
@@ -82,7 +84,8 @@ def _points(axes: Any, mark: Points, chart: Chart) -> None:
         axes.scatter(*places, facecolors="none", edgecolors=_colour(mark.colour), label=plain(mark.name), **look)
     elif mark.shades is None:
         label = plain(mark.name) if mark.in_legend else None
-        axes.scatter(*places, color=_colour(mark.colour), label=label, **look)
+        face = {"facecolors": "none", "edgecolors": _colour(mark.colour)} if hollow else {"color": _colour(mark.colour)}
+        axes.scatter(*places, label=label, **{**face, **look})
     else:
         shaded = axes.scatter(*places, c=mark.shades, cmap="viridis", label=plain(mark.name), **look)
         axes.get_figure().colorbar(shaded, ax=axes, label=plain(mark.shade_label))

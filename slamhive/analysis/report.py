@@ -9,6 +9,7 @@ from pydantic import Field
 
 from slamhive.analysis.chart import Chart
 from slamhive.analysis.result import Cell, PlotResult, ResultTable
+from slamhive.domain.bibliography import Reference
 from slamhive.errors import InvalidInput
 from slamhive.schema.fields import described
 from slamhive.schema.model import Document
@@ -55,6 +56,7 @@ class Summary(Document):
     ] = Field(default_factory=dict)
     rule: Annotated[str, described("When a run counts as failed.")]
     protocols: tuple[ProtocolRuns, ...]
+    references: Annotated[tuple[Reference, ...], described("What to cite; empty in reports of version 0.1.")] = ()
 
     @classmethod
     def stored(cls, content: Any) -> Self:

@@ -13,7 +13,7 @@ from enum import StrEnum
 import numpy as np
 import pandas as pd
 
-from slamhive.analysis.colours import algorithm_colours, dataset_markers
+from slamhive.analysis.colours import MARKERS, algorithm_colours, dataset_markers, marker_of
 from slamhive.domain.attributes import ATTRIBUTE_KINDS
 from slamhive.domain.metrics import CATALOGUE, Direction
 from slamhive.domain.numbers import plural
@@ -121,6 +121,15 @@ class RunTable:
     installed: Mapping[str, str] = field(default_factory=dict)
     not_evaluated: int = 0
     without_disturbed: int | None = None
+
+    def marker(self, algorithm: str, dataset: str | None = None) -> str:
+        """The marker of the runs of an algorithm: that of their dataset, or of the algorithm if there is one dataset.
+
+        Without ``dataset``, the one for the legend.
+        """
+        if len(self.markers) <= 1:
+            return marker_of(algorithm, self.installed)
+        return MARKERS[0] if dataset is None else self.markers[dataset]
 
     def require_runs(self) -> RunTable:
         """This table; raises InvalidInput if it is empty."""

@@ -15,12 +15,16 @@ from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.errors import InvalidInput
 
 FIGURE_FORMATS = ("pdf", "svg", "png")
+PAPER_FORMATS = ("88mm.pdf", "180mm.pdf")
+FONTS = ("serif", "sans")
 
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), help="Folder or .zip file for the report.")
 @click.option("--figures", default=",".join(FIGURE_FORMATS), show_default=True, help="Plot formats, or none.")
+@click.option("--paper", is_flag=True, help="Also plots for papers: PDF, 88 and 180 mm wide, without title.")
+@click.option("--font", type=click.Choice(FONTS), help="Font of plots. Default: serif for papers, otherwise sans.")
 @click.option("--timeout", "timeout_s", type=click.FloatRange(1), default=3600.0, show_default=True, help="Limit in s.")
 @id_option
 @json_option
@@ -36,12 +40,16 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         PARQUET_REMEDY,
         WITHOUT_PARQUET,
         AnalysisLimits,
+        Printing,
         parquet_there,
         write_folder,
         zipped,
     )
 
-    figures = _formats(options["figures"])
+    formats = (*_formats(options["figures"]), *(PAPER_FORMATS if options["paper"] else ()))
+    printing = Printing(formats, options["font"])
+    if out is None and options["paper"]:
+        raise InvalidInput("--paper writes files, but --out is missing", "add --out FOLDER")
     hive = cli.hive()
     analysis = hive.analyses.read_file(file, options["ids"])
     with progress_bar(analysis.name) as progress:
@@ -51,10 +59,10 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         from slamhive.files import write_aside  # noqa: PLC0415
 
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_aside(out, zipped(report, root, figures))
+        write_aside(out, zipped(report, root, printing))
     elif out is not None:
         with progress_bar("writing the report") as progress:
-            write_folder(report, root, out, figures, progress)
+            write_folder(report, root, out, printing, progress)
     refused = [plot.error for plot in report.forms if plot.error]
     plots = tuple(PlotBrief.of(plot, charts=len(plot.charts)) for plot in report.forms)
     if as_json:

@@ -19,6 +19,7 @@ MODULES = {
     "algorithm": "algorithms",
     "analyse": "analyse",
     "archive": "archive",
+    "cite": "cite",
     "compare": "compare",
     "configuration": "configurations",
     "dataset": "datasets",

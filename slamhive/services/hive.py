@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from slamhive.foreign.numbers import Numbers
     from slamhive.services.algorithms import AlgorithmImports
     from slamhive.services.analyses import AnalysisJobs, StoredAnalyses
+    from slamhive.services.citations import Citations
     from slamhive.services.configurations import Configurations
     from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, Variants
     from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, Protocols
@@ -225,6 +226,13 @@ class Hive:
         from slamhive.services.reports import Analyses
 
         return Analyses(self.settings, self.store, self.catalogue, self.searches)
+
+    @cached_property
+    def citations(self) -> Citations:
+        """What to cite for runs."""
+        from slamhive.services.citations import Citations
+
+        return Citations(self.store, self.catalogue)
 
     @cached_property
     def fetching(self) -> Fetching:

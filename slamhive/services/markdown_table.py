@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 
 from slamhive.analysis.result import Cell, ResultTable
+
+_RANKS: Mapping[int | None, str] = {1: "**%s**", 2: "<ins>%s</ins>"}
 
 
 def table_markdown(table: ResultTable) -> str:
@@ -13,17 +16,23 @@ def table_markdown(table: ResultTable) -> str:
     rows = [
         [escaped(column.heading) for column in table.columns],
         rules,
-        *([escaped(_cell_text(cell)) for cell in row] for row in table.rows),
+        *(
+            [ranked(escaped(_cell_text(cell)), table.rank(place, at), _RANKS) for at, cell in enumerate(row)]
+            for place, row in enumerate(table.rows)
+        ),
     ]
     lines = [f"| {' | '.join(row)} |" for row in rows]
     return "\n".join([*lines, *(["", escaped(table.caption)] if table.caption else []), ""])
 
 
 def numeric_columns(table: ResultTable) -> list[bool]:
-    """Which columns hold numbers alone."""
-    return [
-        all(isinstance(row[place], int | float | None) for row in table.rows) for place in range(len(table.columns))
-    ]
+    """Which columns hold numbers, or texts that are numbers."""
+    return [table.is_number(place) for place in range(len(table.columns))]
+
+
+def ranked(text: str, rank: int | None, styles: Mapping[int | None, str]) -> str:
+    """``text`` as values of this rank are printed; ``styles`` contains ``%s`` for the text."""
+    return styles[rank] % text if rank in styles else text
 
 
 def _cell_text(cell: Cell) -> str:

@@ -7,6 +7,8 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from slamhive.analysis.report import ReportPage
+from slamhive.domain.bibliography import bibtex
 from slamhive.errors import NotFound, Unavailable
 from slamhive.services.analyses import PAGE, REPORT, SOURCE, AnalysisFolder
 from slamhive.services.hive import Hive
@@ -26,8 +28,9 @@ MEDIA_TYPES = {
     "html": "text/html",
     "zip": "application/zip",
     "yaml": "application/yaml",
+    "bib": "text/x-bibtex",
 }
-PAGE_FILE, ZIP_FILE = "report.html", "report.zip"
+PAGE_FILE, ZIP_FILE, BIBLIOGRAPHY = "report.html", "report.zip", "references.bib"
 
 
 class AnalysisFiles:
@@ -46,6 +49,8 @@ class AnalysisFiles:
         folder = self._hive.stored_analyses.folder(token)
         if name == SOURCE:
             return folder.source.encode()
+        if name == BIBLIOGRAPHY:
+            return bibtex(ReportPage.stored(folder.read_result(PAGE)).references).encode()
         place = None if name in (PAGE_FILE, ZIP_FILE) else _place(folder.read_result(PAGE)["files"], name)
         if place is None and name not in (PAGE_FILE, ZIP_FILE):
             raise NotFound(f"the analysis has no file {name[:100]!r}", "see the list on its page")
@@ -62,19 +67,20 @@ class AnalysisFiles:
 
     def _make(self, folder: AnalysisFolder, name: str, place: tuple[int, str] | None) -> bytes:
         # matplotlib, pandas and plotly take two seconds to load. No other page should wait for that.
-        from slamhive.analysis.chart import PRINT_FORMATS  # noqa: PLC0415
+        from slamhive.analysis.chart import PAPER_FORMATS, PRINT_FORMATS  # noqa: PLC0415
         from slamhive.analysis.print_chart import print_chart  # noqa: PLC0415
         from slamhive.analysis.report import Report  # noqa: PLC0415
-        from slamhive.services.reports import report_page, table_file, zipped  # noqa: PLC0415
+        from slamhive.services.reports import Printing, file_name, report_page, table_file, zipped  # noqa: PLC0415
 
         report = Report.stored(folder.read_result(REPORT))
         root = self._hive.catalogue.project_root
         if place is None:
-            return zipped(report, root) if name == ZIP_FILE else report_page(report, root).encode()
+            printing = Printing((*PRINT_FORMATS, *PAPER_FORMATS))
+            return zipped(report, root, printing) if name == ZIP_FILE else report_page(report, root).encode()
         number, wanted = place
         plot = report.forms[number - 1]
-        ending = name.rpartition(".")[2]
-        if ending in PRINT_FORMATS:
+        ending = name[len(file_name(number, wanted, "")) :]
+        if ending in (*PRINT_FORMATS, *PAPER_FORMATS):
             return print_chart(next(chart for chart in plot.charts if chart.key == wanted), ending)
         table = next(entry for entry in plot.tables if entry.key == wanted)
         return table_file(table, ending)
@@ -102,5 +108,10 @@ class AnalysisFiles:
 
 
 def _place(files: dict[str, tuple[int, str]], name: str) -> tuple[int, str] | None:
-    """The place of a file's plot and the key; analyses from before Markdown was written list LaTeX alone."""
-    return files.get(name) or (files.get(f"{name.removesuffix('.md')}.tex") if name.endswith(".md") else None)
+    """The place of a file's plot and the key; older analyses list neither Markdown nor plots for papers."""
+    others = (name.removesuffix(new) + old for new, old in _OLDER if name.endswith(new))
+    return next((files[known] for known in (name, *others) if known in files), None)
+
+
+_OLDER = ((".md", ".tex"), (".88mm.pdf", ".pdf"), (".180mm.pdf", ".pdf"))
+"""{ending of a file: the ending of one that older analyses list instead}."""

@@ -12,6 +12,7 @@ from flask_wtf.csrf import CSRFProtect
 from markupsafe import Markup
 
 from slamhive import __version__
+from slamhive.analysis.colours import on_dark
 from slamhive.clock import utc_now
 from slamhive.domain.run import RunState
 from slamhive.services.analyses import may_analyse
@@ -24,6 +25,7 @@ from slamhive.web.analysis_computer import AnalysisComputer
 from slamhive.web.analysis_files import AnalysisFiles
 from slamhive.web.caching import PageCache, add_caching, keep_pages
 from slamhive.web.columns import Kind
+from slamhive.web.compression import add_compression
 from slamhive.web.dataset_work import DatasetChecker, VariantMaker
 from slamhive.web.errors import handle_errors
 from slamhive.web.live import LiveHub
@@ -104,6 +106,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     app.extensions[context.RATES_EXTENSION] = visitor_limits(hive.settings.analyses_per_hour_per_address)
     app.jinja_options["trim_blocks"] = True
     app.jinja_options["lstrip_blocks"] = True
+    add_compression(app)
     add_caching(app)
     protect(app, hive.settings, host or hive.settings.host)
     if hive.settings.mode is Mode.VIEW_ONLY:
@@ -174,6 +177,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         duration=formatting.duration,
         exact_time=formatting.exact_time,
         iso_time=formatting.iso_time,
+        on_dark=on_dark,
         markdown=lambda text: Markup(markdown_html(text)),  # noqa: S704 - markdown_html escapes HTML
         plural=formatting.plural,
         significant=formatting.significant,

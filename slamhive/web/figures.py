@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from slamhive.analysis.plotly_values import THEMED
+from slamhive.analysis.plotly_values import THEMED, with_dark_colours
 from slamhive.bags.views import SweepView
 from slamhive.services.runs import Array, Places, RunSeries, Samples, Track, samples_of
 from slamhive.trajectory.motion import Motion
@@ -315,4 +315,4 @@ def _plain(figure: go.Figure) -> Figure:
     figure.update_layout(template="none")
     content: Figure = json.loads(figure.to_json(validate=False))
     content["layout"].pop("template", None)
-    return content
+    return with_dark_colours(content)

@@ -39,7 +39,7 @@ POINTS = 600
 MARK = "site.json"
 """A folder with this file is a site of ours and may be replaced."""
 _RUN_PAGE = "../runs/{}.html"
-_ASSETS = ("report.css", "report.js", "site.css", "site.js")
+_ASSETS = ("report.css", "print.css", "report.js", "site.css", "site.js")
 _METRICS = ("ate.rmse", "ate.max", "rpe.trans_rmse", "tracked_fraction", "cpu.mean", "ram.max", "duration")
 """First metrics in the table, if any run has them. The pages of runs show all others."""
 

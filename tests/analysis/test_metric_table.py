@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.plot_types import PLOT_TYPES
-from slamhive.analysis.plot_types.metric_table import mean_and_std
+from slamhive.analysis.plot_types.metric_grid import _Entry, ranks
+from slamhive.analysis.plot_types.values import mean_and_std
 from slamhive.analysis.result import PlotResult
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
+from slamhive.domain.metrics import Direction
 from slamhive.errors import InvalidInput
 from slamhive.services.markdown_table import table_markdown
 from slamhive.services.reports.tables import table_latex
@@ -43,7 +45,7 @@ def test_a_row_for_each_algorithm_and_dataset() -> None:
     assert r"$\pm$" in table_latex(result.tables[0])
     lines = table_markdown(result.tables[0]).splitlines()
     assert lines[0].startswith("| Dataset | Algorithm | Runs | Failed | ATE RMSE \\[m\\] |")
-    assert lines[1] == "| --- | --- | ---: | ---: | --- | --- |"
+    assert lines[1] == "| --- | --- | ---: | ---: | ---: | ---: |"
     assert lines[2].startswith("| kitti\\_06 | kiss-icp | 40 | 0 | ")
 
 
@@ -85,3 +87,63 @@ def test_digits_fit_the_spread(values: list[float], text: str) -> None:
     summary = summarise(np.array(values))
     assert summary is not None
     assert mean_and_std(summary) == text
+
+
+def test_a_paper_has_sequences_by_algorithms_with_the_best_marked() -> None:
+    table = sweep_table()
+    result = build(table, metrics=["ate.rmse", "cpu.mean"], columns="algorithms")
+    first, second = (entry for entry in result.tables if not entry.raw)
+    assert (first.title, second.title) == ("ATE RMSE [m]", "CPU mean [cores]")
+    assert [column.label for column in first.columns] == ["Dataset", *ALGORITHMS]
+    assert [row[0] for row in first.rows] == list(DATASETS)
+    assert [entry[1:] for entry in first.ranks] == [(1, None, 2)] * len(DATASETS), "ORB-SLAM3 fails at times"
+    assert all(str(row[2]).endswith(" (32/40)") for row in first.rows)
+    for part in ("336 of 360 runs, 24 failed", "lower is better", "of 40 in each cell", "(a/b)", "Protocol: SE(3)"):
+        assert part in first.caption
+    latex = table_latex(first)
+    assert r"\begin{tabular}{lrrr}" in latex
+    row = next(line for line in latex.splitlines() if line.startswith(r"kitti\_06"))
+    assert row.count(r"\textbf{") == row.count(r"\underline{") == 1
+    assert r"\parbox{\linewidth}{\footnotesize n = 336 of 360 runs, 24 failed." in latex
+    assert all(part in table_markdown(first) for part in ("**", "<ins>"))
+
+
+def test_what_failed_everywhere_or_never_ran_has_a_mark_and_no_rank() -> None:
+    whole = sweep_table()
+    lost = (whole.frame["dataset"] == "room") & (whole.frame["algorithm"] == "kiss-icp")
+    frame = whole.frame[~((whole.frame["dataset"] == "v101") & (whole.frame["algorithm"] == "rko-lio"))]
+    frame = frame.assign(failed=frame["failed"].where(~lost, "diverged"))
+    shown_table = build(whole.with_rows(frame), metrics=["ate.rmse"], columns="algorithms").tables[0]
+    rows = {row[0]: row[1:] for row in shown_table.rows}
+    assert (rows["room"][0], rows["v101"][2]) == ("×", None)
+    assert "×: every run failed. –: no value." in shown_table.caption
+    assert shown_table.ranks[1] == (None, None, 2, 1)
+    assert r" & $\times$ & " in table_latex(shown_table)
+
+
+def test_a_ranking_never_mixes_protocols() -> None:
+    frame = sweep_table().frame
+    mono = (frame["algorithm"] == "orb-slam3-stereo") & frame["protocol"].notna()
+    table = sweep_table(protocol=list(np.where(mono, "bbbbbbbbbbbb", frame["protocol"])))
+    with pytest.raises(InvalidInput, match="2 protocols, which are never mixed"):
+        build(table, metrics=["ate.rmse"], columns="algorithms")
+    with pytest.raises(InvalidInput, match="rows and columns at once"):
+        build(sweep_table(), metrics=["ate.rmse"], columns="algorithms", by="algorithm")
+
+
+@pytest.mark.parametrize(
+    ("texts", "failed", "direction", "places"),
+    [
+        (["0.1 ± 0.1", "0.2", "0.3"], [0, 0, 0], Direction.LOWER, [1, 2, None]),
+        (["0.1", "0.2", "0.3"], [0, 0, 0], Direction.HIGHER, [None, 2, 1]),
+        (["0.1", "0.2", "0.3"], [2, 1, 1], Direction.LOWER, [None, 1, 2]),
+        (["0.1", "0.1", "0.3"], [0, 0, 0], Direction.LOWER, [1, 1, None]),
+        (["0.1", "0.1", None], [0, 0, 5], Direction.LOWER, [None, None, None]),
+        (["0.1", None, None], [0, 5, 5], Direction.LOWER, [None, None, None]),
+        (["0.1", "0.2", "0.3"], [0, 0, 0], Direction.NEUTRAL, [None, None, None]),
+        ([None, None], [5, 5], Direction.LOWER, [None, None]),
+    ],
+)
+def test_ranks_put_failures_first_and_share_ties(texts, failed, direction, places) -> None:
+    entries = [_Entry(5, count, text) for text, count in zip(texts, failed, strict=True)]
+    assert ranks(entries, direction) == places

@@ -8,8 +8,8 @@ import pytest
 from slamhive.analysis.chart import Line
 from slamhive.analysis.colours import RUN_COLOURS
 from slamhive.analysis.plot_types import PlotData, RunLatency
-from slamhive.analysis.plot_types.latency import Latency, LatencyOptions
-from slamhive.analysis.plot_types.looks import Curve, fold, lines_of, looks_of
+from slamhive.analysis.plot_types.latency import Latency
+from slamhive.analysis.plot_types.looks import Curve, LineOptions, fold, lines_of, looks_of
 from slamhive.analysis.table import RunTable, make_table
 from tests.analysis.analysis_world import NoFiles, data_of
 
@@ -73,12 +73,21 @@ class Timed(NoFiles):
 
 def test_latency_is_drawn_in_milliseconds_and_names_runs_without_it():
     table = latency_table()
-    data = PlotData(table, data_of(table).every_protocol, Timed())
-    result = Latency().build(data, LatencyOptions(coloured_by="run"))
+    told: list[float] = []
+    data = PlotData(table, data_of(table).every_protocol, Timed(), told.append)
+    result = Latency().build(data, LineOptions(coloured_by="run"))
     lines = [mark for mark in result.charts[0].marks if isinstance(mark, Line)]
     assert [line.runs for line in lines] == [1, 3]
     assert lines[0].y.tolist() == pytest.approx([20.0, 30.0])
     assert [(entry.reason, entry.runs) for entry in result.excluded] == [("no frame times", (2,))]
+    assert told == [0.0, 1 / 3, 2 / 3]
+
+
+def test_the_first_runs_with_files_are_drawn_and_the_others_named():
+    table = latency_table()
+    data = PlotData(table, data_of(table).every_protocol, Timed())
+    result = Latency().build(data, LineOptions(most_runs=1))
+    assert [(entry.reason, entry.runs) for entry in result.excluded] == [("more runs than are drawn", (2, 3))]
 
 
 def latency_table() -> RunTable:

@@ -99,6 +99,7 @@ def test_an_analysis_on_a_site_shares_the_library_and_leads_to_the_pages_of_runs
     assert re.findall(r'(?:src|href)="([^"]*)"', page) == [
         "../assets/report.css",
         "../assets/site.css",
+        "../assets/print.css",
         "../index.html",
         "../assets/plotly.min.js",
         "../assets/report.js",

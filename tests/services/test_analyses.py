@@ -13,14 +13,15 @@ from slamhive.analysis.colours import PALETTE
 from slamhive.analysis.report import DisturbedRuns, Report
 from slamhive.analysis.result import ResultTable, TableColumn
 from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
+from slamhive.domain.latex import latex
 from slamhive.domain.verdict import FailureRule
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.project import project_root
 from slamhive.services.markdown_table import table_markdown
-from slamhive.services.reports.bundle import report_page, write_folder, zipped
+from slamhive.services.reports.bundle import Printing, report_page, write_folder, zipped
 from slamhive.services.reports.run import AnalysisLimits
 from slamhive.services.reports.table import TableRequest, load_table
-from slamhive.services.reports.tables import latex, table_csv, table_latex
+from slamhive.services.reports.tables import table_csv, table_latex
 from tests.web.web_world import add_runs, evaluate_run, fail_run, finish_run, make_hive
 
 pytestmark = pytest.mark.integration
@@ -149,11 +150,11 @@ def test_trajectories_and_usage_come_from_the_run_folders(world):
 def test_the_files_of_a_report(world, tmp_path):
     report = compute(world, "{all: {where: 'id >= 1'}}")
     folder, root = tmp_path / "out", world.catalogue.project_root
-    names = {str(path.relative_to(folder)) for path in write_folder(report, root, folder, ["svg"])}
-    assert {"analysis.yaml", "report.html"} <= names
+    names = {str(path.relative_to(folder)) for path in write_folder(report, root, folder, Printing(["svg"]))}
+    assert {"analysis.yaml", "report.html", "references.bib"} <= names
     assert {"figures/01_distribution_ate.rmse.svg", "tables/01_distributions.tex"} <= names
     again = Report.stored(json.loads(json.dumps(report.content)))
-    with zipfile.ZipFile(BytesIO(zipped(again, root, []))) as archive:
+    with zipfile.ZipFile(BytesIO(zipped(again, root, Printing([])))) as archive:
         assert archive.testzip() is None
         assert "tables/01_distributions_raw.csv" in archive.namelist()
         raw = pd.read_parquet(BytesIO(archive.read("tables/01_distributions_raw.parquet")))
@@ -164,7 +165,7 @@ def test_the_files_of_a_report(world, tmp_path):
 def test_without_pyarrow_a_report_has_no_parquet(world, monkeypatch):
     monkeypatch.setattr("slamhive.services.reports.bundle.parquet_there", lambda: False)
     report = compute(world, "{all: {where: 'id >= 1'}}")
-    with zipfile.ZipFile(BytesIO(zipped(report, world.catalogue.project_root, []))) as archive:
+    with zipfile.ZipFile(BytesIO(zipped(report, world.catalogue.project_root, Printing([])))) as archive:
         assert not [name for name in archive.namelist() if name.endswith(".parquet")]
 
 

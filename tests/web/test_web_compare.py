@@ -63,7 +63,7 @@ def test_usage_is_drawn_for_runs_of_another_protocol_too(compared: Web, monkeypa
 
 def test_colours_of_the_plots_are_those_of_the_columns(compared: Web):
     text = compared.client.get("/compare?runs=6,1").text
-    colours = re.findall(r'fill="(#\w+)"', text)[:2]
+    colours = re.findall(r'class="on-light"[^>]*fill="(#\w+)"', text)[:2]
     found = compared.client.get("/compare/figures.json?runs=6,1").json
     assert found is not None
     drawn = {trace["name"][:5]: trace["line"]["color"] for trace in found["figures"]["error"]["data"]}

@@ -2,40 +2,38 @@
 
 from __future__ import annotations
 
-from pydantic import Field
-
 from slamhive.analysis.chart import Axis, Chart
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.looks import FOLDED, Curve, LineOptions, legend_of, lines_of, looks_of
-from slamhive.analysis.result import Exclusion, PlotResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types.looks import (
+    FOLDED,
+    Curve,
+    LineOptions,
+    legend_of,
+    lines_of,
+    looks_of,
+    read_runs,
+)
+from slamhive.analysis.result import PlotResult, ResultTable, TableColumn
 from slamhive.errors import InvalidInput
 
 _MS_PER_S = 1e3
 
 
-class LatencyOptions(LineOptions):
-    """The runs to draw, and how."""
-
-    most_runs: int = Field(
-        default=60, ge=1, le=500, description="The first runs are drawn; more lines would be unreadable."
-    )
-
-
-class Latency(base.PlotType[LatencyOptions]):
+class Latency(base.PlotType[LineOptions]):
     """The plot type ``latency``."""
 
     key = "latency"
     title = "Latency over time"
     description = "The time from the arrival of each frame to its result; failed runs are dashed."
-    options = LatencyOptions
+    options = LineOptions
     reads = frozenset({"latency.median", "latency.p95"})
 
-    def build(self, data: base.PlotData, options: LatencyOptions) -> PlotResult:
+    def build(self, data: base.PlotData, options: LineOptions) -> PlotResult:
         """One plot, a table of medians and percentiles, the samples."""
         table = data.table.require_runs()
-        runs = [int(run) for run in table.frame["run_id"]]
-        found = {run: data.files.latency(run) for run in runs[: options.most_runs]}
-        timed = [latency for latency in found.values() if latency is not None]
+        timed, excluded = read_runs(
+            data, table.frame["run_id"], data.files.latency, options.most_runs, "no frame times"
+        )
         if not timed:
             raise InvalidInput("no selected run reports when it finishes a frame", "imported runs do not")
         by = options.coloured_by or "algorithm"
@@ -51,11 +49,6 @@ class Latency(base.PlotType[LatencyOptions]):
                 *legend_of(table, by),
             ),
             caption=base.caption(table, len(timed), None, how, "Dropped frames have none."),
-        )
-        without = tuple(run for run, latency in found.items() if latency is None)
-        excluded = (
-            Exclusion("no frame times", without),
-            Exclusion("more runs than are drawn", tuple(runs[options.most_runs :])),
         )
         tables = (base.raw_table("latency", table, sorted(self.reads), "Medians and percentiles"), _samples(timed))
         return base.result_of(table, None, [chart], tables, excluded=excluded)

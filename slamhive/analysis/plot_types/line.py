@@ -65,5 +65,5 @@ def mean_lines(shown: pd.DataFrame, x: str, metric: str, table: RunTable) -> Ite
         look = look_of(table, str(algorithm), str(dataset))
         yield Line(x=places, y=means, low=low, high=high, **look)
         texts = tuple(f"{summary.count} runs" for summary in known.values())
-        yield Points(x=places, y=means, marker=table.markers[str(dataset)], texts=texts, **look)
+        yield Points(x=places, y=means, marker=table.marker(str(algorithm), str(dataset)), texts=texts, **look)
     yield from legend(table)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -13,10 +13,12 @@ from slamhive.analysis.chart import Array, Line, Points
 from slamhive.analysis.colours import RUN_COLOURS
 from slamhive.analysis.plot_types import base
 from slamhive.analysis.plot_types.places import legend
+from slamhive.analysis.result import Exclusion
 from slamhive.analysis.table import FAILED, RunTable
 
 By = Literal["algorithm", "run", "configuration"]
 Looks = Mapping[int, dict[str, Any]]
+ReadT = TypeVar("ReadT")
 _GRID_POINTS = 600
 """Points of a folded line; a screen has few more columns."""
 
@@ -26,6 +28,9 @@ FOLDED = "Line: mean of the repeats of a configuration; band: from the smallest 
 class LineOptions(base.PlotOptions):
     """Options of plot types that draw a line for each run."""
 
+    most_runs: int = Field(
+        default=60, ge=1, le=500, description="The first runs are drawn; more lines would be unreadable."
+    )
     coloured_by: By | None = Field(
         default=None, description="What a colour means: an algorithm, a run or a configuration. Default: what fits."
     )
@@ -46,6 +51,37 @@ class Curve:
     run_id: int
     times_s: Array
     values: Array
+
+
+def read_runs(
+    data: base.PlotData, runs: Iterable[int], read: Callable[[int], ReadT | None], most: int, lacking: str
+) -> tuple[list[ReadT], tuple[Exclusion, Exclusion]]:
+    """Read the files of the first ``most`` runs that have them, and tell the progress.
+
+    Args:
+        data: Its progress is told.
+        runs: The runs to draw, in order.
+        read: Reads one run; None if the run lacks the files.
+        most: How many runs are drawn.
+        lacking: The reason to state for runs without the files.
+
+    Returns:
+        What was read, and the runs that are left out: those without the files, and those after the first ``most``.
+    """
+    wanted = [int(run) for run in runs]
+    found: list[ReadT] = []
+    without: list[int] = []
+    for place, run in enumerate(wanted):
+        if len(found) == most:
+            break
+        data.progress(place / len(wanted))
+        content = read(run)
+        if content is None:
+            without.append(run)
+        else:
+            found.append(content)
+    left_over = wanted[len(found) + len(without) :]
+    return found, (Exclusion(lacking, tuple(without)), Exclusion("more runs than are drawn", tuple(left_over)))
 
 
 def looks_of(table: RunTable, by: By, order: Sequence[int] = ()) -> Looks:

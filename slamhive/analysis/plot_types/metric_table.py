@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
+from typing import Literal
 
 import pandas as pd
 from pydantic import Field
 
 from slamhive.analysis.plot_types import base
+from slamhive.analysis.plot_types.metric_grid import grid_table
+from slamhive.analysis.plot_types.values import mean_and_std, shown_unit, summary_of
 from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
-from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import Column, RunTable
 
 _METRICS = ("poses", "ate.rmse", "cpu.mean", "ram.max", "latency.median", "frames.dropped")
@@ -23,6 +24,11 @@ class MetricTableOptions(base.PlotOptions):
         default_factory=lambda: list(_METRICS), min_length=1, max_length=20, description="Metrics, one column each."
     )
     by: base.GroupKey = "dataset"
+    columns: Literal["metrics", "algorithms"] = Field(
+        default="metrics",
+        description="What the columns are: metrics, in one table; or algorithms, in one table for each metric, with "
+        "the best value bold and the second underlined, as papers print it.",
+    )
 
 
 class MetricTable(base.PlotType[MetricTableOptions]):
@@ -40,11 +46,15 @@ class MetricTable(base.PlotType[MetricTableOptions]):
     def build(self, data: base.PlotData, options: MetricTableOptions) -> PlotResult:
         """The table to read, the same values as numbers, the raw data; no plot.
 
-        Raises InvalidInput if the runs of one row were evaluated under several protocols.
+        Raises InvalidInput if the runs of one row were evaluated under several protocols; with one column for each
+        algorithm, if those of any two rows were.
         """
         table = data.table.require_runs().grouped_by(options.by)
         metrics = list(dict.fromkeys(options.metrics))
         columns = [table.numeric(key, "a mean") for key in metrics]
+        if options.columns == "algorithms":
+            tables = [grid_table(table, column, options.by, options.title) for column in columns]
+            return self._result(table, table.one_protocol(metrics), tables, metrics, options.by)
         by = list(dict.fromkeys([options.by, "algorithm"]))
         rows: list[tuple[Cell, ...]] = []
         protocols: set[str] = set()
@@ -61,12 +71,20 @@ class MetricTable(base.PlotType[MetricTableOptions]):
             tuple(row[:-1] for row in rows) if one else tuple(rows),
             caption=base.caption(table, len(table.good()), " or ".join(sorted(protocols)) or None, _CAPTION),
         )
+        return self._result(table, next(iter(protocols)) if one and protocols else None, [shown], metrics, options.by)
+
+    @staticmethod
+    def _result(
+        table: RunTable, protocol: str | None, shown: list[ResultTable], metrics: list[str], by: str
+    ) -> PlotResult:
+        groups = list(dict.fromkeys([by, "algorithm"]))
+        values = base.summary_table("metrics_values", table, metrics, groups)
         tables = (
-            shown,
-            replace(base.summary_table("metrics_values", table, metrics, by), title="Values", raw=True),
-            base.raw_table("metrics_raw", table, [options.by, *metrics]),
+            *shown,
+            replace(values, title="Values", raw=True),
+            base.raw_table("metrics_raw", table, [by, *metrics]),
         )
-        return base.result_of(table, next(iter(protocols)) if len(protocols) == 1 else None, (), tables)
+        return base.result_of(table, protocol, (), tables)
 
 
 _PROTOCOL = TableColumn("protocol", "Protocol")
@@ -79,26 +97,9 @@ def _row_columns(table: RunTable, by: list[str]) -> tuple[TableColumn, ...]:
 
 
 def _heading(column: Column) -> TableColumn:
-    unit = "MB" if column.unit == "bytes" else "" if column.unit == "1" else column.unit
-    return TableColumn(column.key, column.label, unit)
+    return TableColumn(column.key, column.label, shown_unit(column), figures=True)
 
 
 def _cell(group: pd.DataFrame, column: Column) -> str | None:
-    scale = base.MEGABYTES_PER_BYTE if column.unit == "bytes" else 1.0
-    summary = summarise(scale * base.good_values(group, column.key))
+    summary = summary_of(group, column)
     return None if summary is None else mean_and_std(summary)
-
-
-def mean_and_std(summary: Summary) -> str:
-    """``0.0312 ± 0.0008``: three significant digits of the mean, one more if the spread is smaller than they show."""
-    whole = summary.std in (None, 0.0) and summary.mean.is_integer()
-    digits = 0 if whole else max(0, 2 - _exponent(summary.mean))
-    if summary.std and round(summary.std, digits + 1):
-        digits = min(max(digits, -_exponent(summary.std)), digits + 1)
-    if summary.std is None:
-        return f"{summary.mean:.{digits}f}"
-    return f"{summary.mean:.{digits}f} ± {summary.std:.{digits}f}"
-
-
-def _exponent(value: float) -> int:
-    return math.floor(math.log10(abs(value))) if value else 0

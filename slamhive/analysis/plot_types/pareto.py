@@ -139,7 +139,7 @@ def _points(means: pd.DataFrame, metrics: list[str], table: RunTable) -> Iterato
             **look_of(table, str(algorithm), str(dataset)),
             x=base.number_column(rows, metrics[0]),
             y=base.number_column(rows, metrics[1]),
-            marker=table.markers[str(dataset)],
+            marker=table.marker(str(algorithm), str(dataset)),
             emphasis=bool(on_front),
             texts=tuple(
                 f"configuration {row.configuration_id}: {row.good} good of {row.runs} runs"

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from slamhive.analysis.chart import REFERENCE, Array, Axis, FailedRuns, Points
-from slamhive.analysis.colours import MARKERS
 from slamhive.analysis.table import RunTable, is_disturbed
 
 _NOWHERE = np.zeros(0)
@@ -78,7 +77,7 @@ def legend(table: RunTable, *, markers: bool = True) -> Iterator[Points]:
     shapes = {table.markers[name] for name in datasets} if markers else set()
     told_apart = len(shapes) > 1
     for name in algorithms:
-        yield Points(name, _NOWHERE, _NOWHERE, colour=table.colours[name], marker=MARKERS[0], group=name)
+        yield Points(name, _NOWHERE, _NOWHERE, colour=table.colours[name], marker=table.marker(name), group=name)
     for name in datasets if told_apart else ():
         yield Points(f"on {name}", _NOWHERE, _NOWHERE, colour=REFERENCE, marker=table.markers[name])
 

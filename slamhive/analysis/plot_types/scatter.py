@@ -136,7 +136,7 @@ class _Cloud:
                 x=x,
                 y=y,
                 z=z[0] if z else None,
-                marker=self.table.markers[str(dataset)],
+                marker=self.table.marker(str(algorithm), str(dataset)),
                 runs=rows["run_id"].to_numpy(dtype=int),
             )
 

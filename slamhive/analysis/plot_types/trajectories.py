@@ -12,8 +12,18 @@ from pydantic import Field
 from slamhive.analysis.chart import REFERENCE, Array, Axis, Chart, Line, Points
 from slamhive.analysis.colours import PALETTE
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.looks import FOLDED, By, Curve, LineOptions, Looks, legend_of, lines_of, looks_of
-from slamhive.analysis.result import Exclusion, PlotResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types.looks import (
+    FOLDED,
+    By,
+    Curve,
+    LineOptions,
+    Looks,
+    legend_of,
+    lines_of,
+    looks_of,
+    read_runs,
+)
+from slamhive.analysis.result import PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
 
@@ -46,7 +56,10 @@ class Trajectories(base.PlotType[TrajectoriesOptions]):
         table = data.table.require_runs()
         dataset = base.one_value(table, "dataset", "a comparison of trajectories")
         protocol = table.one_protocol(["ate.rmse"])
-        tracks, without = _tracks(data, options)
+        rows = table.frame if options.with_failed else table.good()
+        tracks, excluded = read_runs(
+            data, rows["run_id"], data.files.track, options.most_runs, "no files of an evaluation"
+        )
         if not tracks:
             raise InvalidInput("no selected run has the files of an evaluated trajectory", "evaluate again, with files")
         by = options.coloured_by or _fitting(tracks, table)
@@ -63,7 +76,7 @@ class Trajectories(base.PlotType[TrajectoriesOptions]):
         key = tuple(legend_of(table, by))
         charts = [replace(chart, marks=(*chart.marks, *key)) for chart in charts]
         tables = (base.raw_table("trajectories", table, ["ate.rmse", "tracked_fraction"], "Errors"), _poses(tracks))
-        return base.result_of(table, protocol, charts, tables, excluded=without)
+        return base.result_of(table, protocol, charts, tables, excluded=excluded)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,25 +139,6 @@ def _notes(dataset: str, tracks: list[base.RunTrack], truths: list[_GroundTruth]
         )
     if any(track.pieces[-1] for track in tracks):
         yield "Lines break where the estimate has a longer gap than the protocol allows."
-
-
-def _tracks(data: base.PlotData, options: TrajectoriesOptions) -> tuple[list[base.RunTrack], list[Exclusion]]:
-    rows = data.table.frame if options.with_failed else data.table.good()
-    runs = [int(run) for run in rows["run_id"]]
-    tracks: list[base.RunTrack] = []
-    lacking: list[int] = []
-    for place, run in enumerate(runs):
-        if len(tracks) == options.most_runs:
-            break
-        data.progress(place / len(runs))
-        track = data.files.track(run)
-        lacking += [] if track is not None else [run]
-        tracks += [] if track is None else [track]
-    left_over = runs[len(tracks) + len(lacking) :]
-    return tracks, [
-        Exclusion("no files of an evaluation", tuple(lacking)),
-        Exclusion("more runs than are drawn", tuple(left_over)),
-    ]
 
 
 def _fitting(tracks: list[base.RunTrack], table: RunTable) -> By:

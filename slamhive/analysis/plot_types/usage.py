@@ -3,50 +3,39 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import Field
 
 from slamhive.analysis.chart import Array, Axis, Chart
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.looks import FOLDED, Curve, LineOptions, legend_of, lines_of, looks_of
-from slamhive.analysis.result import Exclusion, PlotResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types.looks import (
+    FOLDED,
+    Curve,
+    LineOptions,
+    legend_of,
+    lines_of,
+    looks_of,
+    read_runs,
+)
+from slamhive.analysis.result import PlotResult, ResultTable, TableColumn
 from slamhive.errors import InvalidInput
 
 _MOST_POINTS = 600
 
 
-class UsageOptions(LineOptions):
-    """The runs to draw, and how."""
-
-    most_runs: int = Field(
-        default=60, ge=1, le=500, description="The first runs are drawn; more lines would be unreadable."
-    )
-
-
-class Usage(base.PlotType[UsageOptions]):
+class Usage(base.PlotType[LineOptions]):
     """The plot type ``usage``."""
 
     key = "usage"
     title = "CPU and memory over time"
     description = "CPU cores and memory of each run over the time since its start; failed runs are dashed."
-    options = UsageOptions
+    options = LineOptions
     reads = frozenset({"cpu.mean", "cpu.max", "ram.max"})
 
-    def build(self, data: base.PlotData, options: UsageOptions) -> PlotResult:
+    def build(self, data: base.PlotData, options: LineOptions) -> PlotResult:
         """A plot of CPU and one of memory, a table of means and peaks, the samples."""
         table = data.table.require_runs()
-        runs = [int(run) for run in table.frame["run_id"]]
-        sampled: list[base.RunUsage] = []
-        without: list[int] = []
-        for place, run in enumerate(runs):
-            if len(sampled) == options.most_runs:
-                break
-            data.progress(place / len(runs))
-            usage = data.files.usage(run)
-            without += [] if usage is not None else [run]
-            sampled += [] if usage is None else [usage]
+        sampled, excluded = read_runs(data, table.frame["run_id"], data.files.usage, options.most_runs, "not sampled")
         if not sampled:
             raise InvalidInput("no selected run has sampled usage", "imported runs have none")
-        left_over = runs[len(sampled) + len(without) :]
         by = options.coloured_by or "algorithm"
         how = FOLDED if options.folded else "One line for each run; dashed: failed."
         text = base.caption(table, len(sampled), None, how)
@@ -70,7 +59,6 @@ class Usage(base.PlotType[UsageOptions]):
                 ),
             )
         ]
-        excluded = (Exclusion("not sampled", tuple(without)), Exclusion("more runs than are drawn", tuple(left_over)))
         tables = (
             base.raw_table("usage", table, ["cpu.mean", "cpu.max", "ram.max"], "Means and peaks"),
             _samples(sampled),

@@ -82,9 +82,14 @@ class StoredAnalyses:
 
     def get(self, token: str) -> AnalysisRecord:
         """One analysis; raises NotFound."""
-        if not _TOKEN.fullmatch(token):
+        if not self.is_token(token):
             raise NotFound("there is no analysis at this address", "check that the address is whole")
         return self._store.read(lambda t: t.analyses.get(token))
+
+    @staticmethod
+    def is_token(text: str) -> bool:
+        """Whether a text looks like the token of an analysis."""
+        return _TOKEN.fullmatch(text) is not None
 
     def listed(self, limit: int = 500) -> list[AnalysisRecord]:
         """The listed analyses, newest first."""

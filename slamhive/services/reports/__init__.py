@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from slamhive.services.reports.bundle import (
+    Printing,
     figures_json,
     report_content,
     report_environment,
@@ -12,6 +13,7 @@ from slamhive.services.reports.bundle import (
     zipped,
 )
 from slamhive.services.reports.page import page_of
+from slamhive.services.reports.report import file_name
 from slamhive.services.reports.run import AnalysisLimits
 from slamhive.services.reports.service import Analyses
 from slamhive.services.reports.tables import (
@@ -26,7 +28,9 @@ __all__ = [
     "WITHOUT_PARQUET",
     "Analyses",
     "AnalysisLimits",
+    "Printing",
     "figures_json",
+    "file_name",
     "page_of",
     "parquet_there",
     "report_content",

@@ -6,7 +6,7 @@ import io
 import json
 import zipfile
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,30 +14,51 @@ import plotly
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from slamhive.analysis.chart import PRINT_FORMATS
+from slamhive.analysis.chart import PAPER_FORMATS, PRINT_FORMATS, Font
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.report import Plot, RawData, Report, ShownPlot, ShownTable
 from slamhive.analysis.result import ResultTable
+from slamhive.domain.bibliography import bibtex
+from slamhive.domain.latex import latex
 from slamhive.files import write_aside
 from slamhive.services.markdown import markdown_html
-from slamhive.services.reports.report import SHOWN_ROWS, file_name
+from slamhive.services.reports.report import SHOWN_ROWS, WHOLE_ROWS, file_name
 from slamhive.services.reports.tables import endings_of, parquet_there, table_file
 
 PLOTLY_FILE = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
 PAGE = "report.html"
+BIBLIOGRAPHY = "references.bib"
+STYLES = ("report.css", "print.css")
+"""Style sheets of pages that are files."""
 
 Progress = Callable[[float, str], None]
 
 
+@dataclass(frozen=True, slots=True)
+class Printing:
+    """How the plots of a report are printed.
+
+    Attributes:
+        formats: From :data:`slamhive.analysis.chart.PRINT_FORMATS` and ``PAPER_FORMATS``.
+        font: The font; None for the one that fits each format.
+    """
+
+    formats: Collection[str] = PRINT_FORMATS
+    font: Font | None = None
+
+
+PRINTING = Printing()
+
+
 def report_files(
-    report: Report, project_root: Path, formats: Collection[str] = PRINT_FORMATS, progress: Progress | None = None
+    report: Report, project_root: Path, printing: Printing = PRINTING, progress: Progress | None = None
 ) -> Iterator[tuple[str, bytes]]:
     """The files of a report, one at a time, each with its path in the folder.
 
     Args:
         report: From :func:`slamhive.services.reports.report.make_report`.
         project_root: The folder that contains the templates.
-        formats: Formats of plots for print, from :data:`slamhive.analysis.chart.PRINT_FORMATS`.
+        printing: How its plots are printed.
         progress: Called with the fraction done and the title of the current plot.
     """
     # Matplotlib takes a moment to load, which an analysis for the web need not wait for.
@@ -45,28 +66,48 @@ def report_files(
 
     tell = progress or (lambda _share, _what: None)
     yield "analysis.yaml", report.source.encode()
+    yield BIBLIOGRAPHY, bibtex(report.references).encode()
     tell(0.0, PAGE)
     yield PAGE, report_page(report, project_root).encode()
     for plot in report.forms:
         tell(plot.place / (len(report.forms) + 1), plot.title)
         for chart in plot.charts:
-            for file_format in formats:
-                name = file_name(plot.place, chart.key, file_format)
-                yield f"figures/{name}", print_chart(chart, file_format)
+            for ending in printing.formats:
+                name = file_name(plot.place, chart.key, ending)
+                yield f"figures/{name}", print_chart(chart, ending, printing.font)
         for table in plot.tables:
             yield from _table_files(plot.place, table)
+    if set(PAPER_FORMATS) <= set(printing.formats):
+        yield "figures/figures.tex", _figures_latex(report).encode()
+
+
+def _figures_latex(report: Report) -> str:
+    """A LaTeX figure for each plot; its caption says what the plot for a paper leaves out."""
+    parts = [r"% \usepackage{graphicx}"]
+    for plot in report.forms:
+        for chart in plot.charts:
+            name = file_name(plot.place, chart.key, PAPER_FORMATS[0])
+            parts += [
+                "",
+                r"\begin{figure}",
+                r"  \centering",
+                rf"  \includegraphics{{{name}}}",
+                rf"  \caption{{{latex(chart.title)}. {latex(chart.caption)}}}",
+                r"\end{figure}",
+            ]
+    return "\n".join([*parts, ""])
 
 
 def write_folder(
     report: Report,
     project_root: Path,
     folder: Path,
-    formats: Collection[str] = PRINT_FORMATS,
+    printing: Printing = PRINTING,
     progress: Progress | None = None,
 ) -> list[Path]:
     """Write the report into ``folder``, each file atomically; returns the paths. Raises Unavailable."""
     written = []
-    for name, content in report_files(report, project_root, formats, progress):
+    for name, content in report_files(report, project_root, printing, progress):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         write_aside(path, content)
@@ -74,11 +115,11 @@ def write_folder(
     return written
 
 
-def zipped(report: Report, project_root: Path, formats: Collection[str] = PRINT_FORMATS) -> bytes:
+def zipped(report: Report, project_root: Path, printing: Printing = PRINTING) -> bytes:
     """The report as a zip file; the same report gives the same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in report_files(report, project_root, formats):
+        for name, content in report_files(report, project_root, printing):
             archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
     return buffer.getvalue()
 
@@ -89,9 +130,13 @@ def report_page(report: Report, project_root: Path) -> str:
     return template.render(
         **report_content(report),
         plotly_js=Markup(PLOTLY_FILE.read_text(encoding="utf-8")),  # noqa: S704 - out of the installed package
-        draw_js=Markup((project_root / "static" / "report.js").read_text(encoding="utf-8")),  # noqa: S704 - ours
-        style=Markup((project_root / "static" / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - ours
+        draw_js=Markup(_static(project_root, "report.js")),  # noqa: S704 - ours
+        style=Markup("".join(_static(project_root, name) for name in STYLES)),  # noqa: S704 - ours
     )
+
+
+def _static(project_root: Path, name: str) -> str:
+    return (project_root / "static" / name).read_text(encoding="utf-8")
 
 
 def report_environment(project_root: Path) -> Environment:
@@ -104,20 +149,21 @@ def report_environment(project_root: Path) -> Environment:
 
 
 def report_content(report: Report) -> dict[str, Any]:
-    """Template variables of every page of a report: ``report``, ``forms``, and ``figures`` for a script element."""
+    """Template variables of every page of a report that is a file; its tables have all rows, to print them."""
     return {
         "report": report,
-        "forms": [shown_plot(plot) for plot in report.forms],
+        "bibliography": bibtex(report.references),
+        "forms": [shown_plot(plot, WHOLE_ROWS) for plot in report.forms],
         "figures": script_json(figures_json(report)),
     }
 
 
-def shown_plot(plot: Plot) -> ShownPlot:
+def shown_plot(plot: Plot, most_rows: int = SHOWN_ROWS) -> ShownPlot:
     """The part of a plot that a page shows: its plots, and its tables with their first rows."""
     return ShownPlot.of(
         plot,
         charts=plot.charts,
-        tables=tuple(_shown_table(table) for table in plot.tables if not table.raw),
+        tables=tuple(_shown_table(table, most_rows) for table in plot.tables if not table.raw),
         raw=tuple(
             RawData(key=table.key, title=table.title, rows=len(table.rows)) for table in plot.tables if table.raw
         ),
@@ -127,14 +173,11 @@ def shown_plot(plot: Plot) -> ShownPlot:
     )
 
 
-def _shown_table(table: ResultTable) -> ShownTable:
-    rows = table.rows[:SHOWN_ROWS]
-    numeric = tuple(
-        column.key
-        for place, column in enumerate(table.columns)
-        if all(isinstance(row[place], int | float | None) for row in rows)
-    )
-    return ShownTable(table=replace(table, rows=rows), more=len(table.rows) - SHOWN_ROWS, numeric=numeric)
+def _shown_table(table: ResultTable, most_rows: int) -> ShownTable:
+    rows = table.rows[:most_rows]
+    shown = replace(table, rows=rows)
+    numeric = tuple(column.key for place, column in enumerate(table.columns) if shown.is_number(place))
+    return ShownTable(table=shown, more=len(table.rows) - most_rows, numeric=numeric)
 
 
 def figures_json(report: Report) -> dict[str, Any]:

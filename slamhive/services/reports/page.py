@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from slamhive.analysis.chart import PRINT_FORMATS
+from slamhive.analysis.chart import PAPER_FORMATS, PRINT_FORMATS
 from slamhive.analysis.report import Plot, Report, ReportPage, ShownPlot
 from slamhive.services.reports.bundle import shown_plot
 from slamhive.services.reports.report import file_name
@@ -29,7 +29,7 @@ def _light(plot: Plot) -> ShownPlot:
 def _files(plot: Plot) -> Iterator[tuple[str, tuple[int, str]]]:
     """Each file of a plot by its name, with the place of the plot and the key of the plot or table."""
     for chart in plot.charts:
-        for ending in PRINT_FORMATS:
+        for ending in (*PRINT_FORMATS, *PAPER_FORMATS):
             yield file_name(plot.place, chart.key, ending), (plot.place, chart.key)
     for table in plot.tables:
         for ending in endings_of(table):

@@ -8,14 +8,18 @@ from datetime import datetime
 from slamhive.analysis.analysis_file import set_words
 from slamhive.analysis.report import DisturbedRuns, Plot, ProtocolRuns, Report
 from slamhive.analysis.table import FAILED
+from slamhive.domain.bibliography import Reference
 from slamhive.services.reports.run import AnalysisOutcome, PlotOutcome
 
 SHOWN_ROWS = 200
-"""Rows of a table on a page; the CSV file has all rows."""
+"""Rows of a table on a page of the server; the CSV file has all rows."""
+
+WHOLE_ROWS = 5_000
+"""Rows of a table in a page that is a file. Tables that are shown are summaries, with fewer rows than this."""
 
 
-def make_report(outcome: AnalysisOutcome, now: datetime) -> Report:
-    """The whole report, with plots and raw data, computed at ``now``."""
+def make_report(outcome: AnalysisOutcome, now: datetime, references: tuple[Reference, ...] = ()) -> Report:
+    """The whole report, with plots and raw data, computed at ``now``; ``references`` are what to cite for it."""
     analysis, table = outcome.analysis, outcome.table
     reasons = Counter(table.failed()[FAILED])
     protocols = table.frame.dropna(subset=["protocol"]).groupby("protocol", sort=True)["protocol_label"]
@@ -43,6 +47,7 @@ def make_report(outcome: AnalysisOutcome, now: datetime) -> Report:
             ProtocolRuns(fingerprint=str(name), label=str(labels.iloc[0]), runs=len(labels))
             for name, labels in protocols
         ),
+        references=references,
         forms=tuple(_plot(plot, place) for place, plot in enumerate(outcome.plots, start=1)),
         source=analysis.source,
     )

@@ -8,7 +8,9 @@ from pathlib import Path
 from slamhive.analysis.analysis_file import Analysis, parse_analysis
 from slamhive.analysis.report import Report
 from slamhive.clock import utc_now
+from slamhive.domain.bibliography import Reference
 from slamhive.errors import InvalidInput
+from slamhive.services.citations import Citations
 from slamhive.services.datasets import Catalogue, stored_numbers
 from slamhive.services.reports.names import check_columns
 from slamhive.services.reports.report import make_report
@@ -37,6 +39,7 @@ class Analyses:
         self._store = store
         self._catalogue = catalogue
         self._searches = searches
+        self._citations = Citations(store, catalogue)
 
     def read(self, text: str, source: str = "analysis.yaml", ids: Mapping[str, str] | None = None) -> Analysis:
         """Parse an analysis file of this or of the published SLAM Hive; raises InvalidInput with the line.
@@ -72,16 +75,25 @@ class Analyses:
             sensors={entry.name: entry.setup.value for entry in self._catalogue.algorithms()},
             datasets={entry.name: entry for entry in self._catalogue.datasets()},
         )
-        return make_report(run_analysis(analysis, sources, limits, progress), utc_now())
+        outcome = run_analysis(analysis, sources, limits, progress)
+        names = outcome.table.frame["algorithm"], outcome.table.frame["dataset"]
+        return make_report(outcome, utc_now(), self._citations.of_names(*names))
+
+    def references(self, analysis: Analysis) -> tuple[Reference, ...]:
+        """What to cite for the runs that an analysis selects now; raises as :meth:`compute`."""
+        return self._citations.of_runs(self._selected(analysis))
 
     def fingerprint(self, analysis: Analysis) -> str:
         """Identifies the selected runs and their metrics; raises as :meth:`compute`."""
-        run_ids = select_runs(analysis, self._store, self._searches.find, self._saved_search)
+        run_ids = self._selected(analysis)
         return self._store.read(lambda t: t.analyses.fingerprint(run_ids))
 
     def _may_be_axis(self, name: str) -> bool:
         """Whether the file of a stored experiment contains the name, and so may have an axis called so."""
         return self._store.read(lambda t: t.experiments.mention(name))
+
+    def _selected(self, analysis: Analysis) -> tuple[int, ...]:
+        return select_runs(analysis, self._store, self._searches.find, self._saved_search)
 
     def _saved_search(self, name: str) -> str:
         return self._searches.saved_named(name).filter_text

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Mapping
 from importlib.util import find_spec
 
 import pandas as pd
 
 from slamhive.analysis.result import Cell, ResultTable
+from slamhive.domain.latex import latex
 from slamhive.errors import Unavailable
 from slamhive.services.exports import safe_cell
-from slamhive.services.markdown_table import numeric_columns, table_markdown
+from slamhive.services.markdown_table import numeric_columns, ranked, table_markdown
 
 LATEX_ROWS = 500
 """Most rows of a printed table; the CSV file has all rows."""
@@ -19,11 +21,7 @@ LATEX_ROWS = 500
 WITHOUT_PARQUET = "Parquet needs pyarrow, which is not installed"
 PARQUET_REMEDY = "pip install slamhive[parquet]"
 
-_LATEX = {
-    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
-    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "²": r"\textsuperscript{2}", "°": r"\textdegree{}",
-    "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "±": r"$\pm$", '"': r"\textquotedbl{}",
-}  # fmt: skip
+_LATEX_RANKS: Mapping[int | None, str] = {1: r"\textbf{%s}", 2: r"\underline{%s}"}
 
 
 RAW_ENDINGS = ("csv", "parquet")
@@ -73,24 +71,25 @@ def table_parquet(table: ResultTable) -> bytes:
 
 
 def table_latex(table: ResultTable) -> str:
-    """A ``tabular`` with booktabs rules, escaped text, and numbers with four significant digits."""
+    """A ``tabular`` with booktabs rules, escaped text, numbers with four significant digits, and the caption below."""
     numeric = numeric_columns(table)
     lines = [
         f"% {_comment(table.title)}",
+        r"% \usepackage{booktabs}",
         f"\\begin{{tabular}}{{{''.join('r' if number else 'l' for number in numeric)}}}",
         r"\toprule",
         " & ".join(latex(column.heading) for column in table.columns) + r" \\",
         r"\midrule",
     ]
-    lines += [" & ".join(_latex_cell(cell) for cell in row) + r" \\" for row in table.rows[:LATEX_ROWS]]
+    for place, row in enumerate(table.rows[:LATEX_ROWS]):
+        cells = (ranked(_latex_cell(cell), table.rank(place, at), _LATEX_RANKS) for at, cell in enumerate(row))
+        lines.append(" & ".join(cells) + r" \\")
     if len(table.rows) > LATEX_ROWS:
         lines.append(f"% {len(table.rows) - LATEX_ROWS} more rows are in the CSV file")
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
-
-
-def latex(text: str) -> str:
-    """Text escaped for LaTeX."""
-    return "".join(_LATEX.get(letter, letter) if letter.isprintable() else " " for letter in text)
+    lines += [r"\bottomrule", r"\end{tabular}"]
+    if table.caption:
+        lines += ["", r"\smallskip", rf"\parbox{{\linewidth}}{{\footnotesize {latex(table.caption)}}}"]
+    return "\n".join([*lines, ""])
 
 
 def _latex_cell(cell: Cell) -> str:

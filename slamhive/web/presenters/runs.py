@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +28,10 @@ _PROTECTIONS = {
     "end": "Killed by",
     "priority": "Priority",
 }
+
+
+_STILLS = {"path": "traj_trajectories.png", "error": "ape_raw.png"}
+_MEASURED_STILLS = {"cpu": "profiling_cpu.png", "memory": "profiling_ram.png"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,3 +271,9 @@ def _provenance_text(value: object) -> str:
     if isinstance(value, list):
         return ", ".join(map(str, value))
     return value_text(value)
+
+
+def stills(files: Collection[str], fingerprint: str | None) -> dict[str, str]:
+    """The pictures to show without scripts, {plot: its file}, as far as they are among ``files``."""
+    wanted = _MEASURED_STILLS | {plot: f"{fingerprint}-{name}" for plot, name in _STILLS.items()}
+    return {plot: key for plot, key in wanted.items() if key in files}

@@ -18,10 +18,11 @@ def index() -> str:
     """List all algorithms, and packages that cannot be read."""
     catalogue = hive().catalogue
     algorithms = catalogue.algorithms()
+    names = [algorithm.name for algorithm in algorithms]
     return render_template(
         "algorithms/index.html",
         algorithms=algorithms,
-        colours=algorithm_colours(algorithm.name for algorithm in algorithms),
+        colours=algorithm_colours(names, names),
         broken=[entry for entry in catalogue.broken() if entry.is_algorithm],
     )
 

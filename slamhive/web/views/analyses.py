@@ -8,6 +8,7 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 from flask import url_for as address
 
 from slamhive.analysis.report import ReportPage
+from slamhive.domain.bibliography import bibtex
 from slamhive.errors import Forbidden, InvalidInput, SlamHiveError
 from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, PAGE, may_analyse
 from slamhive.settings import Mode
@@ -110,6 +111,7 @@ def show(token: str) -> Response:
             analysis=record,
             source=folder.source,
             page=page,
+            bibliography="" if page is None else bibtex(page.references),
             progress=folder.read_progress(),
             waits_for_worker=services.settings.mode is Mode.WORKSTATION and not services.worker_alive(),
             kept=services.settings.analyses_max_stored,

@@ -148,6 +148,7 @@ def show(run_id: int) -> str:
     notes = evaluation_notes(services.runs.folder(run_id), None if chosen is None else chosen.fingerprint)
     record = services.runs.record(run_id)
     match = matching.match_of_run(services, record, run.configuration_id)
+    downloads = list_downloads(services.runs.folder(run_id), _fingerprints(evaluations))
     return render_template(
         "runs/show.html",
         run=run,
@@ -179,7 +180,10 @@ def show(run_id: int) -> str:
         evaluations=evaluations,
         evaluating=any(entry.state in (EvaluationState.QUEUED, EvaluationState.RUNNING) for entry in evaluations),
         log=services.runs.log(run_id, max_bytes=LOG_TAIL_BYTES),
-        downloads=list_downloads(services.runs.folder(run_id), _fingerprints(evaluations)),
+        downloads=downloads,
+        stills=presenter.stills(
+            {file.key for file in downloads}, None if run.protocol is None else run.protocol.fingerprint
+        ),
         protocol_groups=protocols.protocol_groups(),
     )
 

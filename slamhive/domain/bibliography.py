@@ -1,0 +1,158 @@
+"""Works to cite, as BibTeX. Algorithms, datasets and collections state them as text, as a list of references has it."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Container, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import chain, count
+
+from slamhive.domain.latex import latex
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What to cite for an algorithm, a dataset or a tool.
+
+    Attributes:
+        names: What it is about, for example the modes of an algorithm or the sequences of a dataset.
+        text: One or more works such as ``A. Author, B. Author. Title. Venue, 2020.``, or BibTeX; empty if unknown.
+    """
+
+    names: tuple[str, ...]
+    text: str
+
+
+TOOLS = (
+    Reference(
+        ("SLAM Hive",),
+        "X. Liu, Y. Yang, B. Xu, D. Feng, S. Schwertfeger. Benchmarking SLAM Algorithms in the Cloud: The SLAM Hive "
+        "Benchmarking Suite. arXiv:2406.17586, 2024.",
+    ),
+    Reference(
+        ("evo",),
+        "M. Grupp. evo: Python package for the evaluation of odometry and SLAM. "
+        "https://github.com/MichaelGrupp/evo, 2017.",
+    ),
+)
+"""What every result was made with. ``CITATION.cff`` names the same work; a test compares them."""
+
+_NEXT_WORK = re.compile(r"(?<=\b(?:19|20)\d\d)[.;] |(?<=>)[.;] ")
+"""After the year of a work, or the DOI that follows it."""
+_PREFIX = re.compile(r"^[\w -]{1,40}: (?=[A-Z]\.)")
+_INITIALS = r"(?:[^\W\d_a-z]\.[ -]?)+"
+_NAMES = rf"{_INITIALS}[^\d:.,]+(?:, {_INITIALS}[^\d:.,]+)*"
+_END = r"(?:(?P<venue>[^.].*?)(?:,? ))??(?P<year>(?:19|20)\d\d)\.?$"
+_WORKS = (
+    re.compile(rf"^(?P<authors>{_NAMES})\. (?P<title>.+[^.])\. {_END}"),
+    re.compile(rf"^(?P<authors>[^.:,\d]+(?:(?:, [^.:,\d]+)+| et al\.)): (?P<title>.+[^.])\. {_END}"),
+)
+"""Authors with initials and a full stop, and last names with a colon."""
+_JOURNAL = re.compile(r"Transactions|Letters|Journal|Magazine|\bIJRR\b|\bRA-L\b|\bJMLR\b", re.IGNORECASE)
+_SHORT_WORD = 3
+_ARXIV = re.compile(r"^arXiv:(\d{4}\.\d{4,5})$")
+_DOI = re.compile(r"[.,;]? ?(?:doi:|https?://doi\.org/)(10\.[^\s,;]*[^\s,;.])", re.IGNORECASE)
+_MARKED_DOI = re.compile(r" <(10\.[^>]+)>")
+
+
+def cited(works: Iterable[tuple[str, str]]) -> tuple[Reference, ...]:
+    """The references behind (name, citation) pairs, in their order; names with one citation are together."""
+    found: dict[str, list[str]] = {}
+    for name, text in works:
+        found.setdefault(" ".join(text.split()) if not _is_bibtex(text) else text.strip(), []).append(name)
+    return tuple(Reference(tuple(dict.fromkeys(names)), text) for text, names in found.items() if text) + tuple(
+        Reference(tuple(dict.fromkeys(names)), "") for text, names in found.items() if not text
+    )
+
+
+def bibtex(references: Iterable[Reference]) -> str:
+    """A ``.bib`` file with each work once. Comments say what a work is about, and of what no citation is known."""
+    taken: dict[str, str] = {}
+    parts = []
+    for reference in references:
+        names = ", ".join(" ".join(name.split()) for name in reference.names)
+        if not reference.text:
+            parts.append(f"% no citation is known for {names}\n")
+        elif _is_bibtex(reference.text):
+            parts.append(f"% {names}\n{reference.text}\n")
+        else:
+            entries = (_entry(work, reference.names[0], taken) for work in _works(reference.text))
+            parts.append(f"% {names}\n" + "".join(filter(None, entries)))
+    return "\n".join(parts)
+
+
+def _is_bibtex(text: str) -> bool:
+    return text.lstrip().startswith("@")
+
+
+def _works(text: str) -> Iterator[str]:
+    for part in _NEXT_WORK.split(_DOI.sub(r" <\1>", text)):
+        yield _PREFIX.sub("", part.strip())
+
+
+def _entry(work: str, name: str, taken: dict[str, str]) -> str:
+    """The entry of one work; empty if ``taken``, the works by key, has it already."""
+    doi = _MARKED_DOI.search(work)
+    plain = _MARKED_DOI.sub("", work)
+    found = next(filter(None, (pattern.match(plain) for pattern in _WORKS)), None)
+    if found is None:
+        kind, key, fields = _as_it_is(plain, name)
+    else:
+        authors = _people(found["authors"])
+        kind, venue = _venue(found["venue"])
+        fields = {"author": latex(" and ".join(authors)), "title": f"{{{latex(found['title'])}}}"}
+        fields |= venue | {"year": found["year"]}
+        key = f"{_letters(authors[0].split()[-1])}{found['year']}{_first_word(found['title'])}"
+    fields |= {"doi": doi[1]} if doi else {}
+    content = "".join(f"  {field} = {{{value}}},\n" for field, value in fields.items())
+    same = f"{fields['title']} {fields.get('author')} {fields.get('year')}"
+    if same in taken.values():
+        return ""
+    key = _free(key, taken)
+    taken[key] = same
+    return f"@{kind}{{{key},\n{content}}}\n"
+
+
+def _as_it_is(work: str, name: str) -> tuple[str, str, dict[str, str]]:
+    """Kind, key and fields of a text that does not name authors, title and year."""
+    years = re.findall(r"\b(?:19|20)\d\d\b", work)
+    fields = {"title": f"{{{latex(name)}}}", "howpublished": latex(work)}
+    return "misc", _letters(name), fields | ({"year": years[-1]} if years else {})
+
+
+def _first_word(title: str) -> str:
+    words = re.split(r"[ :]", title)
+    return _letters(next((word for word in words if len(word) > _SHORT_WORD), words[0]))
+
+
+def _venue(text: str | None) -> tuple[str, dict[str, str]]:
+    """The kind of entry, and the fields that say where the work appeared."""
+    if text is None:
+        return "misc", {}
+    preprint = _ARXIV.match(text)
+    if preprint:
+        number = preprint[1]
+        return "misc", {"eprint": number, "archiveprefix": "arXiv", "doi": f"10.48550/arXiv.{number}"}
+    if text.startswith("http") or " http" in text:
+        return "misc", {"howpublished": latex(text)}
+    return (
+        ("article", {"journal": latex(text)})
+        if _JOURNAL.search(text)
+        else ("inproceedings", {"booktitle": latex(text)})
+    )
+
+
+def _people(text: str) -> list[str]:
+    listed = re.sub(r",? et al\.?$", ", others", text).replace(" and ", ", ")
+    return [name for name in listed.split(", ") if name]
+
+
+def _letters(text: str) -> str:
+    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
+    return re.sub(r"[^A-Za-z0-9]", "", plain).lower() or "work"
+
+
+def _free(key: str, taken: Container[str]) -> str:
+    """``key``, with a number if another work has it."""
+    return next(name for name in chain([key], (f"{key}-{number}" for number in count(2))) if name not in taken)
