@@ -6,5 +6,5 @@ Environment variables (SLAMHIVE_<NAME>) and command-line options win over what i
 # MODE = "workstation"            # workstation | view-only (cluster and cloud: not available yet)
 # DATA = "data"                   # data root: datasets, runs, SQLite database
 # DATABASE_URL = ""               # "" = SQLite in the data root; or mysql+pymysql://user@host/slamhive
-# EXECUTOR = "auto"               # auto | docker | process | slurm
+# EXECUTOR = "auto"               # auto | docker | process | slurm | kubernetes
 # WORKER_SLOTS = 1                # runs at a time; 1 keeps measurements undisturbed

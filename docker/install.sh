@@ -8,5 +8,5 @@ cp /source/docker/ca-certificates/*.crt /usr/local/share/ca-certificates/ 2>/dev
 update-ca-certificates
 export PIP_CERT="${PIP_CERT:-/etc/ssl/certs/ca-certificates.crt}" PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 python3 -m venv /opt/slamhive
-/opt/slamhive/bin/pip install --quiet -c /source/constraints.txt /source
+/opt/slamhive/bin/pip install --quiet -c /source/constraints.txt "/source[kubernetes]"
 /opt/slamhive/bin/slamhive --version

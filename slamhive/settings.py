@@ -55,13 +55,18 @@ class Settings(BaseSettings):
     secret_key: str = setting(
         "", "Signs sessions and forms; empty means a random key kept in <data>/secret_key", secret=True
     )
-    executor: str = setting("auto", "auto (Docker if an engine answers, else process), docker, process or slurm")
+    executor: str = setting(
+        "auto", "auto (Docker if an engine answers, else process), docker, process, slurm or kubernetes"
+    )
     slurm_options: str = setting(
         "", "Options of each Slurm job: --partition, --account, --qos, --constraint, --gres, --exclusive and some more"
     )
     slurm_containers: str = setting(
         "auto",
         "What runs images of packages on nodes: charliecloud, apptainer, podman, auto, or none for no images",
+    )
+    kubernetes_options: str = setting(
+        "", "How a cluster is used: --context, --namespace, --registry, --claim, --queue and --node, see kubernetes.md"
     )
     worker_slots: int = setting(1, "Runs at a time; more than 1 gives each slot cores of its own", minimum=1)
     run_cpu_cores: float = setting(0.0, "CPU limit of a run; 0 means all cores of the slot", unit="cores", minimum=0)

@@ -104,6 +104,7 @@ class ExecutorContext:
         source_archives: Folder with archives of sources, for images that are built without the internet.
         slurm_options: What is added to each job of Slurm, as the user wrote it.
         slurm_containers: The container runtime of jobs: its name, ``auto`` or ``none``.
+        kubernetes_options: How the cluster is used, as the user wrote it.
     """
 
     data: Path
@@ -113,6 +114,7 @@ class ExecutorContext:
     source_archives: Path | None = None
     slurm_options: str = ""
     slurm_containers: str = "auto"
+    kubernetes_options: str = ""
 
 
 @dataclass(frozen=True, slots=True)

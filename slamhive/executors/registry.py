@@ -47,6 +47,7 @@ def _loaded_late(module: str, name: str) -> ExecutorFactory:
 EXECUTORS.register("docker", _loaded_late("slamhive.executors.docker.executor", "DockerExecutor"))
 EXECUTORS.register("process", _loaded_late("slamhive.executors.process.executor", "ProcessExecutor"))
 EXECUTORS.register("slurm", _loaded_late("slamhive.executors.slurm.containers", "open_slurm"))
+EXECUTORS.register("kubernetes", _loaded_late("slamhive.executors.kubernetes.executor", "KubernetesExecutor"))
 
 
 def open_executor(name: str, context: ExecutorContext) -> Executor:

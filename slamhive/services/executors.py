@@ -80,4 +80,5 @@ class Executors:
             source_archives=Path(archives) if archives else None,
             slurm_options=self._settings.slurm_options,
             slurm_containers=self._settings.slurm_containers,
+            kubernetes_options=self._settings.kubernetes_options,
         )

@@ -20,6 +20,7 @@ from slamhive.executors.registry import ExecutorFactory, open_executor
 from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.runs.folder import RunFolder
+from tests.executors.kubernetes_cluster import KubernetesCluster
 from tests.executors.plugins import PLUGINS, Agent, distributions_in, install_plugins
 from tests.executors.slurm_cluster import Cluster, cannot_start_because
 from tests.shared_environments import share_environments
@@ -214,6 +215,7 @@ LIVE = ("ready", "starts", "alive", "used")
 HOLDING = tuple(kind for kind in KINDS if _holds(kind))
 """The containments that can be had on this machine by who runs the tests."""
 _DOCKER = pytest.param("docker", marks=pytest.mark.docker)
+_KUBERNETES = pytest.param("kubernetes", marks=pytest.mark.cluster)
 EVERYWHERE = [*(f"process-{kind}" for kind in HOLDING), _DOCKER]
 """The parameters of ``bench`` for all of them, and for containers."""
 REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
@@ -222,11 +224,19 @@ REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
 
 _SLURM = pytest.param("slurm", marks=pytest.mark.cluster)
 _SLURM_ENVIRONMENT = pytest.param("slurm-none", marks=pytest.mark.cluster)
-ALL = ["process", _DOCKER, _SLURM, _SLURM_ENVIRONMENT, "remote", "plain"]
+ALL = ["process", _DOCKER, _SLURM, _SLURM_ENVIRONMENT, _KUBERNETES, "remote", "plain"]
 """The parameters of ``bench`` for every executor: those that ship, one on another machine, one of the documentation.
 
 Slurm has two, with containers and without.
 """
+
+
+@pytest.fixture(scope="session")
+def kubernetes_cluster(tmp_path_factory: pytest.TempPathFactory, base_image: str) -> Iterator[KubernetesCluster]:
+    """A real control plane with two nodes, which have the image of these tests."""
+    with KubernetesCluster(tmp_path_factory.mktemp("kubernetes")) as cluster:
+        cluster.load(base_image)
+        yield cluster
 
 
 @pytest.fixture
@@ -247,6 +257,8 @@ def maker(request, tmp_path: Path, environment_data: Path) -> Maker:
         if name == "remote":
             request.getfixturevalue("agent")
         return Maker(name, context, lambda: plugin(context))
+    if name == "kubernetes":
+        request.getfixturevalue("kubernetes_cluster").use(request.getfixturevalue("monkeypatch"))
     return Maker(name, context, lambda: open_executor(name, context))
 
 

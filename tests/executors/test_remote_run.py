@@ -6,9 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -22,6 +19,7 @@ from slamhive.services.hive import Hive
 from tests.executors.plugins import Agent
 from tests.services.conftest import hive
 from tests.services.killed_worker import killed_workers
+from tests.services.working import started_times, working
 from tests.waiting import PATIENCE_S, eventually
 
 # A worker is started and killed some thirty times; on a busy machine that takes minutes.
@@ -57,25 +55,8 @@ def command(*arguments: str) -> str:
     return ended.stdout
 
 
-@contextmanager
-def working(hive: Hive) -> Iterator[None]:
-    """A worker meanwhile."""
-    worker = hive.worker()
-    thread = threading.Thread(target=worker.run, kwargs={"until_idle": True})
-    thread.start()
-    try:
-        yield
-    finally:
-        worker.stop()
-        thread.join()
-
-
 def runs_of(agent: Agent) -> list[str]:
     return [path.name for path in agent.root.glob("runs/*/*")]
-
-
-def started_times(hive: Hive, run_id: int) -> int:
-    return len((hive.runs.folder(run_id).result / "starts.txt").read_text().splitlines())
 
 
 def test_a_run_and_its_evaluation(far, agent):

@@ -1,0 +1,1 @@
+"""Runs algorithms as Jobs of a Kubernetes cluster."""

@@ -1,0 +1,213 @@
+"""Jobs, pods and nodes of a cluster: requests as methods, answers as plain data, errors as ours."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from slamhive.errors import SlamHiveError
+from slamhive.executors.base import EngineUnavailable
+from slamhive.executors.kubernetes.answers import Document, Right
+from slamhive.executors.kubernetes.connection import Connection, Refused, api_errors, connect
+from slamhive.executors.kubernetes.options import Options
+
+_CONNECT_S, _ANSWER_S = 5.0, 30.0
+_RAW = {"_preload_content": False, "_request_timeout": (_CONNECT_S, _ANSWER_S)}
+_WATCH_SLACK_S = 10.0
+
+
+class Expired(Exception):
+    """The API server no longer knows what happened since the version that was asked for."""
+
+
+class Cluster:
+    """Asks one API server. Safe to share between threads. All methods may raise EngineUnavailable.
+
+    Args:
+        options: Which cluster and namespace.
+    """
+
+    def __init__(self, options: Options) -> None:
+        self._options = options
+        self._lock = threading.Lock()
+        self._connection: Connection | None = None
+
+    @property
+    def namespace(self) -> str:
+        """Where Jobs are made."""
+        return self._api().namespace
+
+    def version(self) -> str:
+        """Such as ``v1.36.2``."""
+        return str(self._ask("asking for the version", lambda a: a.versions.get_code(**_RAW)).get("gitVersion"))
+
+    def create_job(self, manifest: Document, failure: type[SlamHiveError]) -> bool:
+        """Create a Job; False if there is one of that name. Raises ``failure`` if the API server refuses it."""
+        try:
+            self._ask(
+                "creating a Job", lambda a: a.batch.create_namespaced_job(a.namespace, manifest, **_RAW), failure, 409
+            )
+        except Refused:
+            return False
+        return True
+
+    def job(self, name: str) -> Document | None:
+        """The Job called ``name``; None if there is none."""
+        try:
+            return self._ask(
+                "reading a Job", lambda a: a.batch.read_namespaced_job(name, a.namespace, **_RAW), expected=404
+            )
+        except Refused:
+            return None
+
+    def jobs(self, selector: str) -> list[Document]:
+        """The Jobs with these labels."""
+        return _items(
+            self._ask(
+                "listing Jobs", lambda a: a.batch.list_namespaced_job(a.namespace, label_selector=selector, **_RAW)
+            )
+        )
+
+    def delete_job(self, name: str) -> None:
+        """Delete a Job; its pods go a little later. Does nothing if it is gone."""
+        self._delete(
+            "deleting a Job",
+            lambda a: a.batch.delete_namespaced_job(name, a.namespace, propagation_policy="Background", **_RAW),
+        )
+
+    def pods(self, selector: str) -> list[Document]:
+        """The pods with these labels."""
+        return _items(self.pod_list(selector))
+
+    def pod_list(self, selector: str) -> Document:
+        """The same with the version of the list, from which a watch can go on."""
+        return self._ask(
+            "listing pods", lambda a: a.core.list_namespaced_pod(a.namespace, label_selector=selector, **_RAW)
+        )
+
+    def delete_pod(self, name: str) -> None:
+        """Delete a pod at once, even if its node does not answer. Does nothing if it is gone."""
+        self._delete(
+            "deleting a pod",
+            lambda a: a.core.delete_namespaced_pod(name, a.namespace, grace_period_seconds=0, **_RAW),
+        )
+
+    def watch_pods(self, selector: str, version: str, seconds: int) -> Iterator[Document]:
+        """What happens to the pods with these labels after ``version``, for that long. Raises Expired."""
+        api = self._api()
+        try:
+            with api_errors("watching pods", EngineUnavailable, 410):
+                answer = api.core.list_namespaced_pod(
+                    api.namespace,
+                    label_selector=selector,
+                    resource_version=version,
+                    watch=True,
+                    allow_watch_bookmarks=True,
+                    timeout_seconds=seconds,
+                    _preload_content=False,
+                    _request_timeout=(_CONNECT_S, seconds + _WATCH_SLACK_S),
+                )
+                try:
+                    yield from _events(answer.stream(amt=None, decode_content=False))
+                finally:
+                    answer.close()
+                    answer.release_conn()
+        except Refused:
+            raise Expired from None
+
+    def events(self, name: str) -> list[Document]:
+        """The events of a pod or Job; none if the worker may not read them."""
+        chosen = f"involvedObject.name={name}"
+        return (
+            self._optional(
+                "listing events", lambda a: a.core.list_namespaced_event(a.namespace, field_selector=chosen, **_RAW)
+            )
+            or []
+        )
+
+    def nodes(self) -> list[Document] | None:
+        """All nodes; None if the worker may not list them."""
+        return self._optional("listing nodes", lambda a: a.core.list_node(**_RAW))
+
+    def may(self, right: Right) -> bool:
+        """Whether the worker has a right in the namespace, or for nodes in the cluster."""
+        where = {} if right.resource == "nodes" else {"namespace": self.namespace}
+        review = {
+            "apiVersion": "authorization.k8s.io/v1",
+            "kind": "SelfSubjectAccessReview",
+            "spec": {
+                "resourceAttributes": {"verb": right.verb, "resource": right.resource, "group": right.group, **where}
+            },
+        }
+        answer = self._ask("asking for rights", lambda a: a.rights.create_self_subject_access_review(review, **_RAW))
+        return bool(answer["status"].get("allowed"))
+
+    def close(self) -> None:
+        """Close connections."""
+        with self._lock:
+            if self._connection is not None:
+                self._connection.close()
+                self._connection = None
+
+    def _api(self) -> Connection:
+        with self._lock:
+            if self._connection is None:
+                self._connection = connect(self._options)
+            return self._connection
+
+    def _ask(
+        self,
+        doing: str,
+        call: Callable[[Connection], Any],
+        failure: type[SlamHiveError] = EngineUnavailable,
+        expected: int | None = None,
+    ) -> Document:
+        """One request; its answer as data. Raises Refused for the code that is ``expected``."""
+        api = self._api()
+        with api_errors(doing, failure, expected):
+            answer = call(api)
+            content: Document = json.loads(answer.data)
+            return content
+
+    def _delete(self, doing: str, call: Callable[[Connection], Any]) -> None:
+        try:
+            self._ask(doing, call, expected=404)
+        except Refused:
+            return
+
+    def _optional(self, doing: str, call: Callable[[Connection], Any]) -> list[Document] | None:
+        """A list that the worker can do without; None if it may not read it."""
+        try:
+            return _items(self._ask(doing, call, expected=403))
+        except Refused:
+            return None
+
+
+def _items(answer: Document) -> list[Document]:
+    found: list[Document] = answer.get("items") or []
+    return found
+
+
+def _events(chunks: Iterable[bytes]) -> Iterator[Document]:
+    """The events in the lines of a watch. Raises Expired for the event that says so."""
+    rest = b""
+    for chunk in chunks:
+        *lines, rest = (rest + chunk).split(b"\n")
+        for line in lines:
+            if line.strip():
+                yield _event(line)
+
+
+def _event(line: bytes) -> Document:
+    try:
+        event: Document = json.loads(line)
+    except ValueError:
+        raise EngineUnavailable("watching pods: the API server sent half a line") from None
+    if event.get("type") == "ERROR":
+        status = event.get("object") or {}
+        if status.get("code") in (410, 504):
+            raise Expired
+        raise EngineUnavailable(f"watching pods: {status.get('message', 'the API server reports an error')}")
+    return event

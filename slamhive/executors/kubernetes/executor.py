@@ -1,0 +1,260 @@
+"""Runs algorithms as Jobs of Kubernetes, on nodes that share the storage of the data root.
+
+Kubernetes chooses the node, gets the image and enforces limits. A supervisor in the pod writes to the shared storage
+how the run goes and how it ended. A Job is found by its labels: nothing is remembered here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.errors import SlamHiveError, Unavailable
+from slamhive.executors.base import (
+    Capabilities,
+    EngineUnavailable,
+    Executor,
+    ExecutorContext,
+    Finding,
+    LiveKeys,
+    PackageNeed,
+    ProgressCallback,
+    StartFailed,
+)
+from slamhive.executors.kubernetes import answers
+from slamhive.executors.kubernetes.answers import Document, Right
+from slamhive.executors.kubernetes.cluster import Cluster
+from slamhive.executors.kubernetes.connection import why_no_connection
+from slamhive.executors.kubernetes.images import NodeImages
+from slamhive.executors.kubernetes.manifest import selector
+from slamhive.executors.kubernetes.options import read_options
+from slamhive.executors.kubernetes.run_files import PodUsage, RunFiles, Started
+from slamhive.executors.kubernetes.run_jobs import RunJobs
+from slamhive.executors.kubernetes.watching import PodWatch
+from slamhive.executors.process.supervisors import wait_until
+from slamhive.executors.spec import Limit, RunSpec
+from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
+from slamhive.files import write_aside
+
+KILL_WAIT_S = 10.0
+_USAGE_WAIT_S = 2.0
+RIGHTS = (
+    *(Right(verb, "jobs", "batch") for verb in ("create", "get", "list", "delete")),
+    *(Right(verb, "pods") for verb in ("list", "watch", "delete")),
+)
+"""What the worker cannot do without."""
+USEFUL_RIGHTS = (Right("list", "events"), Right("list", "nodes"))
+"""What makes messages better."""
+
+
+class KubernetesExecutor(Executor):
+    """The executor ``kubernetes``. Safe to share between threads."""
+
+    name = "kubernetes"
+    capabilities = Capabilities(
+        isolates=True,
+        limits=frozenset({Limit.CORES, Limit.MEMORY, Limit.PROCESSES, Limit.DISK, Limit.TIME}),
+        needs=PackageNeed.IMAGE,
+        shares_files=False,
+    )
+
+    def __init__(self, context: ExecutorContext) -> None:
+        super().__init__(context)
+        self._options = read_options(context.kubernetes_options)
+        self._cluster = Cluster(self._options)
+        self._jobs = RunJobs(self._cluster, self._options, context)
+        self._watch = PodWatch(self._cluster, selector(context.installation))
+        self._images = NodeImages(context, self._options.registry)
+
+    def unavailable_because(self) -> str | None:
+        """Why no Job can be made; None if the API server answers and lets us list Jobs."""
+        problem = why_no_connection()
+        if problem is not None:
+            return problem
+        try:
+            self._jobs.all()
+        except SlamHiveError as error:
+            return str(error)
+        return None
+
+    def examine(self) -> list[Finding]:
+        """Which cluster it is, what the worker may do there, which nodes answer, and how files and images get there."""
+        cluster, options = self._cluster, self._options
+        missing = [right.text for right in (*RIGHTS, *USEFUL_RIGHTS) if not cluster.may(right)]
+        rights = f"the worker may not {', '.join(missing)}" if missing else "all that are needed"
+        nodes = cluster.nodes()
+        ready = [] if nodes is None else answers.ready_nodes(nodes)
+        counted = "unknown" if nodes is None else f"{len(ready)} of {len(nodes)} take runs"
+        same_path = f"nodes need {self._context.data.resolve()} at the same path"
+        return [
+            Finding("cluster", f"{cluster.version()}, namespace {cluster.namespace}"),
+            Finding("rights", rights, "apply deploy/kubernetes/base/rights.yaml" if missing else None),
+            Finding("nodes", counted, None if ready or nodes is None else "see kubectl get nodes"),
+            Finding("storage", f"claim {options.claim}" if options.claim else same_path),
+            Finding("images", f"registry {options.registry}" if options.registry else "nodes need them already"),
+        ]
+
+    def examine_nodes(self) -> list[Finding]:
+        """Whether each node takes runs, and the most that a run can get there. Raises Unavailable."""
+        nodes = self._cluster.nodes()
+        if nodes is None:
+            raise Unavailable("the worker may not list nodes", "apply deploy/kubernetes/base/rights.yaml")
+        ready = answers.ready_nodes(nodes)
+        findings = []
+        for node in nodes:
+            name, takes = str(node["metadata"]["name"]), node["metadata"]["name"] in ready
+            state = "takes runs" if takes else "takes no runs now"
+            remedy = None if takes else f"see kubectl describe node {name}"
+            findings.append(Finding(name, f"{state}, {answers.allocatable(node)}", remedy))
+        return findings
+
+    def check_package(self, package: AlgorithmPackage) -> None:
+        """Refuse packages that need a user of their own."""
+        self._images.check(package)
+
+    def identity(self, package: AlgorithmPackage) -> str | None:
+        """The image that pods would use now."""
+        return self._images.identity(package)
+
+    def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
+        """Build the image with Docker, and push it if there is a registry."""
+        self._images.check(package)
+        return self._images.build(package, progress)
+
+    def has(self, package: AlgorithmPackage, identity: str) -> bool:  # noqa: ARG002 - an identity names one image
+        """Whether a pod could use the image. What a registry has is only known at a start."""
+        return bool(self._options.registry) or self._images.has(identity)
+
+    def start(self, spec: RunSpec) -> RunHandle:
+        """Make the Job of the run unless there is one, and wait a little for its pod.
+
+        Raises EngineUnavailable while the pod waits for a node.
+        """
+        if spec.gpu is not None:
+            raise StartFailed("pods get no GPU yet", "choose the executor docker")
+        return self._handle(spec, self._jobs.start(spec, RunFiles(spec.work)))
+
+    def poll(self, handle: RunHandle) -> RunStatus:
+        """What the supervisor has recorded, else what Kubernetes says of the pod."""
+        files, key = _files(handle), handle.data["key"]
+        ended = files.ended()
+        if ended is not None:
+            return self._explained(ended, key)
+        if not files.there:
+            return Gone("its work folder was removed from outside")
+        if _goes_on(self._watch.of_run(key)):
+            return Running()
+        pod = self._jobs.pod(key)  # asked directly: the watch may be behind
+        if _goes_on(pod):
+            return Running()
+        lost: Exited | Gone = Gone(answers.how_it_was_lost(pod))
+        if pod is not None and answers.ran_out_of_memory(pod):
+            lost = Exited(137, out_of_memory=True)
+        return files.ended() or lost  # it may have been recorded meanwhile
+
+    def stop(self, handle: RunHandle, grace_s: float) -> None:
+        """SIGTERM to all processes of the run, SIGKILL after ``grace_s``; the supervisor does it."""
+        files = _files(handle)
+        if not files.there or files.ended() is not None:
+            return
+        files.ask_to_stop(grace_s)
+        if not wait_until(lambda: files.ended() is not None or self._is_lost(handle), grace_s + KILL_WAIT_S):
+            self._jobs.delete(handle.data["key"])
+
+    def save_log(self, handle: RunHandle, path: Path) -> None:
+        """Copy what the supervisor has kept of the output."""
+        write_aside(path, _files(handle).log(self._context.log_max_bytes))
+
+    def remove(self, handle: RunHandle) -> None:
+        """End the run, delete its Job and its work folder."""
+        self.stop(handle, 0.0)
+        self._jobs.delete(handle.data["key"])
+        _files(handle).remove()
+
+    def discard(self, spec: RunSpec) -> None:
+        """The same for a run whose handle was lost; a pod that starts just now finds that it may not."""
+        files = RunFiles(spec.work)
+        if not files.block():
+            self.stop(_handle_of(spec), 0.0)
+        self._jobs.delete(spec.key)
+        files.remove()
+
+    def refresh(self, spec: RunSpec, handle: RunHandle) -> None:
+        """Copy the files that are watched."""
+        for output in spec.outputs:
+            _files(handle).copy_live(output)
+
+    def collect(self, spec: RunSpec, handle: RunHandle) -> None:
+        """Take the outputs over."""
+        for output in spec.outputs:
+            _files(handle).hand_over(output)
+
+    def usage_source(self, handle: RunHandle) -> UsageSource | None:
+        """The counters that the supervisor hands over; None if the run has ended."""
+        files = _files(handle)
+        wait_until(lambda: files.usage() is not None or not files.there or files.ended() is not None, _USAGE_WAIT_S)
+        return PodUsage(files) if files.usage() is not None and files.ended() is None else None
+
+    def sweep(self, live_keys: LiveKeys) -> list[str]:
+        """Delete the Jobs of this installation whose runs are over."""
+        jobs = self._jobs.all()
+        live = live_keys()
+        stale = [job for job in jobs if answers.key_of(job) not in live]
+        for job in stale:
+            self._jobs.delete_stale(job)
+        return [str(job["metadata"]["name"]) for job in stale]
+
+    def close(self) -> None:
+        """End the watch and close connections."""
+        self._watch.stop()
+        self._cluster.close()
+
+    def _is_lost(self, handle: RunHandle) -> bool:
+        """Whether nobody is there to end the run. No answer is no reason to believe it."""
+        try:
+            return isinstance(self.poll(handle), Gone)
+        except EngineUnavailable:
+            return False
+
+    def _explained(self, ended: Exited | Gone, key: str) -> Exited | Gone:
+        """An end from outside, with the reason that Kubernetes may know."""
+        if isinstance(ended, Exited):
+            return ended
+        try:
+            pod = self._jobs.pod(key)
+        except EngineUnavailable:
+            return ended
+        why = None if pod is None else answers.given_up(pod)
+        return ended if why is None else Gone(why)
+
+    def _handle(self, spec: RunSpec, started: Started) -> RunHandle:
+        handle = _handle_of(spec)
+        job = self._jobs.name(spec.key)
+        handle.data.update(started_at=started.at.isoformat(), node=started.node, job=job)
+        where = f"pod on node {started.node} ({started.cpu}, {started.cores} cores)"
+        return replace(handle, protections=_protections(where))
+
+
+def _files(handle: RunHandle) -> RunFiles:
+    return RunFiles(Path(handle.data["work"]))
+
+
+def _goes_on(pod: Document | None) -> bool:
+    """Whether the pod may still be running, or record how the run has ended."""
+    return pod is not None and not answers.is_over(pod) and answers.given_up(pod) is None
+
+
+def _handle_of(spec: RunSpec) -> RunHandle:
+    return RunHandle(KubernetesExecutor.name, {"key": spec.key, "work": str(spec.work.resolve())})
+
+
+def _protections(where: str) -> Protections:
+    return Protections(
+        held_by=where,
+        processes="the supervisor ends a run that has too many",
+        memory="enforced by the kernel",
+        cpu="enforced by the kernel, requests equal limits",
+        end="all processes of the pod are killed at once",
+        priority="the supervisor counts with the run, and is subtracted from what is measured",
+    )

@@ -1,0 +1,285 @@
+"""The folder that worker and pod share for one run: what the supervisor is to do, and what it has written.
+
+The algorithm can write there too. So nothing is believed that could harm the worker: no link is followed, sizes are
+bounded, and a record that makes no sense is a lost run.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import tempfile
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from slamhive.errors import Unavailable
+from slamhive.executors.cgroup import file_cache_bytes, parse_flat
+from slamhive.executors.kubernetes.archive import supervisor_archive
+from slamhive.executors.kubernetes.manifest import SUPERVISOR_FILE
+from slamhive.executors.kubernetes.supervisor import (
+    CLAIM_FILE,
+    LOG_FOLDER,
+    ORDER_FILE,
+    STARTED_FILE,
+    STOP_FILE,
+    USAGE_FILE,
+)
+from slamhive.executors.process.capped_log import assemble
+from slamhive.executors.process.exit_file import EXIT_FILE
+from slamhive.executors.spec import RunOutput, RunSpec
+from slamhive.executors.status import Exited, Gone
+from slamhive.executors.transfer import pack_folder, unpack_live, unpack_output
+from slamhive.files import remedy_of, temporary_folder, write_aside
+from slamhive.tree import remove_tree
+
+_FOLDER = "pod"
+_MOST_BYTES = 1_000_000
+_MAKES_NO_SENSE = (KeyError, TypeError, ValueError, OverflowError)
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """When the algorithm started, and where."""
+
+    at: datetime
+    node: str
+    cpu: str
+    cores: int
+
+
+class RunFiles:
+    """The files of one run below its work folder."""
+
+    def __init__(self, work: Path) -> None:
+        self.work = work.resolve()
+        self.folder = self.work / _FOLDER
+        self.outputs = self.work / "outputs"
+        self.inputs = self.work / "inputs"
+        self.scratch = self.work / "tmp"
+
+    def prepare(self, spec: RunSpec, log_max_bytes: int) -> None:
+        """Write everything that the supervisor needs; may be done again. Raises Unavailable."""
+        order = {
+            "command": list(spec.command),
+            "timeout_s": spec.timeout_s,
+            "log_max_bytes": log_max_bytes,
+            "pids": spec.limits.pids,
+            "file_bytes": spec.limits.file_bytes,
+            "cores": None if spec.limits.cpuset is None else list(spec.limits.cpuset),
+        }
+        try:
+            for folder in (self.folder, self.scratch, *(self.outputs / output.name for output in spec.outputs)):
+                folder.mkdir(parents=True, exist_ok=True)
+            write_aside(self.folder / SUPERVISOR_FILE, supervisor_archive())
+            write_aside(self.folder / ORDER_FILE, json.dumps(order))
+        except OSError as error:
+            raise Unavailable(f"{self.folder} cannot be written: {error.strerror}", remedy_of(error)) from None
+
+    @property
+    def there(self) -> bool:
+        """Whether the run was prepared, and not removed."""
+        return (self.folder / ORDER_FILE).exists()
+
+    @property
+    def claimed(self) -> bool:
+        """Whether a supervisor has started, or none may start any more."""
+        return (self.folder / CLAIM_FILE).exists()
+
+    def started(self) -> Started | None:
+        """None if the supervisor has not recorded that the algorithm has started."""
+        found = self._read(STARTED_FILE)
+        try:
+            return None if found is None else _start(found)
+        except _MAKES_NO_SENSE:
+            return None
+
+    def ended(self) -> Exited | Gone | None:
+        """How the run ended; None if the supervisor has not recorded it."""
+        found = self._read(EXIT_FILE)
+        if found is None:
+            return None
+        try:
+            return _ending(found)
+        except _MAKES_NO_SENSE as error:
+            return Gone(f"the record of how the run ended is damaged: {type(error).__name__}: {error}")
+
+    def copy_live(self, output: RunOutput) -> None:
+        """Bring the watched files of an output up to date on the controller."""
+        source = self.outputs / output.name
+        changed = [name for name in output.live if _differs(source / name, output.destination / name)]
+        if not changed:
+            return
+        with tempfile.TemporaryFile() as stream:
+            pack_folder(source, stream, changed)
+            stream.seek(0)
+            unpack_live(stream, output)
+
+    def hand_over(self, output: RunOutput) -> None:
+        """Bring an output to its destination, unless that was done before. Raises Unavailable.
+
+        Nothing of it stays here: what a run has written is counted once.
+        """
+        source, done = self.outputs / output.name, self.work / f"handed-over-{output.name}"
+        if not source.is_dir():
+            return
+        take_over(source, output, self.work)
+        try:
+            source.rename(done)  # in one step, so that nobody takes over what is half removed
+            remove_tree(done)
+        except OSError as error:
+            raise Unavailable(f"{source} cannot be removed: {error.strerror}", remedy_of(error)) from None
+
+    def usage(self) -> dict[str, Any] | None:
+        """The last counters of the kernel that the supervisor wrote; None before the first."""
+        return self._read(USAGE_FILE)
+
+    def log(self, most_bytes: int) -> bytes:
+        """What the run has printed so far."""
+        with temporary_folder() as folder:
+            copy = RunOutput("log", folder / LOG_FOLDER, "", max_bytes=2 * most_bytes)
+            take_over(self.folder / LOG_FOLDER, copy, folder)
+            return assemble(copy.destination)
+
+    def ask_to_stop(self, grace_s: float) -> None:
+        """Let the supervisor end the run. A later call replaces the grace. Raises Unavailable."""
+        try:
+            write_aside(self.folder / STOP_FILE, str(grace_s))
+        except FileNotFoundError:
+            return  # the run was removed
+        except OSError as error:
+            raise Unavailable(f"{self.folder} cannot be written: {error.strerror}", remedy_of(error)) from None
+
+    def block(self) -> bool:
+        """See that no supervisor starts any more; False if one has started already."""
+        try:
+            os.close(os.open(self.folder / CLAIM_FILE, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            return False
+        except FileNotFoundError:
+            return True
+        return True
+
+    def remove(self) -> None:
+        """Delete the work folder. Does nothing if it is gone. Raises Unavailable."""
+        try:
+            remove_tree(self.work)
+        except OSError as error:
+            raise Unavailable(f"{self.work} cannot be removed: {error.strerror}", remedy_of(error)) from None
+
+    def _read(self, name: str) -> dict[str, Any] | None:
+        """What the supervisor wrote; None if there is nothing yet, empty if it makes no sense."""
+        try:
+            # A listing makes NFS look at the server; what it says of single names may be old.
+            if name not in [entry.name for entry in self.folder.iterdir()]:
+                return None
+            content = json.loads(_read_plain(self.folder / name))
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except (OSError, ValueError):
+            return {}
+        return content if isinstance(content, dict) else {}
+
+
+def take_over(folder: Path, output: RunOutput, work: Path) -> None:
+    """Copy what a pod has written to ``folder``: plain files within the bounds of ``output``. Raises Unavailable."""
+    with tempfile.TemporaryFile() as stream:
+        try:
+            pack_folder(folder, stream)
+            stream.seek(0)
+            unpack_output(stream, output, work)
+        except OSError as error:
+            raise Unavailable(f"{output.destination} cannot be written: {error}", remedy_of(error)) from None
+
+
+def _differs(source: Path, copy: Path) -> bool:
+    """Whether ``source`` is there and may hold something else than its ``copy``, which was made later."""
+    try:
+        original = source.lstat()
+        known = copy.lstat()
+    except FileNotFoundError:
+        return source.exists()
+    return original.st_size != known.st_size or original.st_mtime_ns >= known.st_mtime_ns
+
+
+def _start(found: dict[str, Any]) -> Started:
+    return Started(_moment(found["started_s"]), str(found["node"]), str(found["cpu"]), int(found["cores"] or 0))
+
+
+def _ending(found: dict[str, Any]) -> Exited | Gone:
+    if found["error"]:
+        return Gone(f"the algorithm could not be started in its pod: {found['error']}")
+    if found["ended_from_outside"]:
+        return Gone("the pod was ended from outside: deleted, evicted, or its node was drained")
+    return Exited(
+        exit_code=int(found["exit_code"]),
+        out_of_memory=bool(found["out_of_memory"]),
+        process_limit=bool(found["process_limit"]),
+        refused_processes=bool(found["process_limit"]),
+        timed_out=bool(found["timed_out"]),
+        started_at=_moment(found["started_s"]),
+        ended_at=_moment(found["ended_s"]),
+    )
+
+
+def _read_plain(path: Path) -> str:
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as stream:
+        if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+            raise ValueError(f"{path} is no plain file")
+        return stream.read(_MOST_BYTES).decode(errors="replace")
+
+
+class PodUsage:
+    """CPU and memory of a run, from the kernel's counters of its container without the supervisor's share."""
+
+    on_this_machine = False
+
+    def __init__(self, files: RunFiles) -> None:
+        self._files = files
+        self._peak_bytes: int | None = None
+
+    def read(self) -> tuple[float, int] | None:
+        """CPU time (s) and memory in use (bytes); None once the run has ended."""
+        found = None if self._files.ended() is not None else self._files.usage()
+        try:
+            usage = None if found is None else parse_usage(found)
+        except _MAKES_NO_SENSE:
+            return None
+        if usage is None:
+            return None
+        cpu_s, memory_bytes, self._peak_bytes = usage
+        return cpu_s, memory_bytes
+
+    def peak_memory_bytes(self) -> int | None:
+        """As of the last reading."""
+        return self._peak_bytes
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+
+def parse_usage(content: dict[str, Any]) -> tuple[float, int, int | None] | None:
+    """CPU time (s), memory in use and peak (bytes) of what the supervisor wrote; None if a counter is missing."""
+    if not content:
+        return None
+    files, own_cpu_s, own_bytes = content["files"], content["own_cpu_s"], content["own_bytes"]
+    if "cpuacct/cpuacct.usage" in files:
+        names = ("memory/memory.usage_in_bytes", "memory/memory.stat", "memory/memory.max_usage_in_bytes")
+        cpu_s = int(files["cpuacct/cpuacct.usage"]) * 1e-9
+    elif "cpu.stat" in files:
+        names = ("memory.current", "memory.stat", "memory.peak")
+        cpu_s = parse_flat(files["cpu.stat"])["usage_usec"] * 1e-6
+    else:
+        return None
+    current, statistics, peak = (files.get(name) for name in names)
+    if current is None or statistics is None:
+        return None
+    in_use_bytes = int(current) - file_cache_bytes(parse_flat(statistics)) - own_bytes
+    peak_bytes = None if peak is None else max(0, int(peak) - own_bytes)
+    return max(0.0, cpu_s - own_cpu_s), max(0, in_use_bytes), peak_bytes
+
+
+def _moment(seconds: float) -> datetime:
+    return datetime.fromtimestamp(seconds, UTC)

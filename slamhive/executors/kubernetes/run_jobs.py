@@ -1,0 +1,173 @@
+"""The Job of a run and its pod: made once, waited for until the algorithm starts, found again, deleted."""
+
+from __future__ import annotations
+
+import os
+import time
+
+from slamhive.clock import monotonic_s
+from slamhive.executors.base import EngineUnavailable, ExecutorContext, StartFailed
+from slamhive.executors.kubernetes import answers
+from slamhive.executors.kubernetes.answers import Document
+from slamhive.executors.kubernetes.cluster import Cluster
+from slamhive.executors.kubernetes.images import explain_missing
+from slamhive.executors.kubernetes.manifest import POD_FOLDER, Who, job_manifest, job_name, resources, selector
+from slamhive.executors.kubernetes.options import Options
+from slamhive.executors.kubernetes.places import outputs_on_node, places_of, prepare_inputs, volumes_of
+from slamhive.executors.kubernetes.run_files import RunFiles, Started
+from slamhive.executors.process.supervisors import wait_until
+from slamhive.executors.spec import RunSpec
+from slamhive.executors.status import Gone
+
+START_WAIT_S = 20.0
+"""A pod that takes longer to start is waited for by trying again, so that the worker can do something else."""
+DELETION_WAIT_S = 15.0
+_ATTEMPTS = 3
+_LOOK_EVERY_S = 0.25
+_STEP_S = 0.02
+
+
+class NeverBegan(StartFailed):
+    """The pod of a run has ended before its supervisor began."""
+
+
+class RunJobs:
+    """The Jobs of one installation. All methods may raise EngineUnavailable.
+
+    Args:
+        cluster: Where they are.
+        options: What the user says about the cluster.
+        context: Names the installation and its data root.
+    """
+
+    def __init__(self, cluster: Cluster, options: Options, context: ExecutorContext) -> None:
+        self._cluster = cluster
+        self._options = options
+        self._installation = context.installation
+        self._data = context.data.resolve()
+        self._log_max_bytes = context.log_max_bytes
+
+    def name(self, key: str) -> str:
+        """The name of the Job of a run."""
+        return job_name(self._installation, key)
+
+    def all(self) -> list[Document]:
+        """All Jobs of this installation."""
+        return self._cluster.jobs(selector(self._installation))
+
+    def pod(self, key: str) -> Document | None:
+        """The newest pod of a run, asked from the API server; None if there is none."""
+        pods = self._cluster.pods(selector(self._installation, key))
+        return max(pods, key=lambda pod: str(pod["metadata"].get("creationTimestamp", "")), default=None)
+
+    def start(self, spec: RunSpec, files: RunFiles) -> Started:
+        """Make the Job of a run unless it was made, and wait a little until the algorithm has started.
+
+        A pod that ended before its supervisor began is replaced: a kubelet that has just lost its API server may remove
+        the files of a new pod. Raises ImageMissing, StartFailed.
+        """
+        for left in reversed(range(_ATTEMPTS)):
+            if files.started() is None:
+                self._make(spec, files)
+            try:
+                return self._wait_for_start(spec, files)
+            except NeverBegan:
+                if files.claimed or not left:
+                    raise
+                self.delete(spec.key)
+        raise AssertionError("the last attempt returns or raises")
+
+    def _make(self, spec: RunSpec, files: RunFiles) -> None:
+        """Prepare the files of the run and make its Job; both may have been done before. Raises StartFailed."""
+        files.prepare(spec, self._log_max_bytes)
+        placed = prepare_inputs(outputs_on_node(spec, files.outputs), self._data, files.inputs)
+        other = {POD_FOLDER: files.folder, "/tmp": files.scratch}  # noqa: S108 - the container's own
+        volumes = volumes_of(places_of(placed, other), self._data, self._options.claim)
+        who = Who(os.getuid(), os.getgid())
+        self._cluster.create_job(job_manifest(spec, self._installation, self._options, who, volumes), StartFailed)
+
+    def _wait_for_start(self, spec: RunSpec, files: RunFiles) -> Started:
+        """Wait a little until the algorithm has started. Raises ImageMissing, StartFailed."""
+        deadline_s, look_at_s, unschedulable = monotonic_s() + START_WAIT_S, 0.0, False
+        while True:
+            started = files.started()
+            if started is not None:
+                return started
+            failed = files.ended()
+            if isinstance(failed, Gone):
+                raise StartFailed(f"run {spec.run_id} cannot start: {failed.why}")
+            if monotonic_s() >= look_at_s:
+                look_at_s = monotonic_s() + _LOOK_EVERY_S
+                before, unschedulable = unschedulable, self._is_unschedulable(spec, files)
+                if unschedulable and not before:
+                    self._refuse_unmeetable(spec)
+            if monotonic_s() > deadline_s:
+                raise self._why_it_waits(spec)
+            time.sleep(_STEP_S)
+
+    def delete(self, key: str) -> None:
+        """Delete the Job of a run and its pods, and wait until none is listed any more."""
+        self._cluster.delete_job(self.name(key))
+        chosen = selector(self._installation, key)
+
+        def none_left() -> bool:
+            pods = self._cluster.pods(chosen)
+            for pod in pods:
+                self._cluster.delete_pod(pod["metadata"]["name"])
+            time.sleep(_LOOK_EVERY_S if pods else 0.0)
+            return not pods
+
+        if not wait_until(none_left, DELETION_WAIT_S):
+            raise EngineUnavailable(f"Kubernetes does not delete the pod of {key}", "see kubectl get pods")
+
+    def delete_stale(self, job: Document) -> None:
+        """Delete a Job whose run is over."""
+        key = answers.key_of(job)
+        if key is None or self.name(key) != job["metadata"]["name"]:
+            self._cluster.delete_job(job["metadata"]["name"])
+        else:
+            self.delete(key)
+
+    def _is_unschedulable(self, spec: RunSpec, files: RunFiles) -> bool:
+        """Whether no node takes the pod now. Raises ImageMissing or StartFailed if waiting for it is of no use."""
+        pod = self.pod(spec.key)
+        if pod is None:
+            ended = self._failure(spec.key)
+        else:
+            ended = answers.how_it_was_lost(pod) if answers.is_over(pod) else None
+        if ended is not None and files.started() is None:
+            raise NeverBegan(f"the pod of run {spec.run_id} did not start: {ended}")
+        if pod is None or ended is not None:
+            return False
+        found = answers.why_not_started(pod)
+        if found.image:
+            self.delete(spec.key)
+            raise explain_missing(spec.identity, self._options.registry, found.why)
+        return found.unschedulable
+
+    def _refuse_unmeetable(self, spec: RunSpec) -> None:
+        """Raise StartFailed for a run that no node could take, even if it were empty."""
+        nodes = self._cluster.nodes()
+        never = None if nodes is None else answers.unmeetable(resources(spec.limits), self._options.node, nodes)
+        if never is not None:
+            raise StartFailed(f"no node can ever take run {spec.run_id}: {never}", "change its limits, or add a node")
+
+    def _failure(self, key: str) -> str | None:
+        """Why a Job without a pod will never have one; None if it may."""
+        job = self._cluster.job(self.name(key))
+        return "its Job was deleted from outside" if job is None else answers.job_failure(job)
+
+    def _why_it_waits(self, spec: RunSpec) -> EngineUnavailable | StartFailed:
+        pod, job = self.pod(spec.key), self._cluster.job(self.name(spec.key))
+        begin = f"run {spec.run_id} waits in Kubernetes"
+        if job is not None and answers.is_suspended(job):
+            return EngineUnavailable(f"{begin}: its Job is suspended, for example by Kueue")
+        named = pod or job
+        warning = None if named is None else answers.last_warning(self._cluster.events(named["metadata"]["name"]))
+        if warning is not None and warning.startswith("FailedMount"):
+            remedy = f"all nodes need {self._data} at the same path, or set --claim in KUBERNETES_OPTIONS"
+            return StartFailed(f"the pod of run {spec.run_id} does not get its files: {warning}", remedy)
+        said = "there is no pod yet" if pod is None else answers.why_not_started(pod).why
+        if pod is not None and answers.why_not_started(pod).refused:
+            return StartFailed(f"run {spec.run_id} cannot start: {said}", "see kubectl describe pods")
+        return EngineUnavailable(f"{begin}: {warning or said}", "see kubectl get pods")

@@ -1,0 +1,99 @@
+"""A real, small Kubernetes on this machine, from ``../shared/kubernetes`` beside the project."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Self
+
+import psutil
+import pytest
+
+from tests.waiting import eventually
+
+TOOLS = Path(__file__).resolve().parents[3] / "shared" / "kubernetes"
+NODES = ("node1", "node2")
+
+
+class KubernetesCluster:
+    """Two nodes and a control plane, all with namespaces of their own; they see the files of this machine."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / "cluster"
+        self._archives = folder
+
+    @property
+    def kubeconfig(self) -> Path:
+        """With the rights of an administrator."""
+        return self._folder / "kubeconfig"
+
+    def use(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Let this process find the cluster."""
+        monkeypatch.setenv("KUBECONFIG", str(self.kubeconfig))
+
+    def kubectl(self, *arguments: str, stdin: str | None = None) -> str:
+        """The output of a command."""
+        return self._kube("kubectl", str(self._folder), *arguments, stdin=stdin)
+
+    def read(self, *arguments: str) -> Any:
+        """The output of ``kubectl get`` as data."""
+        return json.loads(self.kubectl("get", *arguments, "-o", "json"))
+
+    def load(self, image: str) -> None:
+        """Give an image of the Docker engine to all nodes."""
+        archive = self._archives / "image.tar"
+        subprocess.run(["docker", "save", image, "-o", str(archive)], check=True)
+        self._kube("load", str(self._folder), str(archive))
+        archive.unlink()
+
+    def lose(self, node: str) -> None:
+        """A power cut of one node."""
+        self._kube("node-stop", str(self._folder), node)
+
+    def bring_back(self, node: str) -> None:
+        """The node starts again, and is ready."""
+        self._kube("node-start", str(self._folder), node)
+
+    def kill_api_server(self) -> None:
+        """SIGKILL; the control plane starts it again."""
+        (victim,) = [process for process in psutil.process_iter(["cmdline"]) if self._is_api_server(process)]
+        victim.send_signal(signal.SIGKILL)
+        victim.wait(10)
+
+    def wait_for_api_server(self) -> None:
+        """Until it answers again."""
+        eventually(self._answers, "the API server")
+
+    def __enter__(self) -> Self:
+        if not (TOOLS / "kube").exists():
+            pytest.skip("../shared/kubernetes, the control plane for tests, is not here")
+        if os.geteuid() != 0:
+            pytest.skip("a Kubernetes for tests needs root")
+        self._kube("up", str(self._folder), "--nodes", str(len(NODES)))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._kube("down", str(self._folder), "--all")
+        shutil.rmtree(self._archives, ignore_errors=True)
+
+    def _answers(self) -> bool:
+        try:
+            return self.kubectl("get", "--raw", "/readyz") == "ok"
+        except AssertionError:
+            return False
+
+    def _is_api_server(self, process: psutil.Process) -> bool:
+        line = process.info["cmdline"] or []
+        return any(part.endswith("kube-apiserver") for part in line[:2]) and str(self._folder) in " ".join(line)
+
+    def _kube(self, *arguments: str, stdin: str | None = None) -> str:
+        done = subprocess.run(
+            [sys.executable, str(TOOLS / "kube"), *arguments], input=stdin, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"kube {' '.join(arguments)}: {done.stderr or done.stdout}"
+        return done.stdout
