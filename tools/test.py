@@ -34,13 +34,14 @@ UNIT_LIMIT_S = 15.0
 """The unit tier is for use before each commit. Its limit is on CPU time: a busy machine slows no test down."""
 QUICK_LIMIT_S = 40.0
 """The quick tier holds what needs a database or pages, but no other processes: for use before each merge."""
-PLAIN = "not integration and not docker and not mysql and not cluster"
+PLAIN = "not integration and not docker and not mysql and not cluster and not browser"
 CHEAP = "not images and not packages and not classical and not cluster"
 MAY_BE_ABSENT = ("shared/data", "shared/upstream")
 """A skipped test whose reason names one is fine everywhere: recordings and other projects' sources are not here."""
 
 RUFF = (("check", "."), ("format", "--check", "."))
 ORB_SLAM3_LIBRARIES = ("libgl1", "libegl1", "libopengl0", "libsm6", "libice6", "libx11-6", "libxext6")
+BROWSER_PACKAGES = ("chromium", "poppler-utils")
 SLURM_PACKAGES = ("slurm-wlm", "munge", "charliecloud")
 ENGINE_PACKAGES = ("docker.io", "iptables", "debootstrap")
 COMPOSE_PACKAGES = ("docker-compose-v2", "docker-compose-plugin", "docker-compose")
@@ -135,7 +136,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("quick", marks=f"quick and {PLAIN}", workers=2, limit_s=QUICK_LIMIT_S),
         Tier(
             "integration",
-            marks="integration and not docker and not mysql and not cluster",
+            marks="integration and not docker and not mysql and not cluster and not browser",
             workers=3,  # on two cores: the tests often wait, and the other tiers of the group end sooner
             prepare=prepare_libraries,
             group="processes",
@@ -146,6 +147,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("systems", marks=f"docker and alone and {CHEAP}", engine=True, prepare=with_engine),
         Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),
         Tier("classical", marks="classical", engine=True, prepare=with_engine, asked_only=True),
+        Tier("browser", marks="browser and not docker and not mysql", prepare=prepare_browser, asked_only=True),
         Tier("cluster", marks="cluster", engine=True, prepare=with_clusters, asked_only=True),
     ]
 
@@ -303,9 +305,19 @@ def prepare_libraries() -> str:
     return f"parts are skipped; enable: {machine.install_command(wanted)}"
 
 
+def prepare_browser() -> str:
+    """A browser without a screen, and what reads the PDF files that it prints."""
+    return prepare_packages(BROWSER_PACKAGES)
+
+
 def prepare_clusters() -> str:
     """Slurm, and a container runtime that needs no root."""
-    missing = machine.absent(SLURM_PACKAGES) if shutil.which("dpkg-query") else ()
+    return prepare_packages(SLURM_PACKAGES)
+
+
+def prepare_packages(names: Sequence[str]) -> str:
+    """Install what is missing of these packages; what to do about it where that is not possible."""
+    missing = machine.absent(names) if shutil.which("dpkg-query") else ()
     if missing and not machine.can_install():
         return f"parts are skipped; enable: {machine.install_command(missing)}"
     if missing:

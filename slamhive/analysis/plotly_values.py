@@ -19,7 +19,7 @@ Json = dict[str, Any]
 
 
 def with_dark_colours(figure: Json) -> Json:
-    """The figure with the colours for dark pages, {colour: its lighter one}, in its layout; changes the figure."""
+    """The plot with the colours for dark pages, {colour: its lighter one}, in its layout; changes ``figure``."""
     lighter = {colour: on_dark(colour) for colour in sorted(set(_colours(figure["data"])))}
     figure["layout"]["meta"] = {"dark": {colour: other for colour, other in lighter.items() if colour != other}}
     return figure

@@ -20,7 +20,7 @@ from tests.analysis.analysis_world import data_of
 
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 pytestmark = [
-    pytest.mark.integration,
+    pytest.mark.browser,
     pytest.mark.skipif(not (BROWSER and shutil.which("pdftotext")), reason="needs chromium and pdftotext"),
 ]
 ALGORITHMS = [f"slam{place:03}" for place in range(34)]

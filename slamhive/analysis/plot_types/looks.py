@@ -59,7 +59,7 @@ def read_runs(
     """Read the files of the first ``most`` runs that have them, and tell the progress.
 
     Args:
-        data: Its progress is told.
+        data: Reports the progress.
         runs: The runs to draw, in order.
         read: Reads one run; None if the run lacks the files.
         most: How many runs are drawn.

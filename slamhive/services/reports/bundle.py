@@ -82,7 +82,7 @@ def report_files(
 
 
 def _figures_latex(report: Report) -> str:
-    """A LaTeX figure for each plot; its caption says what the plot for a paper leaves out."""
+    """An environment of LaTeX for each plot; its caption says what the plot for a paper leaves out."""
     parts = [r"% \usepackage{graphicx}"]
     for plot in report.forms:
         for chart in plot.charts:
