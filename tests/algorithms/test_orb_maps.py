@@ -13,7 +13,7 @@ import pytest
 from slamhive.runtime.localisation import Localisation
 from slamhive.runtime.pcd import MOST_POINTS, write_pcd
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 FOLDER = Path(__file__).resolve().parents[2] / "algorithms" / "orb-slam3" / "slamhive"
 spec = importlib.util.spec_from_file_location("orb_maps", FOLDER / "orb_maps.py")

@@ -15,7 +15,7 @@ from slamhive.bags.room.rig import BASELINE_M, make_rig
 from slamhive.bags.room.views import sample_views
 from slamhive.bags.room.world import clearance_m, room_faces
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 CAMERA = Camera(320, 240, 215.0, 215.0, 159.5, 119.5)
 R_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

@@ -38,7 +38,7 @@ from tests.bags.variant_bags import (
     write_bag,
 )
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 COMPRESSIONS = [None, "bz2", "lz4"]
 THIRD = VariantStep("rate", ("cam0",), {"every": 3})

@@ -19,7 +19,7 @@ from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import move_sensor, multiply_quats, rotations_from_quats
 from slamhive.trajectory.tum import write_tum
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 TRUTH_S = np.arange(0.0, 40.0, 0.01)
 ESTIMATE_S = np.arange(0.0, 40.0, 0.05)

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from datetime import UTC, datetime
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from slamhive.domain.run import RunState
 from slamhive.errors import InvalidInput
 from slamhive.search.binding import Condition, matches, read_search
 from slamhive.search.build import matching
 from slamhive.search.fields import BUILT_IN, Kind, ParameterKind, vocabulary_of
-from slamhive.search.grammar import Junction, join, leaves
 from slamhive.search.parser import MAX_TERMS, parse_filter
 from slamhive.search.reader import FilterError
-from slamhive.search.syntax import Comparison, Sign, Word, filter_text
+from slamhive.search.syntax import Sign
 from slamhive.search.words import in_words
 
 VOCABULARY = vocabulary_of(
@@ -204,41 +200,6 @@ def test_searches_made_in_code():
     made = matching(states=[RunState.FAILED], algorithms=("a", "b"), datasets=(), evaluated=True, configuration_id=3)
     assert in_words(made) == "state failed and algorithm one of a, b and configuration 3 and evaluated"
     assert matching().tree is None
-
-
-WORDS = st.text(min_size=1, max_size=12) | st.sampled_from(["ate.rmse", "1 GB", "and", "has", "missing", "in", "x y"])
-
-
-def comparison(name: str, sign: Sign, values: list[str]) -> Comparison:
-    count = {Sign.BETWEEN: 2, Sign.HAS: 0, Sign.MISSING: 0}.get(sign, len(values) if "in" in sign else 1)
-    return Comparison(Word(name), sign, tuple(map(Word, values[:count])))
-
-
-LEAVES = st.builds(comparison, WORDS, st.sampled_from(Sign), st.lists(WORDS, min_size=2, max_size=4))
-TREES = st.recursive(
-    LEAVES,
-    lambda inner: (
-        st.builds(join, st.sampled_from(["and", "or"]), st.lists(inner, min_size=1, max_size=3))
-        | st.builds(lambda part: Junction("not", (part,)), inner)
-    ),
-    max_leaves=8,
-)
-
-
-@pytest.mark.integration
-@settings(deadline=None)
-@given(TREES)
-def test_every_filter_can_be_written_and_read_again(tree):
-    assert parse_filter(filter_text(tree)) == tree
-
-
-@settings(deadline=None)
-@given(st.text("abnotrdi<>=!~()[]'\", .-15\n#%*", max_size=40))
-def test_any_text_is_a_filter_or_refused(text):
-    with suppress(InvalidInput):
-        tree = parse_filter(text)
-        assert tree is None or list(leaves(tree))
-        assert parse_filter(filter_text(tree)) == tree
 
 
 def test_every_built_in_name_is_explained_by_its_label():

@@ -41,6 +41,7 @@ def store_everything(hive: Hive, folder: Path) -> None:
     _import_runs(hive, folder)
     _evaluate_otherwise(hive)
     _write_notes(hive)
+    _delete_runs(hive)
     _cancel_one_that_runs(hive)
     _save_searches(hive)
     _analyse(hive)
@@ -100,6 +101,14 @@ def _write_notes(hive: Hive) -> None:
     hive.notes.change([1], NotesChange("second, with\ntwo lines", remove=("draft",)))
     hive.notes.change([3], NotesChange("gone"))
     hive.notes.change([3], NotesChange(""))
+
+
+def _delete_runs(hive: Hive) -> None:
+    """One that stays in the trash, and one that came back."""
+    runs = hive.runs.submit(Submission("tiny", "track", {"seconds": 0.01}, seed=77, repeat=2, evaluate=False))
+    hive.worker([run.id for run in runs]).run(until_idle=True)
+    hive.trash.delete([run.id for run in runs])
+    hive.trash.restore([runs[0].id])
 
 
 def _cancel_one_that_runs(hive: Hive) -> None:

@@ -33,7 +33,7 @@ from slamhive.services.hive import Hive, open_hive
 from tests.services.archive_world import all_rows, make_runs
 from tests.services.tiny_project import environment, make_dataset, make_project
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 Members = dict[str, bytes]
 RECORD = "runs/1/run.json"

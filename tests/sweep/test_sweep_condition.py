@@ -1,10 +1,6 @@
 from __future__ import annotations
 
-from contextlib import suppress
-
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from slamhive.domain.parameters import Value
 from slamhive.errors import InvalidInput
@@ -116,10 +112,3 @@ def test_a_matrix_is_not_larger_than_a_number():
 
 def test_names_on_the_left_are_told():
     assert compared_names(parse_condition("a > b and not (c == 1 or d.e in [f])")) == {"a", "c", "d.e"}
-
-
-@settings(deadline=None)
-@given(st.text("abnotr<>=!()[]'\", .-15\n#%", max_size=30))
-def test_any_text_is_a_condition_or_refused(text):
-    with suppress(InvalidInput):
-        assert compared_names(parse_condition(text))

@@ -4,13 +4,9 @@ import itertools
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, reject, settings
-from hypothesis import strategies as st
 
-from slamhive import strict_yaml
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.variant import VariantStep
-from slamhive.errors import SlamHiveError
 from slamhive.sweep.expand import count, expand
 from slamhive.sweep.experiment_file import parse_experiment
 from tests.sweep.sweep_world import CAMERA, EUROC, FEATURES, IMU, MONO, ROOM, STEREO, algorithm, dataset, view
@@ -254,42 +250,3 @@ def test_variants_are_shared_by_algorithms():
     algorithms = [algorithm("one", STEREO), algorithm("two", MONO)]
     text = "name: t\nalgorithms: one | two\ndatasets: MH_01 | MH_02\n" + RATES
     assert count(parse_experiment(text), view(algorithms, EUROC)).variants == 4
-
-
-@pytest.mark.integration
-@settings(max_examples=40, deadline=None)
-@given(
-    rates=st.lists(st.sampled_from([20, 10, 5, 4, 2]), min_size=1, max_size=4, unique=True),
-    scales=st.lists(st.sampled_from([1, 0.8, 0.5]), min_size=1, max_size=3, unique=True),
-    features=st.lists(st.integers(100, 9999), min_size=1, max_size=3, unique=True),
-    algorithms=st.lists(st.sampled_from(["mono", "stereo", "icp"]), min_size=1, max_size=3, unique=True),
-    where=st.sampled_from(
-        ["image_rate >= 2", "image_rate > 4 or features > 500", "not image_resolution == 1 or a == icp"]
-    ),
-    repeats=st.integers(1, 3),
-)
-def test_what_is_counted_is_what_comes(rates, scales, features, algorithms, where, repeats):
-    text = strict_yaml.dump(
-        {
-            "name": "t",
-            "algorithms": algorithms,
-            "datasets": "room",
-            "steps": {
-                "image_rate": {"step": "rate", "sensors": "camera | lidar0", "every": [20 // rate for rate in rates]},
-                "image_resolution": {"step": "resolution", "sensors": "image | left", "scale": scales},
-            },
-            "parameters": {"features": features},
-            "where": where,
-            "repeats": repeats,
-        }
-    )
-    try:
-        expansion = expand(parse_experiment(text), view())
-    except SlamHiveError:
-        reject()
-    runs = list(expansion)
-    hashes = [run.content_hash for run in runs]
-    assert len(set(hashes)) + expansion.merged == expansion.size.configurations
-    assert len(runs) == len(set(hashes)) * repeats
-    assert [run.number for run in runs] == list(range(1, len(runs) + 1))
-    assert [(run.name, run.content_hash) for run in plan(text)] == [(run.name, run.content_hash) for run in runs]
