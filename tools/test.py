@@ -297,12 +297,7 @@ def prepare_libraries() -> str:
     if not machine.has_compose():
         compose = machine.available(*COMPOSE_PACKAGES) if machine.can_install() else COMPOSE_PACKAGES[0]
         wanted += [name for name in (compose,) if name]
-    if not wanted:
-        return ""
-    if machine.can_install():
-        machine.install(wanted)
-        return ""
-    return f"parts are skipped; enable: {machine.install_command(wanted)}"
+    return provide(wanted)
 
 
 def prepare_browser() -> str:
@@ -316,8 +311,12 @@ def prepare_clusters() -> str:
 
 
 def prepare_packages(names: Sequence[str]) -> str:
-    """Install what is missing of these packages; what to do about it where that is not possible."""
-    missing = machine.absent(names) if shutil.which("dpkg-query") else ()
+    """Provide those of these packages that dpkg does not have."""
+    return provide(machine.absent(names) if shutil.which("dpkg-query") else ())
+
+
+def provide(missing: Sequence[str]) -> str:
+    """Install these packages; what to do about them where that is not possible."""
     if missing and not machine.can_install():
         return f"parts are skipped; enable: {machine.install_command(missing)}"
     if missing:
