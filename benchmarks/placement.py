@@ -1,0 +1,215 @@
+"""How long experiments take on a cluster, by how runs are given to nodes: ratios to a bound that nobody can beat.
+
+    python benchmarks/placement.py [--runs 1500 100000] [--nodes 2 4 8 16 32 64 128 256] [--json]
+
+Runs are made up: recordings of 30 to 600 s, each run in real time or at a speed of its own, and 0.12 s of transfer for
+each second of a recording (13 MB/s of images over 1 Gbit/s). Stragglers are 1 % of the runs. They take 1.5 to 3 times
+as long as expected, which no schedule knows before. Fails if our placement takes more than 1.05 times the bound.
+
+published      the assignment of the published SLAM Hive: classes of algorithm and dataset in turn, fixed in advance
+greedy         a free node takes the next run of the file
+longest first  a free node takes the longest run that waits
+ours           slamhive.domain.placement; a node that has finished takes over runs from the one with most left
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import json
+import random
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from slamhive.domain.placement import DataRuns, lower_bound_s, place
+
+BOUND_RATIO = 1.05
+STRAGGLER_FRACTION = 0.01
+STRAGGLER_FACTORS = (1.5, 3.0)
+TRANSFER_PER_RECORDING = 0.12
+ALGORITHMS, RECORDINGS = 10, 20
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run. ``expected_s`` is known before, ``actual_s`` is not."""
+
+    algorithm: int
+    data: str
+    transfer_s: float
+    expected_s: float
+    actual_s: float
+
+
+def make_runs(count: int, stragglers: bool, seed: int = 7) -> list[Run]:
+    """Mixed runs in the order of an experiment file: algorithm, recording, repeats."""
+    draw = random.Random(seed)
+    recordings_s = [draw.uniform(30, 600) for _ in range(RECORDINGS)]
+    speeds = [1.0 if draw.random() < 0.6 else draw.uniform(0.3, 2.0) for _ in range(ALGORITHMS)]
+    chosen = sorted((draw.randrange(ALGORITHMS), draw.randrange(RECORDINGS)) for _ in range(count))
+    runs = []
+    for algorithm, recording in chosen:
+        expected_s = recordings_s[recording] * speeds[algorithm] * draw.uniform(0.97, 1.03) + 10.0
+        late = stragglers and draw.random() < STRAGGLER_FRACTION
+        actual_s = expected_s * (draw.uniform(*STRAGGLER_FACTORS) if late else 1.0)
+        transfer_s = TRANSFER_PER_RECORDING * recordings_s[recording]
+        runs.append(Run(algorithm, f"recording {recording:02}", transfer_s, expected_s, actual_s))
+    return runs
+
+
+def groups_of(runs: Sequence[Run], seconds: Callable[[Run], float]) -> list[DataRuns]:
+    """The runs by their data."""
+    by_data: dict[str, list[Run]] = defaultdict(list)
+    for run in runs:
+        by_data[run.data].append(run)
+    return [DataRuns(data, same[0].transfer_s, tuple(map(seconds, same))) for data, same in by_data.items()]
+
+
+def published(runs: Sequence[Run], nodes: int) -> float:
+    """Round-robin over the classes: an empty node, else one that has the class and less than its share, else any."""
+    classes: dict[tuple[int, str], list[Run]] = defaultdict(list)
+    for run in runs:
+        classes[run.algorithm, run.data].append(run)
+    share = len(runs) // nodes + 1
+    lists: list[list[Run]] = [[] for _ in range(nodes)]
+    holders: dict[tuple[int, str], list[int]] = defaultdict(list)
+    empty = 0
+    for turn in range(max(map(len, classes.values()))):
+        for key, same in classes.items():
+            if turn >= len(same):
+                continue
+            known = holders[key]
+            if empty < nodes:
+                node, empty = empty, empty + 1
+            else:
+                node = next((one for one in known if len(lists[one]) < share), -1)
+                if node < 0:
+                    node = next(one for one in range(nodes) if len(lists[one]) < share)
+            if node not in known:
+                known.append(node)
+            lists[node].append(same[turn])
+    return max(_in_turn(one) for one in lists)
+
+
+def _in_turn(runs: Sequence[Run]) -> float:
+    transfers_s = {run.data: run.transfer_s for run in runs}
+    return sum(run.actual_s for run in runs) + sum(transfers_s.values())
+
+
+def one_queue(runs: Sequence[Run], nodes: int) -> float:
+    """Each node takes the next run when it has finished one."""
+    free = [(0.0, node) for node in range(nodes)]
+    held: list[set[str]] = [set() for _ in range(nodes)]
+    last_s = 0.0
+    for run in runs:
+        now_s, node = heapq.heappop(free)
+        end_s = now_s + run.actual_s + (0.0 if run.data in held[node] else run.transfer_s)
+        held[node].add(run.data)
+        last_s = max(last_s, end_s)
+        heapq.heappush(free, (end_s, node))
+    return last_s
+
+
+def longest_first(runs: Sequence[Run], nodes: int) -> float:
+    """The same, the longest run first."""
+    return one_queue(sorted(runs, key=lambda run: -run.expected_s), nodes)
+
+
+@dataclass(slots=True)
+class _Node:
+    waiting: list[Run]
+    """The next one last."""
+    held: set[str]
+    left_s: float
+    """Expected, of what waits."""
+    expected_end_s: float = 0.0
+    """Of the run that it executes."""
+
+    def cost_s(self, run: Run) -> float:
+        return run.expected_s + (0.0 if run.data in self.held else run.transfer_s)
+
+
+def ours(runs: Sequence[Run], nodes: int) -> float:
+    """The plan, with runs taken over at the end."""
+    by_data: dict[str, list[Run]] = defaultdict(list)
+    for run in runs:
+        by_data[run.data].append(run)
+    plans = place(groups_of(runs, lambda run: run.expected_s), nodes)
+    cluster = []
+    for plan in plans:
+        waiting = [by_data[placed.data][placed.index] for placed in reversed(plan.runs)]
+        cluster.append(_Node(waiting, set(), plan.busy_s))
+    free = [(0.0, number) for number in range(nodes)]
+    last_s = 0.0
+    while free:
+        now_s, number = heapq.heappop(free)
+        node = cluster[number]
+        run = _next(cluster, node, now_s)
+        if run is None:
+            continue
+        end_s = now_s + run.actual_s + (0.0 if run.data in node.held else run.transfer_s)
+        node.expected_end_s = now_s + node.cost_s(run)
+        node.held.add(run.data)
+        last_s = max(last_s, end_s)
+        heapq.heappush(free, (end_s, number))
+    return last_s
+
+
+def _next(cluster: Sequence[_Node], node: _Node, now_s: float) -> Run | None:
+    """The next run of the node; without one, the last of the node that has most left, if it ends earlier here."""
+    if node.waiting:
+        run = node.waiting.pop()
+        node.left_s -= node.cost_s(run)
+        return run
+    with_most = max((one for one in cluster if one.waiting), key=lambda one: _end_s(one, now_s), default=None)
+    if with_most is None or now_s + node.cost_s(with_most.waiting[0]) >= _end_s(with_most, now_s):
+        return None
+    run = with_most.waiting.pop(0)
+    with_most.left_s -= with_most.cost_s(run)
+    return run
+
+
+def _end_s(node: _Node, now_s: float) -> float:
+    """When a node is expected to finish what waits for it."""
+    return max(node.expected_end_s, now_s) + node.left_s
+
+
+METHODS = {"published": published, "greedy": one_queue, "longest first": longest_first, "ours": ours}
+
+
+def measure(count: int, nodes: int, stragglers: bool) -> dict[str, object]:
+    """One row of the table."""
+    runs = make_runs(count, stragglers)
+    bound_s = lower_bound_s(groups_of(runs, lambda run: run.actual_s), nodes)
+    ratios = {name: round(method(runs, nodes) / bound_s, 3) for name, method in METHODS.items()}
+    return {"runs": count, "nodes": nodes, "stragglers": stragglers, "bound_h": round(bound_s / 3600, 3), **ratios}
+
+
+def main() -> int:
+    """Simulate, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, nargs="+", default=[1_500, 100_000])
+    parser.add_argument("--nodes", type=int, nargs="+", default=[2, 4, 8, 16, 32, 64, 128, 256])
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    rows = [
+        measure(count, nodes, stragglers)
+        for count in options.runs
+        for stragglers in (False, True)
+        for nodes in options.nodes
+    ]
+    if options.json:
+        print(json.dumps({"bound_ratio": BOUND_RATIO, "rows": rows}, indent=1))
+    else:
+        print("     runs nodes stragglers   bound h " + " ".join(f"{name:>13}" for name in METHODS))
+        for row in rows:
+            ratios = " ".join(f"{row[name]:>13}" for name in METHODS)
+            late = "yes" if row["stragglers"] else "no"
+            print(f"{row['runs']:>9,} {row['nodes']:>5} {late:>10} {row['bound_h']:>9} {ratios}")
+    return 0 if all(float(str(row["ours"])) <= BOUND_RATIO for row in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
