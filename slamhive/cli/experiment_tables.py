@@ -12,11 +12,13 @@ from slamhive.domain.numbers import plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.services.experiments import (
+    GUESSED_START_S,
     NO_FIGURES,
     Cell,
     CellFigures,
     ExperimentPreview,
     ExperimentStatus,
+    NodesPlan,
     Phase,
     Spread,
     Standing,
@@ -40,8 +42,12 @@ def print_preview(found: ExperimentPreview) -> None:
     click.echo(f"{found.name}: {found.combinations:,} combinations, {found.cells:,} configurations{merged}")
     varied = ", ".join(f"{axis} {count}" for axis, count in found.axes.items()) or "nothing varies"
     click.echo(f"varied: {varied}")
-    variants = f"; {_time(found.variant_time_s)} of it to make variants" if found.variant_time_s else ""
-    click.echo(f"runs: {found.runs:,}; about {_time(found.time_s)} on {found.slots} slot(s), {_basis(found)}{variants}")
+    click.echo(f"runs: {found.runs:,}; about {_time(found.time_s)} on {_places(found)}, {_basis(found)}")
+    shares = [("to make variants", found.variant_time_s), ("to build packages", found.build_time_s)]
+    parts = [f"{_time(time_s)} {words}" for words, time_s in shares if time_s]
+    click.echo(f"of this: {', '.join([*parts, f'{found.between_s:.1f} s to prepare, collect and evaluate each run'])}")
+    if found.cluster is not None:
+        click.echo(_moved(found.cluster))
     if found.repeat_disturbed:
         click.echo(f"disturbed runs: each is repeated up to {plural(found.repeat_disturbed, 'time')}, not counted here")
     if found.known_cells:
@@ -67,10 +73,23 @@ def print_preview(found: ExperimentPreview) -> None:
         tell(f"refused: {text}", style="bold red")
 
 
+def _places(found: ExperimentPreview) -> str:
+    return plural(found.slots, "slot") if found.cluster is None else plural(found.slots, "node")
+
+
+def _moved(cluster: NodesPlan) -> str:
+    idle = cluster.nodes - cluster.used_nodes
+    without_run = f"; {plural(idle, 'node')} without a run" if idle else ""
+    return (
+        f"data to move: {cluster.moved_bytes / 1e9:,.2f} GB in all, at most {cluster.node_bytes / 1e9:,.2f} GB "
+        f"to a node, at {cluster.bytes_per_s / 1e6:.0f} MB/s{without_run}"
+    )
+
+
 def _basis(found: ExperimentPreview) -> str:
     if found.measured_runs == found.runs:
         return "by earlier runs"
-    guess = "by the length of the recordings"
+    guess = f"by the length of the recordings and {GUESSED_START_S:g} s to start"
     return guess if not found.measured_runs else f"{found.measured_runs:,} by earlier runs, the others {guess}"
 
 

@@ -29,6 +29,7 @@ from slamhive.services.hive import Hive
 from slamhive.sweep.experiment_file import parse_experiment
 
 SUFFIXES = (".yaml", ".yml")
+MOST_NODES = 10_000
 name_argument = click.argument("name", metavar="NAME|FILE")
 
 
@@ -40,12 +41,16 @@ def experiment() -> None:
 @experiment.command("plan")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--executor", help="docker or process; default: the file's, or the one in force.")
+@click.option("--nodes", type=click.IntRange(1, MOST_NODES), help="Plan for so many nodes of a cluster.")
 @json_option
 @pass_cli
-def plan(cli: CliContext, file: Path, executor: str | None, as_json: bool) -> None:
-    """Preview FILE; nothing is stored. Exits with 1 if starting it would be refused."""
+def plan(cli: CliContext, file: Path, executor: str | None, nodes: int | None, as_json: bool) -> None:
+    """Preview FILE; nothing is stored. Exits with 1 if starting it would be refused.
+
+    With --nodes, the time and the data to move are those of so many nodes, each with one run at a time.
+    """
     with _counting("checking") as progress:
-        found = cli.hive().experiments.preview(ExperimentSource.read(file), executor, progress)
+        found = cli.hive().experiments.preview(ExperimentSource.read(file), executor, progress, nodes)
     if as_json:
         print_json(schema.ExperimentPreview.of(found).content)
     else:

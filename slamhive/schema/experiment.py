@@ -41,6 +41,17 @@ class VariantNeed(Document):
     made: bool
 
 
+class NodesPlan(Document):
+    """The runs of an experiment on the nodes of a cluster."""
+
+    nodes: int
+    used_nodes: Annotated[int, described("Nodes that have something to do.")]
+    time_s: Annotated[float, described("Estimated time of runs and of moving their data.", unit="s")]
+    moved_bytes: Annotated[int, described("Data that all nodes get.", unit="bytes")]
+    node_bytes: Annotated[int, described("The most that one node gets.", unit="bytes")]
+    bytes_per_s: Annotated[float, described("How fast a node is assumed to get data.", unit="bytes/s")]
+
+
 class ExperimentPreview(Document):
     """What starting an experiment would do."""
 
@@ -53,8 +64,11 @@ class ExperimentPreview(Document):
     axes: Annotated[dict[str, int], described("How many values each axis has.")]
     known_cells: Annotated[int, described("Configurations that are stored already.")]
     known_runs: int
-    time_s: Annotated[float, described("Estimated time of all runs and variants on this machine.", unit="s")]
+    time_s: Annotated[float, described("Estimated time until all is evaluated.", unit="s")]
     variant_time_s: Annotated[float, described("The part of it that making variants takes.", unit="s")]
+    build_time_s: Annotated[float, described("The part of it that building packages takes.", unit="s")] = 0.0
+    between_s: Annotated[float, described("Added to each run: preparing, collecting, evaluating.", unit="s")] = 0.0
+    cluster: Annotated[NodesPlan | None, described("Null if the plan is for the slots of this machine.")] = None
     measured_runs: Annotated[int, described("Runs whose time is known from earlier ones.")]
     slots: int
     variants: tuple[VariantNeed, ...]

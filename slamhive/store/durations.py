@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from statistics import median
 
-from sqlalchemy import ColumnElement, Integer, and_, cast, func, not_, select
+from sqlalchemy import ColumnElement, Integer, and_, cast, func, select
 
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import RunState
@@ -31,6 +31,7 @@ DURATION = "duration"
 _PAIRING = (Algorithm.name, Dataset.name, Configuration.playback_mode, Configuration.playback_rate)
 _ENDED = tuple(state for state in RunState if state.ended)
 _ACTIVE = tuple(state for state in RunState if state.active)
+_BUILT = select(AlgorithmVersion.package).where(AlgorithmVersion.removed_at.is_(None))
 _LEAST_BUILD = timedelta(seconds=5)
 """A shorter preparation built nothing."""
 _LATEST = 50
@@ -124,18 +125,20 @@ class DurationRepository(Repository):
 
     def unbuilt(self, experiment_id: int) -> list[str]:
         """The packages of runs that have not ended, of which no version was ever built here."""
-        built = select(AlgorithmVersion.id).where(
-            AlgorithmVersion.package == Algorithm.package, AlgorithmVersion.removed_at.is_(None)
-        )
         query = (
             select(Algorithm.package)
             .distinct()
             .select_from(Run)
             .join(Configuration, Configuration.id == Run.configuration_id)
             .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
-            .where(Run.experiment_id == experiment_id, Run.state.not_in(_ENDED), not_(built.exists()))
+            .where(Run.experiment_id == experiment_id, Run.state.not_in(_ENDED))
+            .where(Algorithm.package.not_in(_BUILT))
         )
         return list(self._session.scalars(query))
+
+    def built(self) -> set[str]:
+        """The packages of which a version was built here."""
+        return set(self._session.scalars(_BUILT))
 
     def build_s(self) -> float | None:
         """How long building a package takes: the median of what the first runs of versions waited for, None if none.

@@ -42,6 +42,9 @@ def test_an_experiment_from_plan_to_report(file: Path, tmp_path: Path) -> None:
     assert plan.exit_code == 0, plan.output
     assert "four: 4 combinations, 4 configurations" in plan.output
     assert json.loads(call("experiment", "plan", file, "--json").stdout)["runs"] == 4
+    cluster = call("experiment", "plan", file, "--nodes", "2").stdout
+    assert "on 2 nodes, by the length of the recordings and 5 s to start" in cluster
+    assert "data to move: " in cluster
     assert "is repeated" not in plan.output
     file.write_text(FOUR + "repeat_disturbed: 2\n")
     assert "disturbed runs: each is repeated up to 2 times" in call("experiment", "plan", file).output

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +12,15 @@ from sqlalchemy import text
 
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.files import size_bytes
 from slamhive.services.experiments import checks
+from slamhive.services.experiments.expected import (
+    GUESSED_BUILD_S,
+    GUESSED_EVALUATION_S,
+    GUESSED_OVERHEAD_S,
+    GUESSED_START_S,
+)
+from slamhive.services.experiments.planning import NODE_BYTES_PER_S
 from slamhive.services.experiments.views import ExperimentSource, Phase, Standing
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
@@ -80,7 +89,11 @@ def test_a_preview_tells_what_would_happen_and_stores_nothing(hive: Hive) -> Non
         "playback_mode": 0,
         "playback_rate": 0,
     }
-    assert found.time_s == pytest.approx(12 * 10.0), "nothing has run, so the recording's length counts"
+    between_s = GUESSED_OVERHEAD_S + GUESSED_EVALUATION_S
+    assert found.between_s == between_s
+    guessed_s = 12 * (10.0 + GUESSED_START_S + between_s) + GUESSED_BUILD_S
+    assert found.time_s == pytest.approx(guessed_s), "nothing has run, so the recording's length counts"
+    assert hive.experiments.preview(source(f"{SIX}evaluate: false\n")).between_s == GUESSED_OVERHEAD_S
     assert found.measured_runs == 0
     assert found.refusals == ()
     assert set(everything(hive).values()) == {0}
@@ -90,9 +103,27 @@ def test_a_preview_tells_what_would_happen_and_stores_nothing(hive: Hive) -> Non
 def test_a_preview_knows_what_is_stored_and_how_long_it_took(finished: Hive) -> None:
     found = finished.experiments.preview(source(SIX.replace("name: six", "name: seven").replace("0.02", "0.03")))
     assert (found.known_cells, found.known_runs, found.measured_runs) == (4, 4, 6)
-    assert 0 < found.time_s < 10
+    overhead_s, evaluation_s = finished.store.read(lambda t: (t.durations.overhead_s(), t.durations.evaluation_s()))
+    assert overhead_s is not None
+    assert evaluation_s is not None
+    assert found.between_s == pytest.approx(overhead_s + evaluation_s)
+    assert found.build_time_s == 0
+    assert 6 * found.between_s < found.time_s < 6 * (10.0 + found.between_s)
     assert found.standing is None
     assert finished.experiments.preview(source()).standing is Standing.FINISHED
+
+
+def test_a_plan_for_a_cluster_counts_the_data_of_each_node(hive: Hive) -> None:
+    recording_bytes = size_bytes(hive.catalogue.dataset("track").bag_path)
+    for nodes, used in ((4, 4), (9, 6)):
+        found = hive.experiments.preview(source(), nodes=nodes)
+        assert found.cluster is not None
+        assert (found.slots, found.cluster.nodes, found.cluster.used_nodes) == (nodes, nodes, used)
+        assert (found.cluster.moved_bytes, found.cluster.node_bytes) == (used * recording_bytes, recording_bytes)
+        run_s = 10.0 + GUESSED_START_S + found.between_s
+        transfer_s = recording_bytes / NODE_BYTES_PER_S
+        assert found.cluster.time_s == pytest.approx(math.ceil(6 / nodes) * run_s + transfer_s)
+        assert found.time_s == pytest.approx(found.cluster.time_s + GUESSED_BUILD_S / nodes)
 
 
 def test_starting_stores_cells_and_runs_with_all_that_the_file_says(hive: Hive) -> None:

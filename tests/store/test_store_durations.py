@@ -35,6 +35,7 @@ def test_a_package_is_unbuilt_until_it_has_a_version(store: Store, samples: Samp
     assert (active.id, active.claimed_at, active.state, active.package) == (run_id, NOW, RunState.PREPARING, PACKAGE)
     store.write(lambda tx: tx.versions.put(PACKAGE, AlgorithmVersion("sha256:1", "h", "1"), NOW))
     assert store.read(lambda tx: tx.durations.unbuilt(experiment)) == []
+    assert store.read(lambda tx: tx.durations.built()) == {PACKAGE}
 
 
 def test_a_build_took_what_the_first_run_of_a_version_waited(store: Store, samples: Samples, experiment: int) -> None:

@@ -8,6 +8,7 @@ from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
     from slamhive.services.experiments.context import ExperimentContext, Progress
+    from slamhive.services.experiments.expected import GUESSED_START_S
     from slamhive.services.experiments.folder import RECORD, SOURCE, ExperimentFolder, StoredExperiment
     from slamhive.services.experiments.reporting import NO_FIGURES, csv_text, failures_text, varying
     from slamhive.services.experiments.restoring import Restored
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
         Failure,
         Grid,
         GridCell,
+        NodesPlan,
         Phase,
         Spread,
         Standing,
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ENDED",
+    "GUESSED_START_S",
     "METRICS",
     "NO_FIGURES",
     "RECORD",
@@ -46,6 +49,7 @@ __all__ = [
     "Failure",
     "Grid",
     "GridCell",
+    "NodesPlan",
     "Phase",
     "Progress",
     "Restored",

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from slamhive.bags.variants.rules import RegisteredSteps
-from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.errors import InvalidInput
 from slamhive.search.datasets import matching_datasets
 from slamhive.services.configurations import find_map
@@ -16,7 +15,6 @@ from slamhive.services.experiments.folder import ExperimentFolder
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.settings import Settings
 from slamhive.store import Store
-from slamhive.store.durations import Pairing
 from slamhive.sweep.binding import at
 from slamhive.sweep.dataset_choice import name_datasets
 from slamhive.sweep.expand import Expansion, expand
@@ -83,9 +81,3 @@ class ExperimentContext:
                         look_up(name)
                     except InvalidInput as error:
                         raise at(axis.place, error) from None
-
-
-def guessed_duration_s(pairing: Pairing, recording_s: float) -> float:
-    """The assumed duration of a run without measurements: that of its recording."""
-    playback = Playback(PlaybackMode(pairing[2]), pairing[3])
-    return recording_s / playback.rate if playback.mode is PlaybackMode.REALTIME else recording_s

@@ -10,7 +10,9 @@ from slamhive.domain.configuration import Configuration
 from slamhive.domain.matching import Origin, match_of, shown
 from slamhive.services.configurations import unwatchable
 from slamhive.services.experiments.checks import Pair, disk_space_problems, find_disk_space, pair_problems, warnings
-from slamhive.services.experiments.context import ExperimentContext, Progress, guessed_duration_s
+from slamhive.services.experiments.context import ExperimentContext, Progress
+from slamhive.services.experiments.expected import Costs, guessed_duration_s
+from slamhive.services.experiments.planning import Workload, bytes_of_data
 from slamhive.services.experiments.views import ExperimentPreview, PreviewRow, Standing
 from slamhive.store.durations import Pairing
 from slamhive.store.experiment_records import KnownConfiguration
@@ -48,7 +50,7 @@ class _Sums:
     known_cells: int = 0
     known_runs: int = 0
     measured_runs: int = 0
-    time_s: float = 0.0
+    work: Workload = field(default_factory=Workload)
     rows: list[PreviewRow] = field(default_factory=list)
     first: dict[Pair, Configuration] = field(default_factory=dict)
     """The first configuration of each algorithm on each dataset."""
@@ -60,18 +62,23 @@ def preview(
     executor: str | None,
     standing: Standing | None,
     progress: Progress,
+    nodes: int | None = None,
 ) -> ExperimentPreview:
     """Count, estimate and check; raises as :meth:`ExperimentContext.expand` if the file is not valid.
 
-    ``executor`` is None if none can be used; the caller has added that to the refusals.
+    ``executor`` is None if none can be used; the caller has added that to the refusals. ``nodes`` of a cluster take the
+    place of the slots of this machine.
     """
     expansion = context.expand(experiment)
     space = find_disk_space(context, expansion)
     refusals = [str(error) for error in disk_space_problems(context, experiment, space)]
     if executor is not None:
         refusals += [str(error) for error in pair_problems(context, experiment, expansion, executor)]
-    sums = _sum_up(context, expansion, progress)
-    slots = context.settings.worker_slots
+    between_s, builds_s = _beside_runs_s(context, experiment, expansion)
+    sums = _sum_up(context, expansion, progress, between_s)
+    cluster = None if nodes is None else sums.work.on_nodes(nodes, bytes_of_data(expansion, space))
+    slots = nodes or context.settings.worker_slots
+    runs_s = sums.work.total_s / slots if cluster is None else cluster.time_s
     return ExperimentPreview(
         name=experiment.name,
         description=experiment.description,
@@ -83,8 +90,10 @@ def preview(
         rows=tuple(sums.rows),
         known_cells=sums.known_cells,
         known_runs=sums.known_runs,
-        time_s=(sums.time_s + space.variant_s) / slots,
+        time_s=runs_s + (builds_s + space.variant_s) / slots,
         variant_time_s=space.variant_s / slots,
+        build_time_s=builds_s / slots,
+        between_s=between_s,
         measured_runs=sums.measured_runs,
         slots=slots,
         variants=space.variants,
@@ -95,7 +104,16 @@ def preview(
         refusals=tuple(refusals),
         standing=standing,
         repeat_disturbed=experiment.repeat_disturbed,
+        cluster=cluster,
     )
+
+
+def _beside_runs_s(context: ExperimentContext, experiment: Experiment, expansion: Expansion) -> tuple[float, float]:
+    """What is added to each run, and the builds of all packages that were never built here."""
+    costs, built = context.store.read(lambda t: (Costs.look(t), t.durations.built()))
+    packages = {algorithm.package.name for algorithm, _ in expansion.pairs}
+    between_s = costs.overhead_s + (costs.evaluation_s if experiment.evaluation.enabled else 0.0)
+    return between_s, costs.build_s * len(packages - built)
 
 
 def _unseen(experiment: Experiment, expansion: Expansion) -> Iterator[str]:
@@ -120,7 +138,7 @@ def _defaults(expansion: Expansion, first: Mapping[Pair, Configuration]) -> Iter
         yield f"{name}: the calibration of {', '.join(datasets)} lacks what it takes; defaults of the package: {taken}"
 
 
-def _sum_up(context: ExperimentContext, expansion: Expansion, progress: Progress) -> _Sums:
+def _sum_up(context: ExperimentContext, expansion: Expansion, progress: Progress, between_s: float) -> _Sums:
     recordings_s = {dataset.name: dataset.duration_s for _, dataset in expansion.pairs}
     means_s = context.store.read(lambda t: t.durations.of_pairings())
     sums = _Sums()
@@ -128,7 +146,8 @@ def _sum_up(context: ExperimentContext, expansion: Expansion, progress: Progress
         hashes = [cell[0].content_hash for cell in chunk]
         known = context.store.read(lambda t, hashes=hashes: t.durations.of_configurations(hashes))  # type: ignore[misc]
         for cell in chunk:
-            _add(sums, cell, known.get(cell[0].content_hash), means_s, recordings_s)
+            run_s = _add(sums, cell, known.get(cell[0].content_hash), means_s, recordings_s)
+            sums.work.add(cell[0].configuration, run_s + between_s, len(cell))
         progress(sums.runs, expansion.size.runs)
     return sums
 
@@ -139,7 +158,8 @@ def _add(
     known: KnownConfiguration | None,
     means_s: dict[Pairing, float],
     recordings_s: dict[str, float],
-) -> None:
+) -> float:
+    """Count the runs of a cell; how long one of them takes (s)."""
     first = cell[0]
     configuration = first.configuration
     pairing = (
@@ -154,7 +174,6 @@ def _add(
     else:
         measured_s = guessed_duration_s(pairing, recordings_s[configuration.dataset])
     sums.first.setdefault((configuration.algorithm, configuration.dataset), configuration)
-    sums.time_s += len(cell) * measured_s
     sums.cells += 1
     sums.runs += len(cell)
     if known is not None:
@@ -163,3 +182,4 @@ def _add(
     if len(sums.rows) < ROWS:
         runs = 0 if known is None else known.runs
         sums.rows.append(PreviewRow(first.cell, first.name, dict(first.values), known is not None, runs))
+    return measured_s

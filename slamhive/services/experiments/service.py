@@ -49,9 +49,15 @@ class Experiments:
         return self._context.with_datasets(source)
 
     def preview(
-        self, source: ExperimentSource, executor: str | None = None, progress: Progress = silent
+        self,
+        source: ExperimentSource,
+        executor: str | None = None,
+        progress: Progress = silent,
+        nodes: int | None = None,
     ) -> ExperimentPreview:
         """Preview the start of ``source``, including the reasons that would prevent it; nothing is stored.
+
+        With ``nodes``, the time is that on so many nodes of a cluster.
 
         Raises InvalidInput or NotFound, naming file and line, if the file is not valid.
         """
@@ -69,7 +75,7 @@ class Experiments:
                 standing = self.status(record.name).standing
         except SlamHiveError as error:
             refusals.append(str(error))
-        found = preview(context, experiment, usable, standing, progress)
+        found = preview(context, experiment, usable, standing, progress, nodes)
         return replace(found, refusals=(*refusals, *found.refusals))
 
     def convert(self, source: ExperimentSource, meanings: Mapping[str, str]) -> tuple[Converted, ...]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from slamhive.clock import SYSTEM_CLOCK, Clock
 from slamhive.domain.numbers import plural
 from slamhive.domain.run import RunState
-from slamhive.services.experiments.context import guessed_duration_s
+from slamhive.services.experiments.expected import Costs, guessed_duration_s
 from slamhive.store import Transaction
 from slamhive.store.durations import ActiveRun, Pairing, Unfinished
 from slamhive.store.experiment_records import ExperimentRecord
@@ -18,12 +18,6 @@ from slamhive.store.experiment_records import ExperimentRecord
 MANY_RUNS = 5000
 """From this many waiting runs on, the means are kept for a while: they change slowly and cost a look at each run."""
 KEPT_S = 60.0
-GUESSED_OVERHEAD_S = 1.5
-"""Preparing a run and collecting its results, where nothing has been measured yet."""
-GUESSED_EVALUATION_S = 4.0
-"""One evaluation in a container of its own, where nothing has been measured yet."""
-GUESSED_BUILD_S = 120.0
-"""Building the image or environment of a package, where nothing has been measured yet."""
 
 
 class Left(NamedTuple):
@@ -88,10 +82,11 @@ class TimeLeft:
     def _look(self, t: Transaction, experiment_id: int) -> _Means:
         waiting = t.durations.unfinished(experiment_id)
         runs = max(1, sum(count.runs for count in waiting.values()))
+        costs = Costs.look(t)
         means = _Means(
-            of_run=_total_s(t, experiment_id, waiting) / runs + _or(t.durations.overhead_s(), GUESSED_OVERHEAD_S),
-            of_evaluation=_or(t.durations.evaluation_s(), GUESSED_EVALUATION_S),
-            of_build=_or(t.durations.build_s(), GUESSED_BUILD_S),
+            of_run=_total_s(t, experiment_id, waiting) / runs + costs.overhead_s,
+            of_evaluation=costs.evaluation_s,
+            of_build=costs.build_s,
             unbuilt=tuple(t.durations.unbuilt(experiment_id)),
             evaluated_fraction=sum(count.to_evaluate for count in waiting.values()) / runs,
             looked_at=self._clock.monotonic_s(),
@@ -126,7 +121,3 @@ def _total_s(t: Transaction, experiment_id: int, waiting: Mapping[Pairing, Unfin
         run_s = guessed_duration_s(pairing, recordings_s[pairing[1]]) if measured_s is None else measured_s
         total_s += count.runs * run_s
     return total_s
-
-
-def _or(measured_s: float | None, guessed_s: float) -> float:
-    return guessed_s if measured_s is None else measured_s

@@ -127,14 +127,32 @@ class VariantNeed:
 
 
 @dataclass(frozen=True, slots=True)
+class NodesPlan:
+    """The runs of an experiment on the nodes of a cluster, one at a time on each.
+
+    ``used_nodes`` of ``nodes`` have something to do. ``time_s`` is for runs and their data. Each node gets the data of
+    its runs once, at ``bytes_per_s``: ``moved_bytes`` in all, at most ``node_bytes`` on one node.
+    """
+
+    nodes: int
+    used_nodes: int
+    time_s: float
+    moved_bytes: int
+    node_bytes: int
+    bytes_per_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class ExperimentPreview:
     """A preview of an experiment that has not been started.
 
     ``combinations`` counts them before conditions; ``cells`` counts the distinct configurations that remain
     (``merged`` were identical to another); ``runs`` includes seeds and repeats. ``known_cells`` configurations are
-    stored already, with ``known_runs`` runs. ``time_s`` is the estimated time of all runs and variants on the slots of
-    this machine. For ``measured_runs`` of them it uses the time of earlier runs; the others are assumed to last as
-    long as their recording. ``variant_time_s`` is the share of ``time_s`` for making variants, each once.
+    stored already, with ``known_runs`` runs. ``time_s`` is the estimated time of builds, variants, runs and evaluations
+    on the slots of this machine, or on ``cluster``. For ``measured_runs`` of them it uses the time of earlier runs; the
+    others are assumed to last as long as a start and their recording. ``variant_time_s`` is the share of ``time_s`` for
+    making variants, each once, ``build_time_s`` that for building packages. ``between_s`` is added to each run: what
+    the worker does before and after it, and its evaluation.
     ``run_bytes`` estimates the size of the run folders from earlier ones. ``refusals`` are the reasons why the
     experiment cannot start. ``standing`` is that of the experiment if it is stored already. ``repeat_disturbed`` is
     how often each run is repeated at most because of a disturbed machine; the other numbers leave that out.
@@ -162,6 +180,9 @@ class ExperimentPreview:
     refusals: tuple[str, ...]
     standing: Standing | None
     repeat_disturbed: int = 0
+    build_time_s: float = 0.0
+    between_s: float = 0.0
+    cluster: NodesPlan | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -251,11 +251,12 @@ def _known(preview: ExperimentPreview) -> str:
 
 
 def _time_basis(preview: ExperimentPreview) -> str:
+    between = f", and {duration(preview.between_s)} to prepare, collect and evaluate each run"
     if preview.measured_runs == preview.runs:
-        return "from earlier runs"
+        return f"from earlier runs{between}"
     if preview.measured_runs:
-        return f"{thousands(preview.measured_runs)} runs from earlier ones, the others from recording time"
-    return "from recording time"
+        return f"{thousands(preview.measured_runs)} runs from earlier ones, the others from recording time{between}"
+    return f"from recording time{between}"
 
 
 def _variants(preview: ExperimentPreview) -> str:
