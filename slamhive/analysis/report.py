@@ -54,6 +54,9 @@ class Summary(Document):
     mixed_versions: Annotated[
         dict[str, tuple[str, ...]], described("The versions of each algorithm whose runs used several.")
     ] = Field(default_factory=dict)
+    mixed_cpus: Annotated[dict[str, int], described("The number of runs on each CPU model if they ran on several.")] = (
+        Field(default_factory=dict)
+    )
     rule: Annotated[str, described("When a run counts as failed.")]
     protocols: tuple[ProtocolRuns, ...]
     references: Annotated[tuple[Reference, ...], described("What to cite; empty in reports of version 0.1.")] = ()

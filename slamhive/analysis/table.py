@@ -6,6 +6,7 @@ name), ``algorithm``. A missing value is NaN (numbers) or None (text), never 0.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -194,6 +195,18 @@ class RunTable:
         """A sentence on algorithms whose runs used several versions; empty if there are none."""
         mixed = [f"{name} ({', '.join(labels)})" for name, labels in self.mixed_versions.items()]
         return f"Several versions together: {', '.join(mixed)}." if mixed else ""
+
+    @property
+    def mixed_cpus(self) -> dict[str, int]:
+        """The number of runs on each CPU model, the most used first; empty if all known ones are the same."""
+        runs = Counter(map(str, self.frame["host"].dropna()))
+        return dict(sorted(runs.items(), key=lambda entry: (-entry[1], entry[0]))) if len(runs) > 1 else {}
+
+    @property
+    def cpu_words(self) -> str:
+        """A sentence on runs that were measured on several CPU models; empty if they were not."""
+        mixed = [f"{model} ({plural(runs, 'run')})" for model, runs in self.mixed_cpus.items()]
+        return f"Several CPU models together: {', '.join(mixed)}." if mixed else ""
 
     @property
     def rule_words(self) -> str:

@@ -12,6 +12,7 @@ from slamhive.analysis.report import DisturbedRuns, PlotBrief, ReportBrief
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.meanings import id_option
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
+from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput
 
 FIGURE_FORMATS = ("pdf", "svg", "png")
@@ -74,6 +75,9 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         _show_disturbance(report.disturbance)
         for name, labels in report.mixed_versions.items():
             tell(f"versions are mixed: {name} ran as {', '.join(labels)}", style="yellow")
+        if report.mixed_cpus:
+            models = ", ".join(f"{model} ({plural(runs, 'run')})" for model, runs in report.mixed_cpus.items())
+            tell(f"CPU models are mixed: {models}", style="yellow")
         rows = [(entry.form, entry.title, entry.charts, entry.error or "") for entry in plots]
         print_table(("form", "title", "plots", "not shown because"), rows)
         if out is not None:

@@ -86,8 +86,8 @@ def makespan_s(plans: Sequence[NodePlan]) -> float:
 def lower_bound_s(groups: Sequence[DataRuns], nodes: int) -> float:
     """No schedule ends earlier, whatever it knows.
 
-    Three bounds: the longest run with its transfer; the runs of the node that must take the most of the longest runs;
-    and the total work, in which each data counts for as many nodes as its runs need.
+    It is the largest of three bounds. One is the longest run with its transfer. One is the node that must take the most
+    of the longest runs. One is the total work, in which each data counts for as many nodes as its runs need.
     """
     groups = [group for group in groups if group.durations_s]
     longest_s = max((max(group.durations_s) + group.transfer_s for group in groups), default=0.0)

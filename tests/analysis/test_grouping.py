@@ -17,6 +17,19 @@ pytestmark = pytest.mark.quick
 ATTRIBUTES = {"hall": ("indoor", "easy"), "street": ("outdoor", "difficult"), "both": ("indoor", "outdoor"), "desk": ()}
 
 
+def test_cpu_models_are_not_mixed_in_silence() -> None:
+    shown = table()
+    assert shown.cpu_words == ""
+    for hosts, words in (
+        (["Xeon", "Xeon", None, "Xeon", "Xeon"], ""),
+        (["EPYC", "Xeon", None, "Xeon", "Xeon"], "Several CPU models together: Xeon (3 runs), EPYC (1 run)."),
+    ):
+        mixed = shown.with_rows(shown.frame.assign(host=hosts))
+        assert mixed.cpu_words == words
+        caption = build("by_algorithm", mixed, metric="ate.rmse", by="dataset").charts[0].caption
+        assert ("Several CPU models" in caption) == bool(words)
+
+
 def table(**parameters: list[object]) -> RunTable:
     datasets = [*ATTRIBUTES, "hall"]
     facts: dict[str, list[object]] = {

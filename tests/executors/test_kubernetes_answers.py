@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import pytest
 
 from slamhive.executors.base import EngineUnavailable
+from slamhive.executors.host import describe_host
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.answers import Right
 from slamhive.executors.kubernetes.cluster import Expired, _events
 from slamhive.executors.kubernetes.run_files import RunFiles, parse_usage
+from slamhive.executors.kubernetes.supervisor import about_node
 from slamhive.executors.kubernetes.watching import RELIST_S, TRUSTED_S, PodBook, PodWatch
 from slamhive.executors.spec import RunOutput
 from slamhive.executors.status import Exited, Gone
@@ -302,6 +305,20 @@ def files(tmp_path):
 def record(files, **changes):
     (files.folder / "exit.json").write_text(json.dumps(RECORD | changes))
     return files.ended()
+
+
+def test_a_supervisor_says_what_its_node_is(files, monkeypatch):
+    monkeypatch.setenv("SLAMHIVE_NODE", "node-7")
+    started = files.folder / "started.json"
+    started.write_text(json.dumps({"started_s": 10.0, **about_node()}))
+    here = describe_host()
+    found = files.started()
+    assert found.node == "node-7"
+    assert found.host == replace(here, os="unknown", memory_bytes=found.host.memory_bytes)
+    assert found.host.memory_bytes == pytest.approx(here.memory_bytes, rel=0.01)
+    started.write_text(json.dumps({"started_s": 10.0, "node": "n", "cpu": "X\n\0eon" * 99, "cores": -(10**30)}))
+    forged = files.started().host
+    assert (len(forged.cpu_model), forged.cpu_model[:4], forged.cpu_count, forged.kernel) == (190, "Xeon", 0, "unknown")
 
 
 def test_records_of_the_supervisor(files):

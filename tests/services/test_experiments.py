@@ -115,7 +115,7 @@ def test_a_preview_knows_what_is_stored_and_how_long_it_took(finished: Hive) -> 
 
 def test_a_plan_for_a_cluster_counts_the_data_of_each_node(hive: Hive) -> None:
     recording_bytes = size_bytes(hive.catalogue.dataset("track").bag_path)
-    for nodes, used in ((4, 4), (9, 6)):
+    for nodes, used in ((4, 3), (9, 6)):  # on four nodes, two runs on each of three end as early with less data
         found = hive.experiments.preview(source(), nodes=nodes)
         assert found.cluster is not None
         assert (found.slots, found.cluster.nodes, found.cluster.used_nodes) == (nodes, nodes, used)

@@ -232,8 +232,8 @@ class KubernetesExecutor(Executor):
         handle = _handle_of(spec)
         job = self._jobs.name(spec.key)
         handle.data.update(started_at=started.at.isoformat(), node=started.node, job=job)
-        where = f"pod on node {started.node} ({started.cpu}, {started.cores} cores)"
-        return replace(handle, protections=_protections(where))
+        where = f"pod on node {started.node} ({started.host.cpu_model}, {started.host.cpu_count} cores)"
+        return replace(handle, protections=_protections(where), host=started.host)
 
 
 def _files(handle: RunHandle) -> RunFiles:

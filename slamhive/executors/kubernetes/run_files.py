@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from slamhive.domain.host import Host
 from slamhive.errors import Unavailable
 from slamhive.executors.cgroup import file_cache_bytes, parse_flat
 from slamhive.executors.kubernetes.archive import supervisor_archive
@@ -37,6 +38,9 @@ from slamhive.tree import remove_tree
 
 _FOLDER = "pod"
 _MOST_BYTES = 1_000_000
+_LONGEST_WORDS = 190
+_MOST = 2**62
+_UNKNOWN = "unknown"
 _MAKES_NO_SENSE = (KeyError, TypeError, ValueError, OverflowError)
 
 
@@ -46,8 +50,7 @@ class Started:
 
     at: datetime
     node: str
-    cpu: str
-    cores: int
+    host: Host
 
 
 class RunFiles:
@@ -205,7 +208,22 @@ def _differs(source: Path, copy: Path) -> bool:
 
 
 def _start(found: dict[str, Any]) -> Started:
-    return Started(_moment(found["started_s"]), str(found["node"]), str(found["cpu"]), int(found["cores"] or 0))
+    host = Host(
+        cpu_model=_words(found["cpu"]),
+        cpu_count=_count(found["cores"]),
+        memory_bytes=_count(found.get("memory_bytes")),  # supervisors of version 0.1 did not record it
+        kernel=_words(found.get("kernel", _UNKNOWN)),
+        os=_UNKNOWN,  # a pod sees the system of its image
+    )
+    return Started(_moment(found["started_s"]), str(found["node"]), host)
+
+
+def _words(found: object) -> str:
+    return "".join(character for character in str(found) if character.isprintable())[:_LONGEST_WORDS]
+
+
+def _count(found: Any) -> int:
+    return max(0, min(int(found or 0), _MOST))
 
 
 def _ending(found: dict[str, Any]) -> Exited | Gone:

@@ -252,13 +252,15 @@ def count_oom_kills() -> int:
 
 
 def about_node() -> dict[str, Any]:
-    """The node, its CPU model and number of cores."""
+    """The node, and what its processor, memory and kernel are."""
     lines = (read_text(Path("/proc/cpuinfo")) or "").splitlines()
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return {
         "node": os.environ.get("SLAMHIVE_NODE", ""),
         "cpu": models[0] if models else "unknown",
         "cores": os.cpu_count(),
+        "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+        "kernel": os.uname().release,
     }
 
 

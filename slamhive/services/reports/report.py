@@ -42,6 +42,7 @@ def make_report(outcome: AnalysisOutcome, now: datetime, references: tuple[Refer
             left_out=table.without_disturbed,
         ),
         mixed_versions=table.mixed_versions,
+        mixed_cpus=table.mixed_cpus,
         rule=table.rule_words,
         protocols=tuple(
             ProtocolRuns(fingerprint=str(name), label=str(labels.iloc[0]), runs=len(labels))
