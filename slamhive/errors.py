@@ -45,7 +45,15 @@ class Conflict(SlamHiveError):
 
 
 class Forbidden(SlamHiveError):
-    """The mode in force does not allow this."""
+    """The mode in force, or the role of the account, does not allow this."""
+
+
+class Unauthenticated(SlamHiveError):
+    """The server does not know who asks."""
+
+
+class TooManyRequests(SlamHiveError):
+    """The same has been asked for too often; later it is answered again."""
 
 
 class Unavailable(SlamHiveError):

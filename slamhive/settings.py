@@ -26,6 +26,14 @@ class Mode(StrEnum):
     CLOUD = "cloud"
 
 
+class Auth(StrEnum):
+    """Whether callers of the web server sign in."""
+
+    AUTO = "auto"
+    ACCOUNTS = "accounts"
+    NONE = "none"
+
+
 def setting(
     default: Any,
     help_text: str,
@@ -54,6 +62,13 @@ class Settings(BaseSettings):
     port: int = setting(5000, "Port the web server binds to", minimum=0, maximum=65535)
     secret_key: str = setting(
         "", "Signs sessions and forms; empty means a random key kept in <data>/secret_key", secret=True
+    )
+    auth: Auth = setting(
+        Auth.AUTO,
+        "Who may use the web server: accounts, none (all who reach it), or auto (accounts unless HOST is loopback)",
+    )
+    trusted_proxy: str = setting(
+        "", "Address of a reverse proxy whose X-Forwarded-For, -Host and -Proto headers are believed; empty for none"
     )
     executor: str = setting(
         "auto", "auto (Docker if an engine answers, else process), docker, process, slurm or kubernetes"

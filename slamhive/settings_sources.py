@@ -6,6 +6,7 @@ import re
 import runpy
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from pydantic_settings import EnvSettingsSource
 
 from slamhive.errors import InvalidInput, unknown
 from slamhive.input_bounds import check_value
-from slamhive.settings import ENVIRONMENT_PREFIX, Mode, Settings
+from slamhive.settings import ENVIRONMENT_PREFIX, Settings
 
 CONFIGURATION_FILE = "configuration.py"
 
@@ -108,7 +109,9 @@ def _problem(name: str, problem: ErrorDetails) -> str:
         words, key = bounds[problem["type"]]
         return f"must be {words} {problem['ctx'][key]:g}"
     kind = Settings.model_fields[name].annotation
-    return f"expected one of {', '.join(Mode)}" if kind is Mode else f"expected {getattr(kind, '__name__', kind)}"
+    if isinstance(kind, type) and issubclass(kind, StrEnum):
+        return f"expected one of {', '.join(kind)}"
+    return f"expected {getattr(kind, '__name__', kind)}"
 
 
 def _given(

@@ -23,7 +23,7 @@ from slamhive.catalogue.protocol_file import protocol_schema
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
 from slamhive.project import project_root
-from slamhive.schema import catalogue, collection, experiment
+from slamhive.schema import accounts, catalogue, collection, experiment
 from slamhive.schema.analysis import StoredAnalysis
 from slamhive.schema.archive import Manifest, RunLine
 from slamhive.schema.checks import DatasetCheck
@@ -186,10 +186,13 @@ def _about(package: AlgorithmPackage) -> str:
 
 
 DOCUMENTS: dict[str, Any] = {
+    "account": accounts.Account,
     "algorithm": catalogue.Algorithm,
     "algorithm-test": catalogue.BoundResult,
+    "api-token": accounts.ApiToken,
     "archive": Manifest,
     "archive-run": RunLine,
+    "audit-line": accounts.AuditLine,
     "comparison": Comparison,
     "configuration": catalogue.Configuration,
     "dataset": catalogue.Dataset,

@@ -18,6 +18,7 @@ EXPECTED: dict[str, DataRoot] = {
     "runs import": DataRoot.MADE,
     "serve": DataRoot.MADE,
     "worker": DataRoot.MADE,
+    "account add": DataRoot.FOUND,
     "configuration create": DataRoot.FOUND,
     "configuration import": DataRoot.FOUND,
     "algorithm test": DataRoot.FOUND,
@@ -38,6 +39,8 @@ EXPECTED: dict[str, DataRoot] = {
 LISTS = frozenset(
     {
         *(
+            "account audit",
+            "account list",
             "algorithm list",
             "compare",
             "configuration groups",

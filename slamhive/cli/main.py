@@ -16,6 +16,7 @@ from slamhive.cli.mistakes import mistakes_end_with
 from slamhive.input_bounds import check_text
 
 MODULES = {
+    "account": "accounts",
     "algorithm": "algorithms",
     "analyse": "analyse",
     "archive": "archive",

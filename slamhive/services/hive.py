@@ -20,6 +20,7 @@ from slamhive.settings_sources import load_settings
 
 if TYPE_CHECKING:
     from slamhive.foreign.numbers import Numbers
+    from slamhive.services.accounts import Accounts
     from slamhive.services.algorithms import AlgorithmImports
     from slamhive.services.analyses import AnalysisJobs, StoredAnalyses
     from slamhive.services.citations import Citations
@@ -65,6 +66,13 @@ class Hive:
         from slamhive.services.datasets import Catalogue
 
         return Catalogue(self.settings, self.project_root)
+
+    @cached_property
+    def accounts(self) -> Accounts:
+        """Who may use the web server."""
+        from slamhive.services.accounts import Accounts
+
+        return Accounts(self.store)
 
     @cached_property
     def ledger(self) -> Ledger:

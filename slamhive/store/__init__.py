@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from slamhive.store.account_records import Account, Act, AuditLine, Credentials, Key, KeyKind, NewKey
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.configuration_records import (
     ConfigurationFilter,
@@ -33,19 +34,26 @@ from slamhive.store.transaction import Transaction
 
 __all__ = [
     "AbsentStore",
+    "Account",
+    "Act",
     "AlgorithmRecord",
     "AlgorithmVersion",
     "AnalysisRecord",
     "AnalysisState",
+    "AuditLine",
     "ConfigurationFilter",
     "ConfigurationPage",
     "ConfigurationRecord",
     "Count",
+    "Credentials",
     "DatasetRecord",
     "EvaluationRecord",
     "EvaluationState",
+    "Key",
+    "KeyKind",
     "Lease",
     "LeaseLost",
+    "NewKey",
     "Page",
     "ParameterCondition",
     "ProtocolLabel",

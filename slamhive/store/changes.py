@@ -47,8 +47,9 @@ class Changes:
 
     ``described``: configurations whose name, note or groups have changed. ``cancelled``: queued runs that were
     cancelled, with when and why. ``asked_to_end``: active runs that a user cancelled. ``cells``: by the number of their
-    experiment. ``experiments``: those whose fields changed. ``evaluated``: evaluations that have ended. ``uncertain``:
-    the transaction was tried more than once, so an earlier attempt may have stored more.
+    experiment. ``experiments``: those whose fields changed. ``evaluated``: evaluations that have ended.
+    ``started``: names of experiments that were asked for, which only the audit log needs. ``uncertain``: the
+    transaction was tried more than once, so an earlier attempt may have stored more.
     """
 
     configurations: list[NewRow[NewConfiguration]] = field(default_factory=list)
@@ -61,6 +62,7 @@ class Changes:
     experiments: set[int] = field(default_factory=set)
     asked_evaluations: list[AskedEvaluations] = field(default_factory=list)
     evaluated: set[int] = field(default_factory=set)
+    started: set[str] = field(default_factory=set)
     catalogue: bool = False
     searches: bool = False
     uncertain: bool = False

@@ -8,10 +8,12 @@ from typing import Any, ClassVar
 from sqlalchemy import BigInteger, ForeignKey, Index, MetaData, SmallInteger, String, Table, UniqueConstraint, text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
+from slamhive.domain.accounts import Role
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.evaluation.job import Artefacts
+from slamhive.store.account_records import KeyKind
 from slamhive.store.analysis_records import AnalysisState
 from slamhive.store.experiment_records import ExperimentState
 from slamhive.store.records import EvaluationState
@@ -53,6 +55,8 @@ class Base(DeclarativeBase):
                 ExperimentState,
                 AnalysisState,
                 TrajectoryKind,
+                Role,
+                KeyKind,
             )
         },
     }

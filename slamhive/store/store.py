@@ -15,6 +15,7 @@ from sqlalchemy.orm import Session
 from slamhive.clock import SYSTEM_CLOCK, Clock
 from slamhive.errors import NotFound, SlamHiveError
 from slamhive.store import migrate, statistics
+from slamhive.store.account_records import Act
 from slamhive.store.changes import CHANGES_KEY, Changes, Listener
 from slamhive.store.engine import database_label, make_engine, writing
 from slamhive.store.failures import explained, gave_up, is_transient, short
@@ -89,18 +90,51 @@ class Store:
         attempts: list[Changes] = []
         if self._snapshot is not None:
             self._snapshot.end()
+        audited = self._audited(work)
 
         def attempt() -> T:
             changes = Changes()
             attempts.append(changes)
-            return self._attempt(self._writing, work, changes)
+            return self._attempt(self._writing, audited, changes)
 
         result = self.retried(attempt)
+        self._of_thread.act = None
         self._tell(attempts)
         self._written += 1
         if self._written % WRITES_BETWEEN_LOOKS == 0:
             self._refresh_if_grown()
         return result
+
+    @contextmanager
+    def acting(self, act: Act) -> Iterator[None]:
+        """The first transaction of this thread in the block also stores the line of ``act`` in the audit log."""
+        self._of_thread.act = act
+        try:
+            yield
+        finally:
+            self._of_thread.act = None
+
+    def note_act(self) -> None:
+        """Store the line of the act in the audit log, if there is one: what it asks for changes files only."""
+        if self._act is not None:
+            self.write(lambda _transaction: None)
+
+    @property
+    def _act(self) -> Act | None:
+        return getattr(self._of_thread, "act", None)
+
+    def _audited(self, work: Callable[[Transaction], T]) -> Callable[[Transaction], T]:
+        """``work``, followed by the line of the act if there is one: both are stored, or neither."""
+        act = self._act
+        if act is None:
+            return work
+
+        def both(transaction: Transaction) -> T:
+            result = work(transaction)
+            transaction.audit.add(act)
+            return result
+
+        return both
 
     @contextmanager
     def unheard(self) -> Iterator[None]:

@@ -11,8 +11,10 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
 from slamhive.clock import SYSTEM_CLOCK, Clock
+from slamhive.store.accounts import AccountRepository
 from slamhive.store.analyses import AnalysisRepository
 from slamhive.store.archives import ArchiveRepository
+from slamhive.store.audit import AuditRepository
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.configuration_book import ConfigurationBook
 from slamhive.store.configurations import ConfigurationRepository
@@ -66,6 +68,9 @@ class Transaction:
         self.ledger = LedgerRepository(session)
         self.archive = ArchiveRepository(session)
         self.imports = ImportRepository(session)
+        # Who may do what, and who did.
+        self.accounts = AccountRepository(session)
+        self.audit = AuditRepository(session)
 
     def lease(self, owner: str, lasts_s: float) -> Lease:
         """A lease for ``owner`` from now on, by the clock that all workers of this database share.

@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
+from slamhive.clock import utc_now
+from slamhive.domain.accounts import Role, Scope
 from slamhive.domain.notes import NotesChange
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import RunState
@@ -12,14 +14,17 @@ from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.variant import VariantStep
 from slamhive.evaluation.job import Artefacts
 from slamhive.schema.submission import Submission
+from slamhive.services.accounts import TokenRequest
 from slamhive.services.configurations.changes import Changes, Label
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.services.imports.request import ImportRequest
+from slamhive.store import Act
 from slamhive.store.records import RunSort, SavedSearchRecord
 from tests.services.imports.world import make_source
 from tests.waiting import eventually
 
+PASSWORD = "four words of everything"
 EXPERIMENT = """
 name: {name}
 description: of {name}
@@ -35,7 +40,7 @@ ANALYSIS = (
 
 
 def store_everything(hive: Hive, folder: Path) -> None:
-    """Configurations, runs in every state, experiments, evaluations, searches, analyses and imports."""
+    """Configurations, runs in every state, experiments, evaluations, searches, analyses, imports and accounts."""
     _describe_configurations(hive)
     _end_runs(hive)
     _import_runs(hive, folder)
@@ -47,6 +52,7 @@ def store_everything(hive: Hive, folder: Path) -> None:
     _analyse(hive)
     _edit_definition(hive)
     _leave_waiting(hive)
+    _add_accounts(hive)
 
 
 def _describe_configurations(hive: Hive) -> None:
@@ -156,3 +162,14 @@ def _leave_waiting(hive: Hive) -> None:
     again = hive.experiments.run_ids("cancelled")[0]
     hive.runs.retry(hive.experiments.run_ids("done")[0])
     assert hive.runs.get(again).state is RunState.CANCELLED
+
+
+def _add_accounts(hive: Hive) -> None:
+    """An account with a session and a token, and one that is disabled; the audit log says who made the first."""
+    act = Act("a" * 32, utc_now(), "root", "command line", "", "account add", "anna as admin")
+    with hive.store.acting(act):
+        hive.accounts.add("anna", Role.ADMIN, PASSWORD)
+    hive.accounts.sign_in("anna", PASSWORD)
+    hive.accounts.create_token("anna", TokenRequest("ci", [Scope.READ]))
+    hive.accounts.add("ben", Role.READER, PASSWORD)
+    hive.accounts.disable("ben")

@@ -1,0 +1,105 @@
+"""Accounts: roles, what each may do, and what a personal API token may do at most."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from slamhive.errors import InvalidInput
+
+LEAST_PASSWORD = 12
+LONGEST_PASSWORD = 200
+LONGEST_NAME = 64
+_LEAST_BESIDE_NAME = 10
+_LEAST_DISTINCT = 6
+_NAME = re.compile(rf"[a-z0-9][a-z0-9_.-]{{0,{LONGEST_NAME - 1}}}")
+
+
+class Action(StrEnum):
+    """A kind of request to the web server."""
+
+    VIEW = "view"
+    ANALYSE = "analyse"
+    CHANGE = "change"
+    ADMINISTER = "administer"
+    SIGN_IN = "sign in"
+    """What callers may do whom nobody knows yet."""
+    OWN = "own"
+    """One's own account: password, tokens, signing out."""
+
+
+class Role(StrEnum):
+    """What an account is for."""
+
+    READER = "reader"
+    MEMBER = "member"
+    ADMIN = "admin"
+
+
+class Scope(StrEnum):
+    """What an API token may do, as far as the role of its owner allows it."""
+
+    READ = "read"
+    CHANGE = "change"
+    ADMINISTER = "administer"
+
+
+NOBODY_MAY = frozenset({Action.SIGN_IN})
+READER_MAY = frozenset({Action.VIEW, Action.OWN, Action.SIGN_IN})
+MEMBER_MAY = READER_MAY | {Action.ANALYSE, Action.CHANGE}
+ADMIN_MAY = MEMBER_MAY | {Action.ADMINISTER}
+VISITOR_MAY = frozenset({Action.VIEW})
+"""Of a view-only server. If it takes their analyses, they may analyse too."""
+EVERYTHING = frozenset(Action) - {Action.OWN, Action.SIGN_IN}
+"""What callers may do where there are no accounts."""
+
+MAY = {Role.READER: READER_MAY, Role.MEMBER: MEMBER_MAY, Role.ADMIN: ADMIN_MAY}
+
+_SCOPE_ALLOWS = {
+    Scope.READ: frozenset({Action.VIEW}),
+    Scope.CHANGE: frozenset({Action.VIEW, Action.ANALYSE, Action.CHANGE}),
+    Scope.ADMINISTER: frozenset({Action.VIEW, Action.ADMINISTER}),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """Who sends a request, and what they may do.
+
+    ``account`` is empty for callers who need none. ``token`` is the name of the API token that was used, if any.
+    """
+
+    may: frozenset[Action]
+    account: str = ""
+    role: Role | None = None
+    token: str = ""
+
+
+def token_may(role: Role, scopes: Iterable[Scope]) -> frozenset[Action]:
+    """What a token with ``scopes`` allows an owner with ``role``. No token allows to change the account itself."""
+    allowed: frozenset[Action] = frozenset().union(*(_SCOPE_ALLOWS[scope] for scope in scopes))
+    return MAY[role] & allowed
+
+
+def check_account_name(name: str) -> str:
+    """Return ``name``; raise InvalidInput for one that is not allowed. Capitals would allow two of one sound."""
+    if not _NAME.fullmatch(name):
+        raise InvalidInput(
+            f"account name {name[:80]!r} is not allowed",
+            f"use 1 to {LONGEST_NAME} small letters, digits, '_', '.' or '-', the first a letter or digit",
+        )
+    return name
+
+
+def check_password(name: str, password: str) -> str:
+    """Return the new password of account ``name``; raise InvalidInput for one that is easy to guess."""
+    if not LEAST_PASSWORD <= len(password) <= LONGEST_PASSWORD:
+        raise InvalidInput(
+            f"the password has {len(password)} characters", f"use {LEAST_PASSWORD} to {LONGEST_PASSWORD}"
+        )
+    without_name = password.casefold().replace(name, "")
+    if len(without_name) < _LEAST_BESIDE_NAME or len(set(password)) < _LEAST_DISTINCT:
+        raise InvalidInput("the password is easy to guess", "use several words, not the name of the account")
+    return password

@@ -1,0 +1,23 @@
+"""Accounts: who may sign in, with which role, their sessions and API tokens, and the audit log."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.accounts.need import LOOPBACK_HOSTS, accounts_needed
+    from slamhive.services.accounts.service import LONGEST_TOKEN_DAYS, Accounts, Session, TokenRequest
+
+__all__ = [
+    "LONGEST_TOKEN_DAYS",
+    "LOOPBACK_HOSTS",
+    "Accounts",
+    "Session",
+    "TokenRequest",
+    "accounts_needed",
+]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

@@ -1,0 +1,16 @@
+"""Whether callers of the web server have to sign in."""
+
+from __future__ import annotations
+
+from slamhive.settings import Auth, Mode, Settings
+
+LOOPBACK_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
+
+
+def accounts_needed(settings: Settings, host: str) -> bool:
+    """Whether a server that binds to ``host`` asks who calls. One that only shows never does."""
+    if settings.mode is Mode.VIEW_ONLY:
+        return False
+    if settings.auth is Auth.AUTO:
+        return host not in LOOPBACK_HOSTS
+    return settings.auth is Auth.ACCOUNTS
