@@ -52,12 +52,12 @@ class Unauthenticated(SlamHiveError):
     """The server does not know who asks."""
 
 
-class TooManyRequests(SlamHiveError):
-    """The same has been asked for too often; later it is answered again."""
-
-
 class Unavailable(SlamHiveError):
     """Something outside this process does not answer (Docker engine, database, disk space, a library)."""
+
+
+class TooManyRequests(Unavailable):
+    """The same has been asked for too often; later it is answered again."""
 
 
 def one_line(text: str) -> str:

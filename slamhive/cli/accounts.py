@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import click
 
 from slamhive.cli.account_tokens import token
@@ -113,10 +115,9 @@ def audit(cli: CliContext, name: str | None, limit: int, as_json: bool) -> None:
 
 def _new_password() -> str:
     """A password, typed twice or read as one line. It is no argument, since others can see those."""
-    stream = click.get_text_stream("stdin")
-    if stream.isatty():
+    if sys.stdin.isatty():
         return str(click.prompt("Password", hide_input=True, confirmation_prompt=True, err=True))
-    line = stream.readline(_LONGEST_LINE).rstrip("\r\n")
+    line = sys.stdin.readline(_LONGEST_LINE).rstrip("\r\n")
     if not line:
         raise InvalidInput("no password was given", "type it in a terminal, or send it on standard input")
     return check_text(line, "the password")

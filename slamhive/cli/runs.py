@@ -225,6 +225,8 @@ def _print_outcome(entry: RunRecord) -> None:
     if entry.trust is not None:
         said = [part for part in (entry.trust.words, *entry.trust.remedies) if part]
         click.echo(f"trust: {entry.trust.level or 'unknown'}{'. ' if said else ''}{'; '.join(said)}")
+    if entry.owner:
+        click.echo(f"owner: {entry.owner}")
     if entry.tags:
         click.echo(f"tags: {', '.join(entry.tags)}")
     if entry.note:

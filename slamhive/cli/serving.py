@@ -12,6 +12,8 @@ import click
 from slamhive.cli.context import CliContext, pass_cli
 from slamhive.cli.demo import run_demo
 from slamhive.cli.output import tell
+from slamhive.services.accounts import LOOPBACK_HOSTS, accounts_needed
+from slamhive.services.hive import Hive
 from slamhive.services.worker import WorkerProcess
 from slamhive.settings import Mode
 
@@ -67,7 +69,22 @@ def serve_until_stopped(cli: CliContext, *, with_worker: bool) -> None:
     server = WebServer(hive, hive.settings.host, hive.settings.port)
     with WorkerProcess(hive.settings, wanted=with_worker):
         tell(f"serving {server.url} (Ctrl-C ends)")
+        tell(who_may_use(hive))
         server.run()
+
+
+def who_may_use(hive: Hive) -> str:
+    """One line that says who may use the pages, and how the first account is made."""
+    settings = hive.settings
+    if settings.mode is Mode.VIEW_ONLY:
+        return "view-only: everybody who reaches this server may look, and nobody may change anything"
+    if accounts_needed(settings, settings.host):
+        if hive.accounts.exist():
+            return "callers sign in, see docs/accounts.md"
+        return "callers sign in, and nobody has an account yet: slamhive account add NAME --role admin adds the first"
+    if settings.host in LOOPBACK_HOSTS:
+        return "users of this machine may do everything, without signing in"
+    return "AUTH = none: everybody who reaches this server may start, change and delete runs"
 
 
 @click.command("demo")

@@ -128,6 +128,7 @@ class Run(Document):
     stop_when: Rules
     repeat_disturbed: int
     disturbance: FoundDisturbance | None
+    owner: Annotated[str | None, described("The account that asked for the run; null if nobody had signed in.")] = None
     note: Annotated[str | None, described("What somebody wrote about the run.")] = None
     tags: Annotated[tuple[str, ...], described("Tags that somebody gave the run.")] = ()
     trust: Trust | None = None

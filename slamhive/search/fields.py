@@ -133,6 +133,7 @@ BUILT_IN: dict[str, Field] = {
         VERDICT,
         TRUST,
         _run("executor", "Executor", Kind.TEXT, "docker, process, ..."),
+        _run("owner", "Owner", Kind.TEXT, "account that asked for the run"),
         _run("experiment", "Experiment", Kind.TEXT, "name of the experiment that asked for the run"),
         _run("configuration", "Configuration", Kind.NUMBER, "number shared by all repeats"),
         _run("trajectory", "Trajectory", Kind.CHOICE, "which trajectory the run gives as its main one", TrajectoryKind),

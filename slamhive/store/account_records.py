@@ -71,7 +71,7 @@ class Key:
 class Act:
     """What somebody asked for. The first transaction that stores something for it stores a line of the audit log.
 
-    ``uid``: tells the line from others if a transaction is tried again. ``account``: who. ``via``: page, token or
+    ``uid``: identifies the line if a transaction is tried again. ``account``: who. ``via``: page, token or
     command line. ``address``: of the network, empty for the command line. ``action`` and ``subject``: what, on what.
     """
 

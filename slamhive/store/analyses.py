@@ -10,6 +10,7 @@ from sqlalchemy import ColumnElement, Row, delete, func, insert, select, update
 
 from slamhive.errors import NotFound
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
+from slamhive.store.changes import changes_of
 from slamhive.store.leases import NO_LEASE, Lease, LeaseQueue
 from slamhive.store.models import Analysis, Evaluation, Run
 from slamhive.store.records import LeaseLost
@@ -31,6 +32,7 @@ class AnalysisRepository(LeaseQueue[str]):
 
     def put(self, record: AnalysisRecord) -> None:
         """File an analysis as its folder describes it; a worker that computes it loses it. May be repeated."""
+        changes_of(self._session).started.add(f"analysis {record.name}")
         values = {
             "name": record.name,
             "listed": record.listed,

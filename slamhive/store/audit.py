@@ -43,8 +43,7 @@ class AuditRepository(Repository):
         runs = [row.id for row in changes.runs]
         if runs:
             yield f"queued {in_ranges(runs)}"
-        if changes.started:
-            yield f"experiment {', '.join(sorted(changes.started))}"
+        yield from sorted(changes.started)
 
 
 def in_ranges(numbers: Sequence[int]) -> str:

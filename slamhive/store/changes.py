@@ -20,6 +20,8 @@ from slamhive.store.records import RunRequest
 T = TypeVar("T")
 
 CHANGES_KEY = "slamhive.changes"
+OWNER_KEY = "slamhive.owner"
+"""The account for which a session stores runs; None for nobody."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +50,7 @@ class Changes:
     ``described``: configurations whose name, note or groups have changed. ``cancelled``: queued runs that were
     cancelled, with when and why. ``asked_to_end``: active runs that a user cancelled. ``cells``: by the number of their
     experiment. ``experiments``: those whose fields changed. ``evaluated``: evaluations that have ended.
-    ``started``: names of experiments that were asked for, which only the audit log needs. ``uncertain``: the
+    ``started``: experiments and analyses that were asked for, which only the audit log needs. ``uncertain``: the
     transaction was tried more than once, so an earlier attempt may have stored more.
     """
 
@@ -68,7 +70,7 @@ class Changes:
     uncertain: bool = False
 
     def __bool__(self) -> bool:
-        return any(getattr(self, name) for name in self.__dataclass_fields__)
+        return any(getattr(self, name) for name in self.__dataclass_fields__ if name != "started")
 
 
 Listener = Callable[[Changes], None]

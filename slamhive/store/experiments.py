@@ -37,7 +37,7 @@ class ExperimentRepository(Repository):
     def get_or_create(self, uid: str, name: str, **values: Any) -> ExperimentRecord:
         """The experiment called ``name``; stored with ``uid`` and ``values`` (its other fields) if there is none."""
         get_or_insert(self._session, Experiment, {"name": name}, {"uid": uid, **values})
-        changes_of(self._session).started.add(name)
+        changes_of(self._session).started.add(f"experiment {name}")
         return self.get(name)
 
     def find(self, name: str) -> ExperimentRecord | None:

@@ -272,6 +272,7 @@ class Run(Base):
     disturbance: Mapped[Any | None] = mapped_column(JsonText)
     repeat_disturbed: Mapped[int] = mapped_column(server_default=text("0"))
     trajectory: Mapped[TrajectoryKind | None]
+    owner: Mapped[str | None] = mapped_column(String(NAME_LENGTH), index=True)
 
 
 class RunNote(Base):

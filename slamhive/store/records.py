@@ -164,7 +164,7 @@ class RunRecord:
     with them. ``trajectory`` says which one ``traj.txt`` is, None if it is not stated. ``host`` and ``version`` are
     known once the run has started. ``disturbance`` is None where nothing was recorded of the machine.
     ``asked_version`` is the version that its configuration names, ``input_map`` the map that it starts with.
-    ``notes`` are its note and tags.
+    ``notes`` are its note and tags. ``owner`` is the account that asked for it, None if nobody had signed in.
     ``experiment`` is the name of the one that it belongs to, ``cell`` its place there; for the rest see
     :class:`RunRequest`.
     """
@@ -219,6 +219,7 @@ class RunRecord:
     metrics: dict[str, float] | None = None
     judged: VerdictKind | None = None
     notes: RunNotes = NO_NOTES
+    owner: str | None = None
 
     @property
     def note(self) -> str | None:

@@ -28,6 +28,7 @@ COLUMNS: dict[str, Column[Any]] = {
     "id": _RUNS.c.id,
     "configuration": _RUNS.c.configuration_id,
     "executor": _RUNS.c.executor,
+    "owner": _RUNS.c.owner,
     "state": _RUNS.c.state,
     "reason": _RUNS.c.reason,
     "seed": _RUNS.c.seed,

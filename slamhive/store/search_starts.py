@@ -21,6 +21,7 @@ _INDEXED = frozenset(
         "state",
         "reason",
         "executor",
+        "owner",
         "configuration",
         "experiment",
         "created_at",

@@ -16,7 +16,7 @@ from slamhive.clock import SYSTEM_CLOCK, Clock
 from slamhive.errors import NotFound, SlamHiveError
 from slamhive.store import migrate, statistics
 from slamhive.store.account_records import Act
-from slamhive.store.changes import CHANGES_KEY, Changes, Listener
+from slamhive.store.changes import CHANGES_KEY, OWNER_KEY, Changes, Listener
 from slamhive.store.engine import database_label, make_engine, writing
 from slamhive.store.failures import explained, gave_up, is_transient, short
 from slamhive.store.transaction import Snapshot, Transaction
@@ -107,12 +107,15 @@ class Store:
 
     @contextmanager
     def acting(self, act: Act) -> Iterator[None]:
-        """The first transaction of this thread in the block also stores the line of ``act`` in the audit log."""
-        self._of_thread.act = act
+        """The first transaction of this thread in the block also stores the line of ``act`` in the audit log.
+
+        Runs that any of its transactions stores belong to the account of ``act``.
+        """
+        self._of_thread.act, self._of_thread.owner = act, act.account
         try:
             yield
         finally:
-            self._of_thread.act = None
+            self._of_thread.act = self._of_thread.owner = None
 
     def note_act(self) -> None:
         """Store the line of the act in the audit log, if there is one: what it asks for changes files only."""
@@ -176,7 +179,8 @@ class Store:
             self.listener(changes)
 
     def _attempt(self, engine: Engine, work: Callable[[Transaction], T], changes: Changes | None = None) -> T:
-        noted = {CHANGES_KEY: Changes() if changes is None else changes}
+        owner = getattr(self._of_thread, "owner", None)
+        noted = {CHANGES_KEY: Changes() if changes is None else changes, OWNER_KEY: owner}
         with Session(engine, expire_on_commit=False, info=noted) as session, session.begin():
             return work(Transaction(session, self._clock))
 

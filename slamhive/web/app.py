@@ -14,6 +14,7 @@ from markupsafe import Markup
 from slamhive import __version__
 from slamhive.analysis.colours import on_dark
 from slamhive.clock import utc_now
+from slamhive.domain.accounts import Action
 from slamhive.domain.run import RunState
 from slamhive.services.analyses import may_analyse
 from slamhive.services.hive import Hive
@@ -33,7 +34,10 @@ from slamhive.web.pages import register_pages
 from slamhive.web.presenters import catalogue as catalogue_presenter
 from slamhive.web.rates import visitor_limits
 from slamhive.web.security import protect, secret_key
+from slamhive.web.sign_in_limits import SignInLimits
 from slamhive.web.views import (
+    accounts,
+    administration,
     algorithms,
     analyses,
     api,
@@ -54,6 +58,7 @@ from slamhive.web.views import help as help_pages
 
 MOST_UPLOAD_BYTES = 1_000_000
 MOST_STREAMS = 8
+_ACCOUNT_BLUEPRINTS = (accounts.blueprint, administration.blueprint)
 _BLUEPRINTS = (
     dashboard.blueprint,
     algorithms.blueprint,
@@ -108,7 +113,8 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     app.jinja_options["lstrip_blocks"] = True
     add_compression(app)
     add_caching(app)
-    protect(app, hive.settings, host or hive.settings.host)
+    app.extensions[context.SIGN_IN_EXTENSION] = SignInLimits()
+    callers = protect(app, hive, host or hive.settings.host)
     if hive.settings.mode is Mode.VIEW_ONLY:
         keep_pages(app, PageCache())
     _show_one_moment(app, hive.store)
@@ -117,8 +123,12 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     for blueprint in (api.blueprint, api_experiments.blueprint):
         csrf.exempt(blueprint)
     handle_errors(app)
+    if callers.needed:
+        for blueprint in _ACCOUNT_BLUEPRINTS:
+            app.register_blueprint(blueprint)
     register_blueprints(app)
     _add_template_words(app, hive)
+    app.jinja_env.globals["needs_account"] = callers.needed
     return app
 
 
@@ -194,10 +204,10 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         help_of=help_pages.OF_PAGE,
         relative_time=formatting.relative_time,
         version=__version__,
-        view_only=hive.settings.mode is Mode.VIEW_ONLY,
         zip=zip,
     )
 
     @app.context_processor
     def request_words() -> dict[str, Any]:
-        return {"now": utc_now()}
+        caller = context.caller()
+        return {"now": utc_now(), "caller": caller, "view_only": Action.CHANGE not in caller.may}

@@ -97,6 +97,14 @@ def all_columns() -> Mapping[str, Column]:
             "experiment", "Experiment", Kind.EXPERIMENT, _experiment, sort="experiment", help="experiment of the run"
         ),
         Column("executor", "Executor", Kind.TEXT, lambda run: Cell(run.executor), sort="executor"),
+        Column(
+            "owner",
+            "Owner",
+            Kind.TEXT,
+            lambda run: _text(run.owner or ""),
+            sort="owner",
+            help="account that asked",
+        ),
         Column("playback", "Playback", Kind.TEXT, _playback),
         Column("seed", "Seed", Kind.NUMBER, lambda run: Cell(str(run.seed)), sort="seed"),
         Column("state", "State", Kind.STATE, lambda run: Cell(run.state.value), sort="state"),

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, cast
 
-from flask import current_app
+from flask import current_app, g
 
 if TYPE_CHECKING:
+    from slamhive.domain.accounts import Caller
     from slamhive.services.hive import Hive
     from slamhive.web.analysis_computer import AnalysisComputer
     from slamhive.web.analysis_files import AnalysisFiles
+    from slamhive.web.callers import Callers
     from slamhive.web.dataset_work import DatasetChecker, VariantMaker
     from slamhive.web.live import LiveHub
     from slamhive.web.rates import RateLimit
+    from slamhive.web.sign_in_limits import SignInLimits
 
 EXTENSION = "slamhive"
 LIVE_EXTENSION = "slamhive-live"
@@ -21,6 +24,8 @@ CHECKS_EXTENSION = "slamhive-dataset-checks"
 COMPUTER_EXTENSION = "slamhive-analyses"
 FILES_EXTENSION = "slamhive-analysis-files"
 RATES_EXTENSION = "slamhive-rates"
+CALLERS_EXTENSION = "slamhive-callers"
+SIGN_IN_EXTENSION = "slamhive-sign-in"
 
 
 def hive() -> Hive:
@@ -56,3 +61,18 @@ def analysis_files() -> AnalysisFiles:
 def rate_limit(name: str) -> RateLimit:
     """The rate limit with this name."""
     return cast("dict[str, RateLimit]", current_app.extensions[RATES_EXTENSION])[name]
+
+
+def callers() -> Callers:
+    """What says who calls."""
+    return cast("Callers", current_app.extensions[CALLERS_EXTENSION])
+
+
+def caller() -> Caller:
+    """Who sends this request, found before any page code runs."""
+    return cast("Caller", g.get("caller") or callers().unknown)
+
+
+def sign_in_limits() -> SignInLimits:
+    """How often callers may be wrong when they sign in."""
+    return cast("SignInLimits", current_app.extensions[SIGN_IN_EXTENSION])

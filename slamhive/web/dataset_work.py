@@ -24,7 +24,9 @@ class VariantMaker(Background):
             with self._hive.variants.hold(dataset, variant, progress):
                 pass
 
-        return self.begin(Work(dataset.name, tuple(str(step) for step in variant)), make)
+        began = self.begin(Work(dataset.name, tuple(str(step) for step in variant)), make)
+        self._hive.store.note_act()
+        return began
 
 
 class DatasetChecker(Background):
@@ -37,4 +39,6 @@ class DatasetChecker(Background):
     def start(self, dataset: Dataset) -> threading.Thread:
         """Start checking ``dataset``; raises InvalidInput without a recording, Conflict while another check runs."""
         dataset.check_recorded()
-        return self.begin(Work(dataset.name), lambda progress: self._hive.dataset_checks.check(dataset, progress))
+        began = self.begin(Work(dataset.name), lambda progress: self._hive.dataset_checks.check(dataset, progress))
+        self._hive.store.note_act()
+        return began

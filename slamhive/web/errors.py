@@ -7,24 +7,37 @@ import logging
 from flask import Flask, Response, jsonify, make_response, render_template, request
 from werkzeug.exceptions import BadRequest, HTTPException
 
-from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.errors import (
+    Conflict,
+    Forbidden,
+    InvalidInput,
+    NotFound,
+    SlamHiveError,
+    TooManyRequests,
+    Unauthenticated,
+    Unavailable,
+)
 
 logger = logging.getLogger(__name__)
 
 STATUS: dict[type[SlamHiveError], int] = {
     InvalidInput: 400,
+    Unauthenticated: 401,
     Forbidden: 403,
     NotFound: 404,
     Conflict: 409,
+    TooManyRequests: 429,
     Unavailable: 503,
 }
 TITLES = {
     400: "Invalid request",
+    401: "Sign in first",
     403: "Not allowed",
     404: "Not found",
     405: "Method not allowed",
     409: "Not possible now",
     413: "Too large",
+    429: "Too many requests",
     500: "Internal error",
     503: "Temporarily unavailable",
 }
@@ -51,7 +64,10 @@ def wants_json() -> bool:
 
 
 def _explained(error: SlamHiveError) -> Response:
-    return _answer(status_of(error), error.message, error.remedy)
+    answer = _answer(status_of(error), error.message, error.remedy)
+    if answer.status_code == 401:
+        answer.headers["WWW-Authenticate"] = "Bearer"
+    return answer
 
 
 def _http(error: HTTPException) -> Response:

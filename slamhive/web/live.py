@@ -6,7 +6,7 @@ import hashlib
 import json
 import logging
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from slamhive.clock import monotonic_s
@@ -122,11 +122,18 @@ class LiveStream:
         self._hub = hub
         self._open = True
 
-    def events(self) -> Iterator[str]:
-        """Server-sent events until the reader leaves or the hub closes. Comments keep the connection open."""
+    def events(self, welcome: Callable[[], bool] = lambda: True) -> Iterator[str]:
+        """Server-sent events until the reader leaves or the hub closes. Comments keep the connection open.
+
+        ``welcome``, asked every few seconds, says whether the reader may still listen.
+        """
         yield "retry: 3000\n\n"
-        seen = 0
+        seen, asked_s = 0, monotonic_s()
         while self._open and (news := self._hub.wait(seen)) is not None:
+            if monotonic_s() - asked_s >= KEEPALIVE_S:
+                if not welcome():
+                    return
+                asked_s = monotonic_s()
             tick, message = news
             yield ": still here\n\n" if tick == seen else f"event: state\ndata: {message}\n\n"
             seen = tick

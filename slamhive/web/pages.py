@@ -1,7 +1,7 @@
 """Pages of other packages, in the entry-point group ``slamhive.pages``.
 
 The application factory registers their blueprints after its own. Every rule for requests therefore applies to them:
-hosts and origins, CSRF tokens, limits of input, security headers, and no changes in view-only mode.
+hosts and origins, CSRF tokens, limits of input, security headers, and who may look at pages and change something.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from flask import Blueprint, Flask
 
 from slamhive.errors import Conflict, InvalidInput
 from slamhive.registry import Registry, instances_of
+from slamhive.web.access import PLUGIN_PAGES
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +34,14 @@ PAGES: Registry[Page] = Registry("web page", "slamhive.pages", instances_of(Page
 def register_pages(app: Flask) -> None:
     """Register the pages of plug-ins; one that does not fit is left out, and named in the log."""
     menu: list[tuple[str, str]] = []
+    known = set(app.blueprints)
     for name, page in PAGES:
         try:
             menu.append((_register(app, page.blueprint), page.title))
         except Exception as error:  # noqa: BLE001 - a plug-in can raise anything; the others must go on
             PAGES.drop(name, error)
     app.jinja_env.globals["plugin_menu"] = menu
+    app.extensions[PLUGIN_PAGES] = frozenset(app.blueprints) - known
 
 
 def _register(app: Flask, blueprint: Blueprint) -> str:

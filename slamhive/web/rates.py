@@ -9,7 +9,7 @@ from collections.abc import Callable
 from cachetools import LRUCache
 
 from slamhive.clock import monotonic_s
-from slamhive.errors import Unavailable
+from slamhive.errors import TooManyRequests
 
 MOST_ADDRESSES = 10_000
 CREATIONS, CHECKS = "analyses", "checks"
@@ -35,7 +35,7 @@ class RateLimit:
         self._calls: LRUCache[str, deque[float]] = LRUCache(MOST_ADDRESSES)
 
     def take(self, address: str, what: str) -> None:
-        """Count a call. If it exceeds the limit, raise Unavailable and do not count it."""
+        """Count a call. If it exceeds the limit, raise TooManyRequests and do not count it."""
         now = self._clock()
         with self._lock:
             calls = self._calls.setdefault(address, deque())
@@ -43,11 +43,18 @@ class RateLimit:
                 calls.popleft()
             if len(calls) >= self._most:
                 wait_s = calls[0] + self._window_s - now
-                raise Unavailable(
+                raise TooManyRequests(
                     f"your address has sent {self._most} {what} in {self._window_s / 60:g} min",
                     f"try again in {max(1, round(wait_s / 60))} min",
                 )
             calls.append(now)
+
+    def give_back(self, address: str) -> None:
+        """Do not count the last call of an address."""
+        with self._lock:
+            calls = self._calls.get(address)
+            if calls:
+                calls.pop()
 
 
 def visitor_limits(analyses_per_hour: int) -> dict[str, RateLimit]:

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import os
 import secrets
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
-from flask import Flask, Response, request
+from flask import Flask, Response, g, request
+from flask.sessions import SecureCookieSessionInterface
 
 from slamhive.errors import Forbidden, InvalidInput, Unavailable
-from slamhive.services.analyses import may_analyse
+from slamhive.services.accounts import LOOPBACK_HOSTS, accounts_needed
+from slamhive.services.hive import Hive
 from slamhive.settings import Mode, Settings
+from slamhive.web import acts, context
+from slamhive.web.access import SAFE_METHODS, action_of, refusal
+from slamhive.web.callers import Callers
 from slamhive.web.request_input import bound_requests, host_name, origin_host
 
-VISITOR_ENDPOINTS = frozenset({"analyses.create", "analyses.check"})
-"""What visitors of a view-only server may do, unless NO_NEW_ANALYSIS is set: compute an unlisted analysis."""
-SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 API_HEADER = "X-SLAM-Hive"
-LOOPBACK_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
 
 _SOURCES = {
     "default-src": "'none'",
@@ -45,21 +46,42 @@ SECURITY_HEADERS = {
 }
 
 
-def protect(app: Flask, settings: Settings, host: str) -> None:
-    """Install the checks of every request.
+class _Sessions(SecureCookieSessionInterface):
+    """The cookie of a session that came over https, perhaps through a trusted proxy, is sent over https only."""
+
+    def get_cookie_secure(self, app: Flask) -> bool:  # noqa: ARG002 - the signature of Flask
+        return request.is_secure
+
+
+def protect(app: Flask, hive: Hive, host: str) -> Callers:
+    """Install the checks of every request: from where, who, and whether they may. Returns what says who calls.
 
     Args:
         app: The application, before any blueprint is registered.
-        settings: Contains the mode.
+        hive: The services.
         host: Address the server binds to.
     """
+    settings = hive.settings
+    callers = Callers(app, hive, needed=accounts_needed(settings, host))
+    app.extensions[context.CALLERS_EXTENSION] = callers
+    app.session_interface = _Sessions()
 
     @app.before_request
-    def refuse() -> None:
-        _refuse_foreign_host(host)
+    def refuse() -> Response | None:
+        _refuse_foreign_host(local_only=host in LOOPBACK_HOSTS and not callers.needed)
+        g.caller = caller = callers.find()
+        action = action_of(request.endpoint, request.method)
+        refused = refusal(caller, action, view_only=settings.mode is Mode.VIEW_ONLY)
         if request.method not in SAFE_METHODS:
-            _refuse_change_where_only_viewing(settings)
             _refuse_foreign_origin()
+        if refused is None and caller.account and request.method not in SAFE_METHODS:
+            g.act = ExitStack()
+            g.act.enter_context(acts.acting(hive.store, caller))
+        return refused
+
+    @app.teardown_request
+    def end_act(_error: BaseException | None) -> None:
+        g.pop("act", ExitStack()).close()
 
     bound_requests(app)
 
@@ -68,25 +90,19 @@ def protect(app: Flask, settings: Settings, host: str) -> None:
         for name, value in SECURITY_HEADERS.items():
             response.headers.setdefault(name, value)
         if request.endpoint and not response.cache_control.max_age:
-            response.headers.setdefault("Cache-Control", "no-cache")
+            response.headers.setdefault("Cache-Control", "private, no-cache" if callers.needed else "no-cache")
         return response
 
+    return callers
 
-def _refuse_foreign_host(host: str) -> None:
-    """Reject DNS rebinding on loopback. On a network address any host name is accepted."""
+
+def _refuse_foreign_host(*, local_only: bool) -> None:
+    """Refuse a request without a host. Where nobody signs in, reject DNS rebinding on loopback too."""
     name = host_name(request.host)
-    if name is None or (host in LOOPBACK_HOSTS and name not in LOOPBACK_HOSTS):
+    if name is None or (local_only and name not in LOOPBACK_HOSTS):
         raise InvalidInput(
             f"this server does not accept the host {request.headers.get('Host', '')[:80]!r}",
             "open http://127.0.0.1, or bind the server to a network address with --host",
-        )
-
-
-def _refuse_change_where_only_viewing(settings: Settings) -> None:
-    if not _may_change(settings, request.endpoint):
-        raise Forbidden(
-            "this server is view-only: it cannot start, cancel or evaluate anything",
-            "use a server whose MODE is workstation",
         )
 
 
@@ -98,14 +114,12 @@ def _refuse_foreign_origin() -> None:
         raise Forbidden(f"the Referer {referrer[:80]!r} is not an address", "use the pages of this server")
 
 
-def _may_change(settings: Settings, endpoint: str | None) -> bool:
-    """Whether the mode allows changes at ``endpoint``."""
-    return settings.mode is not Mode.VIEW_ONLY or (endpoint in VISITOR_ENDPOINTS and may_analyse(settings))
-
-
 def require_api_header() -> None:
-    """Require our header for API changes: a page of another site cannot set it without a preflight request."""
-    if request.method not in SAFE_METHODS and API_HEADER not in request.headers:
+    """Require our header for API changes: a page of another site cannot set it without a preflight request.
+
+    It cannot set an API token either.
+    """
+    if request.method not in SAFE_METHODS and API_HEADER not in request.headers and not context.caller().token:
         raise Forbidden(f"changes through the API need the header {API_HEADER}: 1", "see docs/web.md")
 
 

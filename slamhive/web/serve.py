@@ -72,6 +72,7 @@ class WebServer:
             connection_limit=MOST_CONNECTIONS,
             max_request_body_size=2 * MOST_UPLOAD_BYTES,
             ident="slamhive",
+            **_proxy_options(hive.settings.trusted_proxy),
         )
         self._server.channel_class = _Channel
         self._ended = threading.Event()
@@ -119,6 +120,14 @@ def serve(hive: Hive, host: str, port: int) -> None:
     server = WebServer(hive, host, port)
     logger.info("serving %s", server.url)
     server.run()
+
+
+def _proxy_options(trusted: str) -> dict[str, Any]:
+    """What waitress believes of headers that say who is behind a proxy; without a trusted proxy, nothing."""
+    if not trusted:
+        return {}
+    headers = {"x-forwarded-for", "x-forwarded-host", "x-forwarded-proto"}
+    return {"trusted_proxy": trusted, "trusted_proxy_count": 1, "trusted_proxy_headers": headers}
 
 
 def _bind(host: str, port: int) -> socket.socket:

@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
@@ -30,7 +31,7 @@ def call(data: Path, *arguments: str, typed: str | None = None) -> Result:
     return CliRunner().invoke(main, ["--data", str(data), "account", *arguments], input=typed)
 
 
-def content(result: Result) -> object:
+def content(result: Result) -> Any:
     assert result.exit_code == 0, result.output
     return json.loads(result.stdout)
 
@@ -42,9 +43,9 @@ def test_an_account_from_its_beginning_to_its_end(data: Path) -> None:
     assert call(data, "role", "anna", "reader").stdout == "anna: reader, active\n"
     assert call(data, "password", "anna", typed="another long password\n").exit_code == 0
     assert "disabled" in call(data, "disable", "anna").stdout
-    (listed,) = content(call(data, "list", "--json"))  # type: ignore[misc]
+    (listed,) = content(call(data, "list", "--json"))
     assert (listed["name"], listed["role"], listed["disabled_at"] is None) == ("anna", "reader", False)
-    assert content(call(data, "enable", "anna", "--json"))["disabled_at"] is None  # type: ignore[index, call-overload]
+    assert content(call(data, "enable", "anna", "--json"))["disabled_at"] is None
 
 
 def test_everything_is_in_the_audit_log_and_no_secret_is(data: Path) -> None:
@@ -61,7 +62,7 @@ def test_everything_is_in_the_audit_log_and_no_secret_is(data: Path) -> None:
         ("account add", "anna as member"),
     ]
     assert {line["via"] for line in lines} == {"command line"}
-    assert len(content(call(data, "audit", "--limit", "1", "--json"))) == 1  # type: ignore[arg-type]
+    assert len(content(call(data, "audit", "--limit", "1", "--json"))) == 1
     assert content(call(data, "audit", "--account", "nobody", "--json")) == []
     assert "account add" in call(data, "audit").stdout
     assert made["text"] not in json.dumps(lines)
@@ -74,7 +75,7 @@ def test_tokens_are_made_listed_and_revoked(data: Path) -> None:
     made = call(data, "token", "create", "anna", "ci", "--days", "7")
     assert made.stdout.startswith("slamhive_")
     assert "it is shown only now" in made.stderr
-    (listed,) = content(call(data, "token", "list", "anna", "--json"))  # type: ignore[misc]
+    (listed,) = content(call(data, "token", "list", "anna", "--json"))
     assert (listed["owner"], listed["name"], listed["scopes"], listed["used_at"]) == ("anna", "ci", ["read"], None)
     assert made.stdout.strip() not in call(data, "token", "list").stdout
     assert call(data, "token", "revoke", str(listed["id"])).stdout == "token 1 ci of anna is revoked\n"

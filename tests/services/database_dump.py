@@ -37,8 +37,8 @@ IN_ORDER = {"run_events": "run_id", "evaluations": "run_id"}
 IN_NO_FILE = {"accounts", "account_keys", "audit_log"}
 """Tables of which no file holds anything, so that they are lost with a database."""
 
-NOT_COMPARED = {"lease_owner", "lease_expires_at"}
-"""Who works on something: nobody does when a database was lost."""
+NOT_COMPARED = {"lease_owner", "lease_expires_at", "owner"}
+"""Who works on something, or asked for it: nobody does when a database was lost, and accounts are lost with it."""
 
 
 def dump(store: Store) -> Dump:

@@ -8,6 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from argon2 import PasswordHasher
 from argon2.profiles import get_default_parameters
 
 from slamhive.domain.accounts import MAY, Action, Role, Scope
@@ -97,13 +98,13 @@ def test_whatever_is_wrong_the_words_are_the_same(accounts: Accounts, name: str,
 
 def test_an_unknown_name_costs_as_much_as_a_wrong_password(accounts: Accounts, monkeypatch: pytest.MonkeyPatch) -> None:
     verified: list[str] = []
-    verify = passwords.PasswordHasher.verify
+    verify = PasswordHasher.verify
 
-    def counted(hasher: passwords.PasswordHasher, password_hash: str, password: str) -> bool:
+    def counted(hasher: PasswordHasher, password_hash: str, password: str) -> bool:
         verified.append(password_hash.split("$")[3])
         return verify(hasher, password_hash, password)
 
-    monkeypatch.setattr(passwords.PasswordHasher, "verify", counted)
+    monkeypatch.setattr(PasswordHasher, "verify", counted)
     for name in ("anna", "ben"):
         with pytest.raises(Unauthenticated):
             accounts.sign_in(name, "wrong")

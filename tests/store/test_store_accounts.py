@@ -9,6 +9,8 @@ import pytest
 from slamhive.domain.accounts import Role, Scope
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, NotFound
+from slamhive.search.binding import read_search
+from slamhive.search.fields import Vocabulary
 from slamhive.store import Act, Key, KeyKind, NewKey, Store
 from slamhive.store.accounts import MOST_SESSIONS
 from slamhive.store.audit import SUBJECT_LENGTH, in_ranges
@@ -151,6 +153,28 @@ def test_lines_are_listed_by_account_and_in_pages(store: Store) -> None:
     assert [newest.subject, second.subject, oldest.subject] == ["2", "1", "0"]
     assert store.read(lambda t: t.audit.lines(1, newest.id)) == [second]
     assert store.read(lambda t: t.audit.lines(10, None, "anna")) == [newest, oldest]
+
+
+def test_runs_belong_to_whoever_asked_and_their_repetitions_too(store: Store, samples: Samples) -> None:
+    configuration = samples.configuration()
+    with store.acting(act()):
+        store.note_act()
+        (first,) = samples.queued(configuration_id=configuration)
+    (nobodys,) = samples.queued(configuration_id=configuration)
+    (repeated,) = samples.queued(configuration_id=configuration, retry_of=first)
+    with store.acting(Act("2", NOW, "ben", "pages", "", "runs.retry", "")):
+        (retried,) = samples.queued(configuration_id=configuration, retry_of=first)
+    runs = [first, nobodys, repeated, retried]
+    found = store.read(lambda t: t.runs.get_many(runs))
+    assert [run.owner for run in found] == ["anna", None, "anna", "ben"]
+    for where, ids in (
+        ("owner = anna", [first, repeated]),
+        ("owner != anna", [retried]),
+        ("missing owner", [nobodys]),
+        ("owner ~ b*", [retried]),
+    ):
+        search = read_search(where, Vocabulary())
+        assert store.read(lambda t: t.searches.run_ids(search)) == sorted(ids), where  # noqa: B023
 
 
 @pytest.mark.parametrize(

@@ -364,7 +364,7 @@ def test_visitors_have_limits(web: Web, tmp_path: Path, compiled: Path):
     viewing.app.extensions[COMPUTER_EXTENSION] = None
     tokens = [create(viewing) for _ in range(2)]
     answer = viewing.client.post("/analyses", data={"csrf_token": token_of(viewing), "yaml": TEXT})
-    assert answer.status_code == 503
+    assert answer.status_code == 429
     assert "2 analyses in 60 min" in answer.text
     other = {"REMOTE_ADDR": "192.0.2.7"}
     answer = viewing.client.post(

@@ -9,8 +9,9 @@ import pytest
 
 from slamhive.domain.run import RunState
 from slamhive.settings import Mode
+from slamhive.web.access import SAFE_METHODS
 from slamhive.web.app import create_app
-from slamhive.web.security import API_HEADER, SAFE_METHODS
+from slamhive.web.security import API_HEADER
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web
 

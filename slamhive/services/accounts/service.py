@@ -131,6 +131,12 @@ class Accounts:
         self._store.write(lambda t: _open_session(t, found, key, renewed))
         return Session(secret, _session_caller(found.account))
 
+    def check_own_password(self, name: str, password: str) -> None:
+        """Raise Unauthenticated unless this is the password of the account."""
+        found = self._store.read(lambda t: t.accounts.credentials(name))
+        if not passwords.is_password(found.password_hash, password):
+            raise Unauthenticated("the present password is wrong")
+
     def sign_out(self, secret: str) -> None:
         """End a session; one that has ended stays so."""
         self._store.write(lambda t: t.accounts.end_session(digest_of(secret)))

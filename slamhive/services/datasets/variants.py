@@ -120,6 +120,7 @@ class Variants:
     def drop(self, key: str) -> None:
         """Remove a variant; raises Conflict while a run uses it."""
         self._cache.drop(key)
+        self._store.note_act()
 
     def drop_unused(self, dataset: str) -> tuple[VariantEntry, ...]:
         """Remove all unused variants of a dataset; returns those removed."""

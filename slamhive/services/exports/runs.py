@@ -33,6 +33,7 @@ _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
     "verdict": lambda run: None if run.verdict is None else run.verdict.kind.value,
     "trust": lambda run: trust_text(run.trust),
     "disturbed": lambda run: disturbed_text(run.disturbance),
+    "owner": lambda run: run.owner,
     "tags": lambda run: ", ".join(run.tags) or None,
     "note": lambda run: run.note,
     "created_at": lambda run: timestamp(run.created_at),

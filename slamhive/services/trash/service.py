@@ -80,6 +80,7 @@ class Trash:
     def empty(self) -> int:
         """Remove the files of all deleted runs for good; how many there were."""
         check_writable(self._settings)
+        self._store.note_act()
         runs = self.listed()
         for run in runs:
             folder = self._folder(run.deleted.uid)

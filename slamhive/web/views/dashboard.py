@@ -9,7 +9,7 @@ from slamhive.search.build import matching
 from slamhive.services.experiments import Standing
 from slamhive.store.records import RunSort
 from slamhive.web.columns import column
-from slamhive.web.context import hive, live_hub
+from slamhive.web.context import callers, hive, live_hub
 from slamhive.web.presenters.live import active_runs, progress_json
 from slamhive.web.presenters.runs import rows
 from slamhive.web.views.experiments import with_time_left
@@ -63,7 +63,7 @@ def index() -> str:
 def events() -> Response:
     """Server-sent events: a ``state`` event after every poll of the database."""
     stream = live_hub().open()
-    response = Response(stream.events(), mimetype="text/event-stream")
+    response = Response(stream.events(callers().watch()), mimetype="text/event-stream")
     response.headers["Cache-Control"] = "no-store"
     response.headers["X-Accel-Buffering"] = "no"
     response.call_on_close(stream.close)

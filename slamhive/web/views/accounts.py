@@ -1,0 +1,142 @@
+"""Signing in and out, and one's own account: password and API tokens."""
+
+from __future__ import annotations
+
+from urllib.parse import urlsplit
+
+from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
+from flask import url_for as address
+
+from slamhive.domain.accounts import Action, Scope
+from slamhive.errors import InvalidInput, SlamHiveError, TooManyRequests, Unauthenticated
+from slamhive.input_bounds import whole_number
+from slamhive.services.accounts import LONGEST_TOKEN_DAYS, TokenRequest
+from slamhive.web import acts
+from slamhive.web.access import LONGEST_NEXT
+from slamhive.web.context import caller, callers, hive, sign_in_limits
+from slamhive.web.errors import status_of
+
+blueprint = Blueprint("accounts", __name__)
+
+TOKEN_DAYS = (7, 30, 90, LONGEST_TOKEN_DAYS)
+_NEXT = "next"
+
+
+@blueprint.get("/login")
+def form() -> Response:
+    """The page to sign in."""
+    if caller().account:
+        return _to_next(request.args.get(_NEXT, ""))
+    return _login(request.args.get(_NEXT, ""))
+
+
+@blueprint.post("/login")
+def sign_in() -> Response:
+    """Begin a session, and go on to the page that was asked for."""
+    name, services = request.form.get("name", "").strip(), hive()
+    try:
+        with sign_in_limits().attempt(name, request.remote_addr or ""), acts.signing_in(services.store, name):
+            opened = services.accounts.sign_in(name, request.form.get("password", ""))
+    except (Unauthenticated, TooManyRequests) as error:
+        return make_response(_login(request.form.get(_NEXT, ""), error), status_of(error))
+    callers().begin(opened)
+    return _to_next(request.form.get(_NEXT, ""))
+
+
+@blueprint.post("/logout")
+def sign_out() -> Response:
+    """End this session, wherever its cookie may be."""
+    callers().end()
+    return make_response(redirect(address("accounts.form"), 303))
+
+
+@blueprint.get("/account")
+def show() -> Response:
+    """One's own account."""
+    return _account()
+
+
+@blueprint.post("/account/password")
+def change_password() -> Response:
+    """Replace one's own password; all other sessions end."""
+    services, name, form_ = hive(), caller().account, request.form
+    try:
+        if form_.get("new", "") != form_.get("again", ""):
+            raise InvalidInput("the two new passwords differ", "type the same twice")
+        with sign_in_limits().attempt(name, request.remote_addr or ""):
+            services.accounts.check_own_password(name, form_.get("old", ""))
+        services.accounts.set_password(name, form_.get("new", ""))
+    except SlamHiveError as error:
+        return make_response(_account(error), 400 if isinstance(error, Unauthenticated) else status_of(error))
+    callers().begin(services.accounts.sign_in(name, form_.get("new", "")))
+    flash("The password is changed. Other sessions of this account have ended.", "success")
+    return _to_account()
+
+
+@blueprint.post("/account/tokens")
+def create_token() -> Response:
+    """Make an API token, and show its text once."""
+    form_ = request.form
+    try:
+        scopes = [Scope(text) for text in form_.getlist("scope") if text in list(Scope)]
+        days = whole_number(form_.get("days", ""), "days", 1, LONGEST_TOKEN_DAYS)
+        wanted = TokenRequest(form_.get("name", "").strip(), scopes, days)
+        _, text = hive().accounts.create_token(caller().account, wanted)
+    except SlamHiveError as error:
+        return make_response(_account(error), status_of(error))
+    response = _account(text=text)
+    response.headers["Cache-Control"] = "no-store"
+    return response
+
+
+@blueprint.post("/account/tokens/<int(max=2147483647):token_id>/revoke")
+def revoke_token(token_id: int) -> Response:
+    """End one of one's own API tokens."""
+    revoked = hive().accounts.revoke(token_id, caller().account)
+    flash(f"Token {revoked.name} is revoked.", "info")
+    return _to_account()
+
+
+def _login(following: str, error: SlamHiveError | None = None) -> Response:
+    return make_response(
+        render_template("accounts/login.html", following=following, error=error, nobody=not hive().accounts.exist())
+    )
+
+
+def _account(error: SlamHiveError | None = None, text: str = "") -> Response:
+    services, name = hive(), caller().account
+    scopes = [Scope.READ]
+    if Action.CHANGE in caller().may:
+        scopes.append(Scope.CHANGE)
+    if Action.ADMINISTER in caller().may:
+        scopes.append(Scope.ADMINISTER)
+    return make_response(
+        render_template(
+            "accounts/account.html",
+            account=services.accounts.named(name),
+            tokens=services.accounts.tokens(name),
+            scopes=scopes,
+            token_days=TOKEN_DAYS,
+            error=error,
+            text=text,
+        )
+    )
+
+
+def _to_account() -> Response:
+    return make_response(redirect(address("accounts.show"), 303))
+
+
+def _to_next(target: str) -> Response:
+    return make_response(redirect(target if is_own_address(target) else address("dashboard.index"), 303))
+
+
+def is_own_address(target: str) -> bool:
+    """Whether ``target`` is a path of this server: browsers take two slashes, either way round, for another one."""
+    if not target.startswith("/") or target.startswith(("//", "/\\")) or len(target) > LONGEST_NEXT:
+        return False
+    try:
+        parts = urlsplit(target)
+    except ValueError:
+        return False
+    return not parts.scheme and not parts.netloc and "\\" not in target and target.isprintable()
