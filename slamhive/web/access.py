@@ -29,12 +29,13 @@ STANDARD = Rule()
 OPEN = frozenset({"static", "bootstrap.static", "assets.plotly_js", "dashboard.health"})
 """Endpoints for everybody: styles and scripts, which the page to sign in needs, and the health check."""
 RULES = {
-    **dict.fromkeys(("algorithms", "analyses", "api", "api_experiments", "compare", "configurations"), STANDARD),
-    **dict.fromkeys(("dashboard", "datasets", "experiment_builder", "experiments", "help"), STANDARD),
+    **dict.fromkeys(("algorithms", "analyses", "api", "api_docs", "api_experiments", "compare"), STANDARD),
+    **dict.fromkeys(("configurations", "dashboard", "datasets", "experiment_builder", "experiments", "help"), STANDARD),
     **dict.fromkeys(("public_datasets", "runs", "searches", "selected_runs", "start", "trash"), STANDARD),
     "analyses.create": Rule(change=Action.ANALYSE),
     "analyses.check": Rule(change=Action.ANALYSE),
     "trash.empty": Rule(change=Action.ADMINISTER),
+    "api.empty_trash": Rule(change=Action.ADMINISTER),
     "accounts": Rule(Action.OWN, Action.OWN),
     LOGIN: Rule(look=Action.SIGN_IN),
     "accounts.sign_in": Rule(change=Action.SIGN_IN),

@@ -10,7 +10,7 @@ from flask import request
 from slamhive.clock import utc_now
 from slamhive.domain.accounts import Caller
 from slamhive.errors import InvalidInput
-from slamhive.input_bounds import whole_number
+from slamhive.input_bounds import parse_json_object, whole_number
 from slamhive.store import Act, Store
 from slamhive.store.audit import in_ranges
 
@@ -23,21 +23,24 @@ _NAMED = ("name", "group", "title")
 
 def acting(store: Store, caller: Caller) -> AbstractContextManager[None]:
     """What this thread stores from now on is done by the caller of this request."""
-    act = Act(
+    return store.acting(_act(caller, _subject()))
+
+
+def signing_in(store: Store, name: str) -> AbstractContextManager[None]:
+    """What this thread stores is the session of ``name``. Nothing is stored of somebody who is not let in."""
+    return store.acting(_act(Caller(frozenset(), name[:64]), ""))
+
+
+def _act(caller: Caller, subject: str) -> Act:
+    return Act(
         uid=uuid.uuid4().hex,
         at=utc_now(),
         account=caller.account,
         via=f"token {caller.token}" if caller.token else PAGES,
         address=(request.remote_addr or "")[:64],
         action=str(request.endpoint)[:64],
-        subject=_subject(),
+        subject=subject,
     )
-    return store.acting(act)
-
-
-def signing_in(store: Store, name: str) -> AbstractContextManager[None]:
-    """What this thread stores is the session of ``name``. Nothing is stored of somebody who is not let in."""
-    return acting(store, Caller(frozenset(), name[:64]))
 
 
 def _subject() -> str:
@@ -49,8 +52,18 @@ def _subject() -> str:
 
 
 def _selected() -> list[str]:
+    """The runs that the web form or the JSON of the request names."""
     try:
-        runs = {whole_number(text, "run", 1, _LARGEST) for text in request.form.getlist("run")[:_MOST_NUMBERS]}
+        runs = _runs_of_json() if request.is_json else _runs_of_form()
     except InvalidInput:  # the view says so
         return []
     return [in_ranges(sorted(runs))] if runs else []
+
+
+def _runs_of_form() -> set[int]:
+    return {whole_number(text, "run", 1, _LARGEST) for text in request.form.getlist("run")[:_MOST_NUMBERS]}
+
+
+def _runs_of_json() -> set[int]:
+    runs = parse_json_object(request.get_data(), "the body").get("runs")
+    return {run for run in runs[:_MOST_NUMBERS] if type(run) is int} if isinstance(runs, list) else set()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from slamhive.domain.accounts import Role
 from slamhive.settings import Auth
 from slamhive.web.context import SIGN_IN_EXTENSION
 from slamhive.web.sign_in_limits import SignInLimits
+from tests.cheap_passwords import cheap_passwords
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web
 
@@ -47,10 +50,13 @@ def token_of(client: FlaskClient, page: str) -> str:
     return client.get(page).text.partition('name="csrf_token" value="')[2].partition('"')[0]
 
 
-def make_account_web(folder: Path, compiled: Path) -> AccountWeb:
-    """The application on the filled installation in ``folder``; passwords must be cheap."""
+@contextmanager
+def account_web(folder: Path, compiled: Path) -> Iterator[AccountWeb]:
+    """The application on the filled installation in ``folder``, with cheap passwords."""
     hive = world.make_hive(folder)
     hive.settings = hive.settings.model_copy(update={"auth": Auth.ACCOUNTS})
-    for role, name in NAMES.items():
-        hive.accounts.add(name, role, PASSWORD)
-    return AccountWeb(make_web(hive, compiled))
+    with cheap_passwords():
+        for role, name in NAMES.items():
+            hive.accounts.add(name, role, PASSWORD)
+        yield AccountWeb(make_web(hive, compiled))
+    hive.close()

@@ -23,8 +23,7 @@ from slamhive.web.rates import MOST_ADDRESSES
 from slamhive.web.serve import WebServer
 from slamhive.web.sign_in_limits import MOST_OF_ADDRESS, MOST_OF_BOTH, SignInLimits, network_of
 from slamhive.web.views.accounts import is_own_address
-from tests.cheap_passwords import cheap_passwords
-from tests.web.account_world import NAMES, PASSWORD, AccountWeb, make_account_web, token_of
+from tests.web.account_world import NAMES, PASSWORD, AccountWeb, account_web, token_of
 from tests.web.web_world import HOSTILE, RUNS, Web
 
 pytestmark = pytest.mark.integration
@@ -36,10 +35,8 @@ NEW = "another long password"
 def kept(filled: Path, compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[AccountWeb]:
     folder = tmp_path_factory.mktemp("accounts")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
-    with cheap_passwords():
-        made = make_account_web(folder, compiled)
+    with account_web(folder, compiled) as made:
         yield made
-    made.web.hive.close()
 
 
 @pytest.fixture
@@ -129,11 +126,12 @@ def test_signing_in_needs_the_token_of_the_page(site: AccountWeb) -> None:
 
 
 def test_the_header_names_the_caller(site: AccountWeb) -> None:
-    page = site.of(Role.MEMBER).get("/").text
+    client = site.of(Role.MEMBER)
+    page = client.get("/").text
     assert 'title="Your account, member">max</a>' in page
     assert "Start a run" in page
-    assert 'href="/accounts"' not in page
-    assert 'href="/accounts"' in site.of(Role.ADMIN).get("/").text
+    assert 'href="/accounts"' not in client.get("/account").text
+    assert 'href="/accounts"' in site.of(Role.ADMIN).get("/account").text
 
 
 def test_readers_see_no_buttons(site: AccountWeb) -> None:
@@ -208,6 +206,10 @@ def test_a_token_does_what_its_scopes_say(site: AccountWeb) -> None:
     assert program.get("/account", headers=changes).status_code == 403
     (line,) = site.web.hive.accounts.audit(1)
     assert (line.account, line.via, line.action) == ("max", "token change", "api.evaluate")
+    assert line.subject == f"run {RUNS['done']}"
+    assert program.post("/api/v1/evaluations", data=b"[" * 100_000, headers=changes).status_code == 400
+    nested = {**changes, "Content-Type": "application/json"}
+    assert program.post("/api/v1/evaluations", data=b'{"runs":' + b"[" * 100_000, headers=nested).status_code == 400
     used = {token.name: token.used_at is not None for token in site.web.hive.accounts.tokens("max")}
     assert used == {"read": True, "change": True}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import random
 import socket
 import threading
@@ -81,7 +82,9 @@ def answer_to(port: int, data: bytes) -> bytes:
             found = b""
             while block := connection.recv(65_536):
                 found += block
-        except ConnectionError:
+        except OSError as error:
+            if not isinstance(error, ConnectionError) and error.errno != errno.ENOTCONN:
+                raise
             return b""
         return found
 
