@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Sequence
 
@@ -10,16 +9,13 @@ from slamhive.cli.output import counting_bar, tell
 from slamhive.cli.phases import words
 from slamhive.clock import monotonic_s
 from slamhive.domain.run import RunState
-from slamhive.errors import Conflict, SlamHiveError
+from slamhive.errors import SlamHiveError
 from slamhive.services.experiments import Phase, Standing
 from slamhive.services.hive import Hive
-from slamhive.services.worker import Worker
+from slamhive.services.worker import WORKED_ON, WorkingMeanwhile
 from slamhive.store import EvaluationState, RunRecord
 
 PAUSE_S = 0.3
-TAKE_OVER_S = 1.0
-WORKED_ON = 500
-"""Runs of an experiment that this process takes on at a time."""
 
 
 def run_to_end(
@@ -34,18 +30,13 @@ def run_to_end(
     If no worker runs on this machine, this process works on these runs itself. An interrupt (Ctrl-C) cancels what has
     not ended. ``on_end`` is called with each run as soon as it is complete.
     """
-    helper = _Helper(hive, lambda: run_ids)
-    helper.start()
-    try:
-        _show_until_complete(hive, run_ids, evaluate, on_end, helper.failure)
-    except KeyboardInterrupt:
-        tell("interrupted: cancelling what has not ended")
-        _cancel_all(hive, run_ids)
-        raise
-    finally:
-        helper.stop()
-    if helper.failure:
-        raise helper.failure[0]
+    with WorkingMeanwhile(hive.worker, lambda: run_ids) as worker:
+        try:
+            _show_until_complete(hive, run_ids, evaluate, on_end, worker)
+        except KeyboardInterrupt:
+            tell("interrupted: cancelling what has not ended")
+            _cancel_all(hive, run_ids)
+            raise
 
 
 def experiment_to_end(
@@ -57,50 +48,12 @@ def experiment_to_end(
     experiment as it is: the next worker, or the same command again, goes on. ``on_end`` as in :func:`run_to_end`;
     ``title`` stands before the progress.
     """
-    helper = _Helper(hive, lambda: hive.experiments.unfinished(name)[:WORKED_ON])
-    helper.start()
-    try:
-        _show_experiment(hive, name, on_end, helper.failure, title)
-    except KeyboardInterrupt:
-        tell(f"interrupted: what is queued stays queued; `slamhive experiment cancel {name}` cancels it")
-        raise
-    finally:
-        helper.stop()
-    if helper.failure:
-        raise helper.failure[0]
-
-
-class _Helper:
-    """Works on the given runs whenever no other worker of this machine does."""
-
-    def __init__(self, hive: Hive, run_ids: Callable[[], Sequence[int]]) -> None:
-        self.failure: list[BaseException] = []
-        self._hive = hive
-        self._run_ids = run_ids
-        self._ends = threading.Event()
-        self._worker: Worker | None = None
-        self._thread = threading.Thread(target=self._work, name="embedded-worker")
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def stop(self) -> None:
-        self._ends.set()
-        if self._worker is not None:
-            self._worker.stop()
-        self._thread.join()
-
-    def _work(self) -> None:
-        while not self._ends.is_set():
-            self._worker = self._hive.worker(only=self._run_ids())
-            try:
-                self._worker.run(until_idle=True)
-            except Conflict:
-                pass  # another worker has the machine; it may take these runs, or end without
-            except BaseException as error:  # noqa: BLE001 - handed to the waiting thread
-                self.failure.append(error)
-                return
-            self._ends.wait(TAKE_OVER_S)
+    with WorkingMeanwhile(hive.worker, lambda: hive.experiments.unfinished(name)[:WORKED_ON]) as worker:
+        try:
+            _show_experiment(hive, name, on_end, worker, title)
+        except KeyboardInterrupt:
+            tell(f"interrupted: what is queued stays queued; `slamhive experiment cancel {name}` cancels it")
+            raise
 
 
 def _show_until_complete(
@@ -108,11 +61,12 @@ def _show_until_complete(
     run_ids: Sequence[int],
     evaluate: bool,
     on_end: Callable[[RunRecord], None] | None,
-    failure: list[BaseException],
+    worker: WorkingMeanwhile,
 ) -> None:
     waiting = list(run_ids)
     with counting_bar("runs", len(run_ids)) as show:
-        while waiting and not failure:
+        while waiting:
+            worker.check()
             records = hive.store.read(lambda t: t.runs.get_many(waiting, with_metrics=True))
             complete = [record for record in records if _is_complete(hive, record, evaluate)]
             for record in complete:
@@ -126,12 +80,13 @@ def _show_until_complete(
 
 
 def _show_experiment(
-    hive: Hive, name: str, on_end: Callable[[RunRecord], None] | None, failure: list[BaseException], title: str
+    hive: Hive, name: str, on_end: Callable[[RunRecord], None] | None, worker: WorkingMeanwhile, title: str
 ) -> None:
     waiting = hive.experiments.unfinished(name)
     total = len(waiting)
     with counting_bar(title, total, tells_left=False) as show:
-        while waiting and not failure:
+        while waiting:
+            worker.check()
             began = monotonic_s()
             left = hive.experiments.unfinished(name)
             if on_end is not None:

@@ -21,6 +21,7 @@ HEAVY = (
 SCRIPT = """
 import sys
 from slamhive.cli import main
+from slamhive.client import Hive, RunList
 main(sys.argv[2:], standalone_mode=False)
 print(*[name for name in sys.argv[1].split(",") if name in sys.modules], file=sys.stderr)
 """

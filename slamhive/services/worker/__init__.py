@@ -8,13 +8,16 @@ from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
     from slamhive.services.worker.lock import WorkerLock
+    from slamhive.services.worker.meanwhile import WORKED_ON, WorkingMeanwhile
     from slamhive.services.worker.process import WorkerProcess
     from slamhive.services.worker.worker import Worker
 
 __all__ = [
+    "WORKED_ON",
     "Worker",
     "WorkerLock",
     "WorkerProcess",
+    "WorkingMeanwhile",
 ]
 
 if not TYPE_CHECKING:

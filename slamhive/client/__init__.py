@@ -1,0 +1,27 @@
+"""SLAM Hive in Python: search runs, read results, submit runs and experiments, on a data root or on a server."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.client.experiments import Experiment, Experiments
+    from slamhive.client.hive import Hive
+    from slamhive.client.runs import Batch, Run, RunList, Runs
+    from slamhive.client.trajectory import RunTrajectory
+
+__all__ = [
+    "Batch",
+    "Experiment",
+    "Experiments",
+    "Hive",
+    "Run",
+    "RunList",
+    "RunTrajectory",
+    "Runs",
+]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

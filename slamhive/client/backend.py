@@ -1,0 +1,108 @@
+"""What the client asks of an installation. One backend reads the files of a data root, one talks to a server."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from slamhive.schema import experiment as experiment_schema
+    from slamhive.schema import run as run_schema
+    from slamhive.schema.submission import Submission
+
+LOG_BYTES = 200_000
+"""How much of the end of a log is read."""
+
+
+class Change(StrEnum):
+    """What can be done to an experiment that was started."""
+
+    PAUSE = "pause"
+    RESUME = "resume"
+    CANCEL = "cancel"
+    RETRY_FAILED = "retry-failed"
+
+
+@dataclass(frozen=True, slots=True)
+class RunQuery:
+    """Which runs, in which order. ``sort`` is a column, metric or parameter."""
+
+    where: str = ""
+    sort: str = "id"
+    descending: bool = True
+
+    @property
+    def order(self) -> str:
+        """The order as the web API names it."""
+        return "desc" if self.descending else "asc"
+
+
+class Backend(Protocol):
+    """One installation.
+
+    Both backends answer the same request with equal documents, and refuse it with the same errors.
+    """
+
+    @property
+    def label(self) -> str:
+        """The data root, or the address of the server."""
+
+    def runs(self, query: RunQuery) -> Iterator[run_schema.Run]:
+        """All matching runs, read in pages. Raises InvalidInput for a filter that is not valid."""
+
+    def count(self, query: RunQuery) -> int:
+        """How many runs match."""
+
+    def table(self, query: RunQuery, columns: Sequence[str]) -> Iterator[dict[str, Any]]:
+        """A row of values for each matching run; raises NotFound for an unknown column."""
+
+    def run(self, run_id: int) -> run_schema.RunWith:
+        """One run; raises NotFound."""
+
+    def files(self, run_id: int) -> tuple[str, ...]:
+        """The keys of the files of a run."""
+
+    def file(self, run_id: int, key: str) -> bytes:
+        """One file of a run; raises NotFound."""
+
+    def log(self, run_id: int) -> str:
+        """The last :data:`LOG_BYTES` of the output of a run."""
+
+    def activity(self, run_id: int) -> str:
+        """What a run does now, in words."""
+
+    def submit(self, submission: Submission) -> tuple[run_schema.Run, ...]:
+        """Queue runs. Raises NotFound or InvalidInput naming the value, Forbidden where nothing may change."""
+
+    def cancel(self, run_id: int) -> run_schema.Run:
+        """Cancel a queued run, or ask for the end of an active one."""
+
+    def retry(self, run_id: int) -> run_schema.Run:
+        """Queue the same again as a new run."""
+
+    def experiments(self) -> tuple[experiment_schema.ExperimentStatus, ...]:
+        """All experiments, the newest first."""
+
+    def experiment(self, name: str) -> experiment_schema.ExperimentStatus:
+        """One experiment; raises NotFound."""
+
+    def cells(self, name: str) -> Iterator[experiment_schema.Cell]:
+        """The configurations of an experiment with their runs and metrics, read in pages."""
+
+    def start(self, text: str, executor: str | None) -> experiment_schema.ExperimentStatus:
+        """Queue the runs of an experiment file. The same text again completes an interrupted start."""
+
+    def change(self, name: str, change: Change) -> experiment_schema.ExperimentStatus:
+        """Pause, resume or cancel an experiment, or queue its failed runs again."""
+
+    def working(self, what: Sequence[int] | str) -> AbstractContextManager[Callable[[], None]]:
+        """While somebody waits for runs, or for the experiment of a name: work on them if nobody else does.
+
+        Yields a function that raises what ended this work, if anything did.
+        """
+
+    def close(self) -> None:
+        """Close what was opened."""

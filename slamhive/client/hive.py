@@ -1,0 +1,62 @@
+"""The entrance to the client."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from slamhive.client.backend import Backend
+    from slamhive.client.experiments import Experiments
+    from slamhive.client.runs import Runs
+
+
+class Hive:
+    """An installation: a data root that was opened. Close it, or use it in a ``with`` statement.
+
+    One thread may use it at a time.
+    """
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+
+    @classmethod
+    def open(cls, path: Path | str, *, writable: bool = False) -> Self:
+        """The data root at ``path``, without a server.
+
+        Reads only and creates nothing, unless it is ``writable``. Raises NotFound if there is no data root, and a
+        SlamHiveError if it cannot be used.
+        """
+        from slamhive.client.local import LocalBackend  # noqa: PLC0415 - a client of a server needs no database
+
+        return cls(LocalBackend.open(Path(path), writable=writable))
+
+    @property
+    def runs(self) -> Runs:
+        """All runs."""
+        from slamhive.client.runs import Runs  # noqa: PLC0415 - on first use, as everywhere in this package
+
+        return Runs(self._backend)
+
+    @property
+    def experiments(self) -> Experiments:
+        """All experiments."""
+        from slamhive.client.experiments import Experiments  # noqa: PLC0415 - on first use
+
+        return Experiments(self._backend)
+
+    def close(self) -> None:
+        """Close the database or the connection."""
+        self._backend.close()
+
+    def __repr__(self) -> str:
+        return f"<SLAM Hive {self._backend.label}>"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,184 @@
+"""The backend that works on the files and the database of a data root, without a server."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from slamhive.client.backend import LOG_BYTES, Change, RunQuery
+from slamhive.errors import Forbidden
+from slamhive.schema.experiment import Cell, ExperimentStatus
+from slamhive.schema.run import Run, RunWith
+from slamhive.services.data_root import DataRoot
+from slamhive.services.hive import Hive, check_indexed, open_hive
+from slamhive.settings import Mode
+from slamhive.store import RunRecord, RunSort
+
+if TYPE_CHECKING:
+    from slamhive.schema.submission import Submission
+
+PAGE = 1000
+
+
+class LocalBackend:
+    """The use cases of an installation, called directly.
+
+    Args:
+        hive: Open; the backend closes it.
+        writable: Whether it may be changed.
+    """
+
+    def __init__(self, hive: Hive, *, writable: bool) -> None:
+        self._hive = hive
+        self._writable = writable
+
+    @classmethod
+    def open(cls, path: Path, *, writable: bool) -> LocalBackend:
+        """The installation whose data root is ``path``; raises a SlamHiveError if it cannot be used."""
+        options: dict[str, Any] = {"data": str(path.expanduser().absolute())}
+        if not writable:
+            options["mode"] = Mode.VIEW_ONLY.value
+        hive = open_hive(options, DataRoot.FOUND if writable else DataRoot.READ)
+        try:
+            check_indexed(hive)
+        except BaseException:
+            hive.close()
+            raise
+        return cls(hive, writable=writable)
+
+    @property
+    def label(self) -> str:
+        """The data root."""
+        return str(self._hive.settings.data)
+
+    def runs(self, query: RunQuery) -> Iterator[Run]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        pages = self._pages(query)
+        key: str | None = None
+        while True:
+            records, key = pages(key)
+            yield from map(Run.of, records)
+            if key is None:
+                return
+
+    def count(self, query: RunQuery) -> int:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._hive.searches.exact_count(self._hive.searches.read(query.where))
+
+    def table(self, query: RunQuery, columns: Sequence[str]) -> Iterator[dict[str, Any]]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        from slamhive.services.exports import RunExport  # noqa: PLC0415 - on first use
+
+        export = RunExport(columns, self._hive.searches.vocabulary())
+        return (dict(zip(columns, row, strict=True)) for row in export.rows(self._pages(query)))
+
+    def run(self, run_id: int) -> RunWith:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._hive.stored_runs.in_full(run_id)
+
+    def files(self, run_id: int) -> tuple[str, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        from slamhive.services.runs import list_downloads  # noqa: PLC0415 - on first use
+
+        folder = self._hive.stored_runs.folder(run_id)
+        return tuple(entry.key for entry in list_downloads(folder, self._fingerprints(run_id)))
+
+    def file(self, run_id: int, key: str) -> bytes:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        from slamhive.services.runs import open_download  # noqa: PLC0415 - on first use
+
+        folder = self._hive.stored_runs.folder(run_id)
+        _, stream = open_download(folder, self._fingerprints(run_id), key)
+        with stream:
+            return stream.read()
+
+    def log(self, run_id: int) -> str:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._hive.runs.log(run_id, LOG_BYTES)
+
+    def activity(self, run_id: int) -> str:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        progress = self._hive.runs.progress(run_id)
+        return self._hive.stored_runs.get(run_id).state.value if progress is None else progress.text
+
+    def submit(self, submission: Submission) -> tuple[Run, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return tuple(map(Run.of, self._writing().runs.submit(submission)))
+
+    def cancel(self, run_id: int) -> Run:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return Run.of(self._writing().runs.cancel(run_id))
+
+    def retry(self, run_id: int) -> Run:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return Run.of(self._writing().runs.retry(run_id))
+
+    def experiments(self) -> tuple[ExperimentStatus, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return tuple(map(ExperimentStatus.of, self._hive.experiments.list()))
+
+    def experiment(self, name: str) -> ExperimentStatus:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return ExperimentStatus.of(self._hive.experiments.status(name))
+
+    def cells(self, name: str) -> Iterator[Cell]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return map(Cell.of, self._hive.experiments.report(name))
+
+    def start(self, text: str, executor: str | None) -> ExperimentStatus:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        from slamhive.services.experiments import ExperimentSource  # noqa: PLC0415 - on first use
+
+        return ExperimentStatus.of(self._writing().experiments.start(ExperimentSource(text), executor))
+
+    def change(self, name: str, change: Change) -> ExperimentStatus:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        experiments = self._writing().experiments
+        changes = {
+            Change.PAUSE: experiments.pause,
+            Change.RESUME: experiments.resume,
+            Change.CANCEL: experiments.cancel,
+            Change.RETRY_FAILED: experiments.retry_failed,
+        }
+        changes[change](name)
+        return self.experiment(name)
+
+    @contextmanager
+    def working(self, what: Sequence[int] | str) -> Iterator[Callable[[], None]]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        if not self._writable:
+            yield lambda: None
+            return
+        from slamhive.services.worker import WORKED_ON, WorkingMeanwhile  # noqa: PLC0415 - loads the worker
+
+        def run_ids() -> Sequence[int]:
+            return self._hive.experiments.unfinished(what)[:WORKED_ON] if isinstance(what, str) else what
+
+        with WorkingMeanwhile(self._hive.worker, run_ids) as worker:
+            yield worker.check
+
+    def close(self) -> None:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        self._hive.close()
+
+    def _pages(self, query: RunQuery) -> Callable[[str | None], tuple[Sequence[RunRecord], str | None]]:
+        """Reads the page after a key, and the key of the next."""
+        search = self._hive.searches.read(query.where)
+        sort = RunSort(query.sort, descending=query.descending)
+
+        def page(after: str | None) -> tuple[Sequence[RunRecord], str | None]:
+            found = self._hive.stored_runs.page(search, sort, after, PAGE)
+            return found.records, found.next_key
+
+        return page
+
+    def _fingerprints(self, run_id: int) -> list[str]:
+        """The protocols that a run is evaluated under; raises NotFound for an unknown run."""
+        return list(dict.fromkeys(entry.protocol.fingerprint for entry in self.run(run_id).evaluations))
+
+    def _writing(self) -> Hive:
+        if not self._writable:
+            raise Forbidden(f"{self.label} was opened to read only", "open it with writable=True to change it")
+        return self._hive

@@ -1,0 +1,76 @@
+"""Wait for runs and experiments, with a bar on a terminal and a line every few seconds elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from slamhive.client.backend import Backend
+from slamhive.clock import monotonic_s
+
+if TYPE_CHECKING:
+    from slamhive.schema.experiment import ExperimentStatus
+    from slamhive.schema.run import RunWith
+
+Show = Callable[[int, str], None]
+PAUSE_S = 0.3
+_OPEN = frozenset({"queued", "running"})
+"""States of evaluations that will change."""
+
+
+def wait_for_runs(backend: Backend, run_ids: Sequence[int], *, progress: bool) -> tuple[RunWith, ...]:
+    """Wait until the runs have ended and been evaluated, in their order; returns them in full."""
+    found: list[RunWith] = []
+    with _bar("runs", len(run_ids), progress=progress) as show, backend.working(run_ids) as check:
+        for run_id in run_ids:
+            run = backend.run(run_id)
+            while not is_complete(run):
+                check()
+                show(len(found), f"run {run_id} {run.algorithm} on {run.dataset}: {backend.activity(run_id)}")
+                time.sleep(PAUSE_S)
+                run = backend.run(run_id)
+            found.append(run)
+            show(len(found), "")
+    return tuple(found)
+
+
+def wait_for_experiment(backend: Backend, name: str, *, progress: bool) -> ExperimentStatus:
+    """Wait until all runs of an experiment have ended and been evaluated, or until somebody pauses it."""
+    status = backend.experiment(name)
+    with _bar(f"experiment {name}", status.runs, progress=progress) as show, backend.working(name) as check:
+        while not rests(status):
+            check()
+            show(_ended(status), status.phase)
+            began = monotonic_s()
+            status = backend.experiment(name)
+            # Looking at a large experiment takes a while: most of the time is left to what is looked at.
+            time.sleep(max(PAUSE_S, 5 * (monotonic_s() - began)))
+        show(_ended(status), "")
+    return status
+
+
+def is_complete(run: RunWith) -> bool:
+    """Whether a run has ended, and no evaluation of it is queued or under way."""
+    return run.state.ended and not any(entry.state in _OPEN for entry in run.evaluations)
+
+
+def rests(status: ExperimentStatus) -> bool:
+    """Whether nothing more happens in an experiment by itself."""
+    return not status.phase or (status.state == "paused" and not status.counts.get("running"))
+
+
+def _ended(status: ExperimentStatus) -> int:
+    return status.runs - status.missing - status.counts.get("queued", 0) - status.counts.get("running", 0)
+
+
+@contextmanager
+def _bar(title: str, total: int, *, progress: bool) -> Iterator[Show]:
+    if not progress:
+        yield lambda _done, _text: None
+        return
+    from slamhive.cli.output import counting_bar  # noqa: PLC0415 - loads rich
+
+    with counting_bar(title, total, tells_left=False) as show:
+        yield show
