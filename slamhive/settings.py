@@ -83,6 +83,10 @@ class Settings(BaseSettings):
     kubernetes_options: str = setting(
         "", "How a cluster is used: --context, --namespace, --registry, --claim, --queue and --node, see kubernetes.md"
     )
+    cloud_join: str = setting(
+        "", "Shell command that makes a rented machine a node of the cluster, see cloud.md", secret=True
+    )
+    cloud_endpoint: str = setting("", "Server that speaks the API of EC2 or ECS; empty means the provider's own")
     worker_slots: int = setting(1, "Runs at a time; more than 1 gives each slot cores of its own", minimum=1)
     run_cpu_cores: float = setting(0.0, "CPU limit of a run; 0 means all cores of the slot", unit="cores", minimum=0)
     run_memory_mb: int = setting(0, "Memory limit of a run; 0 means what the algorithm asks for", unit="MB", minimum=0)
@@ -196,6 +200,11 @@ class Settings(BaseSettings):
     def baselines_folder(self) -> Path:
         """Where the baselines of gates lie."""
         return self.data / "baselines"
+
+    @property
+    def clouds_folder(self) -> Path:
+        """Where the records of rented clusters lie."""
+        return self.data / "clouds"
 
     @property
     def trash_folder(self) -> Path:

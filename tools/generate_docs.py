@@ -20,6 +20,7 @@ from slamhive.analysis.report import Report, ReportBrief
 from slamhive.bags.variants.rules import RegisteredSteps, describe_options, explain_step
 from slamhive.catalogue.algorithm_file import ALGORITHM_FILE, load_algorithms
 from slamhive.catalogue.protocol_file import protocol_schema
+from slamhive.cloud.cloud_file import cloud_schema
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
 from slamhive.project import project_root
@@ -27,6 +28,7 @@ from slamhive.schema import accounts, catalogue, collection, experiment
 from slamhive.schema.analysis import StoredAnalysis
 from slamhive.schema.archive import Manifest, RunLine
 from slamhive.schema.checks import DatasetCheck
+from slamhive.schema.cloud import CloudPlan, CloudStatus
 from slamhive.schema.comparison import Comparison
 from slamhive.schema.gate import Baseline, BaselineBrief, GateAnswer
 from slamhive.schema.imports import Import
@@ -193,6 +195,8 @@ DOCUMENTS: dict[str, Any] = {
     "archive": Manifest,
     "archive-run": RunLine,
     "audit-line": accounts.AuditLine,
+    "cloud-plan": CloudPlan,
+    "cloud-status": CloudStatus,
     "comparison": Comparison,
     "configuration": catalogue.Configuration,
     "dataset": catalogue.Dataset,
@@ -231,6 +235,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "metrics.md": metrics_page,
     "analysis-forms.md": plot_types_page,
     "schemas/analysis.schema.json": analysis_schema,
+    "schemas/cloud.schema.json": cloud_schema,
     "schemas/experiment.schema.json": experiment_schema,
     "schemas/protocol.schema.json": protocol_schema,
     "schemas/submission.schema.json": lambda: json_schema(Submission),

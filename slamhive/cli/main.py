@@ -21,6 +21,7 @@ MODULES = {
     "analyse": "analyse",
     "archive": "archive",
     "cite": "cite",
+    "cloud": "cloud",
     "compare": "compare",
     "configuration": "configurations",
     "dataset": "datasets",

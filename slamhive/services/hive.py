@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from slamhive.services.algorithms import AlgorithmImports
     from slamhive.services.analyses import AnalysisJobs, StoredAnalyses
     from slamhive.services.citations import Citations
+    from slamhive.services.clouds import Clouds
     from slamhive.services.configurations import Configurations
     from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, Variants
     from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, Protocols
@@ -243,6 +244,13 @@ class Hive:
         return Citations(self.store, self.catalogue)
 
     @cached_property
+    def clouds(self) -> Clouds:
+        """Rented machines."""
+        from slamhive.services.clouds import Clouds
+
+        return Clouds(self.settings, self.catalogue, lambda: self.experiments)
+
+    @cached_property
     def fetching(self) -> Fetching:
         """Public sequences; loaded on first use, because few commands fetch."""
         from slamhive.services.fetching import Collections, Fetching
@@ -291,6 +299,12 @@ class Hive:
         self.store.close()
 
 
+_MODE_REMEDIES = {
+    Mode.CLUSTER: "use workstation or view-only; EXECUTOR = slurm or kubernetes runs algorithms on a cluster",
+    Mode.CLOUD: "use workstation or view-only; slamhive cloud rents machines for EXECUTOR = kubernetes",
+}
+
+
 def open_hive(options: Mapping[str, Any] | None = None, data_root: DataRoot = DataRoot.MADE) -> Hive:
     """Read the settings, open the database, and check that mode and data root can be used.
 
@@ -300,7 +314,7 @@ def open_hive(options: Mapping[str, Any] | None = None, data_root: DataRoot = Da
     root = project_root()
     settings = load_settings(root, options=options)
     if settings.mode in (Mode.CLUSTER, Mode.CLOUD):
-        raise Unavailable(f"MODE={settings.mode} is not available yet", "use workstation or view-only")
+        raise Unavailable(f"MODE={settings.mode} is not available yet", _MODE_REMEDIES[settings.mode])
     return Hive(settings, open_data_root(settings, data_root), root)
 
 

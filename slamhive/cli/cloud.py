@@ -1,0 +1,128 @@
+"""``slamhive cloud``: rent machines, and give them back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from slamhive.cli.context import CliContext, json_option, pass_cli
+from slamhive.cli.output import messages, print_json, print_table, tell
+from slamhive.domain.numbers import plural
+from slamhive.schema.cloud import CloudPlan, CloudStatus
+
+file_argument = click.argument("file", type=click.Path(path_type=Path))
+
+
+@click.group()
+def cloud() -> None:
+    """Rent machines of EC2 or Alibaba ECS for an experiment. docs/cloud.md explains the file."""
+
+
+@cloud.command()
+@file_argument
+@json_option
+@pass_cli
+def plan(cli: CliContext, file: Path, as_json: bool) -> None:
+    """Show machines, hours and price of FILE. Nothing is created, and no provider is asked."""
+    found = cli.hive().clouds.plan(file)
+    if as_json:
+        print_json(found.content)
+    else:
+        _print_plan(found)
+
+
+@cloud.command()
+@file_argument
+@click.option("--yes", is_flag=True, help="Do not ask for confirmation.")
+@json_option
+@pass_cli
+def up(cli: CliContext, file: Path, yes: bool, as_json: bool) -> None:
+    """Rent what the plan of FILE shows. Running it again continues an interrupted start."""
+    clouds = cli.hive().clouds
+    if messages.is_terminal and not (yes or as_json):
+        _print_plan(clouds.plan(file))
+        click.confirm("rent these machines?", abort=True, err=True)
+    status = clouds.up(file, tell)
+    if as_json:
+        print_json(status.content)
+    else:
+        _print_status(status)
+
+
+@cloud.command("status")
+@click.argument("name", required=False)
+@json_option
+@pass_cli
+def status_(cli: CliContext, name: str | None, as_json: bool) -> None:
+    """Show what the cluster NAME has, or all clusters that are not down."""
+    found = cli.hive(indexed=False).clouds.status(name)
+    if as_json:
+        print_json([status.content for status in found])
+        return
+    for status in found:
+        _print_status(status)
+    if not found:
+        tell("no cluster is up; `slamhive cloud up FILE` rents one")
+
+
+@cloud.command()
+@click.argument("name")
+@pass_cli
+def down(cli: CliContext, name: str) -> None:
+    """Delete all that the cluster NAME has: machines, disks, image, snapshots and firewall."""
+    deleted = cli.hive(indexed=False).clouds.down(name, tell)
+    click.echo(f"cluster {name} is down; {plural(deleted, 'resource')} deleted, nothing is left")
+
+
+@cloud.command()
+@click.argument("file", type=click.Path(path_type=Path), required=False)
+@click.option("--all", "everything", is_flag=True, help="Also what other installations have; theirs may be in use.")
+@pass_cli
+def sweep(cli: CliContext, file: Path | None, everything: bool) -> None:
+    """Find by tag, and delete, what clusters have left that are down, unknown or past their end.
+
+    It searches the region of FILE, or the regions of all clusters of this data root.
+    """
+    for swept in cli.hive(indexed=False).clouds.sweep(file, tell, everything=everything):
+        foreign = f"; {plural(swept.foreign, 'resource')} of other installations left" if swept.foreign else ""
+        click.echo(f"{swept.provider} {swept.region}: {plural(swept.deleted, 'resource')} deleted{foreign}")
+
+
+def _print_plan(found: CloudPlan) -> None:
+    money = found.currency
+    runs = "" if found.runs is None else f" for {plural(found.runs, 'run')}"
+    click.echo(f"{found.name}: {found.nodes} × {found.instance_type}, {found.provider} {found.region}{runs}")
+    click.echo(f"created: {', '.join(_created(found))}")
+    click.echo(
+        f"hours: {found.prepare_h:.1f} until all machines work, {found.run_h:.1f} for the runs, "
+        f"{found.total_h:.1f} in all; machines end themselves after {found.lifetime_h:.1f}"
+    )
+    click.echo(f"data to copy to the first machine: {found.data_bytes / 1e9:,.2f} GB")
+    click.echo(
+        f"price: about {found.expected_cost:,.2f} {money}, at most {found.most_cost:,.2f} of {found.budget:,.2f} "
+        f"{money}; {found.hour_price:,.4f} for a machine and hour, prices of {found.prices_date}"
+    )
+    if found.image_day_cost:
+        click.echo(
+            f"the image costs {found.image_day_cost:,.2f} {money} a day until `slamhive cloud down {found.name}`"
+        )
+
+
+def _created(found: CloudPlan) -> list[str]:
+    image = ["1 image with its snapshot"] if "image" in found.roles else []
+    return ["1 firewall", f"{plural(found.nodes, 'machine')} with a disk of {found.disk_gb} GB", *image]
+
+
+def _print_status(status: CloudStatus) -> None:
+    cost = f"at most {status.cost_until_now:,.2f} of {status.most_cost:,.2f} {status.currency} until now"
+    click.echo(f"{status.name}: {status.state}, {status.provider} {status.region}, {cost}")
+    click.echo(f"machines end themselves at {status.ends_at:%Y-%m-%d %H:%M} UTC")
+    rows = [(entry.kind, entry.role or None, entry.id, entry.state, entry.address) for entry in status.resources]
+    if rows:
+        print_table(("kind", "role", "id", "state", "address"), rows)
+    else:
+        click.echo("the provider has nothing of it")
+
+
+COMMANDS = (cloud,)
