@@ -38,6 +38,7 @@ from slamhive.schema.model import json_schema
 from slamhive.schema.plugin import PlugIn
 from slamhive.schema.protocol import Protocols, ToolMetrics
 from slamhive.schema.record import RunFile
+from slamhive.schema.replay import ReplayAnswer
 from slamhive.schema.run import Evaluation, RunWith
 from slamhive.schema.submission import Submission
 from slamhive.schema.variant import CachedVariant, Step
@@ -216,6 +217,7 @@ DOCUMENTS: dict[str, Any] = {
     "plug-in": PlugIn,
     "protocols": Protocols,
     "public-sequence": collection.PublicSequence,
+    "replay-answer": ReplayAnswer,
     "report": Report,
     "report-brief": ReportBrief,
     "run": RunWith,

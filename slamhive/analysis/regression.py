@@ -72,9 +72,15 @@ def rank_evidence(sample: Sample, margin: Margin) -> Evidence:
 
     Ranks need no assumption about the distribution, and the infinite error of a failed run has a rank.
     """
-    allowance = margin.value * np.abs(sample.baseline) if margin.relative else margin.value
-    allowed = sample.baseline + allowance
+    allowed = with_allowance(sample.baseline, margin)
     return Evidence(_p_larger(sample.candidate, allowed), _p_larger(allowed, sample.candidate))
+
+
+def with_allowance(values: Numbers, margin: Margin) -> Numbers:
+    """The values, (n,), moved by the margin; infinite ones stay."""
+    sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
+    moved: Numbers = values + (margin.value * sizes if margin.relative else margin.value)
+    return moved
 
 
 def failure_evidence(counts: FailureCounts, margin: Margin) -> Evidence:

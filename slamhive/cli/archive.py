@@ -9,8 +9,17 @@ import click
 
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json, progress_bar, tell
+from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput
-from slamhive.services.archive import ArchiveImport, ExportRequest, Part, check_archive, export_archive, open_archive
+from slamhive.services.archive import (
+    ArchiveImport,
+    ExportRequest,
+    Extra,
+    Part,
+    check_archive,
+    export_archive,
+    open_archive,
+)
 from slamhive.services.hive import Hive
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -27,11 +36,15 @@ def archive() -> None:
 @click.option("--where", metavar="FILTER", help="Only runs that match this filter.")
 @click.option("--experiment", metavar="NAME", help="Only the runs of this experiment.")
 @click.option("--without", type=choice(Part), multiple=True, help="Leave out files of this kind; may be repeated.")
+@click.option("--with", "extra", type=choice(Extra), multiple=True, help="Add what a replay needs; may be repeated.")
 @click.option("--replace", is_flag=True, help="Replace an existing file.")
 @json_option
 @pass_cli
 def export(cli: CliContext, /, file: Path, as_json: bool, **options: object) -> None:
-    """Write finished runs and their folders to FILE (zip)."""
+    """Write finished runs and their folders to FILE (zip).
+
+    `--with packages`, `images` (with their packages) and `recordings` add what `slamhive replay` needs elsewhere.
+    """
     hive = cli.hive()
     run_ids = _chosen(hive, bool(options["everything"]), options["where"], options["experiment"])
     request = ExportRequest(
@@ -39,17 +52,23 @@ def export(cli: CliContext, /, file: Path, as_json: bool, **options: object) -> 
         run_ids=run_ids,
         without=tuple(Part(str(name)) for name in options["without"]),  # type: ignore[attr-defined]
         replace=bool(options["replace"]),
+        extra=tuple(Extra(str(name)) for name in options["extra"]),  # type: ignore[attr-defined]
     )
     with progress_bar("exporting") as show:
-        report = export_archive(
-            hive.settings, hive.store, request, lambda done, total: show(done / total, f"{done}/{total} runs")
-        )
+
+        def progress(done: int, total: int) -> None:
+            show(done / total, f"{done}/{total} runs")
+
+        report = export_archive(hive.settings, hive.store, request, progress, hive.versions if request.extra else None)
     if as_json:
         counts = dict(sorted(report.counts.items()))
         left_out = {"left_out": dict(report.left_out), "files_left_out": dict(report.files_left_out)}
         print_json({"counts": counts, **left_out, "size_bytes": report.size_bytes})
         return
     click.echo(f"{report.counts['runs']} runs exported to {file}, {report.size_bytes / 1e6:.1f} MB")
+    for kind in Extra:
+        if report.counts[kind]:
+            tell(f"with {plural(report.counts[kind], kind.removesuffix('s'))}")
     for why, number in report.left_out.items():
         tell(f"left out: {number} runs that {why}")
     for what, number in report.files_left_out.items():

@@ -15,6 +15,7 @@ EXPECTED: dict[str, DataRoot] = {
     "dataset import": DataRoot.MADE,
     "dataset room": DataRoot.MADE,
     "demo": DataRoot.MADE,
+    "replay": DataRoot.MADE,
     "runs import": DataRoot.MADE,
     "serve": DataRoot.MADE,
     "worker": DataRoot.MADE,

@@ -33,6 +33,7 @@ MODULES = {
     "plugins": "plugins",
     "protocol": "protocols",
     "reindex": "maintenance",
+    "replay": "replay",
     "run": "running",
     "runs": "runs",
     "search": "searching",

@@ -70,19 +70,22 @@ INSTEAD = {"cpu.per_data_second": "cpu.mean", "tracked.path": "tracked_fraction"
 """What takes the place of a metric by default where the baseline has no values of it."""
 
 
-def chosen_margins(asked: Sequence[str], measured: Collection[str]) -> dict[str, Margin]:
+def chosen_margins(
+    asked: Sequence[str], measured: Collection[str], defaults: Mapping[str, Margin] = DEFAULT_MARGINS
+) -> dict[str, Margin]:
     """The margins of a check by metric: the defaults, changed as ``asked``.
 
     Args:
         asked: Texts such as ``ate.rmse=5%``, ``tracked.path=0.01`` or ``latency.p95=off``.
         measured: The metrics that the baseline has values of.
+        defaults: What is compared unless it is asked otherwise.
 
     Raises:
         NotFound: a metric is unknown.
         InvalidInput: a text is not clear, or the baseline has no value of a metric that was asked for.
     """
     margins: dict[str, Margin] = {}
-    for key, margin in DEFAULT_MARGINS.items():
+    for key, margin in defaults.items():
         found = key if key in measured or key == FAILURES else INSTEAD.get(key, key)
         if found in measured or found == FAILURES:
             margins[found] = margin

@@ -139,19 +139,24 @@ class GateValues(Document):
     p_within: Annotated[float | None, described("p value of it being within the margin here; null for failures.")]
 
 
-class GateMetric(Document):
-    """The answer for one metric."""
+class MetricChange(Document):
+    """How a metric changed, beside its margin."""
 
     key: str
     label: str
     unit: str
     better: Direction
-    margin: Annotated[str, described("By how much it may become worse.")]
-    answer: Answer
+    margin: Annotated[str, described("How far it may change.")]
     change: Annotated[float | None, described("Typical change of the median: a share, or in the unit of the metric.")]
     change_low: Annotated[float | None, described("Lower end of its 95 % interval.")]
     change_high: Annotated[float | None, described("Upper end of its 95 % interval.")]
-    change_relative: Annotated[bool, described("Whether the change is a share of the baseline.")]
+    change_relative: Annotated[bool, described("Whether the change is a share of what it was.")]
+
+
+class GateMetric(MetricChange):
+    """The answer for one metric."""
+
+    answer: Answer
     p_worse: Annotated[float, described("p value of it being worse than the margin, corrected for all metrics.")]
     p_within: Annotated[
         float | None,

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from slamhive.services.gates import Gates
     from slamhive.services.imports import Imports
     from slamhive.services.ledger import Ledger
+    from slamhive.services.replay import Replays
     from slamhive.services.reports import Analyses
     from slamhive.services.run_comparison import RunComparisons
     from slamhive.services.runs import Notes, Runs, StoredRuns
@@ -186,6 +187,13 @@ class Hive:
         from slamhive.services.gates import Gates
 
         return Gates(self.settings, self.store, self.searches, self.catalogue, self.configurations, self.runs)
+
+    @cached_property
+    def replays(self) -> Replays:
+        """Runs of bundles, repeated and compared."""
+        from slamhive.services.replay import Replays
+
+        return Replays(self.settings, self.store, self.catalogue, self.runs, self.versions, self.executors)
 
     @cached_property
     def comparisons(self) -> Comparisons:

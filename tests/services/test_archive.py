@@ -22,9 +22,10 @@ from slamhive.domain.verdict import FROM_REPEATS
 from slamhive.errors import Conflict, Forbidden, InvalidInput
 from slamhive.schema.archive import Manifest
 from slamhive.schema.submission import Submission
-from slamhive.services.archive.exporting import ExportReport, ExportRequest, Part, export_archive
+from slamhive.services.archive.exporting import ExportReport, ExportRequest, export_archive
 from slamhive.services.archive.importing import ArchiveImport, ArchiveReport
 from slamhive.services.archive.layout import bag_format
+from slamhive.services.archive.run_files import Part
 from slamhive.services.archive.writing import archive_writer
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive

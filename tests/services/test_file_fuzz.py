@@ -29,9 +29,10 @@ from slamhive.runs.untrusted import read_numeric_columns, read_untrusted_json
 from slamhive.runtime import config as run_config
 from slamhive.runtime.pcd import write_pcd
 from slamhive.services.analyses.folder import AnalysisFolder
-from slamhive.services.archive.exporting import ExportRequest, Part, export_archive
+from slamhive.services.archive.exporting import ExportRequest, export_archive
 from slamhive.services.archive.importing import ArchiveImport
 from slamhive.services.archive.layout import ABOUT, ROWS
+from slamhive.services.archive.run_files import Part
 from slamhive.services.configurations.changes import Label
 from slamhive.services.executors import Executors
 from slamhive.services.experiments.folder import ExperimentFolder

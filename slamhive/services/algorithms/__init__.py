@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from slamhive.services.algorithms.image_archive import ImageArchive
     from slamhive.services.algorithms.planning import ImportRequest, PlannedPackage
     from slamhive.services.algorithms.service import AlgorithmImports, ImportedPackage
 
 __all__ = [
     "AlgorithmImports",
+    "ImageArchive",
     "ImportRequest",
     "ImportedPackage",
     "PlannedPackage",

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 
 from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
+from slamhive.domain.dataset import Dataset
 from slamhive.domain.names import check_name
 from slamhive.errors import InvalidInput
 from slamhive.files import temporary_folder
 from slamhive.schema.archive import AlgorithmLine, RunLine
+from slamhive.schema.record import RunFile
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.reading import ArchiveReader, Place, not_unpacked
 from slamhive.services.experiments import RECORD, SOURCE
@@ -23,10 +25,17 @@ Progress = Callable[[float, str], None]
 
 @dataclass
 class Contents:
-    """What is known of an archive that was checked: uids of its runs with their numbers, and its experiments."""
+    """What is known of an archive that was checked.
+
+    Attributes:
+        runs: {uid: number}.
+        datasets: {name: file or folder of the recording}, empty for one that is not described.
+        experiments: As they are stated.
+        runs_of_experiment: {name: how many runs of it there are}.
+    """
 
     runs: dict[str, int] = field(default_factory=dict)
-    datasets: list[str] = field(default_factory=list)
+    datasets: dict[str, str] = field(default_factory=dict)
     experiments: list[ExperimentRecord] = field(default_factory=list)
     runs_of_experiment: dict[str, int] = field(default_factory=dict)
 
@@ -72,12 +81,9 @@ def check_archive(archive: ArchiveReader, progress: Progress, place: Place = not
 def _check_runs(archive: ArchiveReader, contents: Contents, progress: Progress) -> None:
     expected = max(archive.manifest.counts.get("runs", 0), 1)
     numbers: set[int] = set()
-    for content in archive.lines(layout.RUNS):
-        line = lines.read_line(RunLine, content)
+    for line, _ in recorded_runs(archive):
         if line.uid in contents.runs or line.id in numbers:
             raise InvalidInput(f"the archive has run {line.id} twice", "export it again")
-        record = archive.json(f"runs/{line.id}/run.json") if line.record is None else line.record
-        lines.check_record(record, line)
         contents.runs[line.uid] = line.id
         numbers.add(line.id)
         if line.experiment is not None:
@@ -88,32 +94,52 @@ def _check_runs(archive: ArchiveReader, contents: Contents, progress: Progress) 
         raise InvalidInput(f"the archive has {len(numbers)} runs and says to have another number", "export it again")
 
 
+def recorded_runs(archive: ArchiveReader) -> Iterator[tuple[RunLine, RunFile]]:
+    """Every run with its record; raises InvalidInput for one that is not whole."""
+    for content in archive.lines(layout.RUNS):
+        line = lines.read_line(RunLine, content)
+        record = archive.json(f"runs/{line.id}/run.json") if line.record is None else line.record
+        yield line, lines.check_record(record, line)
+
+
 def _check_datasets(archive: ArchiveReader, contents: Contents) -> None:
     for content in archive.lines(layout.DATASETS):
         name, _ = lines.dataset_from_line(content)
-        contents.datasets.append(name)
-        description = f"datasets/{name}/{DATASET_FILE}"
-        if not archive.has(description):
-            continue
-        with temporary_folder() as folder:
-            archive.unpack(description, folder / name / DATASET_FILE)
-            dataset = load_dataset(folder / name)
-        if dataset.name != name:
-            raise InvalidInput(f"dataset {name} of the archive is described as {dataset.name}")
+        dataset = archived_dataset(archive, name)
+        contents.datasets[name] = "" if dataset is None else dataset.bag
+
+
+def archived_dataset(archive: ArchiveReader, name: str) -> Dataset | None:
+    """The dataset as the archive describes it, None if it does not; its folder does not exist. Raises InvalidInput."""
+    description = f"datasets/{check_name('dataset', name)}/{DATASET_FILE}"
+    if not archive.has(description):
+        return None
+    with temporary_folder() as folder:
+        archive.unpack(description, folder / name / DATASET_FILE)
+        dataset = load_dataset(folder / name)
+    if dataset.name != name:
+        raise InvalidInput(f"dataset {name} of the archive is described as {dataset.name}")
+    return dataset
 
 
 def _check_folders(archive: ArchiveReader, contents: Contents, experiments: set[str]) -> None:
     """No member is outside the folders of what is filed."""
     numbers = set(contents.runs.values())
-    datasets = set(contents.datasets)
+    datasets = contents.datasets
     for name in archive.names:
         kind, *rest = PurePosixPath(name).parts
         belongs = (
             not rest
             or kind == "rows"
             or (kind == "runs" and int(rest[0]) in numbers)
-            or (kind == "datasets" and rest[0] in datasets and len(rest) == 2)
+            or kind == layout.VERSIONS
+            or (kind == "datasets" and rest[0] in datasets and _of_dataset(rest[1:], datasets[rest[0]]))
             or (kind == "experiments" and rest[0] in experiments and rest[1:] in ([SOURCE], [RECORD]))
         )
         if not belongs:
             raise InvalidInput(f"{layout.shown(name)} belongs to nothing in the archive", "it is not imported")
+
+
+def _of_dataset(rest: Sequence[str], recording: str) -> bool:
+    """Whether a member with these parts below the folder of a dataset is a file of it, or of its recording."""
+    return len(rest) == 1 or recording in ("/".join(rest), "/".join(rest[:-1]))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 from slamhive.clock import utc_now
 from slamhive.domain.run import RunEvent
 from slamhive.errors import Conflict, InvalidInput, SlamHiveError
+from slamhive.files import temporary_folder
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.archive import (
     AlgorithmLine,
@@ -27,50 +27,23 @@ from slamhive.schema.archive import (
 )
 from slamhive.services.analyses import AnalysisFolder
 from slamhive.services.archive import layout, lines
+from slamhive.services.archive.extras import Extra, Packing, add_recording, add_versions
+from slamhive.services.archive.run_files import Part, files_of_run
 from slamhive.services.archive.writing import ArchiveWriter, archive_writer
 from slamhive.services.experiments import RECORD, SOURCE
+from slamhive.services.versions import Versions
 from slamhive.settings import Settings
 from slamhive.store import Store, Transaction
 from slamhive.store.experiment_records import ExperimentRecord
 from slamhive.store.filed_runs import EndedEvaluation
-from slamhive.store.records import RunRecord
-from slamhive.tree import Entry, walk
+from slamhive.store.records import AlgorithmVersion, RunRecord
 
 BATCH = 200
 _MOST_ANALYSES = 100_000
 NOT_ENDED = "had not ended"
-ODD_NAMES = "files with names that no archive holds"
-_SCRATCH, _RESULT = "work", "result"
 
 Progress = Callable[[int, int], None]
 """Called with how many runs are done, and how many there are."""
-
-
-class Part(StrEnum):
-    """Files of runs that an export may go without."""
-
-    TRAJECTORIES = "trajectories"
-    MAPS = "maps"
-    LOGS = "logs"
-    PICTURES = "pictures"
-
-
-_OF_TRAJECTORIES = (
-    ".tum",
-    "/traj.txt",
-    "/traj.live.txt",
-    "/traj.final.txt",
-    "/keyframe.txt",
-    "/errors.csv",
-    "pe.zip",
-    "kitti_poses.txt",
-)
-_LEFT_OUT: dict[Part, Callable[[str], bool]] = {
-    Part.TRAJECTORIES: lambda name: name.endswith(_OF_TRAJECTORIES),
-    Part.MAPS: lambda name: name.endswith(".pcd"),
-    Part.LOGS: lambda name: name in ("log.txt", "preparation.txt"),
-    Part.PICTURES: lambda name: name.endswith(".png"),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +54,7 @@ class ExportRequest:
     run_ids: Sequence[int] | None = None
     without: tuple[Part, ...] = ()
     replace: bool = False
+    extra: tuple[Extra, ...] = ()
 
 
 @dataclass
@@ -103,8 +77,20 @@ class _Batch:
     events: Mapping[int, list[RunEvent]]
 
 
-def export_archive(settings: Settings, store: Store, request: ExportRequest, progress: Progress) -> ExportReport:
-    """Write the archive; raises Conflict if the file exists, InvalidInput if there is nothing to export."""
+def export_archive(
+    settings: Settings, store: Store, request: ExportRequest, progress: Progress, versions: Versions | None = None
+) -> ExportReport:
+    """Write the archive.
+
+    Args:
+        settings: Where folders lie.
+        store: What is exported.
+        request: What of it.
+        progress: Called with runs.
+        versions: Packs packages and images, if the request asks for them.
+
+    Raises Conflict if the file exists, InvalidInput if there is nothing to export, and as :meth:`Versions.pack`.
+    """
     if request.path.exists() and not request.replace:
         raise Conflict(f"{request.path} exists already", "choose another file, or say --replace")
     if not request.path.absolute().parent.is_dir():
@@ -120,6 +106,10 @@ def export_archive(settings: Settings, store: Store, request: ExportRequest, pro
                 report.counts["runs"] += 1
                 progress(report.counts["runs"], len(run_ids))
         export.rest(run_ids)
+        if versions is not None and {Extra.PACKAGES, Extra.IMAGES} & set(request.extra):
+            with temporary_folder(root=request.path.absolute().parent) as aside:
+                packing = Packing(versions, aside, images=Extra.IMAGES in request.extra)
+                report.counts.update(add_versions(archive, export.used, packing))
         archive.finish(
             Manifest(
                 made_at=utc_now().isoformat(timespec="seconds"),
@@ -159,6 +149,7 @@ class _Export:
         self._algorithms: set[str] = set()
         self._datasets: set[str] = set()
         self._experiments: set[str] = set()
+        self.used: set[tuple[str, AlgorithmVersion]] = set()
         self._modes = {record.name: record.mode for record in store.read(lambda t: t.catalogue.algorithms())}
 
     def runs(self, run_ids: Sequence[int]) -> Iterator[int]:
@@ -221,6 +212,8 @@ class _Export:
         self._line(layout.RUNS, lines.run_to_line(run, original, evaluations, instead))
         self._algorithms.add(run.algorithm)
         self._datasets.add(run.dataset)
+        if run.version is not None:
+            self.used.add((run.package, run.version))
         if run.experiment is not None:
             self._experiments.add(run.experiment)
 
@@ -237,9 +230,7 @@ class _Export:
     def _folder(self, folder: RunFolder, record: dict[str, Any]) -> None:
         own = f"runs/{folder.root.name}/"
         as_it_is = record == folder.read_record()
-        for name, path in _files(folder.root, self._report.files_left_out):
-            if any(_LEFT_OUT[part](name) for part in self._request.without):
-                continue
+        for name, path in files_of_run(folder.root, self._request.without, self._report.files_left_out):
             if name == folder.record.name and not as_it_is:
                 self._archive.add_bytes(f"{own}{name}", RunFolder.record_text(record).encode(), path.stat().st_mtime)
             else:
@@ -274,7 +265,7 @@ class _Export:
                 self._datasets.add(record.configuration.dataset)
 
     def _dataset_folder(self, name: str) -> None:
-        """Its description and its ground truth; the recording stays where it is."""
+        """Its description and its ground truth; the recording stays where it is, unless it is asked for."""
         folder = self._settings.datasets_folder / name
         try:
             dataset = load_dataset(folder)
@@ -285,6 +276,9 @@ class _Export:
         for file in (*truths, dataset.relations):
             if file is not None:
                 self._archive.add_file(f"datasets/{name}/{file}", folder / file)
+        if Extra.RECORDINGS in self._request.extra and dataset.bag:
+            add_recording(self._archive, dataset)
+            self._report.counts["recordings"] += 1
 
 
 def _batch(t: Transaction, run_ids: Sequence[int]) -> _Batch:
@@ -292,32 +286,3 @@ def _batch(t: Transaction, run_ids: Sequence[int]) -> _Batch:
     rows = t.archive
     originals = rows.uids(run.retry_of for run in runs if run.retry_of is not None)
     return _Batch(runs, originals, rows.evaluations(run_ids), rows.events(run_ids))
-
-
-def _files(root: Path, left_out: Counter[str]) -> Iterator[tuple[str, Path]]:
-    """The files of a run folder by name, sorted; not what is scratch, or a write that was cut off.
-
-    What an algorithm left that no archive can hold is counted in ``left_out``.
-    """
-    for top in sorted(root.iterdir()):
-        if top.name.startswith(".") or top.name == _SCRATCH:
-            continue
-        if top.is_file() and not top.is_symlink():
-            yield top.name, top
-        entries = walk(top) if top.is_dir() and not top.is_symlink() else ()
-        hidden = top.name != _RESULT
-        found = [(f"{top.name}/{entry.place}", _unfit(entry)) for entry in entries]
-        for name, problem in sorted(found):
-            if hidden and "/." in name:
-                continue
-            if problem == "" and layout.is_safe(name):
-                yield name, root / name
-            elif problem is not None:
-                left_out[problem or ODD_NAMES] += 1
-
-
-def _unfit(entry: Entry) -> str | None:
-    """Why something below a run folder cannot be a member, empty if it can; None for a folder, which is none."""
-    if entry.is_folder:
-        return None if entry.entered else "folders too deep to be looked into"
-    return "" if entry.is_file else "links, pipes and other things that are no files"

@@ -8,6 +8,7 @@ Other modules use the names of the first format for both: ``runs/1/run.json``, a
 
 from __future__ import annotations
 
+import hashlib
 import re
 from dataclasses import dataclass
 
@@ -39,6 +40,8 @@ LARGEST_TEXT_BYTES = 16_000_000
 LARGEST_RATIO = 1100
 """Deflate makes nothing smaller than a 1032nd."""
 
+VERSIONS = "versions"
+_VERSION_FILE = re.compile(r"[0-9a-f]{16}\.tar")
 _RUN_NUMBER = re.compile(r"[1-9][0-9]{0,17}")
 _MOST_PARTS = 16
 _LONGEST_PART_BYTES = 255
@@ -139,9 +142,17 @@ def _is_payload(name: str) -> bool:
         return True
     parts = name.split("/")
     known = len(parts) > 2 and (
-        parts[0] in ("datasets", "experiments") or (parts[0] == "runs" and _RUN_NUMBER.fullmatch(parts[1]))
+        parts[0] in ("datasets", "experiments")
+        or (parts[0] == "runs" and _RUN_NUMBER.fullmatch(parts[1]))
+        or (parts[0] == VERSIONS and len(parts) == 3 and _VERSION_FILE.fullmatch(parts[2]))
     )
     return bool(known) and _safe(parts) and len(name.encode(errors="replace")) <= _LONGEST_NAME_BYTES
+
+
+def version_member(package: str, identity: str, package_hash: str) -> str:
+    """The member that holds a version of a package. Its number differs from one installation to the next."""
+    digest = hashlib.sha256(f"{identity} {package_hash}".encode()).hexdigest()
+    return f"{VERSIONS}/{package}/{digest[:16]}.tar"
 
 
 def is_safe(name: str) -> bool:

@@ -82,14 +82,15 @@ def completed(record: dict[str, Any], run: RunRecord, events: list[RunEvent]) ->
     return {**record, **Outcome.of(run).content, "events": events_to_json(events)}
 
 
-def check_record(record: Mapping[str, Any], line: RunLine) -> None:
-    """Raise InvalidInput unless ``record`` is that of the ended run ``line``, and whole."""
+def check_record(record: Mapping[str, Any], line: RunLine) -> RunFile:
+    """The record of a run; raises InvalidInput unless it is that of the ended run ``line``, and whole."""
     file = _whole(RunFile, lambda: RunFile.read(record), f"record of run {line.id}")
     check_name("algorithm", file.request.algorithm)
     check_name("dataset", file.request.dataset)
     if file.id != line.id or file.uid != line.uid or not file.state.ended:
         raise InvalidInput(f"the record of run {line.id} is that of another run, or of one that has not ended")
     evaluations_of(line)
+    return file
 
 
 def configuration_from_line(content: Mapping[str, Any]) -> ConfigurationLine:

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
+
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.external import EXTERNAL_PACKAGE, external_algorithm
 from slamhive.domain.sensors import SensorSetup
-from slamhive.errors import InvalidInput
+from slamhive.domain.versions import version_label
+from slamhive.errors import InvalidInput, NotFound
 from slamhive.services.datasets.catalogue import Catalogue
-from slamhive.store import Store
+from slamhive.store import RunRecord, Store
 
 
-def algorithm_here_or_elsewhere(store: Store, catalogue: Catalogue, name: str, package: str) -> Algorithm:
-    """The algorithm called ``name`` of the package stored with a run; raises as the catalogue does."""
-    if package != EXTERNAL_PACKAGE:
-        return catalogue.algorithm(name)
-    return external_algorithm(name, SensorSetup(store.read(lambda t: t.catalogue.algorithm(name)).mode))
+def algorithm_here_or_elsewhere(store: Store, catalogue: Catalogue, run: RunRecord) -> Algorithm:
+    """The algorithm of a run; raises as the catalogue does.
+
+    A run that names a version has the algorithm of that version, or, if its folder was removed, as it is now.
+    """
+    name = run.algorithm
+    if run.package == EXTERNAL_PACKAGE:
+        return external_algorithm(name, SensorSetup(store.read(lambda t: t.catalogue.algorithm(name)).mode))
+    if run.asked_version is not None:
+        with contextlib.suppress(NotFound):
+            return catalogue.algorithm(version_label(name, run.asked_version))
+    return catalogue.algorithm(name)
 
 
 def imported_algorithms(store: Store) -> tuple[Algorithm, ...]:

@@ -279,7 +279,7 @@ class Evaluations:
         """The pose, in the body frame, of the sensor that the trajectory describes."""
         if run.executor == IMPORTED:
             return IDENTITY4
-        algorithm = self._catalogue.algorithm(run.algorithm)
+        algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run)
         assigned = algorithm.assign(self._catalogue.dataset(run.dataset), run.sensors)
         return assigned[algorithm.trajectory_role].T_body_sensor
 
@@ -287,7 +287,7 @@ class Evaluations:
         """The protocol for evaluating ``run``: as requested, as submitted, or the default for its sensors."""
         if asked is None and run.protocol_override is not None:
             return run.protocol_override
-        algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run.algorithm, run.package)
+        algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run)
         return fitting_protocol(algorithm, self._catalogue.dataset(run.dataset), self._settings, asked)
 
     def _heartbeat(self, owner: str, evaluation_ids: list[int], ends: threading.Event) -> None:

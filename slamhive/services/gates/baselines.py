@@ -172,15 +172,24 @@ def _configurations(t: Transaction, run_ids: Sequence[int], asked: str | None) -
         if run.state in (RunState.SUCCEEDED, RunState.FAILED):
             groups[pairing_key(ConfigurationContent.of(run))].append(run)
     for runs in groups.values():
-        found = _configuration(t, runs, protocols, asked)
+        found = frozen_configuration(t, runs, protocols, asked)
         if found is not None:
             yield found
 
 
-def _configuration(
-    t: Transaction, runs: Sequence[RunRecord], protocols: Mapping[str, Protocol], asked: str | None
+def frozen_configuration(
+    t: Transaction, runs: Sequence[RunRecord], protocols: Mapping[str, Protocol], asked: str | None = None
 ) -> BaselineConfiguration | None:
-    """One configuration; None if no run of it was evaluated. Raises InvalidInput if its runs are not comparable."""
+    """The configuration of ``runs`` with their values; None if none was evaluated.
+
+    Args:
+        t: Where the values are.
+        runs: Ended runs of one configuration.
+        protocols: All protocols by fingerprint.
+        asked: Fingerprint of the protocol of the errors; None for that of the runs' lists.
+
+    Raises InvalidInput if the runs are not comparable, or all failed.
+    """
     words = f"{runs[0].algorithm} on {runs[0].dataset}"
     own = {run.protocol.fingerprint: run.protocol.label for run in runs if run.protocol is not None}
     if asked is None and len(own) > 1:

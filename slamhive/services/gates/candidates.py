@@ -30,12 +30,14 @@ class GateCheck:
         margins: By how much each metric may become worse.
         ignored: Parameters that may differ.
         partial: Whether a check can pass although configurations of the baseline have no runs.
+        both_ways: Whether better values than those of the baseline count as worse ones do.
     """
 
     baseline: Baseline
     margins: Mapping[str, Margin]
     ignored: frozenset[str] = frozenset()
     partial: bool = False
+    both_ways: bool = False
 
 
 @dataclass(frozen=True, slots=True)

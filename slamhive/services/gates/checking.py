@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slamhive.analysis.equivalence import failure_equivalence, rank_equivalence
 from slamhive.analysis.regression import (
     Change,
     Evidence,
@@ -49,9 +50,7 @@ def answer_of(
         significance: The largest chance of a false alarm of this look.
         looks: The number of this look.
     """
-    tested = {key: found for key, margin in check.margins.items() if (found := _test(key, margin, pairs))}
-    decided = decide({key: entry.evidence for key, entry in tested.items()}, significance)
-    metrics = [_compared(key, check.margins[key], decided[key], tested[key], pairs) for key in tested]
+    metrics = compared(check, pairs, significance)
     missing = tuple(name for name in check.baseline.names if name not in {pair.words for pair in pairs})
     answers = [entry.answer for entry in metrics]
     answer = Answer.over([*answers, Answer.UNDECIDED] if missing and not check.partial else answers)
@@ -68,6 +67,13 @@ def answer_of(
     )
 
 
+def compared(check: GateCheck, pairs: Sequence[Pair], significance: float) -> list[GateMetric]:
+    """The answer for each metric that the baseline has values of."""
+    tested = {key: found for key in check.margins if (found := _test(key, check, pairs))}
+    decided = decide({key: entry.evidence for key, entry in tested.items()}, significance)
+    return [_compared(key, check.margins[key], decided[key], tested[key], pairs) for key in tested]
+
+
 @dataclass(frozen=True, slots=True)
 class _Tested:
     """The evidence over all pairs, and that of each by its place."""
@@ -76,9 +82,9 @@ class _Tested:
     parts: Sequence[tuple[int, Evidence]]
 
 
-def _test(key: str, margin: Margin, pairs: Sequence[Pair]) -> _Tested | None:
+def _test(key: str, check: GateCheck, pairs: Sequence[Pair]) -> _Tested | None:
     """The evidence on one metric; None if the baseline has no value of it in any pair."""
-    parts = [(place, found) for place, pair in enumerate(pairs) if (found := _evidence(key, margin, pair))]
+    parts = [(place, found) for place, pair in enumerate(pairs) if (found := _evidence(key, check, pair))]
     if not parts:
         return None
     sizes = [(len(pairs[place].held.runs), len(pairs[place].runs)) for place, _ in parts]
@@ -86,13 +92,15 @@ def _test(key: str, margin: Margin, pairs: Sequence[Pair]) -> _Tested | None:
     return _Tested(over_configurations([entry for _, entry in parts], weights), parts)
 
 
-def _evidence(key: str, margin: Margin, pair: Pair) -> Evidence | None:
+def _evidence(key: str, check: GateCheck, pair: Pair) -> Evidence | None:
+    margin = check.margins[key]
     if key == FAILURES:
-        return failure_evidence(_failures(pair), margin)
+        return (failure_equivalence if check.both_ways else failure_evidence)(_failures(pair), margin)
     baseline = ranked_values(key, pair.held.runs)
     if not np.isfinite(baseline).any():
         return None
-    return rank_evidence(Sample(baseline, ranked_values(key, pair.measured)), margin)
+    sample = Sample(baseline, ranked_values(key, pair.measured))
+    return (rank_equivalence if check.both_ways else rank_evidence)(sample, margin)
 
 
 def ranked_values(key: str, runs: Sequence[MeasuredRun]) -> Numbers:
@@ -117,7 +125,8 @@ def _failures(pair: Pair) -> FailureCounts:
     return FailureCounts(counts[0], len(pair.held.runs), counts[1], len(pair.measured))
 
 
-def _good_values(key: str, runs: Sequence[MeasuredRun]) -> Numbers:
+def good_values(key: str, runs: Sequence[MeasuredRun]) -> Numbers:
+    """The values of a metric of the good runs, as they are."""
     return np.array([run.metrics[key] for run in runs if run.failed is None and key in run.metrics], dtype=float)
 
 
@@ -147,7 +156,7 @@ def _compared(
 def _change(key: str, margin: Margin, pairs: Sequence[Pair]) -> Change | None:
     if key == FAILURES:
         return Change(sum(_failures(pair).excess for pair in pairs) / len(pairs), None)
-    values = [(_good_values(key, pair.held.runs), _good_values(key, pair.measured)) for pair in pairs]
+    values = [(good_values(key, pair.held.runs), good_values(key, pair.measured)) for pair in pairs]
     return typical_change([pair for pair in values if all(map(len, pair))], relative=margin.relative)
 
 
@@ -157,7 +166,7 @@ def _values(key: str, place: int, evidence: Evidence, pair: Pair) -> GateValues:
         baseline: float | None = counts.baseline_failed / counts.baseline
         candidate: float | None = counts.candidate_failed / counts.candidate
     else:
-        good = [_good_values(key, runs) for runs in (pair.held.runs, pair.measured)]
+        good = [good_values(key, runs) for runs in (pair.held.runs, pair.measured)]
         baseline, candidate = (float(np.median(values)) if len(values) else None for values in good)
     return GateValues(
         configuration=place,

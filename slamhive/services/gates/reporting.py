@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 from slamhive.analysis.result import Cell, ResultTable, TableColumn
 from slamhive.domain.gate import FAILURES, Answer
 from slamhive.domain.numbers import plural
-from slamhive.schema.gate import GateAnswer, GateConfiguration, GateMetric
+from slamhive.schema.gate import GateAnswer, GateConfiguration, GateMetric, MetricChange
 from slamhive.services.markdown_table import escaped, table_markdown
 
 _SIGNS = {Answer.PASS: "✅", Answer.WORSE: "❌", Answer.UNDECIDED: "❔"}
@@ -71,7 +71,8 @@ def answer_junit(answer: GateAnswer) -> str:
 def metric_row(entry: GateMetric) -> tuple[Cell, ...]:
     """The cells of a metric, as tables show them."""
     change, interval = change_words(entry)
-    return entry.label, entry.margin, change, interval, _p(entry.p_worse), _p(entry.p_within), entry.answer.value
+    p_values = p_words(entry.p_worse), p_words(entry.p_within)
+    return entry.label, entry.margin, change, interval, *p_values, entry.answer.value
 
 
 def value_rows(answer: GateAnswer) -> list[tuple[Cell, ...]]:
@@ -83,7 +84,7 @@ def value_rows(answer: GateAnswer) -> list[tuple[Cell, ...]]:
             found = [entry for entry in metric.configurations if entry.configuration == place]
             for entry in found if metric.key != FAILURES else []:
                 label = f"{metric.label} [{metric.unit}]" if metric.unit else metric.label
-                p_values = _p(entry.p_worse), _p(entry.p_within)
+                p_values = p_words(entry.p_worse), p_words(entry.p_within)
                 rows.append((configuration.words, label, entry.baseline, entry.candidate, *p_values))
     return rows
 
@@ -100,7 +101,7 @@ def _failure_row(configuration: GateConfiguration) -> tuple[Cell, ...]:
     )
 
 
-def change_words(entry: GateMetric) -> tuple[str | None, str | None]:
+def change_words(entry: MetricChange) -> tuple[str | None, str | None]:
     """The change and its interval: ``+4.2 %`` and ``-1.0 % to +9.3 %``; None where there is none."""
     if entry.change is None:
         return None, None
@@ -109,11 +110,12 @@ def change_words(entry: GateMetric) -> tuple[str | None, str | None]:
     return _change(entry, entry.change), f"{_change(entry, entry.change_low)} to {_change(entry, entry.change_high)}"
 
 
-def _change(entry: GateMetric, value: float) -> str:
+def _change(entry: MetricChange, value: float) -> str:
     return f"{100 * value:+.1f} %" if entry.change_relative else f"{value:+.3g} {entry.unit}".strip()
 
 
-def _p(value: float | None) -> str | None:
+def p_words(value: float | None) -> str | None:
+    """A p value as tables show it."""
     if value is None:
         return None
     return f"{value:.2g}" if value >= 0.001 else "< 0.001"
@@ -130,7 +132,7 @@ def _case(answer: GateAnswer, entry: GateMetric) -> ET.Element:
     change, interval = change_words(entry)
     message = f"{entry.label} changed by {change or 'an unknown amount'}"
     message += f" (95 % interval {interval})" if interval else ""
-    message += f"; the margin is {entry.margin}, the p value of worse {_p(entry.p_worse)}"
+    message += f"; the margin is {entry.margin}, the p value of worse {p_words(entry.p_worse)}"
     if entry.answer is Answer.WORSE:
         ET.SubElement(case, "failure", message=message, type="worse")
     elif entry.answer is Answer.UNDECIDED:

@@ -7,19 +7,21 @@ from typing import TYPE_CHECKING
 from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.versions.importing import ImportedVersion, is_export
+    from slamhive.services.versions.importing import ImportedVersion, PackedVersion, is_export, opened_version
     from slamhive.services.versions.keeping import check_version, identity_of_version, keep_version
     from slamhive.services.versions.service import Finding, VersionReport, Versions
 
 __all__ = [
     "Finding",
     "ImportedVersion",
+    "PackedVersion",
     "VersionReport",
     "Versions",
     "check_version",
     "identity_of_version",
     "is_export",
     "keep_version",
+    "opened_version",
 ]
 
 if not TYPE_CHECKING:

@@ -73,13 +73,13 @@ class HashedReader:
         return self._digest.hexdigest()
 
 
-def export_version(record: VersionRecord, package: Path, image: Iterable[bytes], path: Path) -> None:
+def export_version(record: VersionRecord, package: Path, image: Iterable[bytes] | None, path: Path) -> None:
     """Write the archive of a version to ``path``, which gets its name when the archive is complete.
 
     Args:
         record: The version.
         package: The folder of the package as it was.
-        image: What the engine saves of the image.
+        image: What the engine saves of the image; None for an archive that holds the package alone.
         path: A file that does not exist; raises Conflict if it does.
 
     Raises Unavailable if the disk refuses.
@@ -108,7 +108,7 @@ def export_version(record: VersionRecord, package: Path, image: Iterable[bytes],
 
 
 def _members(
-    archive: tarfile.TarFile, record: VersionRecord, package: Path, image: Iterable[bytes]
+    archive: tarfile.TarFile, record: VersionRecord, package: Path, image: Iterable[bytes] | None
 ) -> Iterator[tuple[str, str]]:
     """Add all members but the manifest; name and checksum of each file."""
     description = {
@@ -120,12 +120,15 @@ def _members(
         "identity": record.identity,
         "package_hash": record.package_hash,
         "created_at": record.created_at.isoformat(),
+        "image": image is not None,
     }
     yield DESCRIPTION, _add(archive, DESCRIPTION, json.dumps(description, indent=1).encode())
     for path in sorted(package.rglob("*")):
         if path.is_file() and "__pycache__" not in path.parts:
             name = PACKAGE + path.relative_to(package).as_posix()
             yield name, _add(archive, name, path.read_bytes())
+    if image is None:
+        return
     with tarfile.open(fileobj=io.BufferedReader(ChunkStream(image), BLOCK_BYTES), mode="r|") as saved:
         for member in saved:
             content = saved.extractfile(member) if member.isreg() else None

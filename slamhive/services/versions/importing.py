@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tarfile
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -42,6 +43,37 @@ class ImportedVersion:
     added: bool
 
 
+@dataclass(frozen=True, slots=True)
+class PackedVersion:
+    """A version in an archive that was checked: its package, unpacked for a while, and whether it has its image."""
+
+    package: AlgorithmPackage
+    identity: str
+    package_hash: str
+    has_image: bool
+
+
+@contextmanager
+def opened_version(path: Path, root: Path | None = None) -> Iterator[PackedVersion]:
+    """Check the archive of a version, and unpack its package for the block, below ``root``. Nothing is executed.
+
+    Raises InvalidInput if it is damaged, or none of ours; Unavailable if the disk refuses.
+    """
+    with temporary_folder(root=root) as aside:
+        try:
+            description = _unpack_checked(path, aside)
+        except (tarfile.TarError, OSError, EOFError) as error:
+            raise InvalidInput(f"{path} cannot be read: {error}", _REMEDY) from None
+        source = aside / "package"
+        _check_package(path, source, description)
+        yield PackedVersion(
+            load_algorithms(source)[0].package,
+            str(description["identity"]),
+            str(description["package_hash"]),
+            description.get("image") is not False,
+        )
+
+
 def is_export(path: Path) -> bool:
     """Whether ``path`` is an archive of ours, and not one that ``docker save`` alone has written."""
     try:
@@ -62,25 +94,22 @@ def import_version(path: Path, folders: Sequence[Path], executor: Executor) -> I
         Conflict: A folder of the package is here that is not the one of the archive.
         Unavailable: The disk or the engine refuses.
     """
-    with temporary_folder() as aside:
-        try:
-            description = _unpack_checked(path, aside)
-        except (tarfile.TarError, OSError, EOFError) as error:
-            raise InvalidInput(f"{path} cannot be read: {error}", _REMEDY) from None
-        source = aside / "package"
-        _check_package(path, source, description)
-        targets = [folder / str(description["package"]) for folder in folders]
+    with opened_version(path) as packed:
+        name = packed.package.name
+        if not packed.has_image:
+            raise InvalidInput(f"{path} holds the package {name} without an image", "build it")
+        targets = [folder / name for folder in folders]
         target = next((entry for entry in targets if entry.exists()), targets[-1])
         added = not target.exists()
-        if not added and package_hash(target) != description["package_hash"]:
+        if not added and package_hash(target) != packed.package_hash:
             raise Conflict(f"{target} is another package than that of {path}", "move the folder away, then import")
         identity = executor.load_image(_chunks(path))
-        if identity != description["identity"]:
-            raise InvalidInput(f"{path} holds image {identity[:19]}, not {str(description['identity'])[:19]}", _REMEDY)
+        if identity != packed.identity:
+            raise InvalidInput(f"{path} holds image {identity[:19]}, not {packed.identity[:19]}", _REMEDY)
         if added:
-            copy_package(source, target)
+            copy_package(packed.package.folder, target)
     package = load_algorithms(target)[0].package
-    return ImportedVersion(package, identity, str(description["package_hash"]), str(description["version"]), added)
+    return ImportedVersion(package, identity, packed.package_hash, package.version, added)
 
 
 def _unpack_checked(path: Path, aside: Path) -> dict[str, Any]:

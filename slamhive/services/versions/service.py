@@ -12,7 +12,7 @@ from slamhive.clock import utc_now
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.domain.versions import split_version
 from slamhive.errors import Conflict, InvalidInput, NotFound, SlamHiveError, unknown
-from slamhive.executors.base import Executor, ImageMissing
+from slamhive.executors.base import Executor, ImageMissing, PackageNeed
 from slamhive.services.datasets import Catalogue, check_writable
 from slamhive.services.executors import Executors
 from slamhive.services.versions.exporting import export_version
@@ -196,6 +196,34 @@ class Versions:
             raise ImageMissing(f"the image of {record.label} is gone", "slamhive algorithm verify lists all of them")
         export_version(record, folder, image, path)
         return record
+
+    def pack(self, record: VersionRecord, path: Path, *, image: bool) -> bool:
+        """Write package, and with ``image`` the image, of a version for an archive of runs; whether the image is in it.
+
+        An environment of a process is no image: it is built from the package. Raises InvalidInput if the folder of the
+        package is gone, ImageMissing if the image is.
+        """
+        package = self.package_with(record.package, record.package_hash)
+        if package is None:
+            raise InvalidInput(f"the folder of {record.label} was not kept", "leave out --with packages and images")
+        executors = [entry for entry in self._usable() if entry.has(package, record.identity)] if image else []
+        executor = next((entry for entry in executors if entry.capabilities.needs is PackageNeed.IMAGE), None)
+        if image and not executors:
+            raise ImageMissing(f"the image of {record.label} is gone", "give --with packages in place of images")
+        export_version(record, package.folder, None if executor is None else executor.save_image(record.identity), path)
+        return executor is not None
+
+    def package_with(self, name: str, content_hash: str) -> AlgorithmPackage | None:
+        """The package ``name`` with exactly these files: a kept folder, or that of the project; None if it is gone."""
+        for record in self.of(name):
+            folder = self._folder(record)
+            if record.package_hash == content_hash and folder.is_dir() and package_hash(folder) == content_hash:
+                return load_algorithms(folder)[0].package
+        try:
+            package = self._catalogue.package(name)
+        except SlamHiveError:
+            return None
+        return package if package_hash(package.folder) == content_hash else None
 
     def load(self, path: Path, executor: Executor) -> tuple[ImportedVersion, VersionRecord]:
         """Import the archive that :meth:`export` wrote; what it holds, and the version that it is here."""

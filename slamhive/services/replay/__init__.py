@@ -1,0 +1,35 @@
+"""Replays: what a bundle recorded runs again, and is compared with the record."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.services.replay.reporting import (
+        CONFIGURATION_HEADS,
+        METRIC_HEADS,
+        VALUE_HEADS,
+        answer_markdown,
+        configuration_rows,
+        metric_rows,
+        value_rows,
+    )
+    from slamhive.services.replay.request import ReplayRequest
+    from slamhive.services.replay.service import Replays
+
+__all__ = [
+    "CONFIGURATION_HEADS",
+    "METRIC_HEADS",
+    "VALUE_HEADS",
+    "ReplayRequest",
+    "Replays",
+    "answer_markdown",
+    "configuration_rows",
+    "metric_rows",
+    "value_rows",
+]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)
