@@ -212,6 +212,11 @@ class Settings(BaseSettings):
         return self.data / "trash"
 
     @property
+    def answers_folder(self) -> Path:
+        """Where answers to requests with an ``Idempotency-Key`` lie for a day."""
+        return self.ledger_folder / "answers"
+
+    @property
     def runs_folder(self) -> Path:
         """Where run folders lie."""
         return self.data / "runs"

@@ -13,7 +13,7 @@ from slamhive.domain.metrics import described
 from slamhive.domain.numbers import plural
 from slamhive.errors import Conflict
 from slamhive.schema import protocol as schema
-from slamhive.services.evaluations import ToolFigures, UsedProtocol, presets
+from slamhive.services.evaluations import ToolFigures, preset_documents, presets, protocols_document
 from slamhive.settings import Mode
 from slamhive.strict_yaml import dump
 
@@ -30,7 +30,7 @@ def list_protocols(cli: CliContext, as_json: bool) -> None:
     """List presets, and protocols in use by fingerprint."""
     used = cli.hive().protocols.used()
     if as_json:
-        print_json(schema.Protocols(presets=tuple(_presets().values()), used=tuple(map(_used, used))).content)
+        print_json(protocols_document(used).content)
         return
     runs = {entry.protocol.fingerprint: entry.runs for entry in used}
     rows: list[tuple[str | None, str, int, str]] = [
@@ -54,7 +54,9 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
     request = cli.hive().protocols.find(name)
     preset = dict(presets()).get(name)
     if as_json:
-        print_json({"name": name, "values": dict(request.values)} if preset is None else _presets()[name].content)
+        print_json(
+            {"name": name, "values": dict(request.values)} if preset is None else preset_documents()[name].content
+        )
         return
     if preset is not None:
         click.echo(f"# {preset.title}\n# {preset.differs}\n# {preset.source}")
@@ -119,23 +121,6 @@ def _tool(row: ToolFigures) -> schema.ToolMetrics:
         note=row.note,
         differs=row.preset.differs,
     )
-
-
-def _presets() -> dict[str, schema.Preset]:
-    return {
-        name: schema.Preset.of(
-            preset,
-            name=name,
-            fingerprint=preset.protocol.fingerprint,
-            values=preset.protocol,
-            figures=preset.metrics,
-        )
-        for name, preset in presets()
-    }
-
-
-def _used(entry: UsedProtocol) -> schema.UsedProtocol:
-    return schema.UsedProtocol.of(entry.protocol, values=entry.protocol, runs=entry.runs)
 
 
 COMMANDS = (protocol,)

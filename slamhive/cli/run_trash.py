@@ -7,6 +7,7 @@ import click
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.domain.numbers import plural
+from slamhive.schema.api_answers import DeletedRun
 
 
 @click.command("delete")
@@ -37,10 +38,11 @@ def trash(cli: CliContext, empty: bool, as_json: bool) -> None:
     if empty:
         click.echo(f"{plural(hive.trash.empty(), 'run')} removed for good")
         return
-    rows = [(run.deleted.run_id, run.algorithm, run.dataset, run.deleted.at.isoformat()) for run in hive.trash.listed()]
+    found = hive.trash.listed()
+    rows = [(run.deleted.run_id, run.algorithm, run.dataset, run.deleted.at.isoformat()) for run in found]
     columns = ("id", "algorithm", "dataset", "deleted_at")
     if as_json:
-        print_json([dict(zip(columns, row, strict=True)) for row in rows])
+        print_json([DeletedRun.of(run).content for run in found])
     elif rows:
         print_table(columns, rows, right=("id",))
     else:

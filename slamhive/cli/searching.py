@@ -191,13 +191,9 @@ def list_(cli: CliContext, as_json: bool) -> None:
     """List saved searches."""
     saved = cli.hive().searches.saved()
     if as_json:
-        print_json(
-            [
-                {"name": entry.name, "where": entry.filter_text, "columns": list(entry.columns), "sort": entry.sort.key,
-                 "descending": entry.sort.descending, "group": entry.grouped}
-                for entry in saved
-            ]
-        )  # fmt: skip
+        from slamhive.schema.api_answers import SavedSearch  # noqa: PLC0415 - lists of runs need none of these models
+
+        print_json([SavedSearch.of(entry).content for entry in saved])
         return
     rows = [(entry.name, entry.filter_text or "all runs", entry.sort.key, ", ".join(entry.columns)) for entry in saved]
     print_table(("name", "where", "sort", "columns"), rows)

@@ -19,6 +19,7 @@ from slamhive.schema.fields import described, options_of
 
 CONTENT = "content"
 """The group of the fields that make up a configuration."""
+MAX_REPEATS = 1000
 
 CpuCores = Annotated[
     float | None,
@@ -141,7 +142,7 @@ class Submission:
             group=CONTENT,
         ),
     ] = field(default_factory=dict)
-    repeat: Annotated[int, described("How many runs of this configuration.", ge=1, le=1000)] = 1
+    repeat: Annotated[int, described("How many runs of this configuration.", ge=1, le=MAX_REPEATS)] = 1
     executor: Executor = None
     seed: Annotated[int, described("Seed of the first run; repeats get the next ones.", ge=0, le=2**31 - 1)] = 0
     playback_mode: Annotated[

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from slamhive.services.fetching import Fetching
     from slamhive.services.gates import Gates
     from slamhive.services.imports import Imports
+    from slamhive.services.kept_answers import KeptAnswers
     from slamhive.services.ledger import Ledger
     from slamhive.services.replay import Replays
     from slamhive.services.reports import Analyses
@@ -271,6 +272,13 @@ class Hive:
         from slamhive.services.trash import Trash
 
         return Trash(self.settings, self.store, self.catalogue, self.ledger)
+
+    @cached_property
+    def kept_answers(self) -> KeptAnswers:
+        """Answers to changes that programs may ask for twice."""
+        from slamhive.services.kept_answers import KeptAnswers
+
+        return KeptAnswers(self.settings.answers_folder)
 
     def worker(self, only: Sequence[int] | None = None) -> Worker:
         """A worker of this installation, for all runs or for ``only`` these; its ``run`` does the work."""

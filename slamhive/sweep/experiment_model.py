@@ -12,6 +12,7 @@ from slamhive.domain.names import NAME_PATTERN, check_name
 from slamhive.domain.parameters import Value
 from slamhive.errors import InvalidInput
 from slamhive.schema.submission import (
+    MAX_REPEATS,
     NEVER,
     OPTIONS,
     Executor,
@@ -26,7 +27,6 @@ from slamhive.schema.validation import PLAIN, SECTION, explained
 from slamhive.sweep.condition import parse_condition
 from slamhive.sweep.values import check_distinct, parse_values
 
-MAX_REPEATS = 1000
 _SEED, _RATE = OPTIONS["seed"], OPTIONS["playback_rate"]
 _NAME = re.compile(NAME_PATTERN)
 

@@ -29,7 +29,7 @@ STANDARD = Rule()
 OPEN = frozenset({"static", "bootstrap.static", "assets.plotly_js", "dashboard.health"})
 """Endpoints for everybody: styles and scripts, which the page to sign in needs, and the health check."""
 RULES = {
-    **dict.fromkeys(("algorithms", "analyses", "api", "api_docs", "api_experiments", "compare"), STANDARD),
+    **dict.fromkeys(("algorithms", "analyses", "api", "api_docs", "compare"), STANDARD),
     **dict.fromkeys(("configurations", "dashboard", "datasets", "experiment_builder", "experiments", "help"), STANDARD),
     **dict.fromkeys(("public_datasets", "runs", "searches", "selected_runs", "start", "trash"), STANDARD),
     "analyses.create": Rule(change=Action.ANALYSE),

@@ -31,6 +31,8 @@ MEDIA_TYPES = {
     "bib": "text/x-bibtex",
 }
 PAGE_FILE, ZIP_FILE, BIBLIOGRAPHY = "report.html", "report.zip", "references.bib"
+ALWAYS = (SOURCE, PAGE_FILE, ZIP_FILE, BIBLIOGRAPHY)
+"""What every report has, besides the files of its plots and tables."""
 
 
 class AnalysisFiles:

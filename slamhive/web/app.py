@@ -21,7 +21,7 @@ from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
 from slamhive.settings import Mode
 from slamhive.store import Store
-from slamhive.web import assets, context, formatting
+from slamhive.web import api, assets, context, formatting
 from slamhive.web.analysis_computer import AnalysisComputer
 from slamhive.web.analysis_files import AnalysisFiles
 from slamhive.web.caching import PageCache, add_caching, keep_pages
@@ -40,8 +40,7 @@ from slamhive.web.views import (
     administration,
     algorithms,
     analyses,
-    api,
-    api_experiments,
+    api_docs,
     compare,
     configurations,
     dashboard,
@@ -76,7 +75,7 @@ _BLUEPRINTS = (
     analyses.blueprint,
     help_pages.blueprint,
     api.blueprint,
-    api_experiments.blueprint,
+    api_docs.blueprint,
     assets.blueprint,
 )
 
@@ -120,8 +119,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     _show_one_moment(app, hive.store)
     Bootstrap5(app)
     csrf = CSRFProtect(app)
-    for blueprint in (api.blueprint, api_experiments.blueprint):
-        csrf.exempt(blueprint)
+    csrf.exempt(api.blueprint)
     handle_errors(app)
     if callers.needed:
         for blueprint in _ACCOUNT_BLUEPRINTS:

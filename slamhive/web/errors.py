@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import logging
+from http import HTTPStatus
 
-from flask import Flask, Response, jsonify, make_response, render_template, request
+from flask import Flask, Response, make_response, render_template, request
 from werkzeug.exceptions import BadRequest, HTTPException
 
 from slamhive.errors import (
@@ -17,6 +19,7 @@ from slamhive.errors import (
     Unauthenticated,
     Unavailable,
 )
+from slamhive.schema.api_answers import OldError, Problem
 
 logger = logging.getLogger(__name__)
 
@@ -85,11 +88,22 @@ def _bug(error: Exception) -> Response:
 
 def _answer(status: int, message: str, remedy: str | None) -> Response:
     if wants_json():
-        body = jsonify(error={"status": status, "message": message, "remedy": remedy})
-        return make_response(body, status)
+        return _problem(status, message, remedy)
     title = TITLES.get(status, "Error")
     if isinstance(request.routing_exception, BadRequest):  # without a valid Host header no page can be rendered
         return make_response(f"{title}: {message}", status, {"Content-Type": "text/plain; charset=utf-8"})
     return make_response(
         render_template("errors/error.html", status=status, title=title, message=message, remedy=remedy), status
     )
+
+
+def _problem(status: int, message: str, remedy: str | None) -> Response:
+    """Problem details (RFC 9457)."""
+    found = Problem(
+        title=HTTPStatus(status).phrase,
+        status=status,
+        detail=message,
+        remedy=remedy,
+        error=OldError(status=status, message=message, remedy=remedy),
+    )
+    return Response(json.dumps(found.content), status, mimetype="application/problem+json")

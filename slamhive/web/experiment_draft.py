@@ -9,6 +9,7 @@ from werkzeug.datastructures import MultiDict
 
 from slamhive.bags.variants.steps import STEPS
 from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.schema.api_requests import LONGEST_YAML
 from slamhive.services.experiments import ExperimentPreview, ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.web.experiment_fields import (
@@ -24,7 +25,7 @@ from slamhive.web.experiment_fields import (
 from slamhive.web.presenters.experiment_builder import new_step
 from slamhive.web.request_input import form_text, uploaded_text
 
-MOST_TEXT = 200_000
+MOST_TEXT = LONGEST_YAML
 """Characters in the YAML of an experiment."""
 
 

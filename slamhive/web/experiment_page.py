@@ -10,10 +10,10 @@ from werkzeug.datastructures import MultiDict
 from slamhive.domain.parameters import Value
 from slamhive.errors import unknown
 from slamhive.input_bounds import whole_number
+from slamhive.schema.submission import MAX_REPEATS
 from slamhive.search.grammar import Tree, join
 from slamhive.search.syntax import Comparison, Sign, Word, filter_text
 from slamhive.sweep.experiment import Experiment
-from slamhive.sweep.experiment_model import MAX_REPEATS
 from slamhive.web.formatting import value_text
 from slamhive.web.presenters.experiments import default_axes
 

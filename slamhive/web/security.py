@@ -120,7 +120,7 @@ def require_api_header() -> None:
     It cannot set an API token either.
     """
     if request.method not in SAFE_METHODS and API_HEADER not in request.headers and not context.caller().token:
-        raise Forbidden(f"changes through the API need the header {API_HEADER}: 1", "see docs/web.md")
+        raise Forbidden(f"changes through the API need the header {API_HEADER}: 1", "see docs/api.md")
 
 
 def secret_key(settings: Settings) -> str:

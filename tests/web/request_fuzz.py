@@ -16,6 +16,7 @@ from werkzeug.routing import Map, Rule
 from werkzeug.test import EnvironBuilder, TestResponse, run_wsgi_app
 from werkzeug.wrappers import Request
 
+from slamhive.web.api.idempotency import KEY_HEADER
 from slamhive.web.security import API_HEADER
 from tests.fuzzing import NASTY_BYTES, NASTY_JSON, NASTY_TEXTS, NASTY_VALUES, mutated
 
@@ -81,17 +82,36 @@ FORMS: Mapping[str, dict[str, str]] = {
     "analyses.create": {"yaml": ANALYSIS, "unlisted": "1"},
     "analyses.put_in_list": {"listed": "yes"},
 }
+SUBMISSION: dict[str, Any] = {
+    "algorithm": "eye-slam-stereo", "dataset": "room", "parameters": {"nFeatures": 800, "note": "x", "scale": 1.5},
+    "repeat": 1, "executor": "process", "seed": 3, "playback_mode": "realtime", "playback_rate": 1.0,
+    "evaluate": True, "alignment": None, "cpu_cores": 1.0, "memory_mb": 500, "timeout_s": 30.0, "priority": 0,
+    "variant": [{"kind": "rate", "sensors": ["camera0"], "options": {"hz": 10.0}}],
+}  # fmt: skip
 BODIES: Mapping[str, dict[str, Any]] = {
-    "api.submit": {
-        "algorithm": "eye-slam-stereo", "dataset": "room", "parameters": {"nFeatures": 800, "note": "x", "scale": 1.5},
-        "repeat": 1, "executor": "process", "seed": 3, "playback_mode": "realtime", "playback_rate": 1.0,
-        "evaluate": True, "alignment": None, "cpu_cores": 1.0, "memory_mb": 500, "timeout_s": 30.0, "priority": 0,
-        "variant": [{"kind": "rate", "sensors": ["camera0"], "options": {"hz": 10.0}}],
-    },
+    "api.submit": SUBMISSION,
     "api.evaluate": {"runs": [2], "alignment": "se3", "protocol": None},
-    "api_experiments.preview": {"yaml": EXPERIMENT},
-    "api_experiments.start": {"yaml": EXPERIMENT, "executor": "process"},
-    "api_experiments.add_repeats": {"count": 1},
+    "api.preview": SUBMISSION,
+    "api.preview_experiment": {"yaml": EXPERIMENT},
+    "api.start_experiment": {"yaml": EXPERIMENT, "executor": "process"},
+    "api.add_repeats": {"count": 1},
+    "api.show_protocol": {"protocol": "0" * 12},
+    "api.annotate": {"note": "a note", "tags": ["one", "two"]},
+    "api.tag": {"runs": [2], "add": ["one"], "remove": ["two"]},
+    "api.delete": {"runs": [999]},
+    "api.restore": {"runs": [999]},
+    "api.save_search": {
+        "name": "NAME", "where": "id > 0", "columns": ["id", "state"], "sort": "id", "descending": True, "group": False,
+    },
+    "api.create_configuration": {"submission": SUBMISSION, "name": "NAME", "note": "n", "group": "g"},
+    "api.import_configuration": {"yaml": CONFIGURATION, "name": None, "note": None, "group": "g"},
+    "api.modify_configuration": {"parameters": {"nFeatures": 900}, "playback_rate": 2.0, "name": "NAME"},
+    "api.describe_configuration": {"name": "NAME", "note": "n"},
+    "api.group_configuration": {"group": "g", "remove": False},
+    "api.make_variant": {"steps": [{"kind": "rate", "sensors": ["camera0"], "options": {"hz": 10.0}}]},
+    "api.create_analysis": {"yaml": ANALYSIS, "listed": False},
+    "api.check_analysis": {"yaml": ANALYSIS},
+    "api.list_analysis": {"listed": True},
 }  # fmt: skip
 QUERIES = {
     "where": "id > 0 and state = succeeded", "state": "failed", "reason": "timeout", "algorithm": "eye-slam-stereo",
@@ -106,7 +126,7 @@ HEADERS = (
     "Host", "Origin", "Referer", "Content-Type", "Content-Length", "Range", "If-Range", "If-None-Match",
     "If-Modified-Since", "Accept", "Accept-Encoding", "Accept-Language", "Cookie", "Last-Event-ID",
     "Transfer-Encoding", "X-Forwarded-For", "X-Forwarded-Host", "Forwarded", "Authorization", "X-CSRFToken",
-    API_HEADER, "Sec-Fetch-Site", "Expect", "User-Agent",
+    API_HEADER, KEY_HEADER, "Sec-Fetch-Site", "Expect", "User-Agent",
 )  # fmt: skip
 NASTY_HEADERS = (
     "", "*", "http://[::1", "http://[", "[::1", "::1", "//", "null", "localhost:99999999", "localhost:x", "a@b:c",

@@ -353,6 +353,24 @@ def test_changes_are_in_the_audit_log_with_what_they_stored(site: AccountWeb) ->
     ]
 
 
+def test_changes_through_the_api_are_in_the_audit_log_too(site: AccountWeb) -> None:
+    client, headers = site.web.app.test_client(), bearer(site, Role.MEMBER, Scope.CHANGE)
+    body = {"runs": [1, 2], "add": ["paper"]}
+    assert client.post("/api/v1/runs/tags", json=body, headers=headers).status_code == 200
+    assert last_lines(site, 1) == [("max", "api.tag", "runs 1 to 2")]
+
+
+def test_callers_do_not_share_the_keys_of_their_requests(site: AccountWeb) -> None:
+    client = site.web.app.test_client()
+    of_max, of_ada = bearer(site, Role.MEMBER, Scope.CHANGE), bearer(site, Role.ADMIN, Scope.CHANGE)
+    answers = [
+        client.post("/api/v1/runs/3/retry", headers={**headers, "Idempotency-Key": "a"})
+        for headers in (of_max, of_ada, of_max)
+    ]
+    first, other, again = [answer.get_json()["id"] for answer in answers]
+    assert first == again != other
+
+
 def test_what_is_refused_or_fails_leaves_no_line(site: AccountWeb) -> None:
     reader, member = site.of(Role.READER), site.of(Role.MEMBER)
     before = last_lines(site, 1)

@@ -83,10 +83,11 @@ def values_of(web: Web) -> dict[str, list[str]]:
         "configuration_id": ["1", "2", "3", "99"],
         "name": ["room", "hall", "trial", "eye-slam-mono", "slow-ones", "csv", "json", "runs", "report.html"],
         "token": tokens,
-        "key": ["log.txt", "traj.txt", "frames.csv", "0" * 16],
+        "key": ["log.txt", "traj.txt", "frames.csv", "report.html", "0" * 16],
         "figure": ["path", "cpu", "latency"],
         "action": ["pause", "resume", "cancel", "retry-failed", "add-repeats"],
         "number": ["0", "1", "2"],
+        "format": ["csv", "json", "ndjson", "parquet"],
         "filename": ["theme.js", "css/bootstrap.min.css"],
         "version": ["1"],
     }

@@ -29,6 +29,7 @@ VALUES = {
     "sensor": "camera",
     "filename": "theme.js",
     "token": "0" * 32,
+    "format": "csv",
 }
 
 

@@ -9,6 +9,7 @@ from slamhive.lazy import lazy_names
 if TYPE_CHECKING:
     from slamhive.services.evaluations.comparisons import NOT_EVALUATED, Comparisons, ToolFigures
     from slamhive.services.evaluations.current import CurrentProtocols
+    from slamhive.services.evaluations.documents import preset_documents, protocols_document
     from slamhive.services.evaluations.notes import evaluation_notes
     from slamhive.services.evaluations.protocols import Protocols, UsedProtocol, fitting_protocol, presets, protocol_for
     from slamhive.services.evaluations.scratch import sweep_scratch
@@ -26,8 +27,10 @@ __all__ = [
     "UsedProtocol",
     "evaluation_notes",
     "fitting_protocol",
+    "preset_documents",
     "presets",
     "protocol_for",
+    "protocols_document",
     "protocols_of_all",
     "sweep_scratch",
 ]

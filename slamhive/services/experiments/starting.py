@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from slamhive.clock import utc_now
 from slamhive.errors import Conflict, InvalidInput
+from slamhive.schema.submission import MAX_REPEATS
 from slamhive.services.experiments.changing import changing, write_record
 from slamhive.services.experiments.checks import disk_space_problems, find_disk_space, pair_problems
 from slamhive.services.experiments.context import ExperimentContext, Progress
@@ -17,7 +18,6 @@ from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
 from slamhive.sweep.expand import Expansion
 from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.experiment_file import parse_experiment
-from slamhive.sweep.experiment_model import MAX_REPEATS
 
 
 def start(context: ExperimentContext, source: ExperimentSource, executor: str | None, progress: Progress) -> str:

@@ -1,4 +1,4 @@
-"""Write a table as CSV, JSON or Parquet, page by page, so that memory does not grow with the rows."""
+"""Write a table as CSV, JSON, NDJSON or Parquet, page by page, so that memory does not grow with the rows."""
 
 from __future__ import annotations
 
@@ -26,13 +26,19 @@ class Format(StrEnum):
 
     CSV = "csv"
     JSON = "json"
+    NDJSON = "ndjson"
     PARQUET = "parquet"
 
     @property
     def media_type(self) -> str:
         """The media type for browsers."""
-        types = {"csv": "text/csv", "json": "application/json", "parquet": "application/vnd.apache.parquet"}
-        return types[self.value]
+        types = {
+            Format.CSV: "text/csv",
+            Format.JSON: "application/json",
+            Format.NDJSON: "application/x-ndjson",
+            Format.PARQUET: "application/vnd.apache.parquet",
+        }
+        return types[self]
 
 
 class TableExport(ABC, Generic[Record]):
@@ -68,11 +74,16 @@ class TableExport(ABC, Generic[Record]):
     def json(self, page: Page[Record]) -> Iterator[str]:
         """A JSON list with one object for each row; missing values are null."""
         separator = "["
-        for row in self.rows(page):
-            content = dict(zip(self.columns, row, strict=True))
-            yield f"{separator}\n{json.dumps(content, ensure_ascii=False, allow_nan=False)}"
+        for line in self.ndjson(page):
+            yield f"{separator}\n{line.rstrip()}"
             separator = ","
         yield "[]\n" if separator == "[" else "\n]\n"
+
+    def ndjson(self, page: Page[Record]) -> Iterator[str]:
+        """A JSON object in each line, one for each row; missing values are null."""
+        for row in self.rows(page):
+            content = dict(zip(self.columns, row, strict=True))
+            yield f"{json.dumps(content, ensure_ascii=False, allow_nan=False)}\n"
 
     def parquet(self, page: Page[Record], path: Path) -> int:
         """Write a Parquet file with a row group for each 1000 rows; returns the number of rows. Needs pyarrow."""

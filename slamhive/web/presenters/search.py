@@ -15,6 +15,7 @@ from slamhive.domain.verdict import GROUPS, VerdictKind
 from slamhive.executors.registry import EXECUTORS
 from slamhive.search.fields import TRUST, Kind, Vocabulary
 from slamhive.services.exports import by_protocol
+from slamhive.services.hive import Hive
 from slamhive.store.records import GroupRecord, ProtocolLabel, RunRecord, SavedSearchRecord, Spread
 from slamhive.web.formatting import DASH, Cell, display_unit, mean_text, median_text, plural, significant, value_text
 
@@ -117,6 +118,16 @@ def filter_fields(vocabulary: Vocabulary, names: Mapping[str, Sequence[str]]) ->
         values = ("yes", "no") if field.kind is Kind.FLAG else names.get(name, field.choices)
         found.append({"name": name, "label": field.label, "unit": field.unit, "values": list(values)})
     return found
+
+
+def fields_of_filters(hive: Hive) -> list[dict[str, Any]]:
+    """:func:`filter_fields` of an installation."""
+    algorithms, datasets = hive.searches.names()
+    experiments = [entry.name for entry in hive.experiments.list()]
+    vocabulary = hive.searches.vocabulary()
+    names = {"algorithm": algorithms, "dataset": datasets, "experiment": experiments, "tag": hive.notes.tags()}
+    names["protocol"] = list(dict.fromkeys(vocabulary.protocols.values()))
+    return filter_fields(vocabulary, names)
 
 
 def group_columns(columns: Sequence[str]) -> list[GroupColumn]:

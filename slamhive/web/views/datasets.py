@@ -11,9 +11,10 @@ from slamhive.errors import InvalidInput, NotFound
 from slamhive.schema.model import load
 from slamhive.search.build import matching
 from slamhive.services.datasets import MotionSummary, ground_truth_motion, strip_times_s
-from slamhive.services.runs import check_dataset_files, read_dataset_path
+from slamhive.services.runs import read_dataset_path
 from slamhive.store.records import RunSort
 from slamhive.trajectory.motion import WINDOW_S
+from slamhive.web import dataset_work
 from slamhive.web.context import dataset_checker, hive, variant_maker
 from slamhive.web.figures import best_plane, motion_figures, path_figures, sweep_figure
 from slamhive.web.formatting import plural
@@ -93,11 +94,7 @@ def _motion(dataset: Dataset) -> MotionSummary | None:
 @blueprint.post("/<name>/check")
 def check(name: str) -> Response:
     """Start checking the dataset."""
-    services = hive()
-    services.check_writable()
-    dataset = services.catalogue.dataset(name)
-    check_dataset_files(dataset)
-    dataset_checker().start(dataset)
+    dataset_work.begin_check(hive(), name)
     flash("The dataset is being checked. The findings appear when the check is finished.", "info")
     return make_response(redirect(url_for("datasets.show", name=name, _anchor="checks"), 303))
 
@@ -105,15 +102,7 @@ def check(name: str) -> Response:
 @blueprint.post("/<name>/variants")
 def make_variant(name: str) -> Response:
     """Start creating a variant, after all checks that are possible in advance."""
-    services = hive()
-    services.check_writable()
-    dataset = services.catalogue.dataset(name)
-    variant = services.variants.resolve(dataset, read_steps(request.form.get("steps", "")))
-    if not variant:
-        raise InvalidInput(f"these steps change nothing in {name}", "add a step that changes the data")
-    check_dataset_files(dataset)
-    services.variants.check(dataset, variant)
-    variant_maker().start(dataset, variant)
+    dataset_work.begin_variant(hive(), name, read_steps(request.form.get("steps", "")))
     flash("The variant is being created. It appears in the list when it is finished.", "info")
     return _to_variants(name)
 
@@ -121,12 +110,7 @@ def make_variant(name: str) -> Response:
 @blueprint.post("/<name>/variants/<key>/drop")
 def drop_variant(name: str, key: str) -> Response:
     """Remove a variant that nothing uses."""
-    services = hive()
-    services.check_writable()
-    entry = services.variants.find(key)
-    if entry.dataset != name:
-        raise NotFound(f"{name} has no variant {key[:40]!r}")
-    services.variants.drop(entry.key)
+    dataset_work.drop_variant(hive(), name, key)
     flash("The variant is removed. Runs that need it create it again.", "success")
     return _to_variants(name)
 

@@ -30,6 +30,7 @@ OF_PAGE = {
     "algorithms": "add-an-algorithm",
     "datasets": "dataset-format",
     "analyses": "analysis",
+    "api_docs": "api",
 }
 """The help page for each blueprint."""
 

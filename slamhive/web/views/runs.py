@@ -27,6 +27,7 @@ from slamhive.domain.notes import NotesChange, split_tags
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.errors import NotFound
+from slamhive.schema.api_requests import LARGEST_RUN_ID
 from slamhive.search.reader import FilterError
 from slamhive.services.evaluations import ToolFigures, evaluation_notes
 from slamhive.services.hive import Hive
@@ -47,7 +48,6 @@ from slamhive.web.run_query import RunQuery, filled, summary
 blueprint = Blueprint("runs", __name__, url_prefix="/runs")
 
 LOG_TAIL_BYTES = 32_000
-LARGEST_RUN_ID = 2**53 - 1
 RUN_ID = f"<int(max={LARGEST_RUN_ID}):run_id>"
 """Run numbers up to what JSON and every database can store."""
 

@@ -8,17 +8,16 @@ from flask import url_for as address
 from slamhive.domain.notes import NotesChange, split_tags
 from slamhive.errors import InvalidInput
 from slamhive.input_bounds import whole_number
+from slamhive.schema.api_requests import LARGEST_RUN_ID, MOST_RUNS
 from slamhive.web.context import hive
 from slamhive.web.formatting import plural
 from slamhive.web.run_query import filled
-from slamhive.web.views.runs import LARGEST_RUN_ID, list_address
+from slamhive.web.views.runs import list_address
 
 blueprint = Blueprint("selected_runs", __name__, url_prefix="/runs")
 
 UNDO = "undo"
 """The category of a message with a button that takes the named runs out of the trash again."""
-MOST_RUNS = 1000
-"""Runs that are selected at once; a page of a list has fewer."""
 
 
 @blueprint.post("/evaluate")

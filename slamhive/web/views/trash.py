@@ -6,9 +6,9 @@ from flask import Blueprint, Response, flash, make_response, redirect, render_te
 from flask import url_for as address
 
 from slamhive.input_bounds import whole_number
+from slamhive.schema.api_requests import LARGEST_RUN_ID
 from slamhive.web.context import hive
 from slamhive.web.formatting import plural
-from slamhive.web.views.runs import LARGEST_RUN_ID
 
 blueprint = Blueprint("trash", __name__, url_prefix="/trash")
 

@@ -1,0 +1,165 @@
+"""The table of operations: what each takes and answers. Routes, checks and documentation follow from it."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import wraps
+from typing import Any, ParamSpec, TypeAlias
+
+from flask import Blueprint, Response
+
+from slamhive.schema.model import Document
+from slamhive.web.api.idempotency import once
+from slamhive.web.json_exchange import answer, read_body
+
+PREFIX = "/api/v1"
+P = ParamSpec("P")
+View: TypeAlias = Callable[P, Document | Response]
+_PLACE = re.compile(r"\{(\w+)\}")
+
+
+class Section(StrEnum):
+    """The headings that operations are listed under, in this order."""
+
+    SERVER = "Server"
+    RUNS = "Runs"
+    RUN_CHANGES = "Changes of runs"
+    SEARCHES = "Searches"
+    EXPERIMENTS = "Experiments"
+    CONFIGURATIONS = "Configurations"
+    CATALOGUE = "Catalogue"
+    DATASETS = "Datasets"
+    ANALYSES = "Analyses"
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """One argument of an address.
+
+    Attributes:
+        name: As in the address.
+        help: A sentence for users.
+        schema: The JSON Schema of a value.
+        many: Whether it may be repeated.
+        required: Whether it must be there.
+    """
+
+    name: str
+    help: str
+    schema: Mapping[str, Any]
+    many: bool = False
+    required: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A part of a path that varies: the converter of Flask, the JSON Schema, and what it is."""
+
+    converter: str
+    schema: Mapping[str, Any]
+    help: str
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """One method at one path.
+
+    Attributes:
+        name: Its endpoint within the blueprint, and its ``operationId``.
+        method: GET, or POST for everything that changes something.
+        path: Below :data:`PREFIX`, with ``{places}``.
+        section: The heading that it is listed under.
+        words: What it does: a summary, and more after it.
+        arguments: Of the address.
+        body: The model of the request's body; None if it has none.
+        answer: The model of the answer, or the media types of a file.
+        status: Of a success.
+    """
+
+    name: str
+    method: str
+    path: str
+    section: Section
+    words: str
+    arguments: tuple[Argument, ...]
+    body: Any
+    answer: type[Document] | tuple[str, ...]
+    status: int
+
+    @property
+    def summary(self) -> str:
+        """The first sentence of its words."""
+        return self.words.partition("\n")[0]
+
+    @property
+    def places(self) -> list[str]:
+        """The names of the places in its path."""
+        return _PLACE.findall(self.path)
+
+    def rule(self, places: Mapping[str, Place]) -> str:
+        """The rule of Flask for its path."""
+        return _PLACE.sub(lambda found: f"<{places[found[1]].converter}:{found[1]}>", self.path)
+
+
+class Table:
+    """The operations.
+
+    A view returns a document, or a response for a file; a view with a body takes it as ``body``.
+    """
+
+    def __init__(self, places: Mapping[str, Place]) -> None:
+        self.places = places
+        self.entries: list[tuple[Operation, Callable[..., Response]]] = []
+
+    @property
+    def operations(self) -> list[Operation]:
+        """All operations, section by section, each in order of definition."""
+        order = list(Section)
+        return sorted((operation for operation, _ in self.entries), key=lambda entry: order.index(entry.section))
+
+    def get(
+        self, section: Section, path: str, answers: type[Document] | tuple[str, ...], arguments: Sequence[Argument] = ()
+    ) -> Callable[[View[P]], View[P]]:
+        """Declare an operation that changes nothing."""
+
+        def declare(view: View[P]) -> View[P]:
+            self._add(view, Operation(*_said(view, "GET", path, section), tuple(arguments), None, answers, 200))
+            return view
+
+        return declare
+
+    def post(
+        self, section: Section, path: str, answers: type[Document], *, body: Any = None, status: int = 200
+    ) -> Callable[[View[P]], View[P]]:
+        """Declare an operation that changes something."""
+
+        def declare(view: View[P]) -> View[P]:
+            self._add(view, Operation(*_said(view, "POST", path, section), (), body, answers, status))
+            return view
+
+        return declare
+
+    def register(self, blueprint: Blueprint) -> None:
+        """Add all operations to a blueprint."""
+        for operation, view in self.entries:
+            blueprint.add_url_rule(operation.rule(self.places), operation.name, view, methods=[operation.method])
+
+    def _add(self, view: Callable[..., Document | Response], operation: Operation) -> None:
+        @wraps(view)
+        def respond(**values: Any) -> Response:
+            if operation.body is not None:
+                values["body"] = read_body(operation.body)
+            found = view(**values)
+            return found if isinstance(found, Response) else answer(found.content, operation.status)
+
+        changes = operation.method == "POST"
+        self.entries.append((operation, once(respond) if changes else respond))
+
+
+def _said(view: Callable[..., Any], method: str, path: str, section: Section) -> tuple[str, str, str, Section, str]:
+    """The first fields of an operation: name and words are those of its view."""
+    return view.__name__, method, path, section, inspect.cleandoc(view.__doc__ or "")
