@@ -92,12 +92,11 @@ class Rising:
     def _done(self, step: Step) -> CloudRecord:
         if step.reason:
             raise Unavailable(step.reason, _DOWN.format(self._record.name))
-        return self._store(asked=())
+        return self._record
 
     def _do(self, step: Step, found: Sequence[Resource]) -> None:
         provider, target = self._hands.provider, step.resource
         if step.act is Act.MAKE_FIREWALL:
-            self._ask(FIREWALL)
             provider.make_firewall(self._order, self._name(), self._tags(FIREWALL))
         elif step.act is Act.START_MACHINES:
             self._start(step.roles, found)
@@ -113,7 +112,6 @@ class Rising:
         elif step.act is Act.RESUME_FIRST:
             provider.resume(target.id)
         else:
-            self._ask(IMAGE)
             provider.make_image(target.id, self._name(), self._tags(IMAGE))
 
     def _prepare(self, first: Resource) -> None:
@@ -131,7 +129,6 @@ class Rising:
                 f"the prepared machine of cluster {self._record.name} has ended", _DOWN.format(self._record.name)
             )
         for role in roles:
-            self._ask(role)
             launch = self._launch(role, firewall, None if image is None else image.id)
             self._hands.provider.start(self._order, launch)
 
@@ -161,19 +158,14 @@ class Rising:
         return cloud_name(self._record)
 
     def _tags(self, role: str) -> dict[str, str]:
+        """The tags of what fills a role; nothing is made that the plan does not show."""
         record = self._record
+        if role not in record.plan.roles:
+            raise Conflict(f"{role} is not in the plan of cluster {record.name}")
         return {**tags_of(record.name, record.uid, self._hands.records.installation(), record.ends_at), ROLE_TAG: role}
 
-    def _ask(self, role: str) -> None:
-        """Write down, before the provider is asked, that ``role`` may exist from now on."""
-        if role not in self._record.plan.roles:
-            raise Conflict(f"{role} is not in the plan of cluster {self._record.name}")
-        if role not in self._record.asked:
-            self._store(asked=(*self._record.asked, role))
-
-    def _store(self, **changes: object) -> CloudRecord:
+    def _store(self, **changes: object) -> None:
         self._record = self._hands.records.write(self._record.model_copy(update=changes))
-        return self._record
 
 
 _DOWN = "slamhive cloud down {} removes it"
@@ -193,7 +185,7 @@ def take_down(hands: Hands, record: CloudRecord) -> int:
     """Delete all that a cluster has; returns how many resources. Raises Unavailable if something is left."""
     record = hands.records.write(record.model_copy(update={"state": CloudState.ENDING}))
     deleted = remove_all(hands, lambda entry: entry.tags[UID_TAG] == record.uid, LOOKS)
-    hands.records.write(record.model_copy(update={"state": CloudState.DOWN, "asked": ()}))
+    hands.records.write(record.model_copy(update={"state": CloudState.DOWN}))
     hands.records.known_hosts(record.name).unlink(missing_ok=True)
     return deleted
 

@@ -56,7 +56,6 @@ class CloudRecord(Document):
     plan: CloudPlan
     opened: Annotated[bool, described("The firewall has its rules.")] = False
     prepared: Annotated[bool, described("The first machine has its data.")] = False
-    asked: Annotated[tuple[str, ...], described("What may have been created without an answer.")] = ()
 
 
 class CloudResource(Document):

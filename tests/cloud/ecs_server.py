@@ -41,6 +41,7 @@ class EcsServer:
         self.before: Callable[[int, str], None] = lambda number, action: None
         self.after: Callable[[int, str], None] = lambda number, action: None
         self.throttled = 0
+        self.lag = 0  # so many lists do not show something new
         self._number = 0
 
     def __call__(self, environ: Mapping[str, Any], start_response: Callable[..., Any]) -> Iterator[bytes]:
@@ -220,8 +221,11 @@ class EcsServer:
 
     def _page(self, params: dict[str, str], outer: str, inner: str, id_key: str, kind: str) -> str:
         self._need(params, "RegionId")
-        wanted = [entry for entry in self.of(kind) if params["Tag.1.Key"] in entry["tags"]]
         number, size = int(params.get("PageNumber", 1)), min(int(params["PageSize"]), MOST_PER_PAGE)
+        for entry in self.of(kind):
+            entry["listed"] = entry.get("listed", 0) + (number == 1)
+        shown = [entry for entry in self.of(kind) if entry["listed"] > self.lag]
+        wanted = [entry for entry in shown if params["Tag.1.Key"] in entry["tags"]]
         entries = "".join(_xml(inner, id_key, entry) for entry in wanted[(number - 1) * size : number * size])
         counts = f"<PageNumber>{number}</PageNumber><PageSize>{size}</PageSize><TotalCount>{len(wanted)}</TotalCount>"
         return f"{counts}<{outer}>{entries}</{outer}>"

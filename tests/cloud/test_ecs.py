@@ -195,6 +195,28 @@ def test_without_preparation_all_machines_start_at_once(server: EcsServer, tmp_p
     assert changes(server) == ["CreateSecurityGroup", "AuthorizeSecurityGroup", *["RunInstances"] * 3]
 
 
+def test_lists_that_lag_behind_make_nothing_twice_and_hide_nothing_from_down(server: EcsServer, rental: Rental) -> None:
+    server.lag = 2
+    rental.up()
+    assert roles(server) == WHOLE
+    rental.down()
+    assert server.kept == {}
+
+
+@pytest.mark.parametrize("action", ["CreateSecurityGroup", "RunInstances", "CreateImage"])
+def test_down_finds_what_is_listed_late(server: EcsServer, rental: Rental, action: str) -> None:
+    def lose(number: int, called: str) -> None:
+        if called == action:
+            raise Refused("Forbidden.RAM", 403)
+
+    server.after = lose
+    assert not rental.tries(rental.up)
+    assert any("listed" not in entry for entry in server.kept.values())
+    server.lag = 2
+    rental.down()
+    assert server.kept == {}
+
+
 def test_machines_that_end_at_once_are_not_started_for_ever(server: EcsServer, rental: Rental) -> None:
     def end(number: int, action: str) -> None:
         if action == "RunInstances":

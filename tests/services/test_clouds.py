@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from click.testing import CliRunner, Result
 
 from slamhive.cli import main
 from slamhive.clock import utc_now
+from slamhive.cloud.records import CloudRecords
+from slamhive.cloud.resources import UID_TAG
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound
 from slamhive.schema.cloud import CloudState
 from slamhive.services.clouds import Clouds
@@ -81,6 +84,28 @@ def test_a_cluster_from_up_to_down(clouds: Clouds, server: EcsServer, tmp_path: 
     assert server.kept == {}
     assert clouds.status() == []
     assert clouds.status("bench")[0].resources == ()
+
+
+def test_the_record_is_there_before_anything_is_created(clouds: Clouds, server: EcsServer, tmp_path: Path) -> None:
+    stored: list[str] = []
+
+    def look(number: int, action: str) -> None:
+        if not action.startswith("Describe"):
+            stored.append((tmp_path / "data" / "clouds" / "bench.json").read_text())
+
+    server.before = look
+    clouds.up(cloud_file(tmp_path))
+    uids = {json.loads(text)["uid"] for text in stored}
+    assert uids == {entry["tags"][UID_TAG] for entry in server.kept.values()}
+
+
+def test_two_commands_do_not_work_on_one_cluster(clouds: Clouds, tmp_path: Path) -> None:
+    clouds.up(cloud_file(tmp_path))
+    with (
+        CloudRecords(tmp_path / "data" / "clouds").held("bench"),
+        pytest.raises(Conflict, match="another command is working on cluster bench"),
+    ):
+        clouds.down("bench")
 
 
 def test_up_again_changes_nothing_and_another_file_is_refused(

@@ -13,6 +13,7 @@ from slamhive import strict_yaml
 from slamhive.clock import SYSTEM_CLOCK, Clock
 from slamhive.cloud.cloud_file import CloudFile, ProviderName, load_cloud_file
 from slamhive.cloud.lifecycle import Hands, Rising, cluster_resources, remove_all, take_down
+from slamhive.cloud.plan import CloudPlan as Plan
 from slamhive.cloud.plan import Work, make_plan
 from slamhive.cloud.preparing import Preparer, read_public_key
 from slamhive.cloud.providers import open_provider
@@ -90,23 +91,27 @@ class Clouds:
             record = self._known(order, text)
             plan = make_plan(order, work, self._clock.utc_now()) if record is None else None
             hands = self._hands(order, work, tell)
-            if record is None and plan is not None:
-                hands.provider.check(order)
-                self._sweep(hands, (order.provider, order.region), everything=False)
-                self._refuse_taken(hands.provider, order.name)
-                now = self._clock.utc_now()
-                record = CloudRecord(
-                    name=order.name,
-                    uid=uuid.uuid4().hex,
-                    state=CloudState.UP,
-                    made_at=now,
-                    ends_at=plan.ends_at(now),
-                    order=text,
-                    plan=CloudPlan.of(plan),
-                )
-                self._records.write(record)
+            if plan is not None:
+                record = self._begin(hands, order, text, plan)
             assert record is not None
             return self._status(Rising(hands, order, record).up(), hands.provider)
+
+    def _begin(self, hands: Hands, order: CloudFile, text: str, plan: Plan) -> CloudRecord:
+        """Write the record of a new cluster; raises InvalidInput or Conflict if the provider cannot have it."""
+        hands.provider.check(order)
+        self._sweep(hands, (order.provider, order.region), everything=False)
+        self._refuse_taken(hands.provider, order.name)
+        now = self._clock.utc_now()
+        record = CloudRecord(
+            name=order.name,
+            uid=uuid.uuid4().hex,
+            state=CloudState.UP,
+            made_at=now,
+            ends_at=plan.ends_at(now),
+            order=text,
+            plan=CloudPlan.of(plan),
+        )
+        return self._records.write(record)
 
     def status(self, name: str | None = None) -> list[CloudStatus]:
         """One cluster, or all that are not down; asks their providers. Raises NotFound."""
@@ -152,7 +157,7 @@ class Clouds:
         deleted = remove_all(hands, left)
         for record in self._records.all():
             if _place(record) == place and record.uid not in kept and record.state is not CloudState.DOWN:
-                self._records.write(record.model_copy(update={"state": CloudState.DOWN, "asked": ()}))
+                self._records.write(record.model_copy(update={"state": CloudState.DOWN}))
         return Swept(place[0].value, place[1], deleted, 0 if everything else len(foreign))
 
     def _known(self, order: CloudFile, text: str) -> CloudRecord | None:
