@@ -1,5 +1,6 @@
 #!/bin/sh
 # Run while the web and worker images are built: Python, the certificates passed in, SLAM Hive in /opt/slamhive.
+# EXTRAS, if set, names more of what pyproject.toml lists as optional, separated by commas.
 set -eu
 apt-get update
 DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends ca-certificates python3 python3-venv
@@ -8,5 +9,7 @@ cp /source/docker/ca-certificates/*.crt /usr/local/share/ca-certificates/ 2>/dev
 update-ca-certificates
 export PIP_CERT="${PIP_CERT:-/etc/ssl/certs/ca-certificates.crt}" PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 python3 -m venv /opt/slamhive
-/opt/slamhive/bin/pip install --quiet -c /source/constraints.txt "/source[kubernetes]"
+/opt/slamhive/bin/pip install --quiet --no-compile -c /source/constraints.txt "/source${EXTRAS:+[$EXTRAS]}"
+# Nobody runs the tests of libraries, which pip would compile too.
+/opt/slamhive/bin/python -m compileall -q -j 0 -x /tests/ /opt/slamhive/lib || true
 /opt/slamhive/bin/slamhive --version
