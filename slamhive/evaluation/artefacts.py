@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import json
+import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -75,10 +77,7 @@ def load_libraries(tasks: Iterable[EvaluationTask]) -> None:
     Otherwise two workers could write evo's settings file at the same time.
     """
     EVALUATORS.names()  # loads plug-ins
-    wanted = {task.artefacts for task in tasks}
-    if wanted - {Artefacts.METRICS}:
-        import evo.tools.file_interface  # noqa: F401, PLC0415
-    if Artefacts.PLOTS in wanted:
+    if Artefacts.PLOTS in {task.artefacts for task in tasks}:
         import slamhive.evaluation.plots  # noqa: F401, PLC0415
 
 
@@ -92,15 +91,17 @@ def _errors_csv(paired: Paired, ape: Result) -> str:
 
 
 def _result_archive(result: Result, name: str) -> bytes:
-    """The zip that ``evo_res`` opens, with the task's id as the estimate's name; the trajectories lie beside it."""
-    from evo.tools import file_interface  # noqa: PLC0415  (loads rosbags, which metrics do not need)
+    """The zip that ``evo_res`` opens, with the task's id as the estimate's name; the trajectories lie beside it.
 
-    named = Result()
-    named.add_info(result.info | {"est_name": name})
-    named.add_stats(result.stats)
-    named.np_arrays.update(result.np_arrays)
+    As by evo's ``save_res_file``, whose module loads the readers of all recordings first.
+    """
     buffer = io.BytesIO()
-    file_interface.save_res_file(buffer, named)
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("info.json", json.dumps(result.info | {"est_name": name}))
+        archive.writestr("stats.json", json.dumps(result.stats))
+        for key, array in result.np_arrays.items():
+            with archive.open(f"{key}.npy", "w") as member:
+                np.save(member, array)
     return buffer.getvalue()
 
 
