@@ -107,9 +107,9 @@ def weighted_percentile(values: FloatArray, weights: FloatArray, percent: float)
 
 
 def write_plots(folder: RunFolder) -> None:
-    """Write ``profiling_cpu.png`` and ``profiling_ram.png``; nothing without samples. Raises Unavailable."""
+    """Write ``profiling_cpu.png`` and ``profiling_ram.png``; nothing without two samples. Raises Unavailable."""
     profile = read_profile(folder.profiling)
-    if len(profile) == 0:
+    if len(profile) < 2:
         return
     cpu = _plot(profile.times_s, profile.cpu_cores, "CPU in cores", _CPU_COLOUR)
     write_aside(folder.profiling_cpu_plot, cpu)

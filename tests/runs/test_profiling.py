@@ -169,8 +169,10 @@ def test_weighted_percentile():
 
 @pytest.mark.integration
 def test_plots(folder):
-    write_plots(folder)
-    assert not folder.profiling_cpu_plot.exists()
+    for rows in ([], [(0.1, 1.0, 1e8)]):
+        write_profile(folder, rows)
+        write_plots(folder)
+        assert not folder.profiling_cpu_plot.exists()
     write_profile(folder, [(t / 10, 1.0 + np.sin(t / 20), 1e8 + t * 1e6) for t in range(1, 200)])
     write_plots(folder)
     for path in (folder.profiling_cpu_plot, folder.profiling_ram_plot):
