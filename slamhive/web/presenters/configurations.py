@@ -13,15 +13,13 @@ from slamhive.schema.matching import BoundParameter, Match
 from slamhive.schema.submission import Submission
 from slamhive.services.configurations import Label, Stored
 from slamhive.store import ConfigurationRecord, RunRecord
-from slamhive.web.columns import column
+from slamhive.web.columns import Column, column
 from slamhive.web.formatting import DASH, Cell, plural, value_text
 from slamhive.web.presenters.runs import Row, changed_cell
 from slamhive.web.presenters.runs import rows as rows_of_runs
 
 Store = Callable[[Submission, Label], Stored]
-RUN_COLUMNS = tuple(
-    column(key) for key in ("id", "state", "seed", "executor", "created_at", "ate.rmse", "rpe.rmse", "tracked_fraction")
-)
+_RUN_COLUMNS = ("id", "state", "seed", "executor", "created_at", "ate.rmse", "rpe.rmse", "tracked_fraction")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +58,14 @@ def rows(records: Iterable[ConfigurationRecord], algorithms: Mapping[str, Algori
     ]
 
 
+def run_columns() -> list[Column]:
+    """The columns of the runs of one configuration."""
+    return [column(key) for key in _RUN_COLUMNS]
+
+
 def run_rows(runs: Iterable[RunRecord], algorithms: Iterable[Algorithm]) -> list[Row]:
     """The runs of one configuration."""
-    return rows_of_runs(runs, RUN_COLUMNS, algorithms)
+    return rows_of_runs(runs, run_columns(), algorithms)
 
 
 def parameter_rows(

@@ -62,7 +62,7 @@ def show(configuration_id: int) -> str:
         match=match,
         outdated=presenter.outdated(record, algorithm),
         runs=presenter.run_rows(service.latest_runs(configuration_id, RUNS_SHOWN), _algorithms().values()),
-        columns=presenter.RUN_COLUMNS,
+        columns=presenter.run_columns(),
         start=_form_address(record),
         groups=[name for name in service.groups() if name not in record.groups],
     )
