@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.executors.process.capped_log import CappedLog
-from slamhive.executors.process.exit_file import reserve, write_exit
+from slamhive.executors.process.exit_file import reap, reserve, write_exit
 
 ORDER_FILE = "order.json"
 CLAIM_FILE = "claimed"
@@ -138,13 +138,7 @@ class Supervisor:
         self._measure()
 
     def _reap(self) -> None:
-        while True:
-            try:
-                pid, status = os.waitpid(-1, os.WNOHANG)
-            except ChildProcessError:
-                return
-            if pid == 0:
-                return
+        for pid, status in reap():
             if pid == self._main:
                 self._exit_code = 128 + os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status)
 

@@ -1,9 +1,10 @@
-"""Records how a process ended, even on a full disk: the space is reserved before the process starts."""
+"""Reaps processes, and records how one ended, even on a full disk: the space is reserved before the process starts."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,18 @@ def write_exit(work: Path, content: dict[str, Any]) -> None:
         stream.flush()
         os.fsync(stream.fileno())
     (work / _RESERVED).replace(work / EXIT_FILE)
+
+
+def reap() -> Iterator[tuple[int, int]]:
+    """Reap the children that have ended: pid and wait status of each."""
+    while True:
+        try:
+            pid, status = os.waitpid(-1, os.WNOHANG)
+        except ChildProcessError:
+            return
+        if pid == 0:
+            return
+        yield pid, status
 
 
 class LostOutput:

@@ -18,7 +18,7 @@ from slamhive.executors.process import namespaces
 from slamhive.executors.process.capped_log import CappedLog
 from slamhive.executors.process.containment import choose_containment
 from slamhive.executors.process.containment_base import ProcessTree
-from slamhive.executors.process.exit_file import LostOutput, reserve, write_exit
+from slamhive.executors.process.exit_file import LostOutput, reap, reserve, write_exit
 from slamhive.executors.process.landlock import confine_writes
 from slamhive.executors.process.linux import (
     PR_SET_CHILD_SUBREAPER,
@@ -187,13 +187,7 @@ class Supervisor:
 
     def _reap(self) -> None:
         """Reap what has ended, and keep the exit status of the algorithm."""
-        while True:
-            try:
-                pid, status = os.waitpid(-1, os.WNOHANG)
-            except ChildProcessError:
-                return
-            if pid == 0:
-                return
+        for pid, status in reap():
             if pid == self._pid:
                 self._status = status
 
