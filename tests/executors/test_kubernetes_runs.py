@@ -13,12 +13,12 @@ from slamhive.domain.run import RunState
 from slamhive.executors.kubernetes import manifest
 from slamhive.executors.registry import installation_id
 from slamhive.schema.submission import Submission
-from slamhive.services.evaluations import Evaluations
 from slamhive.services.hive import Hive, open_hive
+from slamhive.store import RunRecord
 from tests.executors.kubernetes_cluster import KubernetesCluster
 from tests.services.docker_base import run_docker
 from tests.services.installation import TINY_IMAGE
-from tests.services.killed_worker import killed_workers
+from tests.services.killed_worker import check_whole, kill_at_each_step
 from tests.services.tiny_project import environment, make_dataset, make_project
 from tests.services.working import started_times, working
 from tests.waiting import eventually
@@ -26,7 +26,6 @@ from tests.waiting import eventually
 pytestmark = [pytest.mark.cluster, pytest.mark.timeout(3000)]
 
 DEPLOYMENT = Path(__file__).resolve().parents[2] / "deploy" / "kubernetes"
-MOST_STEPS = 300
 RUNS = 40
 BETWEEN_KILLS_S = 20.0
 
@@ -111,21 +110,13 @@ def test_an_experiment_while_api_servers_are_killed(hive, kubernetes_cluster):
     assert left(kubernetes_cluster, hive) == []
 
 
-def test_killed_at_any_step_the_run_ends_once_and_well(hive, kubernetes_cluster, monkeypatch):
-    monkeypatch.setattr(Evaluations, "work_once", lambda *_arguments, **_options: 0)
-    submit(hive)
-    with killed_workers() as work:
-        steps = work(MOST_STEPS).value
-        assert steps > 20
-        # Each call is two steps. After one call is as good as before the next, so every second step will do.
-        for fatal_step in range(2, steps + 1, 2):
-            (run_id,) = submit(hive)
-            work(fatal_step)
-            hive.worker().run(until_idle=True)
-            after = hive.runs.get(run_id)
-            assert after.state is RunState.SUCCEEDED, f"killed at step {fatal_step}: {after.state}, {after.detail}"
-            assert started_times(hive, run_id) == 1, f"killed at step {fatal_step}"
-            assert left(kubernetes_cluster, hive) == [], f"killed at step {fatal_step}"
+def test_killed_at_any_step_the_run_ends_once_and_well(hive, kubernetes_cluster):
+    def check(run: RunRecord, when: str) -> None:
+        check_whole(hive, run, when)
+        assert left(kubernetes_cluster, hive) == [], when
+
+    asked = Submission("tiny", "track", {"seconds": 0.05})
+    kill_at_each_step(hive, asked, lambda count: range(2, count + 1, 2), check)
 
 
 def test_the_api_server_accepts_the_deployment(kubernetes_cluster, tmp_path):

@@ -14,11 +14,11 @@ from slamhive.domain.run import RunState
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.registry import installation_id
 from slamhive.schema.submission import Submission
-from slamhive.services.evaluations import Evaluations
 from slamhive.services.hive import Hive
+from slamhive.store import RunRecord
 from tests.executors.plugins import Agent
 from tests.services.conftest import hive
-from tests.services.killed_worker import killed_workers
+from tests.services.killed_worker import check_whole, kill_at_each_step
 from tests.services.working import started_times, working
 from tests.waiting import PATIENCE_S, eventually
 
@@ -28,7 +28,6 @@ pytestmark = [pytest.mark.integration, pytest.mark.timeout(1200)]
 __all__ = ["hive"]
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-MOST_STEPS = 200
 
 
 @pytest.fixture
@@ -115,20 +114,12 @@ def test_a_wrong_token_is_refused_in_words(far, monkeypatch):
     assert "refuses the token" in str(executor.unavailable_because())
 
 
-def test_killed_at_any_step_the_run_ends_once_and_well(far, agent, monkeypatch):
-    monkeypatch.setattr(Evaluations, "work_once", lambda *_arguments, **_options: 0)
-    submit(far)
-    with killed_workers() as work:
-        steps = work(MOST_STEPS).value
-        assert steps > 20
-        # Each call is two steps. After one call is as good as before the next, so every second step will do.
-        for fatal_step in range(2, steps + 1, 2):
-            run_id = submit(far)
-            work(fatal_step)
-            far.worker().run(until_idle=True)
-            after = far.runs.get(run_id)
-            assert after.state is RunState.SUCCEEDED, f"killed at step {fatal_step}: {after.state}, {after.detail}"
-            assert after.poses == 30
-            assert len(far.evaluations.of_run(run_id)) == 1, f"killed at step {fatal_step}"
-            assert started_times(far, run_id) == 1, f"killed at step {fatal_step}"
-            assert runs_of(agent) == []
+def test_killed_at_any_step_the_run_ends_once_and_well(far, agent):
+    """After each write and call. The test of the process executor kills before each."""
+
+    def check(run: RunRecord, when: str) -> None:
+        check_whole(far, run, when)
+        assert runs_of(agent) == [], when
+
+    asked = Submission("tiny", "track", {"seconds": 0.05}, executor="remote")
+    kill_at_each_step(far, asked, lambda count: range(2, count + 1, 2), check)

@@ -1,6 +1,7 @@
 """Workers that kill themselves (SIGKILL) at their N-th step: before or after a write, a start, a poll, a removal.
 
-Every write to the database and to the record, and every call of the executor, is two steps: before and after.
+Every write to the database and to the record, and every call of the executor, is two steps: before and after. "After
+one" and "before the next" are the same moment, so every other step meets all of them.
 
 Run as a program, it answers each line with an N by the number of steps of a worker, see :mod:`tests.forking`.
 """
@@ -9,15 +10,24 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
+from unittest import mock
 
+from slamhive.domain.run import RunState
 from slamhive.runs.folder import RunFolder
+from slamhive.schema.submission import Submission
 from slamhive.services.evaluations.service import Evaluations
-from slamhive.services.hive import open_hive
-from slamhive.store import Store
+from slamhive.services.hive import Hive, open_hive
+from slamhive.store import RunRecord, Store
 from tests.forking import Ended, forked, serve
+from tests.services.working import started_times
+
+NEVER = 10_000
+"""A step that no worker reaches."""
+LEAST_STEPS = 20
+"""A run without as many would not be what these tests are about."""
 
 
 class Countdown:
@@ -53,11 +63,15 @@ def work(fatal_step: int) -> int:
     ):
         for name in names:
             setattr(owner, name, countdown.around(getattr(owner, name)))
-    # Nothing is evaluated here: the test counts what is queued for it.
-    Evaluations.work_once = lambda *_arguments, **_options: 0  # type: ignore[method-assign]
-    hive.worker().run(until_idle=True)
+    work_without_evaluating(hive)
     hive.close()
     return countdown.step
+
+
+def work_without_evaluating(hive: Hive) -> None:
+    """Work until nothing is left. Evaluating takes a second each time; tests count what is queued for it."""
+    with mock.patch.object(Evaluations, "work_once", return_value=0):
+        hive.worker().run(until_idle=True)
 
 
 @contextmanager
@@ -68,6 +82,42 @@ def killed_workers(script: str = __file__, *arguments: str) -> Iterator[Callable
     """
     with forked(script, *arguments) as run:
         yield lambda fatal_step: run(str(fatal_step))
+
+
+def kill_at_each_step(
+    hive: Hive, asked: Submission, steps: Callable[[int], Iterable[int]], check: Callable[[RunRecord, str], None]
+) -> None:
+    """A worker is killed at a step of a run, the next works to the end, and the run was started once; for each step.
+
+    Args:
+        hive: The installation; the environment of this process leads to it.
+        asked: What is run each time.
+        steps: Which steps, of as many as a worker takes that is not killed.
+        check: What must hold of the run, with words for when it was killed.
+    """
+    (undisturbed,) = hive.runs.submit(asked)
+    with killed_workers() as work:
+        ended = work(NEVER)
+        assert ended.returncode == 0, ended.errors
+        assert ended.value > LEAST_STEPS
+        check(hive.runs.get(undisturbed.id), "not killed")
+        for fatal_step in steps(ended.value):
+            (run,) = hive.runs.submit(asked)
+            killed = work(fatal_step)
+            assert killed.returncode in (-signal.SIGKILL, 0), killed.errors
+            work_without_evaluating(hive)
+            assert started_times(hive, run.id) == 1, f"killed at step {fatal_step}"
+            check(hive.runs.get(run.id), f"killed at step {fatal_step}")
+
+
+def check_whole(hive: Hive, run: RunRecord, when: str) -> None:
+    """The run has succeeded, says so everywhere, and is queued for one evaluation."""
+    assert run.state is RunState.SUCCEEDED, f"{when}: {run.state}, {run.detail}"
+    assert run.poses == 30
+    assert len(hive.evaluations.of_run(run.id)) == 1, when
+    record = hive.runs.record(run.id)
+    assert (record["state"], record["poses"]) == ("succeeded", 30)
+    assert [event.to_state for event in hive.runs.events(run.id)][-1] is RunState.SUCCEEDED
 
 
 if __name__ == "__main__":

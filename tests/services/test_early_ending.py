@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import signal
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -20,11 +19,11 @@ from slamhive.services.configurations.submission import unwatchable
 from slamhive.services.worker.context import DriverContext
 from slamhive.services.worker.driver import RunDriver
 from slamhive.services.worker.evidence import STOP_RULE, STOPPED_BECAUSE
-from slamhive.store import Lease
+from slamhive.store import Lease, RunRecord
 from tests.services.fake_executor import FakeExecutor, write_trajectory
-from tests.services.killed_worker import killed_workers
+from tests.services.killed_worker import kill_at_each_step
 from tests.services.test_worker import finish, hive, submit
-from tests.services.test_worker_recovery import processes_of, started_times
+from tests.services.test_worker_recovery import processes_of
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(900)]
 
@@ -195,21 +194,12 @@ def test_the_rules_are_in_the_record_and_back_in_a_new_database(hive):
 
 def test_killed_at_any_step_around_the_stop_the_reason_stays(hive):
     """A real process that stops tracking, a worker killed before and after each of its writes and calls."""
+
+    def check(run: RunRecord, when: str) -> None:
+        assert (run.state, run.reason) == (RunState.FAILED, FailureReason.LOST_TRACKING), when
+        assert "no pose for" in (run.detail or "")
+        assert hive.runs.record(run.id)["reason"] == "lost_tracking"
+
     asked = Submission("tiny", "track", {"behaviour": "lost", "seconds": 20}, evaluate=False, stop_when=LOST)
-    (warm_up,) = hive.runs.submit(asked)
-    with killed_workers() as work:
-        undisturbed = work(10_000)
-        assert undisturbed.returncode == 0, undisturbed.errors
-        assert hive.runs.get(warm_up.id).reason is FailureReason.LOST_TRACKING
-        # "After one" and "before the next" are the same moment, so every other step meets all of them.
-        for fatal_step in range(undisturbed.value - 18, undisturbed.value + 1, 2):
-            (run,) = hive.runs.submit(asked)
-            killed = work(fatal_step)
-            assert killed.returncode in (-signal.SIGKILL, 0), killed.errors
-            hive.worker().run(until_idle=True)
-            after = hive.runs.get(run.id)
-            assert (after.state, after.reason) == (RunState.FAILED, FailureReason.LOST_TRACKING), f"step {fatal_step}"
-            assert "no pose for" in after.detail
-            assert hive.runs.record(run.id)["reason"] == "lost_tracking"
-            assert started_times(hive, run.id) == 1, f"step {fatal_step}"
+    kill_at_each_step(hive, asked, lambda count: range(count - 18, count + 1, 2), check)
     assert processes_of(hive) == []

@@ -13,7 +13,8 @@ import pytest
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
-from tests.services.test_worker_recovery import processes_of, started_times
+from tests.services.test_worker_recovery import processes_of
+from tests.services.working import started_times
 from tests.waiting import eventually
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(600)]

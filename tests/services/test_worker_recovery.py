@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import shutil
-import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,21 +14,15 @@ from click.testing import CliRunner
 from slamhive.cli.main import main
 from slamhive.domain.run import RunState
 from slamhive.schema.submission import Submission
-from slamhive.services.evaluations.service import Evaluations
 from slamhive.services.hive import Hive, open_hive
-from tests.forking import Ended
-from tests.services.killed_worker import killed_workers
+from tests.services.killed_worker import check_whole, kill_at_each_step
+from tests.services.working import started_times
 from tests.waiting import eventually
 
 # A worker is started, killed and followed by another some thirty times; on a busy machine that takes minutes.
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(1200)]
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-MOST_STEPS = 200
-
-
-def started_times(hive: Hive, run_id: int) -> int:
-    return len((hive.runs.folder(run_id).result / "starts.txt").read_text().splitlines())
 
 
 def processes_of(hive: Hive) -> list[str]:
@@ -37,34 +30,11 @@ def processes_of(hive: Hive) -> list[str]:
     return [line for line in listing.splitlines() if str(hive.settings.data) in line and "ps -eo" not in line]
 
 
-def test_killed_at_any_step_the_run_ends_once_and_well(hive, monkeypatch):
-    # Evaluating takes a second each time and has tests of its own; here it counts that each run is queued for it.
-    monkeypatch.setattr(Evaluations, "work_once", lambda *_arguments, **_options: 0)
-    (warm_up,) = hive.runs.submit(Submission("tiny", "track"))
-    with killed_workers() as work:
-        undisturbed = work(MOST_STEPS)
-        assert undisturbed.returncode == 0, undisturbed.errors
-        assert undisturbed.value > 20
-        assert hive.runs.get(warm_up.id).state is RunState.SUCCEEDED
-        # Before each write and call. The remote executor has a test that kills after each.
-        for fatal_step in range(1, undisturbed.value + 1, 2):
-            check_killed(hive, work, fatal_step)
+def test_killed_at_any_step_the_run_ends_once_and_well(hive):
+    """Before each write and call. The remote executor has a test that kills after each."""
+    asked = Submission("tiny", "track", {"seconds": 0.05})
+    kill_at_each_step(hive, asked, lambda count: range(1, count + 1, 2), partial(check_whole, hive))
     assert processes_of(hive) == []
-
-
-def check_killed(hive: Hive, work: Callable[[int], Ended], fatal_step: int) -> None:
-    (run,) = hive.runs.submit(Submission("tiny", "track", {"seconds": 0.05}))
-    killed = work(fatal_step)
-    assert killed.returncode in (-signal.SIGKILL, 0), killed.errors
-    hive.worker().run(until_idle=True)
-    after = hive.runs.get(run.id)
-    assert after.state is RunState.SUCCEEDED, f"killed at step {fatal_step}: {after.state}, {after.detail}"
-    assert after.poses == 30
-    assert len(hive.evaluations.of_run(run.id)) == 1, f"killed at step {fatal_step}"
-    assert started_times(hive, run.id) == 1, f"killed at step {fatal_step}"
-    record = hive.runs.record(run.id)
-    assert (record["state"], record["poses"]) == ("succeeded", 30)
-    assert [event.to_state for event in hive.runs.events(run.id)][-1] is RunState.SUCCEEDED
 
 
 def test_a_run_that_goes_on_while_no_worker_lives_is_adopted(hive):
