@@ -20,7 +20,7 @@ import pytest
 from _pytest.mark.expression import Expression
 
 from tests import durability
-from tests.shared_environments import SHARED_ENVIRONMENTS
+from tests.sharing import SHARED_FOLDER
 
 if TYPE_CHECKING:
     from slamhive.services.hive import Hive
@@ -34,6 +34,7 @@ PYTESTMARK = re.compile(r"^pytestmark = (\[[^\]]*\]|.*)", re.MULTILINE)
 
 
 LONGEST = (
+    "bags/test_room_dataset.py",
     "services/test_file_fuzz.py",
     "web/test_web_fuzz.py",
     "extend/test_extend_examples.py",
@@ -43,13 +44,21 @@ LONGEST = (
     "analysis/test_plot_types.py",
     "services/analyses/test_stored_analyses.py",
     "algorithms/test_real_algorithms.py",
-    "bags/test_room_dataset.py",
+    "bags/test_variants_memory.py",
     "evaluation/test_evo_agreement.py",
     "executors/test_remote_run.py",
+    "services/imports/test_import_killed.py",
     "services/test_early_ending.py",
     "end_to_end/test_hostile_algorithms.py",
+    "cli/test_cli_import_run.py",
+    "deploy/test_wheel.py",
 )
-"""The files that take longest begin first, so that no worker is still busy with one when the others have ended."""
+"""The files that take longest begin first, so that no worker is still busy with one when the others have ended.
+
+The first of all renders the room that other tiers need.
+"""
+LATEST = ("end_to_end/test_variants_real.py",)
+"""Files that need what another tier makes meanwhile."""
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -104,9 +113,10 @@ def is_among(marks: set[str], name: str, /, **_: object) -> bool:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the tests of ``LONGEST`` first, in its order. Workers get whole files in the order of their tests."""
-    places = {TESTS / name: place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: places.get(item.path, len(places)))
+    """``LONGEST`` first, in its order, ``LATEST`` last. Workers get whole files in the order of their tests."""
+    places = {TESTS / name: place - len(LONGEST) for place, name in enumerate(LONGEST)}
+    places |= {TESTS / name: place + 1 for place, name in enumerate(LATEST)}
+    items.sort(key=lambda item: places.get(item.path, 0))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -115,11 +125,11 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Make the folder where all tests of a session, in all processes, share the environments of test algorithms."""
-    if SHARED_ENVIRONMENTS not in os.environ:
-        folder = Path(tempfile.mkdtemp(prefix="slamhive-test-environments-"))
+    """Make the folder for what the processes of a session share, unless tiers share one."""
+    if SHARED_FOLDER not in os.environ:
+        folder = Path(tempfile.mkdtemp(prefix="slamhive-test-shared-"))
         folder.chmod(0o755)  # a run may have a user of its own
-        os.environ[SHARED_ENVIRONMENTS] = str(folder)
+        os.environ[SHARED_FOLDER] = str(folder)
         config.add_cleanup(functools.partial(shutil.rmtree, folder))
 
 

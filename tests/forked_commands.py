@@ -57,5 +57,5 @@ def carry_out(line: str) -> int:
 
 
 if __name__ == "__main__":
-    # What SLAM Hive has at hand depends on the plug-ins that it finds, so each process imports it by itself.
-    serve(carry_out, without="slamhive")
+    # SLAM Hive asks for plug-ins when it first uses a registry, so each process finds its own.
+    serve(carry_out, without="slamhive_")

@@ -16,6 +16,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests import durability
+
 CHECKOUT = Path(__file__).resolve().parents[1]
 
 
@@ -26,6 +28,7 @@ def serve(work: Callable[[str], int], *, without: str | None = None) -> None:
     the exit code (-9: it was killed) and what ``work`` returned, 0 if it did not.
     """
     for line in sys.stdin:
+        durability.leave_out(True)  # again each time: SQLAlchemy is imported after the first
         reading, writing = os.pipe()
         child = os.fork()
         if child == 0:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -12,12 +11,13 @@ import pytest
 from slamhive.bags.importing import ImportOptions
 from slamhive.bags.room import RoomOptions
 from slamhive.services.hive import Hive
+from tests.sharing import made_once
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
 def make_room(hive: Hive) -> None:
-    hive.catalogue.render_room(RoomOptions(name="room", duration_s=15, seed=1), silent)
+    hive.catalogue.render_room(RoomOptions(), silent)
 
 
 def import_kitti_06(hive: Hive) -> None:
@@ -31,23 +31,18 @@ def import_kitti_06(hive: Hive) -> None:
 DATASETS: dict[str, Callable[[Hive], None]] = {"room": make_room, "kitti_06": import_kitti_06}
 
 
-KEPT_DATASETS = "TESTS_KEEP_DATASETS_IN"
-"""The variable that names a folder in which ``make test`` keeps datasets for tiers that run later."""
-
-
 def dataset(hive: Hive, name: str) -> str:
     """The name of a dataset that is there now. Skips the test where its recording is not."""
     folder = hive.catalogue.dataset_folder(name)
-    if folder.is_dir():
-        return name
-    kept = Path(os.environ[KEPT_DATASETS], name) if KEPT_DATASETS in os.environ else None
-    if kept is not None and kept.is_dir():
-        shutil.copytree(kept, folder)
-        return name
-    DATASETS[name](hive)
-    if kept is not None:
-        shutil.copytree(folder, kept.with_suffix(".part"))
-        kept.with_suffix(".part").rename(kept)
+
+    def make(shared: Path) -> None:
+        DATASETS[name](hive)
+        shutil.copytree(folder, shared)
+
+    if not folder.is_dir():
+        shared = made_once(f"dataset-{name}", make)
+        if not folder.is_dir():
+            shutil.copytree(shared, folder)
     return name
 
 

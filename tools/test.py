@@ -24,6 +24,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
+from unittest import mock
 
 import machine
 from steps import StepFailed
@@ -47,8 +48,8 @@ ENGINE_PACKAGES = ("docker.io", "iptables", "debootstrap")
 COMPOSE_PACKAGES = ("docker-compose-v2", "docker-compose-plugin", "docker-compose")
 CLIENT_PACKAGE = "docker-cli"
 NO_BYTECODE = "PYTHONDONTWRITEBYTECODE"
-KEPT_DATASETS = "TESTS_KEEP_DATASETS_IN"
-"""Names the folder where one tier leaves the datasets that take long to make, for those that run after it."""
+SHARED_FOLDER = "TESTS_SHARE_IN"
+"""The variable that names the folder in which all tiers share what takes long to make, see ``tests/sharing.py``."""
 NO_ENGINE = "unix:///nonexistent/docker.sock"
 DATABASE_PACKAGE = "mariadb-server-core"
 
@@ -103,7 +104,7 @@ def main(names: Sequence[str]) -> int:
     started = time.monotonic()
     outcomes: dict[str, Outcome] = {}
     try:
-        with keeping_datasets():
+        with shared_folder():
             for _, group in itertools.groupby(chosen, key=lambda tier: tier.group or tier.name):
                 outcomes.update(run_group(list(group)))
     except KeyboardInterrupt:
@@ -153,14 +154,12 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
 
 
 @contextlib.contextmanager
-def keeping_datasets() -> Iterator[None]:
-    """Meanwhile, tiers find the datasets that others have made."""
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ[KEPT_DATASETS] = folder
-        try:
+def shared_folder() -> Iterator[None]:
+    """Meanwhile, tiers find what others have made."""
+    with tempfile.TemporaryDirectory(prefix="slamhive-test-shared-") as folder:
+        Path(folder).chmod(0o755)  # a run may have a user of its own
+        with mock.patch.dict(os.environ, {SHARED_FOLDER: folder}):
             yield
-        finally:
-            del os.environ[KEPT_DATASETS]
 
 
 def run_group(tiers: Sequence[Tier]) -> dict[str, Outcome]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -16,9 +17,15 @@ from slamhive.services.hive import Hive
 from slamhive.trajectory.offset import position_misfit
 from slamhive.trajectory.transforms import move_sensor, rigid_transform
 from slamhive.trajectory.tum import read_tum
+from tests.algorithms.from_sources import FROM_SOURCES
 from tests.real_datasets import dataset
 
 pytestmark = [pytest.mark.integration, pytest.mark.docker]
+
+WITH_IMAGES = ("aloam-room", "orb-slam2-stereo-kitti_06")
+"""Of the systems that are compiled for ROS 1, what the tier ``images`` runs; the others are in ``classical``."""
+SLOW_RATE = 0.15
+"""So slow that the systems keep up while other tests use the cores."""
 
 
 def all_tests() -> list[Any]:
@@ -28,15 +35,19 @@ def all_tests() -> list[Any]:
         tier = "classical" if algorithms[0].package.base is Base.ROS1 else "packages"
         for entry in bound_tests(algorithms):
             name = f"{entry.algorithm.name}-{entry.bound.dataset}"
-            found.append(pytest.param(entry, id=name, marks=getattr(pytest.mark, tier)))
+            marks = FROM_SOURCES if name in WITH_IMAGES else [getattr(pytest.mark, tier)]
+            found.append(pytest.param(entry, id=name, marks=marks))
     return found
 
 
 @pytest.mark.timeout(7200)  # the first run of a package builds its image
 @pytest.mark.parametrize("entry", all_tests())
-def test_each_algorithm_keeps_its_bounds(systems: Hive, entry: BoundTest) -> None:
+def test_each_algorithm_keeps_its_bounds(systems: Hive, entry: BoundTest, request: pytest.FixtureRequest) -> None:
     dataset(systems, entry.bound.dataset)
-    (queued,) = systems.runs.submit(entry.submission())
+    submission = entry.submission()
+    if request.node.get_closest_marker("images") is not None:
+        submission = replace(submission, playback_rate=SLOW_RATE)
+    (queued,) = systems.runs.submit(submission)
     systems.worker(only=[queued.id]).run(until_idle=True)
     result = entry.result(systems.runs.get(queued.id))
     assert result.problem is None, f"{result.problem}\n{systems.runs.log(queued.id)[-2000:]}"

@@ -67,7 +67,7 @@ def test_installed_copy_finds_its_folders(wheel, tmp_path):
     environment = tmp_path / "environment"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", environment], check=True)
     python = environment / "bin" / "python"
-    install = [sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", wheel]
+    install = [sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-compile", wheel]
     subprocess.run(install, check=True, capture_output=True)
     code = "from slamhive.project import project_root; print(project_root())"
     found = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True, cwd=tmp_path)

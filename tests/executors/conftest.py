@@ -23,7 +23,7 @@ from slamhive.runs.folder import RunFolder
 from tests.executors.kubernetes_cluster import KubernetesCluster
 from tests.executors.plugins import PLUGINS, Agent, distributions_in, install_plugins
 from tests.executors.slurm_cluster import Cluster, cannot_start_because
-from tests.shared_environments import share_environments
+from tests.sharing import made_once, share_environments
 from tests.waiting import eventually
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
@@ -167,7 +167,8 @@ def environment_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def plugin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where the executors of other packages are installed."""
-    return install_plugins(tmp_path_factory.mktemp("plugins"))
+    sources = tmp_path_factory.mktemp("plugins")
+    return made_once("executor-plugins", lambda folder: install_plugins(sources, folder))
 
 
 @pytest.fixture(scope="session")

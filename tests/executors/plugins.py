@@ -23,13 +23,13 @@ plain = "slamhive_plain:PlainExecutor"
 TOKEN = "a token of these tests"
 
 
-def install_plugins(folder: Path) -> Path:
-    """Install both packages into a folder that is put on the path."""
-    remote = folder / "remote"
+def install_plugins(sources: Path, folder: Path) -> Path:
+    """Write both packages to ``sources``, and install them into a folder that is put on the path."""
+    remote = sources / "remote"
     shutil.copytree(Path(__file__).parent / "remote_plugin", remote, ignore=shutil.ignore_patterns("__pycache__"))
     example = (EXTEND / "executor.py").read_text()
-    plain = write_package(folder / "plain", "slamhive_plain", example, PLAIN_ENTRY_POINT)
-    return install([remote, plain], folder / "installed")
+    plain = write_package(sources / "plain", "slamhive_plain", example, PLAIN_ENTRY_POINT)
+    return install([remote, plain], folder)
 
 
 def distributions_in(folder: Path) -> list[EntryPoint]:

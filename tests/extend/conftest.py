@@ -9,13 +9,14 @@ import pytest
 
 from tests.extend.plugin_packages import install, write_examples
 from tests.forked_commands import Run, forked_commands
+from tests.sharing import made_once
 
 
 @pytest.fixture(scope="session")
 def examples(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder into which every example is installed."""
-    folder = tmp_path_factory.mktemp("examples")
-    return install(write_examples(folder / "packages"), folder / "installed")
+    sources = tmp_path_factory.mktemp("examples")
+    return made_once("examples", lambda folder: install(write_examples(sources), folder))
 
 
 @pytest.fixture(scope="session")

@@ -8,13 +8,15 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import tomllib
 import zipfile
 from pathlib import Path
 from typing import Any
 
+from tests.extend.wheel_builder import build_wheels
 from tests.forked_commands import Run
-from tests.shared_environments import share_environments
+from tests.sharing import share_environments
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 EXTEND = CHECKOUT / "docs" / "extend"
@@ -88,10 +90,14 @@ def write_examples(folder: Path) -> list[Path]:
 
 
 def install(packages: list[Path], target: Path) -> Path:
-    """Install packages into the folder ``target``."""
-    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation"]
-    command += ["--disable-pip-version-check", "--target", str(target), *map(str, packages)]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    """Build packages that are no wheels yet, and install all into the folder ``target``."""
+    folders = [package for package in packages if package.is_dir()]
+    wheels = [package for package in packages if not package.is_dir()]
+    with tempfile.TemporaryDirectory() as built:
+        wheels += build_wheels(folders, Path(built)) if folders else []
+        command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
+        command += ["--disable-pip-version-check", "--target", str(target), *map(str, wheels)]
+        ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
     return target
 

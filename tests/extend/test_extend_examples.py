@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 import pytest
 
+from slamhive.bags.room import RoomOptions, render_room
 from tests.extend.plugin_packages import CHECKOUT, EXTEND, Command
 from tests.forked_commands import Run
 from tests.services.tiny_project import make_dataset, make_project
@@ -183,8 +184,9 @@ def test_an_importer_imports(evaluated: Command, tmp_path: Path):
 
 
 def test_an_exporter_exports_a_step_makes_a_variant_and_an_algorithm_runs_on_it(evaluated: Command):
-    evaluated.run("dataset", "room", "--seconds", "2")
-    folder = Path(evaluated.environment["SLAMHIVE_DATA"]) / "imu-csv"
+    data = Path(evaluated.environment["SLAMHIVE_DATA"])
+    render_room(data / "datasets" / "room", RoomOptions(duration_s=2.0, width=64, height=48), lambda *_: None)
+    folder = data / "imu-csv"
     evaluated.run("dataset", "export", "room", "--format", "imu-csv", "--partial", "--to", str(folder))
     assert len((folder / "imu0.csv").read_text().splitlines()) == 402
     assert "gyroscope" in evaluated.run("variants", "steps", "imu_scale").stdout

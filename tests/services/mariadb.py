@@ -18,12 +18,13 @@ from pathlib import Path
 import pymysql
 import pytest
 
+from tests.memory import folder_in_memory
+
 SERVERS = ("mariadbd", "mysqld")
 START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 30.0
 USER = "slamhive"
 _SEARCH_PATH = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", "/usr/local/sbin", "/usr/libexec"])
-_MEMORY = Path("/dev/shm")
 _ROOM_BYTES = 4_000_000_000
 _FAST_AND_SMALL = (
     "--innodb-flush-log-at-trx-commit=2",  # what was committed survives a killed server, not a power cut
@@ -177,8 +178,7 @@ def running_server() -> Iterator[DatabaseServer]:
     program = find_server()
     if program is None:
         pytest.skip("no MariaDB or MySQL server here; enable: apt-get install mariadb-server-core")
-    roomy = _MEMORY.is_dir() and shutil.disk_usage(_MEMORY).free > _ROOM_BYTES
-    with tempfile.TemporaryDirectory(prefix="slamhive-db-", dir=_MEMORY if roomy else None) as folder:
+    with tempfile.TemporaryDirectory(prefix="slamhive-db-", dir=folder_in_memory(_ROOM_BYTES)) as folder:
         server = DatabaseServer(Path(folder), program)
         server.create()
         server.start()

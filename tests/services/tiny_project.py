@@ -12,7 +12,7 @@ from rosbags.rosbag1 import Writer
 from slamhive.catalogue.dataset_file import dataset_to_yaml
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.sensors import Sensor, SensorKind
-from tests.shared_environments import share_environments
+from tests.sharing import share_environments
 
 ALGORITHM = """
 format: 1

@@ -20,11 +20,13 @@ from typing import Any
 import slamhive.executors
 import slamhive.services
 from slamhive.services.hive import open_hive
+from tests import durability
 
 
 def main(log: str) -> None:
     """Fork a worker for each line."""
     _load_what_workers_use()
+    durability.leave_out(True)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     for line in sys.stdin:
         pid = os.fork()
@@ -35,7 +37,8 @@ def main(log: str) -> None:
 
 
 def _load_what_workers_use() -> None:
-    """Use cases load on first use, which each worker would otherwise do by itself."""
+    """Use cases load on first use, and Matplotlib for the first plot; each worker would otherwise do that by itself."""
+    importlib.import_module("matplotlib.backends.backend_agg")
     for package in (slamhive.services, slamhive.executors):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             importlib.import_module(module.name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from _pytest.mark.expression import Expression
 
-from tests.conftest import LONGEST, TESTS, may_be_selected
+from tests.conftest import LATEST, LONGEST, TESTS, may_be_selected
 
 
 @pytest.mark.parametrize(
@@ -25,4 +25,4 @@ def test_files_are_read_for_the_marks_that_their_tests_may_have(file: str, marks
 
 
 def test_files_that_begin_first_exist() -> None:
-    assert [name for name in LONGEST if not (TESTS / name).is_file()] == []
+    assert [name for name in (*LONGEST, *LATEST) if not (TESTS / name).is_file()] == []

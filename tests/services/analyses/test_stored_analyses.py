@@ -44,12 +44,30 @@ forms:
 """
 
 
-@pytest.fixture
-def hive(tmp_path: Path, sqlite_template: Path) -> Iterator[Hive]:
-    """Runs with figures."""
-    opened = world.make_hive(tmp_path, template=sqlite_template)
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory: pytest.TempPathFactory, sqlite_template: Path) -> Path:
+    """The folder of an installation that has runs with figures."""
+    folder = tmp_path_factory.mktemp("filled")
+    opened = world.make_hive(folder, template=sqlite_template)
     world.fill(opened)
     world.evaluate_run(opened, 2, 0.1)
+    opened.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def refusing(filled: Path) -> Iterator[Hive]:
+    """That installation, in which no test stores anything."""
+    opened = world.make_hive(filled)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def hive(filled: Path, tmp_path: Path) -> Iterator[Hive]:
+    """An installation of the test's own."""
+    shutil.copytree(filled, tmp_path, symlinks=True, dirs_exist_ok=True)
+    opened = world.make_hive(tmp_path)
     yield opened
     opened.close()
 
@@ -233,16 +251,16 @@ def test_visitors_get_analyses_of_their_own_and_the_oldest_go(hive: Hive):
         ("- 1\n", "top level"),
     ],
 )
-def test_texts_that_cannot_be_used_store_nothing(hive: Hive, text: str, problem: str):
+def test_texts_that_cannot_be_used_store_nothing(refusing: Hive, text: str, problem: str):
     with pytest.raises(InvalidInput, match=problem):
-        hive.stored_analyses.create(text)
-    assert not hive.settings.analyses_folder.exists() or not list(hive.settings.analyses_folder.iterdir())
+        refusing.stored_analyses.create(text)
+    assert not refusing.settings.analyses_folder.exists() or not list(refusing.settings.analyses_folder.iterdir())
 
 
 @pytest.mark.parametrize("token", ["", "..", "../runs", "0" * 31, "G" * 32, "0" * 32, "0" * 31 + "\n"])
-def test_addresses_that_are_none(hive: Hive, token: str):
+def test_addresses_that_are_none(refusing: Hive, token: str):
     with pytest.raises(NotFound):
-        hive.stored_analyses.get(token)
+        refusing.stored_analyses.get(token)
 
 
 def test_a_damaged_report_is_told_and_computed_anew_after_reindex(hive: Hive):

@@ -1,0 +1,29 @@
+"""Images of algorithms are made as ``slamhive algorithm build`` makes them, and only once.
+
+The tests that run these systems find the images: nothing may run beside those, so they should not wait for a build.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from slamhive.services.hive import Hive
+from tests.algorithms.from_sources import FROM_SOURCES
+
+pytestmark = [pytest.mark.integration, pytest.mark.docker]
+
+PACKAGES = [
+    *("kiss-icp", "rko-lio", "orb-slam3"),
+    *(pytest.param(name, marks=FROM_SOURCES) for name in ("aloam", "orb-slam2")),
+]
+
+
+@pytest.mark.timeout(1400)
+@pytest.mark.parametrize("name", PACKAGES)
+def test_an_image_is_made_once(systems: Hive, name: str) -> None:
+    package = systems.catalogue.package(name)
+    executor = systems.executors.get("docker")
+    digest = executor.build(package, lambda _line: None)
+    lines: list[str] = []
+    assert executor.build(package, lines.append) == digest
+    assert lines == []
