@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from slamhive.client.asynchronous import AsyncHive
     from slamhive.client.experiments import Experiment, Experiments
     from slamhive.client.hive import Hive
     from slamhive.client.runs import Batch, Run, RunList, Runs
     from slamhive.client.trajectory import RunTrajectory
 
 __all__ = [
+    "AsyncHive",
     "Batch",
     "Experiment",
     "Experiments",

@@ -34,11 +34,6 @@ class RunQuery:
     sort: str = "id"
     descending: bool = True
 
-    @property
-    def order(self) -> str:
-        """The order as the web API names it."""
-        return "desc" if self.descending else "asc"
-
 
 class Backend(Protocol):
     """One installation.

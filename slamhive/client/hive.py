@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Hive:
-    """An installation: a data root that was opened. Close it, or use it in a ``with`` statement.
+    """An installation: a data root or a server. Close it, or use it in a ``with`` statement.
 
     One thread may use it at a time.
     """
@@ -31,6 +31,17 @@ class Hive:
         from slamhive.client.local import LocalBackend  # noqa: PLC0415 - a client of a server needs no database
 
         return cls(LocalBackend.open(Path(path), writable=writable))
+
+    @classmethod
+    def connect(cls, url: str, *, token: str | None = None) -> Self:
+        """The installation that the server at ``url`` serves, such as ``http://127.0.0.1:5000``.
+
+        ``token`` is an API token; None for a server without accounts. Nothing is sent before something is asked for.
+        Raises Unavailable if httpx is not installed.
+        """
+        from slamhive.client.http import HttpBackend  # noqa: PLC0415 - reading a data root needs no HTTP
+
+        return cls(HttpBackend(url, token))
 
     @property
     def runs(self) -> Runs:

@@ -196,9 +196,16 @@ class Runs(RunList):
         ``options`` are the other fields of a submission, such as ``repeat``, ``seed`` and ``playback_mode``;
         ``docs/schemas/submission.schema.json`` lists them. Raises InvalidInput or NotFound naming the value.
         """
-        from slamhive.schema.model import load  # noqa: PLC0415 - reading needs none of this
-        from slamhive.schema.submission import Submission  # noqa: PLC0415
+        asked = submission_of(algorithm, dataset, parameters, options)
+        return Batch(self._backend, [Run(self._backend, run) for run in self._backend.submit(asked)])
 
-        content = {"algorithm": algorithm, "dataset": dataset, "parameters": dict(parameters or {}), **options}
-        submission: Submission = load(Submission, content)
-        return Batch(self._backend, [Run(self._backend, run) for run in self._backend.submit(submission)])
+
+def submission_of(
+    algorithm: str, dataset: str, parameters: Mapping[str, Value] | None, options: Mapping[str, Any]
+) -> Submission:
+    """A submission of Python values; raises InvalidInput naming the field."""
+    from slamhive.schema.model import load  # noqa: PLC0415 - reading needs none of this
+    from slamhive.schema.submission import Submission  # noqa: PLC0415
+
+    content = {"algorithm": algorithm, "dataset": dataset, "parameters": dict(parameters or {}), **options}
+    return load(Submission, content)

@@ -10,28 +10,13 @@ from flask import Flask, Response, make_response, render_template, request
 from werkzeug.exceptions import BadRequest, HTTPException
 
 from slamhive.errors import (
-    Conflict,
-    Forbidden,
-    InvalidInput,
-    NotFound,
     SlamHiveError,
-    TooManyRequests,
-    Unauthenticated,
-    Unavailable,
 )
 from slamhive.schema.api_answers import OldError, Problem
+from slamhive.schema.problems import STATUS
 
 logger = logging.getLogger(__name__)
 
-STATUS: dict[type[SlamHiveError], int] = {
-    InvalidInput: 400,
-    Unauthenticated: 401,
-    Forbidden: 403,
-    NotFound: 404,
-    Conflict: 409,
-    TooManyRequests: 429,
-    Unavailable: 503,
-}
 TITLES = {
     400: "Invalid request",
     401: "Sign in first",

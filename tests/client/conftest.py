@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,7 @@ import pytest
 
 if TYPE_CHECKING:
     from slamhive.client import Hive
+    from slamhive.services.hive import Hive as ServedHive
 
 
 @pytest.fixture(scope="module")
@@ -27,13 +30,41 @@ def installation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder / "data"
 
 
-@pytest.fixture(scope="module", params=["files"])
+@pytest.fixture(scope="module")
+def url(installation: Path) -> Iterator[str]:
+    """The address of a server that only shows the installation."""
+    from slamhive.services.data_root import DataRoot  # noqa: PLC0415
+    from slamhive.services.hive import open_hive  # noqa: PLC0415
+
+    opened = open_hive({"data": str(installation), "mode": "view-only"}, DataRoot.READ)
+    with serving(opened) as address:
+        yield address
+    opened.close()
+
+
+@pytest.fixture(scope="module", params=["files", "server"])
 def client(request: pytest.FixtureRequest, installation: Path) -> Iterator[Hive]:
     """The same installation through each backend."""
     from slamhive.client import Hive  # noqa: PLC0415
 
-    with Hive.open(installation) as hive:
+    files = request.param == "files"
+    with Hive.open(installation) if files else Hive.connect(request.getfixturevalue("url")) as hive:
         yield hive
+
+
+@contextmanager
+def serving(opened: ServedHive) -> Iterator[str]:
+    """A server in a thread of this process, and its address."""
+    from slamhive.web.serve import WebServer  # noqa: PLC0415
+
+    server = WebServer(opened, "127.0.0.1", 0)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        yield server.url
+    finally:
+        server.close()
+        thread.join()
 
 
 @pytest.fixture

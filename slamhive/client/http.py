@@ -1,0 +1,169 @@
+"""Connections to a server, and the backend that works through one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from slamhive.client import requests
+from slamhive.client.backend import LOG_BYTES, Change, RunQuery
+from slamhive.client.requests import HEADERS, PREFIX, Request, raise_for
+from slamhive.errors import InvalidInput, Unavailable
+
+if TYPE_CHECKING:
+    import httpx
+
+    from slamhive.schema.experiment import Cell, ExperimentStatus
+    from slamhive.schema.run import Run, RunWith
+    from slamhive.schema.submission import Submission
+
+T = TypeVar("T")
+TIMEOUT_S = 60.0
+CONNECTING_AGAIN = 2
+"""How often a connection that cannot be made is tried again."""
+
+
+def connection_options(url: str, token: str | None) -> dict[str, Any]:
+    """The options of a client of httpx; raises InvalidInput for an address that is not http or https."""
+    if not url.startswith(("http://", "https://")):
+        raise InvalidInput(f"{url!r} is no address of a server", "write it as http://127.0.0.1:5000")
+    headers = HEADERS if token is None else {**HEADERS, "Authorization": f"Bearer {token}"}
+    return {"base_url": url.rstrip("/") + PREFIX, "headers": headers, "timeout": TIMEOUT_S}
+
+
+def load_httpx() -> Any:
+    """The package httpx; raises Unavailable if it is not installed."""
+    try:
+        import httpx  # noqa: PLC0415 - optional
+    except ImportError:
+        raise Unavailable(
+            "connecting to a server needs httpx, which is not installed", "pip install slamhive[client]"
+        ) from None
+    return httpx
+
+
+def message_of(request: Request[Any]) -> dict[str, Any]:
+    """What a client of httpx sends for a request."""
+    body = {} if request.body is None else {"json": request.body}
+    return {"method": request.method, "url": request.path, "params": dict(request.arguments), **body}
+
+
+def answer_of(request: Request[T], response: httpx.Response) -> T:
+    """The answer to a request; raises the error that it reports."""
+    raise_for(response.status_code, response.content, str(response.url))
+    return request.read(response.content)
+
+
+def silent(url: str, error: Exception) -> Unavailable:
+    """The error for a server that does not answer."""
+    return Unavailable(f"{url} does not answer: {error}", "check the address; slamhive serve starts a server")
+
+
+class HttpBackend:
+    """A server, asked over HTTP.
+
+    Args:
+        url: Its address.
+        token: An API token; None for a server without accounts.
+    """
+
+    def __init__(self, url: str, token: str | None) -> None:
+        self.label = url
+        library = load_httpx()
+        self._failures: tuple[type[Exception], ...] = (library.HTTPError, library.InvalidURL)
+        transport = library.HTTPTransport(retries=CONNECTING_AGAIN)
+        self._client: httpx.Client = library.Client(transport=transport, **connection_options(url, token))
+
+    def runs(self, query: RunQuery) -> Iterator[Run]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        after: str | None = None
+        while True:
+            page = self._send(requests.run_page(query, after))
+            yield from page.runs
+            after = requests.cursor(page.next)
+            if after is None:
+                return
+
+    def count(self, query: RunQuery) -> int:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        found = self._send(requests.run_count(query))
+        return found if found < requests.EXACT_BELOW else sum(1 for _ in self.table(query, ["id"]))
+
+    def table(self, query: RunQuery, columns: Sequence[str]) -> Iterator[dict[str, Any]]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.run_table(query, columns))
+
+    def run(self, run_id: int) -> RunWith:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.run(run_id))
+
+    def files(self, run_id: int) -> tuple[str, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return tuple(entry.key for entry in self._send(requests.run_files(run_id)).files)
+
+    def file(self, run_id: int, key: str) -> bytes:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.run_file(run_id, key))
+
+    def log(self, run_id: int) -> str:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.run_log(run_id, LOG_BYTES))
+
+    def activity(self, run_id: int) -> str:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.run_progress(run_id)).text
+
+    def submit(self, submission: Submission) -> tuple[Run, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.submit(submission)).runs
+
+    def cancel(self, run_id: int) -> Run:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.cancel(run_id))
+
+    def retry(self, run_id: int) -> Run:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.retry(run_id))
+
+    def experiments(self) -> tuple[ExperimentStatus, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.experiments()).experiments
+
+    def experiment(self, name: str) -> ExperimentStatus:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.experiment(name))
+
+    def cells(self, name: str) -> Iterator[Cell]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        after: str | None = None
+        while True:
+            page = self._send(requests.cells(name, after))
+            yield from page.cells
+            after = requests.cursor(page.next)
+            if after is None:
+                return
+
+    def start(self, text: str, executor: str | None) -> ExperimentStatus:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.start(text, executor))
+
+    def change(self, name: str, change: Change) -> ExperimentStatus:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.change(name, change))
+
+    @contextmanager
+    def working(self, what: Sequence[int] | str) -> Iterator[Callable[[], None]]:  # noqa: ARG002 - servers have workers
+        """See :class:`~slamhive.client.backend.Backend`."""
+        yield lambda: None
+
+    def close(self) -> None:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        self._client.close()
+
+    def _send(self, request: Request[T]) -> T:
+        try:
+            response = self._client.request(**message_of(request))
+        except self._failures as error:
+            raise silent(self.label, error) from None
+        return answer_of(request, response)

@@ -1,0 +1,175 @@
+"""Requests of the web API as values: what is sent, and how the answer is read. Nothing here sends anything."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from urllib.parse import parse_qs, quote, urlsplit
+
+from slamhive.errors import SlamHiveError, Unavailable
+from slamhive.schema.api_answers import CellPage, Experiments, Problem, Progress, RunFiles, RunPage, Runs
+from slamhive.schema.experiment import ExperimentStatus
+from slamhive.schema.model import Document, dump
+from slamhive.schema.problems import STATUS
+from slamhive.schema.run import Run, RunWith
+from slamhive.schema.submission import Submission
+
+if TYPE_CHECKING:
+    from slamhive.client.backend import Change, RunQuery
+
+T = TypeVar("T")
+D = TypeVar("D", bound=Document)
+PREFIX = "/api/v1"
+HEADERS = {"X-SLAM-Hive": "1", "Accept": "application/json"}
+PAGE = 1000
+CELLS = 200
+EXACT_BELOW = 1000
+"""A server counts at least so far."""
+_KINDS = {status: kind for kind, status in STATUS.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Request(Generic[T]):
+    """One request.
+
+    Attributes:
+        path: Below :data:`PREFIX`.
+        read: Reads the bytes of the answer.
+        arguments: Of the address.
+        body: JSON; requests with one are POST.
+        changes: Whether it is POST.
+    """
+
+    path: str
+    read: Callable[[bytes], T]
+    arguments: Mapping[str, str] = field(default_factory=dict)
+    body: Any = None
+    changes: bool = False
+
+    @property
+    def method(self) -> str:
+        """The HTTP method."""
+        return "POST" if self.changes else "GET"
+
+
+def raise_for(status: int, content: bytes, address: str) -> None:
+    """Raise the error that an answer reports, as the services raise it; other answers are fine."""
+    if status < HTTPStatus.MULTIPLE_CHOICES:
+        return
+    try:
+        problem = Problem.read(json.loads(content))
+    except (ValueError, SlamHiveError):
+        raise Unavailable(
+            f"{address} answered with status {status}, not as SLAM Hive does", "check the address"
+        ) from None
+    raise _KINDS.get(status, Unavailable)(problem.detail, problem.remedy)
+
+
+def run_page(query: RunQuery, after: str | None) -> Request[RunPage]:
+    """A page of runs."""
+    more = {} if after is None else {"after": after}
+    return _get("/runs", RunPage, {**_arguments(query), "limit": str(PAGE), **more})
+
+
+def run_count(query: RunQuery) -> Request[int]:
+    """How many runs match; from :data:`EXACT_BELOW` on, there may be more."""
+    return Request("/runs", lambda data: _document(RunPage)(data).total, {**_arguments(query), "limit": "1"})
+
+
+def run_table(query: RunQuery, columns: Sequence[str]) -> Request[Iterator[dict[str, Any]]]:
+    """A row of values for each matching run."""
+    return Request("/exports/runs.ndjson", _rows, {**_arguments(query), "columns": ",".join(columns)})
+
+
+def run(run_id: int) -> Request[RunWith]:
+    """One run."""
+    return _get(f"/runs/{run_id}", RunWith)
+
+
+def run_files(run_id: int) -> Request[RunFiles]:
+    """The files of a run."""
+    return _get(f"/runs/{run_id}/files", RunFiles)
+
+
+def run_file(run_id: int, key: str) -> Request[bytes]:
+    """One file of a run."""
+    return Request(f"/runs/{run_id}/files/{quote(key, safe='')}", bytes)
+
+
+def run_log(run_id: int, max_bytes: int) -> Request[str]:
+    """The end of the log of a run."""
+    return Request(f"/runs/{run_id}/log", lambda data: data.decode(errors="replace"), {"bytes": str(max_bytes)})
+
+
+def run_progress(run_id: int) -> Request[Progress]:
+    """How far a run is."""
+    return _get(f"/runs/{run_id}/progress", Progress)
+
+
+def submit(submission: Submission) -> Request[Runs]:
+    """Queue runs."""
+    return _post("/runs", Runs, dump(Submission, submission))
+
+
+def cancel(run_id: int) -> Request[Run]:
+    """Cancel a run."""
+    return _post(f"/runs/{run_id}/cancel", Run)
+
+
+def retry(run_id: int) -> Request[Run]:
+    """Queue the same again."""
+    return _post(f"/runs/{run_id}/retry", Run)
+
+
+def experiments() -> Request[Experiments]:
+    """All experiments."""
+    return _get("/experiments", Experiments)
+
+
+def experiment(name: str) -> Request[ExperimentStatus]:
+    """One experiment."""
+    return _get(f"/experiments/{quote(name, safe='')}", ExperimentStatus)
+
+
+def cells(name: str, after: str | None) -> Request[CellPage]:
+    """A page of the configurations of an experiment."""
+    more = {} if after is None else {"after": after}
+    return _get(f"/experiments/{quote(name, safe='')}/cells", CellPage, {"limit": str(CELLS), **more})
+
+
+def start(text: str, executor: str | None) -> Request[ExperimentStatus]:
+    """Start an experiment."""
+    return _post("/experiments", ExperimentStatus, {"yaml": text, "executor": executor})
+
+
+def change(name: str, change: Change) -> Request[ExperimentStatus]:
+    """Change an experiment."""
+    return _post(f"/experiments/{quote(name, safe='')}/{change.value}", ExperimentStatus)
+
+
+def cursor(following: str | None) -> str | None:
+    """The cursor in the address of the next page. Nothing else of that address is used."""
+    return None if following is None else parse_qs(urlsplit(following).query)["after"][0]
+
+
+def _get(path: str, kind: type[D], arguments: Mapping[str, str] | None = None) -> Request[D]:
+    return Request(path, _document(kind), arguments or {})
+
+
+def _post(path: str, kind: type[D], body: Any = None) -> Request[D]:
+    return Request(path, _document(kind), body=body, changes=True)
+
+
+def _document(kind: type[D]) -> Callable[[bytes], D]:
+    return lambda data: kind.read(json.loads(data))
+
+
+def _rows(data: bytes) -> Iterator[dict[str, Any]]:
+    return map(json.loads, data.splitlines())
+
+
+def _arguments(query: RunQuery) -> dict[str, str]:
+    return {"where": query.where, "sort": query.sort, "order": "desc" if query.descending else "asc"}
