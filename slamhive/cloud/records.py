@@ -65,7 +65,7 @@ class CloudRecords:
         """Hold a cluster during the block; raises Conflict if another command holds it."""
         self._make_folder()
         descriptor = os.open(
-            self.folder / f".{check_name('cluster', name)}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC
+            self.folder / f".{check_name('cluster', name)}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644
         )
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

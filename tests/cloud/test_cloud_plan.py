@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import textwrap
 from datetime import timedelta
 
 import pytest
@@ -11,6 +13,7 @@ from slamhive.cloud.cloud_file import load_cloud_file
 from slamhive.cloud.plan import BOOT_H, IMAGE_H, Work, make_plan
 from slamhive.cloud.user_data import MOST_BYTES, PREPARED, NodeOrders, user_data
 from slamhive.errors import InvalidInput
+from slamhive.project import project_root
 from tests.cloud.cloud_world import NOW, cloud_order, cloud_text
 
 MACHINE_H = 0.5 + 0.1 * 40 / 730
@@ -97,6 +100,14 @@ def test_a_mistake_in_a_cloud_file_names_its_line(old: str, new: str, words: str
         load_cloud_file(cloud_text().replace(old, new), "cloud.yaml")
     assert words in str(caught.value)
     assert str(caught.value).startswith("cloud.yaml")
+
+
+def test_the_example_of_the_documentation_can_be_planned() -> None:
+    page = (project_root() / "docs" / "cloud.md").read_text(encoding="utf-8")
+    block = re.search(r"```yaml\n(.*?)```", page, re.DOTALL)
+    assert block is not None
+    order = load_cloud_file(textwrap.dedent(f"    {block[1].lstrip()}"), "cloud.md")
+    assert make_plan(order, Work(hours=30, runs=40), NOW).nodes == 4
 
 
 def node(number: int, *, waits: bool, join: str = "k3s agent") -> NodeOrders:
