@@ -179,12 +179,12 @@ def ours(runs: Sequence[Run], nodes: int) -> float:
     while free:
         now_s, number = heapq.heappop(free)
         node = cluster[number]
-        run = _next(cluster, node, reserve, now_s)
-        if run is None:
+        chosen = _next(cluster, node, reserve, now_s)
+        if chosen is None:
             continue
-        end_s = now_s + run.actual_s + (0.0 if run.data in node.held else run.transfer_s)
-        node.expected_end_s = now_s + node.cost_s(run)
-        node.held.add(run.data)
+        end_s = now_s + chosen.actual_s + (0.0 if chosen.data in node.held else chosen.transfer_s)
+        node.expected_end_s = now_s + node.cost_s(chosen)
+        node.held.add(chosen.data)
         last_s = max(last_s, end_s)
         heapq.heappush(free, (end_s, number))
     return last_s
