@@ -24,7 +24,7 @@ from slamhive.cloud.cloud_file import cloud_schema
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
 from slamhive.project import project_root
-from slamhive.schema import accounts, catalogue, collection, experiment
+from slamhive.schema import accounts, catalogue, collection, experiment, nodes
 from slamhive.schema.analysis import StoredAnalysis
 from slamhive.schema.archive import Manifest, RunLine
 from slamhive.schema.checks import DatasetCheck
@@ -214,6 +214,7 @@ DOCUMENTS: dict[str, Any] = {
     "ledger-line": LedgerLine,
     "link-report": collection.LinkReport,
     "match": Match,
+    "nodes": nodes.Overview,
     "plug-in": PlugIn,
     "protocols": Protocols,
     "public-sequence": collection.PublicSequence,

@@ -30,6 +30,7 @@ MODULES = {
     "evaluate": "evaluate",
     "experiment": "experiments",
     "gate": "gates",
+    "nodes": "nodes",
     "plugins": "plugins",
     "protocol": "protocols",
     "reindex": "maintenance",

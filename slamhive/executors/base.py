@@ -20,6 +20,7 @@ from slamhive.executors.status import RunHandle, RunStatus, UsageSource
 
 if TYPE_CHECKING:
     from slamhive.executors.images import ImageTools
+    from slamhive.executors.nodes import Node
 
 ProgressCallback = Callable[[str], None]
 """Takes one line about what is going on, such as a build step."""
@@ -66,6 +67,7 @@ class Capabilities:
             and the files that are watched meanwhile.
         elsewhere: Runs take cores of other machines, though they share files with the controller.
         gpu: It can give a run a GPU of this machine.
+        drains: It can keep further runs away from one of its nodes.
         several_at_once: One worker may start several runs at the same time.
         evaluates_in: Where evaluations take place.
         preference: ``auto`` takes the usable executor with the lowest number; None if it must be asked for by name.
@@ -77,6 +79,7 @@ class Capabilities:
     shares_files: bool = True
     elsewhere: bool = False
     gpu: bool = False
+    drains: bool = False
     several_at_once: bool = True
     evaluates_in: EvaluationPlace = EvaluationPlace.PROCESS
     preference: int | None = None
@@ -152,6 +155,16 @@ class Executor(ABC):
     def examine_nodes(self) -> list[Finding]:
         """What ``slamhive doctor cluster`` reports: what each node offers. Takes a while. Raises Unavailable."""
         raise Unavailable(f"the executor {self.name} uses no other machines", "set EXECUTOR to one that does")
+
+    def nodes(self) -> list[Node]:
+        """The machines that runs can be on, by name. Quick. An executor of this machine alone need not say it."""
+        from slamhive.executors.nodes import this_machine  # noqa: PLC0415 - few ask
+
+        return [this_machine()]
+
+    def drain(self, node: str, drained: bool) -> None:  # noqa: ARG002 - the signature of the seam
+        """Let no further run start on ``node``, or end that. Raises InvalidInput without ``capabilities.drains``."""
+        raise InvalidInput(f"the executor {self.name} cannot drain {node}", "stop the worker instead")
 
     def check_package(self, package: AlgorithmPackage) -> None:  # noqa: B027 - most take every package
         """Raise ImageMissing if the package can never run here. Quick: it is called before a run is queued."""

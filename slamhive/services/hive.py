@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from slamhive.services.imports import Imports
     from slamhive.services.kept_answers import KeptAnswers
     from slamhive.services.ledger import Ledger
+    from slamhive.services.nodes import Nodes
     from slamhive.services.replay import Replays
     from slamhive.services.reports import Analyses
     from slamhive.services.run_comparison import RunComparisons
@@ -279,6 +280,13 @@ class Hive:
         from slamhive.services.kept_answers import KeptAnswers
 
         return KeptAnswers(self.settings.answers_folder)
+
+    @cached_property
+    def nodes(self) -> Nodes:
+        """The machines that execute runs."""
+        from slamhive.services.nodes import Nodes
+
+        return Nodes(self.settings, self.store, self.executors, self.experiments, self.worker_alive)
 
     def worker(self, only: Sequence[int] | None = None) -> Worker:
         """A worker of this installation, for all runs or for ``only`` these; its ``run`` does the work."""

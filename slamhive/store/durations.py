@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from statistics import median
 
-from sqlalchemy import ColumnElement, Integer, and_, cast, func, select
+from sqlalchemy import ColumnElement, Integer, and_, case, cast, func, select
 
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import RunState
@@ -19,6 +19,7 @@ from slamhive.store.models import (
     Configuration,
     Dataset,
     Evaluation,
+    Host,
     Metric,
     MetricValue,
     Run,
@@ -56,6 +57,20 @@ class ActiveRun:
     claimed_at: datetime
     state: RunState = RunState.RUNNING
     package: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class MachineRuns:
+    """Runs that ended on machines with the same processor.
+
+    ``judged`` of ``runs`` know whether they were disturbed, ``disturbed`` of these were.
+    """
+
+    cpu_model: str
+    cpu_count: int
+    runs: int
+    judged: int
+    disturbed: int
 
 
 class DurationRepository(Repository):
@@ -191,6 +206,24 @@ class DurationRepository(Repository):
         states = (EvaluationState.QUEUED, EvaluationState.RUNNING)
         found = self._session.scalar(query.where(Run.experiment_id == experiment_id, Evaluation.state.in_(states)))
         return found or 0
+
+    def by_machine(self, since: datetime) -> list[MachineRuns]:
+        """The runs that succeeded or failed after ``since``, by processor, the most used first."""
+        disturbed = func.sum(case((Run.disturbed_by > "", 1), else_=0))
+        query = (
+            select(Host.cpu_model, Host.cpu_count, func.count(), func.count(Run.disturbed_by), disturbed)
+            .select_from(Run)
+            .join(Host, Host.id == Run.host_id)
+            .where(Run.ended_at >= since, Run.state.in_((RunState.SUCCEEDED, RunState.FAILED)))
+            .group_by(Host.cpu_model, Host.cpu_count)
+            .order_by(func.count().desc(), Host.cpu_model, Host.cpu_count)
+        )
+        return [MachineRuns(row[0], row[1], row[2], row[3], int(row[4])) for row in self._session.execute(query)]
+
+    def queued(self) -> dict[str, int]:
+        """How many runs wait for each executor."""
+        query = select(Run.executor, func.count()).where(Run.state == RunState.QUEUED).group_by(Run.executor)
+        return {row[0]: row[1] for row in self._session.execute(query)}
 
     def evaluation_s(self) -> float | None:
         """How long an evaluation takes: the median of the latest, None if none has ended well."""

@@ -110,6 +110,11 @@ class RunRepository(Repository):
         search = wanted or EVERYTHING
         return list_page(self._session, search, sort or RunSort(), after, limit, with_metrics=with_metrics)
 
+    def active(self) -> tuple[RunRecord, ...]:
+        """The runs that workers have claimed, in order; there are at most as many as slots."""
+        states = tuple(state for state in RunState if state.active)
+        return self.get_many(self._session.scalars(select(Run.id).where(Run.state.in_(states)).order_by(Run.id)))
+
     def counts_by_state(self) -> dict[RunState, int]:
         """How many runs are in each state, 0 included."""
         rows = self._session.execute(select(_RUNS.c.state, func.count()).group_by(_RUNS.c.state))

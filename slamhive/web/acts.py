@@ -17,7 +17,7 @@ from slamhive.store.audit import in_ranges
 PAGES = "pages"
 _LARGEST = 2**53 - 1
 _MOST_NUMBERS = 1000
-_NAMED = ("name", "group", "title")
+_NAMED = ("name", "group", "title", "executor", "node")
 """Fields of web forms that say on what something is done."""
 
 

@@ -17,6 +17,7 @@ from slamhive.executors.kubernetes.cluster import Expired, _events
 from slamhive.executors.kubernetes.run_files import RunFiles, parse_usage
 from slamhive.executors.kubernetes.supervisor import about_node
 from slamhive.executors.kubernetes.watching import RELIST_S, TRUSTED_S, PodBook, PodWatch
+from slamhive.executors.nodes import Node
 from slamhive.executors.spec import RunOutput
 from slamhive.executors.status import Exited, Gone
 
@@ -104,6 +105,21 @@ def test_which_request_no_node_meets(asked, wanted, part):
     nodes = [node(cpu="1500m", memory="8Gi"), node(cpu="2", memory="4194304Ki")]
     found = answers.unmeetable(asked, wanted, nodes)
     assert found == part if part is None else part in str(found)
+
+
+def test_nodes_as_pages_show_them():
+    gib = 2**30
+    free, cordoned, silent = (
+        answers.node(entry)
+        for entry in (
+            node("a", cpu="1500m", memory="8Gi"),
+            node("b", unschedulable=True, cpu="4"),
+            node("c", ready="Unknown"),
+        )
+    )
+    assert free == Node("a", "ready", True, False, 1, 8 * gib)
+    assert cordoned == Node("b", "ready, cordoned", False, True, 4, None)
+    assert silent == Node("c", "not ready", False, False, None, None)
 
 
 def test_an_empty_cluster():

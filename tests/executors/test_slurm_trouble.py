@@ -72,6 +72,23 @@ def test_a_job_that_no_node_can_run(bench):
         bench.start(UNTIL_TOLD, Limits(memory_bytes=10**14))
 
 
+def test_a_drained_node_takes_no_further_run(bench):
+    def node(name):
+        return next(node for node in bench.executor.nodes() if node.name == name)
+
+    assert node("one").cpu_count >= 1
+    assert node("one").memory_bytes > 0
+    bench.executor.drain("one", True)
+    try:
+        eventually(lambda: node("one").drained, "the drained node")
+        assert not node("one").takes_runs
+        _, handle = bench.start(RESULT)
+        assert handle.data["node"] == "two"
+    finally:
+        bench.executor.drain("one", False)
+    eventually(lambda: node("one").takes_runs, "the node that is back")
+
+
 def test_a_job_that_waits_forever(bench):
     spec = bench.spec(UNTIL_TOLD, Limits(cpu_cores=5000.0))
     with pytest.raises(StartFailed, match=r"no node meets what run 1 asks for: job .* is PENDING"):

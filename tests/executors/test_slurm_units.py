@@ -127,6 +127,19 @@ def test_script_of_a_job():
     assert lines[-1].endswith("supervise '/a folder'")
 
 
+def test_nodes_in_the_words_of_sinfo():
+    text = "two  drained  8  16000+\none  mixed  4  7000\none  mixed  4  7000\nthree  idle*  2  1\n\n"
+    found = command.parse_nodes(text)
+    assert [(node.name, node.cpu_count, node.memory_mb) for node in found] == [
+        ("one", 4, 7000),
+        ("three", 2, 1),
+        ("two", 8, 16000),
+    ]
+    assert [(node.takes_jobs, node.drained) for node in found] == [(True, False), (False, False), (False, True)]
+    with pytest.raises(EngineUnavailable, match="sinfo answered something unknown: 'slurm_load"):
+        command.parse_nodes("slurm_load_partitions: nobody")
+
+
 def test_runs_share_a_look_at_the_queue():
     looks: list[int] = []
 

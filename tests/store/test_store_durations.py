@@ -5,9 +5,12 @@ from __future__ import annotations
 from datetime import timedelta
 
 import pytest
+from sqlalchemy import text
 
+from slamhive.domain.host import Host
 from slamhive.domain.run import RunState
 from slamhive.store import AlgorithmVersion, Lease, Store
+from slamhive.store.durations import MachineRuns
 from tests.store.conftest import NOW
 from tests.store.store_samples import WORKER, Samples
 
@@ -47,3 +50,33 @@ def test_a_build_took_what_the_first_run_of_a_version_waited(store: Store, sampl
     for version, prepared_s in ((versions[0], 90.0), (versions[0], 500.0), (versions[1], 70.0), (versions[2], 0.5)):
         start(store, samples, experiment, prepared_s, version)
     assert store.read(lambda tx: tx.durations.build_s()) == 80.0
+
+
+SET_DISTURBED = text("UPDATE runs SET disturbed_by = :found WHERE id = :run_id")
+
+
+def ended_on(store: Store, samples: Samples, host: Host, disturbed_by: str | None, state: RunState) -> None:
+    """Add a run that ended on a machine; ``disturbed_by`` is None if nobody judged it."""
+    run_id = samples.run_in(state)
+    host_id = store.write(lambda tx: tx.catalogue.put_host(host))
+    store.write(lambda tx: tx.runs.update(run_id, host_id=host_id))
+    store.write(lambda tx: tx.session.execute(SET_DISTURBED, {"found": disturbed_by, "run_id": run_id}))
+
+
+def test_runs_are_counted_by_processor(store: Store, samples: Samples) -> None:
+    old, new = (Host("Xeon", 4, 1, kernel, "Debian") for kernel in ("5", "6"))
+    other = Host("EPYC", 4, 1, "6", "Debian")
+    ended_on(store, samples, old, "", RunState.SUCCEEDED)
+    ended_on(store, samples, new, "steal", RunState.FAILED)
+    ended_on(store, samples, old, None, RunState.SUCCEEDED)
+    ended_on(store, samples, other, None, RunState.SUCCEEDED)
+    ended_on(store, samples, other, None, RunState.CANCELLED)
+    since = NOW - timedelta(hours=1)
+    assert store.read(lambda tx: tx.durations.by_machine(since)) == [
+        MachineRuns("Xeon", 4, runs=3, judged=2, disturbed=1),
+        MachineRuns("EPYC", 4, runs=1, judged=0, disturbed=0),
+    ]
+    assert store.read(lambda tx: tx.durations.by_machine(NOW + timedelta(days=1))) == []
+    samples.queued(2)
+    samples.queued(executor="docker")
+    assert store.read(lambda tx: tx.durations.queued()) == {"process": 2, "docker": 1}

@@ -10,6 +10,7 @@ from decimal import Decimal, InvalidOperation
 from typing import Any
 
 from slamhive.executors.kubernetes.manifest import CONTAINER, KEY_ANNOTATION
+from slamhive.executors.nodes import Node
 
 Document = dict[str, Any]
 
@@ -188,7 +189,7 @@ def unmeetable(asked: Mapping[str, str], wanted: Mapping[str, str], nodes: list[
         wanted: The labels that its node must have.
         nodes: All nodes of the cluster.
     """
-    fitting = [node for node in nodes if wanted.items() <= (node["metadata"].get("labels") or {}).items()]
+    fitting = [node for node in nodes if has_labels(node, wanted)]
     if not fitting:
         labels = ", ".join(f"{label}={value}" for label, value in wanted.items())
         return f"no node has the label {labels}" if labels else "the cluster has no node"
@@ -197,6 +198,26 @@ def unmeetable(asked: Mapping[str, str], wanted: Mapping[str, str], nodes: list[
         if quantity(text) > most:
             return f"it asks for {_shown(name, quantity(text))}, but the largest node has {_shown(name, most)}"
     return None
+
+
+def has_labels(node: Document, wanted: Mapping[str, str]) -> bool:
+    """Whether a node has all of these labels."""
+    return wanted.items() <= (node["metadata"].get("labels") or {}).items()
+
+
+def node(found: Document) -> Node:
+    """A node of the cluster."""
+    name, drained = str(found["metadata"]["name"]), bool(found["spec"].get("unschedulable"))
+    given = found["status"].get("allocatable") or {}
+    state = "ready" if ready_nodes([{**found, "spec": {}}]) else "not ready"  # apart from being cordoned
+    return Node(
+        name=name,
+        state=f"{state}, cordoned" if drained else state,
+        takes_runs=bool(ready_nodes([found])),
+        drained=drained,
+        cpu_count=int(quantity(given["cpu"])) if "cpu" in given else None,
+        memory_bytes=int(quantity(given["memory"])) if "memory" in given else None,
+    )
 
 
 def ready_nodes(nodes: list[Document]) -> list[str]:

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from slamhive.errors import SlamHiveError
+from slamhive.errors import Forbidden, SlamHiveError
 from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.kubernetes.answers import Document, Right
 from slamhive.executors.kubernetes.connection import Connection, Refused, api_errors, connect
@@ -130,6 +130,11 @@ class Cluster:
     def nodes(self) -> list[Document] | None:
         """All nodes; None if the worker may not list them."""
         return self._optional("listing nodes", lambda a: a.core.list_node(**_RAW))
+
+    def cordon(self, name: str, cordoned: bool) -> None:
+        """Keep further pods away from a node, or end that. Raises Forbidden if the worker may not."""
+        body = {"spec": {"unschedulable": cordoned}}
+        self._ask("changing a node", lambda a: a.core.patch_node(name, body, **_RAW), Forbidden)
 
     def may(self, right: Right) -> bool:
         """Whether the worker has a right in the namespace, or for nodes in the cluster."""

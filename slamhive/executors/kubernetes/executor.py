@@ -32,6 +32,7 @@ from slamhive.executors.kubernetes.options import read_options
 from slamhive.executors.kubernetes.run_files import PodUsage, RunFiles, Started
 from slamhive.executors.kubernetes.run_jobs import RunJobs
 from slamhive.executors.kubernetes.watching import PodWatch
+from slamhive.executors.nodes import Node
 from slamhive.executors.process.supervisors import wait_until
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
@@ -57,6 +58,7 @@ class KubernetesExecutor(Executor):
         limits=frozenset({Limit.CORES, Limit.MEMORY, Limit.PROCESSES, Limit.DISK, Limit.TIME}),
         needs=PackageNeed.IMAGE,
         shares_files=False,
+        drains=True,
     )
 
     def __init__(self, context: ExecutorContext) -> None:
@@ -97,9 +99,7 @@ class KubernetesExecutor(Executor):
 
     def examine_nodes(self) -> list[Finding]:
         """Whether each node takes runs, and the most that a run can get there. Raises Unavailable."""
-        nodes = self._cluster.nodes()
-        if nodes is None:
-            raise Unavailable("the worker may not list nodes", "apply deploy/kubernetes/base/rights.yaml")
+        nodes = self._all_nodes()
         ready = answers.ready_nodes(nodes)
         findings = []
         for node in nodes:
@@ -108,6 +108,14 @@ class KubernetesExecutor(Executor):
             remedy = None if takes else f"see kubectl describe node {name}"
             findings.append(Finding(name, f"{state}, {answers.allocatable(node)}", remedy))
         return findings
+
+    def nodes(self) -> list[Node]:
+        """The nodes with the labels that ``KUBERNETES_OPTIONS`` asks for. Raises Unavailable."""
+        return [answers.node(found) for found in self._all_nodes() if answers.has_labels(found, self._options.node)]
+
+    def drain(self, node: str, drained: bool) -> None:
+        """As ``kubectl cordon`` does: pods that run there go on."""
+        self._cluster.cordon(node, drained)
 
     def check_package(self, package: AlgorithmPackage) -> None:
         """Refuse packages that need a user of their own."""
@@ -209,6 +217,12 @@ class KubernetesExecutor(Executor):
         """End the watch and close connections."""
         self._watch.stop()
         self._cluster.close()
+
+    def _all_nodes(self) -> list[Document]:
+        nodes = self._cluster.nodes()
+        if nodes is None:
+            raise Unavailable("the worker may not list nodes", "apply deploy/kubernetes/base/rights.yaml")
+        return nodes
 
     def _is_lost(self, handle: RunHandle) -> bool:
         """Whether nobody is there to end the run. No answer is no reason to believe it."""

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from slamhive.errors import InvalidInput
+from slamhive.errors import Forbidden, InvalidInput
 from slamhive.executors.base import EngineUnavailable, StartFailed
 from slamhive.executors.process.paths import INHERITED
 
@@ -145,19 +145,45 @@ class Node:
 
     name: str
     state: str
+    cpu_count: int
+    memory_mb: int
 
     @property
     def takes_jobs(self) -> bool:
         """Whether a job could start there now or soon."""
         return self.state.rstrip("*$~#!%@^-+") in {"idle", "mixed", "allocated", "completing"} and "*" not in self.state
 
+    @property
+    def drained(self) -> bool:
+        """Whether somebody keeps further jobs away from it."""
+        return self.state.startswith("drain")
+
 
 def list_nodes(options: Sequence[str]) -> list[Node]:
     """The nodes of the partition that ``options`` name, or of all partitions."""
     partition = [option for option in options if option.startswith("--partition=")]
-    lines = _run(["sinfo", "--noheader", "--Node", "--format=%N %T", *partition]).splitlines()
-    found = dict(line.split(maxsplit=1) for line in lines if line.strip())
-    return [Node(name, state.strip()) for name, state in sorted(found.items())]
+    return parse_nodes(_run(["sinfo", "--noheader", "--Node", "--format=%N %T %c %m", *partition]))
+
+
+def parse_nodes(text: str) -> list[Node]:
+    """The lines of ``sinfo``, which has one for each partition of a node. Raises EngineUnavailable for others."""
+    found: dict[str, Node] = {}
+    try:
+        for line in filter(str.strip, text.splitlines()):
+            name, state, cpus, memory = line.split()
+            found[name] = Node(name, state, int(cpus.rstrip("+")), int(memory.rstrip("+")))
+    except ValueError:
+        raise EngineUnavailable(f"sinfo answered something unknown: {line[:80]!r}", "try sinfo by hand") from None
+    return [found[name] for name in sorted(found)]
+
+
+def drain(node: str, drained: bool) -> None:
+    """Keep further jobs away from a node, or end that. Raises Forbidden if Slurm does not let this user do it."""
+    asked = ["State=DRAIN", "Reason=drained by SLAM Hive"] if drained else ["State=RESUME"]
+    try:
+        _run(["scontrol", "update", f"NodeName={node}", *asked])
+    except StartFailed as error:
+        raise Forbidden(f"node {node} is not changed: {error.message}", "ask whoever runs the cluster") from None
 
 
 def run_on(node: str, options: Sequence[str], program: Sequence[str], patience_s: int) -> str:

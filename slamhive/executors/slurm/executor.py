@@ -25,6 +25,7 @@ from slamhive.executors.base import (
     PackageNeed,
     StartFailed,
 )
+from slamhive.executors.nodes import Node
 from slamhive.executors.process.executor import ProcessExecutor, remove_work
 from slamhive.executors.process.exit_file import EXIT_FILE
 from slamhive.executors.process.paths import shim_spec_of
@@ -51,6 +52,7 @@ class SlurmExecutor(ProcessExecutor):
         limits=frozenset({Limit.CORES, Limit.MEMORY, Limit.PROCESSES, Limit.DISK}),
         needs=PackageNeed.ENVIRONMENT,
         elsewhere=True,
+        drains=True,
         evaluates_in=EvaluationPlace.PROCESS,
     )
 
@@ -76,6 +78,17 @@ class SlurmExecutor(ProcessExecutor):
     def examine_nodes(self) -> list[Finding]:
         """What each node is, which container runtime it has, and why not the others."""
         return survey(self._options, self._context.slurm_containers)
+
+    def nodes(self) -> list[Node]:
+        """The nodes of the partition, or of all."""
+        return [
+            Node(node.name, node.state, node.takes_jobs, node.drained, node.cpu_count, node.memory_mb * 2**20)
+            for node in command.list_nodes(self._options)
+        ]
+
+    def drain(self, node: str, drained: bool) -> None:
+        """By ``scontrol``, which needs the rights of an operator."""
+        command.drain(node, drained)
 
     def start(self, spec: RunSpec) -> RunHandle:
         """Submit a job unless there is one, and wait a little. Raises EngineUnavailable while it waits for a node."""

@@ -24,6 +24,7 @@ OF_PAGE = {
     "runs": "search",
     "selected_runs": "search",
     "trash": "web",
+    "nodes": "web",
     "searches": "search",
     "start": "web",
     "configurations": "configurations",

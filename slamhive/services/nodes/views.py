@@ -1,0 +1,106 @@
+"""What is known of nodes, for command line, page and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from slamhive.executors.nodes import Node
+from slamhive.store.durations import MachineRuns
+
+
+@dataclass(frozen=True, slots=True)
+class NodeRun:
+    """A run that a worker has claimed. ``node`` is None while it is not known where it runs."""
+
+    id: int
+    algorithm: str
+    dataset: str
+    state: str
+    executor: str
+    node: str | None
+    cpu_model: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class NodeView:
+    """A node with the runs of this installation on it; for the rest see :class:`slamhive.executors.nodes.Node`."""
+
+    name: str
+    state: str
+    takes_runs: bool
+    drained: bool
+    cpu_count: int | None
+    memory_bytes: int | None
+    cpu_model: str | None
+    runs: tuple[NodeRun, ...]
+
+    @classmethod
+    def of(cls, node: Node, runs: Iterable[NodeRun]) -> NodeView:
+        """The CPU model is that of the engine, else what a run on the node has recorded."""
+        runs = tuple(runs)
+        return cls(
+            name=node.name,
+            state=node.state,
+            takes_runs=node.takes_runs,
+            drained=node.drained,
+            cpu_count=node.cpu_count,
+            memory_bytes=node.memory_bytes,
+            cpu_model=node.cpu_model or next((run.cpu_model for run in runs if run.cpu_model), None),
+            runs=runs,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """The nodes of one executor; ``problem`` says why they are not known. ``drains``: nodes can be taken out of use.
+
+    ``elsewhere`` are active runs that are on none of the nodes, or of which the node is not known yet.
+    """
+
+    executor: str
+    nodes: tuple[NodeView, ...]
+    elsewhere: tuple[NodeRun, ...] = ()
+    drains: bool = False
+    problem: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """What machines with the same processor measured in the last ``hours``: runs that ended.
+
+    ``disturbed_fraction`` is that of the runs that know whether they were disturbed, None if there is none.
+    """
+
+    cpu_model: str
+    cpu_count: int
+    hours: float
+    runs: int
+    runs_per_hour: float
+    disturbed_fraction: float | None
+
+    @classmethod
+    def of(cls, found: MachineRuns, hours: float) -> Machine:
+        """The rates of what the database counts."""
+        return cls(
+            cpu_model=found.cpu_model,
+            cpu_count=found.cpu_count,
+            hours=hours,
+            runs=found.runs,
+            runs_per_hour=found.runs / hours,
+            disturbed_fraction=found.disturbed / found.judged if found.judged else None,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Overview:
+    """All of it. ``left_s`` is the time left of all active experiments, one after the other; ``queued`` counts runs.
+
+    Without ``asks_engines``, only the database was asked.
+    """
+
+    engines: tuple[Engine, ...]
+    machines: tuple[Machine, ...]
+    queued: int
+    left_s: float
+    asks_engines: bool = True
