@@ -16,10 +16,9 @@ from slamhive.domain.run import RunState
 from slamhive.errors import TooManyRequests, Unauthenticated
 from slamhive.services.accounts import TokenRequest
 from slamhive.settings import Auth, Mode
-from slamhive.web import live
+from slamhive.web import live, rates
 from slamhive.web.app import create_app
 from slamhive.web.live import LiveHub
-from slamhive.web.rates import MOST_ADDRESSES
 from slamhive.web.serve import WebServer
 from slamhive.web.sign_in_limits import MOST_OF_ADDRESS, MOST_OF_BOTH, SignInLimits, network_of
 from slamhive.web.views.accounts import is_own_address
@@ -303,11 +302,12 @@ def test_failures_count_by_name_and_network_and_successes_do_not() -> None:
         pytest.fail("many networks try one name as often as they like")
 
 
-def test_failures_are_kept_in_bounded_memory() -> None:
+def test_failures_are_kept_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rates, "MOST_ADDRESSES", 50)
     limits = SignInLimits(lambda: 0.0)
-    for number in range(MOST_ADDRESSES + 10):
-        fail(limits, f"n{number}", f"10.0.{number // 256}.{number % 256}")
-    assert {len(limit._calls) for limit in (limits._both, limits._address, limits._name)} == {MOST_ADDRESSES}
+    for number in range(60):
+        fail(limits, f"n{number}", f"10.0.0.{number}")
+    assert {len(limit._calls) for limit in (limits._both, limits._address, limits._name)} == {50}
 
 
 @pytest.mark.parametrize(
