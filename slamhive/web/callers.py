@@ -82,7 +82,9 @@ class Callers:
         return still
 
     def begin(self, opened: Session) -> None:
-        """Put a new session into the cookie, and forget what was in it: it may have been somebody else's."""
+        """Put a new session into the cookie. End the one that was in it, and forget the rest: it may be of others."""
+        if _SESSION in session:
+            self._hive.accounts.sign_out(session[_SESSION])
         session.clear()
         login_user(_SignedIn(opened.secret, opened.caller))
 

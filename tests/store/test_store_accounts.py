@@ -57,6 +57,7 @@ def test_role_password_and_state_are_replaced(store: Store, anna: int) -> None:
     store.write(lambda t: t.accounts.set_password("anna", "new"))
     store.write(lambda t: t.accounts.set_disabled("anna", LATER))
     credentials = store.read(lambda t: t.accounts.credentials("anna"))
+    assert store.write(lambda t: t.accounts.find("anna", locked=True)) == credentials
     assert credentials.password_hash == "new"
     assert (credentials.account.role, credentials.account.disabled_at) == (Role.READER, LATER)
     assert not store.read(lambda t: t.accounts.exist())

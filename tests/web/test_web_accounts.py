@@ -118,6 +118,17 @@ def test_a_session_begins_with_a_new_token_and_a_closed_cookie(site: AccountWeb)
     assert "Secure" in page.headers["Set-Cookie"]
 
 
+def test_signing_in_as_somebody_else_ends_the_session_before(site: AccountWeb) -> None:
+    client = site.of(Role.MEMBER)
+    before = client.get_cookie("slamhive")
+    assert before is not None
+    fields = {"csrf_token": token_of(client, "/account"), "name": "ada", "password": PASSWORD}
+    assert client.post("/login", data=fields).status_code == 303
+    assert "Account ada" in client.get("/account").text
+    client.set_cookie("slamhive", before.value)
+    assert client.get("/account").status_code == 302
+
+
 def test_signing_in_needs_the_token_of_the_page(site: AccountWeb) -> None:
     client = site.web.app.test_client()
     assert client.post("/login", data={"name": "max", "password": PASSWORD}).status_code == 400
