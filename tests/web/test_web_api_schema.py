@@ -14,17 +14,19 @@ from hypothesis import HealthCheck, Phase, given, settings
 
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
+from slamhive.services.hive import Hive
 from slamhive.store.records import RunSort, SavedSearchRecord
 from slamhive.web.api import TABLE
 from slamhive.web.api.operation import Operation, Section
 from slamhive.web.security import API_HEADER
+from tests.services.mariadb import DatabaseServer
 from tests.web import web_world as world
 from tests.web.request_fuzz import ANALYSIS, EXPERIMENT
 from tests.web.web_world import Web, make_web
 
 pytestmark = pytest.mark.integration
 
-EXAMPLES = 6
+EXAMPLES = 4
 NOTHING_THERE = {"dataset_check", "analysis_report"}
 """Nobody has checked the dataset, and no worker has computed the analysis."""
 LOOKING_FIRST = sorted(TABLE.operations, key=attrgetter("method"))
@@ -32,13 +34,28 @@ LOOKING_FIRST = sorted(TABLE.operations, key=attrgetter("method"))
 
 
 @pytest.fixture(scope="module")
-def target(filled: Path, compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
-    """An installation that the requests may change."""
+def sqlite_hive(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Hive:
+    """A filled installation on SQLite."""
     folder = tmp_path_factory.mktemp("schema")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
+    return world.make_hive(folder)
+
+
+@pytest.fixture(scope="module")
+def mysql_hive(database_server: DatabaseServer, tmp_path_factory: pytest.TempPathFactory) -> Hive:
+    """A filled installation on a database server."""
+    url = database_server.create_database("slamhive_api_schema")
+    hive = world.make_hive(tmp_path_factory.mktemp("schema"), database_url=url)
+    world.fill(hive)
+    return hive
+
+
+@pytest.fixture(scope="module", params=["sqlite", pytest.param("mysql", marks=pytest.mark.mysql)])
+def target(request: pytest.FixtureRequest, compiled: Path) -> Iterator[Web]:
+    """An installation that the requests may change, on each kind of database."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
-        web = make_web(world.make_hive(folder), compiled)
+        web = make_web(request.getfixturevalue(f"{request.param}_hive"), compiled)
         web.hive.experiments.start(ExperimentSource(EXPERIMENT.replace("NAME", "trial")))
         web.hive.searches.save(SavedSearchRecord("slow-ones", "duration > 1", (), RunSort(), grouped=False))
         yield web

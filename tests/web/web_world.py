@@ -105,17 +105,22 @@ def make_dataset(settings: Settings, name: str, sensors: tuple[str, ...], *, gro
 
 
 def make_hive(
-    folder: Path, mode: Mode = Mode.WORKSTATION, *, empty: bool = False, template: Path | None = None
+    folder: Path,
+    mode: Mode = Mode.WORKSTATION,
+    *,
+    empty: bool = False,
+    template: Path | None = None,
+    database_url: str = "",
 ) -> Hive:
     """A hive on the SQLite database that is there, or on a new one, with datasets unless ``empty``.
 
-    Migrating takes long: a new database is a copy of ``template`` if there is one.
+    Migrating takes long: a new database is a copy of ``template`` if there is one. ``database_url`` names another one.
     """
     root = folder / "project"
     if not root.exists():
         root.mkdir()
         make_project(root)
-    settings = Settings(mode=mode, data=folder / "data", min_free_disk_mb=0)
+    settings = Settings(mode=mode, data=folder / "data", min_free_disk_mb=0, database_url=database_url)
     settings.runs_folder.mkdir(parents=True, exist_ok=True)
     settings.datasets_folder.mkdir(parents=True, exist_ok=True)
     if not empty and not (settings.datasets_folder / "room").exists():
