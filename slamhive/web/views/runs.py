@@ -39,7 +39,7 @@ from slamhive.web.context import hive
 from slamhive.web.errors import status_of, wants_json
 from slamhive.web.figures import best_plane, captions, figure_table, run_figures
 from slamhive.web.formatting import plural
-from slamhive.web.presenters import matching, protocols, search
+from slamhive.web.presenters import matching, protocols, scripts, search
 from slamhive.web.presenters import runs as presenter
 from slamhive.web.presenters.live import progress_json
 from slamhive.web.request_input import form_text
@@ -129,6 +129,7 @@ def _search_page(services: Hive, query: RunQuery, **content: Any) -> str:
             services.searches.names(),
         ),
         analysis_url=_analysis_url(query),
+        scripts=scripts.search_scripts(query.search.text, query.sort, services.settings),
         ranges=search.ranges(query.fields, services.searches.metrics()),
         parquet=find_spec("pyarrow") is not None,
         **content,
@@ -185,6 +186,7 @@ def show(run_id: int) -> str:
             {file.key for file in downloads}, None if run.protocol is None else run.protocol.fingerprint
         ),
         protocol_groups=protocols.protocol_groups(),
+        scripts=scripts.run_scripts(run_id, services.settings),
     )
 
 

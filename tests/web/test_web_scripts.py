@@ -1,0 +1,48 @@
+"""Pages of runs say how to do the same in Python, on the command line and with curl."""
+
+from __future__ import annotations
+
+import ast
+import html
+import shlex
+
+import pytest
+from click.testing import CliRunner
+
+from slamhive.cli.main import main
+from slamhive.settings import Settings
+from slamhive.store.records import RunSort
+from slamhive.web.presenters.scripts import search_scripts
+from tests.web.web_world import RUNS, Web
+
+pytestmark = pytest.mark.integration
+
+FILTER = 'note ~ "it\'s $HOME `id`*" and ate.rmse < 0.1'
+
+
+def test_the_page_of_a_run_shows_its_scripts(shown: Web) -> None:
+    page = html.unescape(shown.client.get(f"/runs/{RUNS['done']}").text)
+    assert "hive.runs.get(1)" in page
+    assert "slamhive runs show 1</pre>" in page
+    assert "curl http://127.0.0.1:5000/api/v1/runs/1</pre>" in page
+    assert shown.client.get("/api/v1/runs/1").status_code == 200
+
+
+def test_the_list_of_runs_shows_scripts_for_its_search(shown: Web) -> None:
+    page = html.unescape(shown.client.get("/runs?where=ate.rmse+<+0.1&sort=ate.rmse").text)
+    assert "hive.runs.where('ate.rmse < 0.1').sort('ate.rmse').to_pandas()" in page
+    assert "slamhive runs --where 'ate.rmse < 0.1' --sort ate.rmse --ascending --csv" in page
+    assert "Command line</p>" not in shown.client.get("/runs?where=ate.rmse+<+low").text
+    assert "Command line</p>" not in shown.client.get("/runs?group=configuration").text
+
+
+def test_no_filter_can_leave_its_quotes(shown: Web, monkeypatch: pytest.MonkeyPatch) -> None:
+    python, command, curl = search_scripts(FILTER, RunSort("ate.rmse", descending=True), Settings())
+    calls = [node for node in ast.walk(ast.parse(python.text)) if isinstance(node, ast.Constant)]
+    assert FILTER in [node.value for node in calls]
+    assert len(ast.parse(python.text).body) == 3
+    assert shlex.split(curl.text)[4] == f"where={FILTER}"
+    monkeypatch.setenv("SLAMHIVE_ROOT", str(shown.hive.project_root))
+    arguments = ["--data", str(shown.hive.settings.data), *shlex.split(command.text)[1:]]
+    done = CliRunner().invoke(main, arguments)
+    assert (done.exit_code, done.stdout.splitlines()[1:]) == (0, []), done.output
