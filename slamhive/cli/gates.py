@@ -10,7 +10,7 @@ import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.groups import LazyGroup
-from slamhive.cli.mistakes import mistakes_end_with
+from slamhive.cli.mistakes import Answering
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.domain.gate import DEFAULT_MARGINS, Answer, read_budget
 from slamhive.domain.numbers import plural
@@ -22,27 +22,13 @@ if TYPE_CHECKING:
     from slamhive.services.gates import GateCheck
     from slamhive.services.hive import Hive
 
-MISTAKE = 2
-"""The exit code of a mistake: 1 is the answer "worse"."""
 EXIT_CODES = {Answer.PASS: 0, Answer.WORSE: 1, Answer.UNDECIDED: 3}
 STYLES = {Answer.PASS: "green", Answer.WORSE: "red", Answer.UNDECIDED: "yellow"}
 _DEFAULTS = ", ".join(f"{key}={margin.words().replace(' ', '')}" for key, margin in DEFAULT_MARGINS.items())
 
 
-class GateGroup(LazyGroup):
-    """The group of gate commands. A mistake ends them with an exit code of its own."""
-
-    def make_context(
-        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
-    ) -> click.Context:
-        """Parse the options of the group."""
-        with mistakes_end_with(MISTAKE):
-            return super().make_context(info_name, args, parent, **extra)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command."""
-        with mistakes_end_with(MISTAKE):
-            return super().invoke(ctx)
+class GateGroup(Answering, LazyGroup):
+    """The group of gate commands."""
 
 
 @click.group(cls=GateGroup)

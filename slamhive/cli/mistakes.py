@@ -4,10 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import click
 
 from slamhive.errors import SlamHiveError, one_line
+
+MISTAKE = 2
+"""The exit code of a mistake where 1 is an answer: worse, or different."""
+
+
+class Answering(click.Command):
+    """A command whose exit code is its answer. A mistake ends it with another one."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Parse the options."""
+        with mistakes_end_with(MISTAKE):
+            return super().make_context(info_name, args, parent, **extra)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command."""
+        with mistakes_end_with(MISTAKE):
+            return super().invoke(ctx)
 
 
 @contextmanager

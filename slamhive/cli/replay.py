@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.mistakes import mistakes_end_with
+from slamhive.cli.mistakes import Answering
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.domain.numbers import plural
 from slamhive.domain.replay import DEFAULT_MARGINS, Agreement
@@ -18,30 +18,12 @@ from slamhive.files import write_aside
 if TYPE_CHECKING:
     from slamhive.schema.replay import ReplayAnswer
 
-MISTAKE = 2
-"""The exit code of a mistake, as of gates: 1 is the answer "differs"."""
 EXIT_CODES = {Agreement.AGREE: 0, Agreement.DIFFERS: 1, Agreement.UNDECIDED: 3}
 STYLES = {Agreement.AGREE: "green", Agreement.DIFFERS: "red", Agreement.UNDECIDED: "yellow"}
 _DEFAULTS = ", ".join(f"{key}={margin.words().replace(' ', '')}" for key, margin in DEFAULT_MARGINS.items())
 
 
-class ReplayCommand(click.Command):
-    """A command whose mistakes end with an exit code of their own."""
-
-    def make_context(
-        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
-    ) -> click.Context:
-        """Parse the options."""
-        with mistakes_end_with(MISTAKE):
-            return super().make_context(info_name, args, parent, **extra)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command."""
-        with mistakes_end_with(MISTAKE):
-            return super().invoke(ctx)
-
-
-@click.command(cls=ReplayCommand)
+@click.command(cls=Answering)
 @click.argument("bundle", type=click.Path(dir_okay=False, path_type=Path))
 @click.option(
     "--repeats", type=click.IntRange(1, 1000), default=5, show_default=True, help="Runs of each configuration."

@@ -6,6 +6,7 @@ import io
 import json
 import shutil
 import tarfile
+import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,8 @@ from click.testing import CliRunner, Result
 
 from slamhive.bags.staging import checksum
 from slamhive.cli import main
+from slamhive.cli.replay import EXIT_CODES
+from slamhive.domain.replay import Agreement
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.executors.base import ImageMissing, PackageNeed
 from slamhive.schema.replay import ReplayAnswer
@@ -23,15 +26,27 @@ from slamhive.services.archive.exporting import ExportRequest, export_archive
 from slamhive.services.archive.extras import Extra
 from slamhive.services.archive.layout import version_member
 from slamhive.services.archive.reading import open_archive
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.replay.packages import Packages
 from slamhive.services.replay.request import ReplayRequest
 from slamhive.store.records import AlgorithmVersion
+from tests.services.docker_base import run_docker
+from tests.services.installation import TINY_IMAGE
 from tests.services.test_archive_hostile import members_of, rewritten, sealed
 from tests.services.test_versions import Engine
 from tests.services.tiny_project import environment, make_dataset, make_project
 
 pytestmark = pytest.mark.integration
+
+
+EXPERIMENT = """
+name: paper
+algorithms: tiny
+datasets: track
+parameters: {seconds: 0}
+seeds: 7 | 8 | 9
+"""
 
 
 @dataclass(frozen=True)
@@ -63,7 +78,7 @@ def export(hive: Hive, path: Path, *extra: Extra) -> Path:
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
-    """Two runs of one configuration, evaluated."""
+    """An experiment with three runs of one configuration, evaluated."""
     root = tmp_path_factory.mktemp("replay")
     make_project(root / "project")
     make_dataset(root / "data")
@@ -72,7 +87,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
         for key, value in environment(root / "project", root / "data").items():
             patch.setenv(key, value)
         hive = open_hive()
-        hive.runs.submit(Submission("tiny", "track", {"seconds": 0}, repeat=2, seed=7))
+        hive.experiments.start(ExperimentSource(EXPERIMENT))
         hive.worker().run(until_idle=True)
         bare = export(hive, root / "bare.zip")
         yield World(root, bare, export(hive, root / "whole.zip", Extra.PACKAGES, Extra.RECORDINGS))
@@ -102,7 +117,7 @@ def test_a_bundle_replays_in_an_empty_data_root(world: World, tmp_path: Path) ->
     assert answer.content == content
     assert answer.answer == "agree"
     (configuration,) = answer.configurations
-    assert len(configuration.recorded_runs) == 2
+    assert len(configuration.recorded_runs) == 3
     assert (len(configuration.runs), configuration.failed, configuration.identical) == (5, (), 5)
     assert configuration.version.identity == configuration.recorded_version.identity
     assert not configuration.rebuilt
@@ -111,8 +126,42 @@ def test_a_bundle_replays_in_an_empty_data_root(world: World, tmp_path: Path) ->
     again = open_hive({"data": tmp_path / "data"})
     repeats = again.store.read(lambda t: t.runs.get_many(configuration.runs))
     again.close()
-    assert [run.seed for run in repeats] == [7, 8, 7, 8, 7]
+    assert [run.seed for run in repeats] == [7, 8, 9, 7, 8]
     assert len({run.protocol.fingerprint for run in repeats if run.protocol is not None}) == 1
+
+
+def test_a_record_that_was_made_up_differs(world: World, tmp_path: Path) -> None:
+    """Its checksums fit, and its errors are half of what they were. The recording is here under another name."""
+    data = tmp_path / "data"
+    shutil.copytree(world.data / "datasets" / "track", data / "datasets" / "mine")
+    text = (data / "datasets" / "mine" / "dataset.yaml").read_text()
+    (data / "datasets" / "mine" / "dataset.yaml").write_text(text.replace("name: track", "name: mine", 1))
+    bundle = made_up(world, tmp_path / "a.zip")
+    margins = ("--margin", "failures=off", "--margin", "tracked.path=off", "--margin", "tracked_fraction=off")
+    done = replay(bundle, data, *margins)
+    assert done.exit_code == 1, done.output
+    assert "replay of a.zip, 5 repeats: differs. The repeats differ from the record by more than" in done.stderr
+    assert "ATE RMSE" in done.stdout
+    assert "+100.0 %" in done.stdout
+    assert (data / "datasets" / "track" / "track.bag").samefile(data / "datasets" / "mine" / "track.bag")
+    hive = open_hive({"data": data})
+    prepared = hive.replays.prepare(ReplayRequest(bundle), lambda _share, _text: None)
+    few = hive.replays.answer(prepared, [[4]])
+    hive.close()
+    assert few.answer is Agreement.UNDECIDED
+    assert EXIT_CODES[few.answer] == 3
+
+
+def made_up(world: World, path: Path) -> Path:
+    """The bare bundle with other errors."""
+    members = members_of(world.bare)
+    results = [name for name in members if name.endswith("/result.json")]
+    assert len(results) == 3
+    for name in results:
+        result = json.loads(members[name])
+        result["metrics"]["ate.rmse"] *= 0.5
+        members[name] = json.dumps(result).encode()
+    return rewritten(path, sealed(members))
 
 
 def test_where_a_recording_can_be_got_is_said_before_anything_is_stored(world: World, tmp_path: Path) -> None:
@@ -123,18 +172,6 @@ def test_where_a_recording_can_be_got_is_said_before_anything_is_stored(world: W
     assert "--with recordings" in done.stderr
     assert not any((tmp_path / "data" / "runs").iterdir())
     assert not (tmp_path / "data" / "datasets" / "track").exists()
-
-
-def test_few_repeats_are_undecided(world: World, tmp_path: Path) -> None:
-    """And the recording is found by its checksum under another name."""
-    data = tmp_path / "data"
-    shutil.copytree(world.data / "datasets" / "track", data / "datasets" / "mine")
-    text = (data / "datasets" / "mine" / "dataset.yaml").read_text()
-    (data / "datasets" / "mine" / "dataset.yaml").write_text(text.replace("name: track", "name: mine", 1))
-    done = replay(world.bare, data, "--repeats", "1")
-    assert done.exit_code == 3, done.output
-    assert "undecided" in done.stderr
-    assert (data / "datasets" / "track" / "track.bag").samefile(data / "datasets" / "mine" / "track.bag")
 
 
 def test_another_dataset_of_the_same_name_is_refused(world: World, tmp_path: Path) -> None:
@@ -280,3 +317,43 @@ def test_a_package_is_built_again_only_if_that_is_said(
     monkeypatch.setattr(ImageEngine, "capabilities", Engine.capabilities)
     with pytest.raises(Conflict, match=r"tiny ran as sha256:.* here it is built as sha256:another"):
         get(hive, images)
+
+
+# -- in a real engine ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def own_image(base_image: str, tmp_path: Path) -> Iterator[str]:
+    """An image that is like no other, under the name that the package looks for; its digest."""
+    (tmp_path / "Dockerfile").write_text(f"FROM {base_image}\nLABEL made-for={uuid.uuid4().hex}\n")
+    built = run_docker("build", "--cpu-shares", "200", "--tag", TINY_IMAGE, str(tmp_path))
+    assert built.returncode == 0, built.stderr
+    digest = run_docker("image", "inspect", "--format", "{{.Id}}", TINY_IMAGE).stdout.strip()
+    yield digest
+    run_docker("rmi", "--force", digest)
+
+
+@pytest.mark.docker
+def test_a_replay_brings_the_image_of_its_bundle(
+    own_image: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The image is gone from the engine, as on another machine, and comes back under its digest alone."""
+    project = make_project(tmp_path / "project")
+    (project / "algorithms" / "tiny" / "Dockerfile").unlink()  # the image is taken as it is
+    make_dataset(tmp_path / "data")
+    seal(tmp_path / "data")
+    for key, value in environment(project, tmp_path / "data").items():
+        monkeypatch.setenv(key, value)
+    hive = open_hive()
+    hive.runs.submit(Submission("tiny", "track", {"seconds": 0}, repeat=2, executor="docker"))
+    hive.worker().run(until_idle=True)
+    monkeypatch.setenv("SLAMHIVE_EXECUTOR", "auto")  # the export asks all engines for the image
+    bundle = export(hive, tmp_path / "a.zip", Extra.IMAGES, Extra.RECORDINGS)
+    hive.close()
+    assert run_docker("rmi", "--force", own_image).returncode == 0
+    monkeypatch.setenv("SLAMHIVE_EXECUTOR", "process")  # for evaluations
+    done = replay(bundle, tmp_path / "other", "--load-image", "--json")
+    assert done.exit_code == 0, done.output
+    (configuration,) = ReplayAnswer.read(json.loads(done.stdout)).configurations
+    assert (configuration.version.identity, configuration.rebuilt) == (own_image, False)
+    assert run_docker("image", "inspect", TINY_IMAGE).returncode != 0
