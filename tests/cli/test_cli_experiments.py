@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import platform
 from pathlib import Path
 
 import pytest
@@ -120,3 +121,18 @@ def test_mistakes_end_in_one_line(file: Path, arguments: tuple[str, ...], text: 
     (line,) = result.stderr.strip().splitlines()
     assert line.startswith("error: ")
     assert message in line
+
+
+@pytest.mark.usefixtures("file")
+def test_nodes_are_listed_and_this_machine_is_not_drained() -> None:
+    assert call("reindex").exit_code == 0
+    listed = call("nodes")
+    assert listed.exit_code == 0, listed.output
+    assert platform.node() in listed.stdout
+    assert "0 runs queued; active experiments need about 0.0 h more" in listed.stdout
+    assert json.loads(call("nodes", "--json").stdout)["asks_engines"] is True
+    for action in ("drain", "undrain"):
+        refused = call("nodes", action, platform.node())
+        assert refused.exit_code == 1
+        assert "cannot drain" in refused.output
+    assert "unknown node 'moon'" in call("nodes", "drain", "moon").output
