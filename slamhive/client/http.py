@@ -14,11 +14,13 @@ from slamhive.errors import InvalidInput, Unavailable
 if TYPE_CHECKING:
     import httpx
 
+    from slamhive.schema.api_answers import CellPage, RunPage
     from slamhive.schema.experiment import Cell, ExperimentStatus
     from slamhive.schema.run import Run, RunWith
     from slamhive.schema.submission import Submission
 
 T = TypeVar("T")
+P = TypeVar("P", "RunPage", "CellPage")
 TIMEOUT_S = 60.0
 CONNECTING_AGAIN = 2
 """How often a connection that cannot be made is tried again."""
@@ -77,13 +79,8 @@ class HttpBackend:
 
     def runs(self, query: RunQuery) -> Iterator[Run]:
         """See :class:`~slamhive.client.backend.Backend`."""
-        after: str | None = None
-        while True:
-            page = self._send(requests.run_page(query, after))
+        for page in self._pages(lambda after: requests.run_page(query, after)):
             yield from page.runs
-            after = requests.cursor(page.next)
-            if after is None:
-                return
 
     def count(self, query: RunQuery) -> int:
         """See :class:`~slamhive.client.backend.Backend`."""
@@ -136,13 +133,8 @@ class HttpBackend:
 
     def cells(self, name: str) -> Iterator[Cell]:
         """See :class:`~slamhive.client.backend.Backend`."""
-        after: str | None = None
-        while True:
-            page = self._send(requests.cells(name, after))
+        for page in self._pages(lambda after: requests.cells(name, after)):
             yield from page.cells
-            after = requests.cursor(page.next)
-            if after is None:
-                return
 
     def start(self, text: str, executor: str | None) -> ExperimentStatus:
         """See :class:`~slamhive.client.backend.Backend`."""
@@ -160,6 +152,14 @@ class HttpBackend:
     def close(self) -> None:
         """See :class:`~slamhive.client.backend.Backend`."""
         self._client.close()
+
+    def _pages(self, request: Callable[[str | None], Request[P]]) -> Iterator[P]:
+        """All pages of a list; ``request`` makes the request for the page after a cursor."""
+        page = self._send(request(None))
+        yield page
+        while page.next is not None:
+            page = self._send(request(requests.cursor(page.next)))
+            yield page
 
     def _send(self, request: Request[T]) -> T:
         try:

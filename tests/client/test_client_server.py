@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from slamhive.client import AsyncHive, Hive
+from slamhive.client import AsyncHive, Hive, requests
 from slamhive.client.http import connection_options
 from slamhive.client.requests import EXACT_BELOW, cursor
 from slamhive.errors import Forbidden, InvalidInput, NotFound, Unavailable
@@ -76,6 +76,20 @@ def test_a_token_goes_with_each_request() -> None:
 def test_a_next_page_cannot_lead_to_another_server() -> None:
     assert cursor("http://evil.example/?after=7%2C8") == "7,8"
     assert cursor(None) is None
+
+
+def test_a_list_is_read_in_pages(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(requests, "PAGE", 2)
+    monkeypatch.setattr(requests, "EXACT_BELOW", 1)
+    with Hive.connect(url) as hive:
+        assert [run.id for run in hive.runs.sort("ate.rmse")] == [1, 2, 3, 4, 5]
+        assert len(hive.runs) == 5
+
+    async def read() -> list[int]:
+        async with AsyncHive(url) as hive:
+            return [run.id async for run in hive.runs()]
+
+    assert asyncio.run(read()) == [5, 4, 3, 2, 1]
 
 
 def test_a_server_counts_as_far_as_the_client_relies_on() -> None:
