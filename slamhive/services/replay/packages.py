@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.errors import Conflict, InvalidInput, NotFound
+from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
 from slamhive.executors.base import Executor, ImageMissing, PackageNeed, ProgressCallback
-from slamhive.files import make_shared_folder, temporary_folder
+from slamhive.files import make_shared_folder, remedy_of, temporary_folder
 from slamhive.services.algorithms import ImageArchive
 from slamhive.services.archive import ArchiveReader, version_member
 from slamhive.services.replay.request import ReplayRequest
@@ -65,7 +65,10 @@ class Packages:
         return self._built(package, wanted, executor, offered=self._archive.has(member))
 
     def _from_bundle(self, name: str, wanted: AlgorithmVersion, executor: Executor, member: str) -> VersionRecord:
-        make_shared_folder(self._folder)
+        try:
+            make_shared_folder(self._folder)
+        except OSError as error:
+            raise Unavailable(f"{self._folder} cannot be made: {error.strerror}", remedy_of(error)) from None
         with temporary_folder(".version-", self._folder) as aside:
             path = aside / "version.tar"
             self._archive.unpack(member, path)
