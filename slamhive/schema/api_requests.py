@@ -73,6 +73,13 @@ class ShownProtocolRequest(Request):
     protocol: Annotated[str, described("Fingerprint of a protocol that the run is evaluated under.")]
 
 
+class NodeRequest(Request):
+    """A machine that executes runs."""
+
+    executor: Annotated[str, described("Whose node it is.")]
+    node: Annotated[str, described("Its name.", max_length=253)]
+
+
 class SearchRequest(Request):
     """A search to save."""
 

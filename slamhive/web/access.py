@@ -36,7 +36,7 @@ RULES = {
     "analyses.check": Rule(change=Action.ANALYSE),
     "trash.empty": Rule(change=Action.ADMINISTER),
     "api.empty_trash": Rule(change=Action.ADMINISTER),
-    "nodes": Rule(change=Action.ADMINISTER),
+    **dict.fromkeys(("nodes", "api.drain_node", "api.undrain_node"), Rule(change=Action.ADMINISTER)),
     "accounts": Rule(Action.OWN, Action.OWN),
     LOGIN: Rule(look=Action.SIGN_IN),
     "accounts.sign_in": Rule(change=Action.SIGN_IN),

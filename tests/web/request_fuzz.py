@@ -99,6 +99,8 @@ BODIES: Mapping[str, dict[str, Any]] = {
     "api.annotate": {"note": "a note", "tags": ["one", "two"]},
     "api.tag": {"runs": [2], "add": ["one"], "remove": ["two"]},
     "api.delete": {"runs": [999]},
+    "api.drain_node": {"executor": "process", "node": "here"},
+    "api.undrain_node": {"executor": "process", "node": "here"},
     "api.restore": {"runs": [999]},
     "api.save_search": {
         "name": "NAME", "where": "id > 0", "columns": ["id", "state"], "sort": "id", "descending": True, "group": False,

@@ -23,7 +23,13 @@ FOR_EVERYBODY = {
     *("accounts.form", "accounts.sign_in"),
 }
 FOR_ADMINS = {"administration.accounts", "administration.audit"}
-CHANGED_BY_ADMINS = {"trash.empty", "api.empty_trash", "nodes.drain", "nodes.undrain"}
+CHANGED_BY_ADMINS = {
+    "trash.empty",
+    "api.empty_trash",
+    "nodes.drain",
+    "nodes.undrain",
+    *("api.drain_node", "api.undrain_node"),
+}
 ONES_OWN = {
     *("accounts.sign_out", "accounts.show", "accounts.change_password", "accounts.create_token"),
     "accounts.revoke_token",

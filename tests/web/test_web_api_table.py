@@ -267,6 +267,10 @@ def test_progress_metrics_log_and_server(shown: Web):
     (values,) = get(shown, f"/runs/{runs['done']}/metrics")["protocols"].values()
     assert values["ate.rmse"] == 0.04567
     assert shown.client.get(f"{PREFIX}/runs/{runs['done']}/log?bytes=9").text == "tracking\n"
+    (engine,) = [entry for entry in get(shown, "/nodes")["engines"] if entry["executor"] == "process"]
+    assert runs["running"] in [run["id"] for node in engine["nodes"] for run in node["runs"]]
+    refused = post(shown, "/nodes/drain", {"executor": "process", "node": "elsewhere"})
+    assert (refused.status_code, "unknown node" in refused.get_json()["detail"]) == (404, True)
     server = get(shown, "/server")
     assert (server["mode"], server["changes"]) == ("workstation", True)
     assert next(entry for entry in get(shown, "/metrics")["metrics"] if entry["key"] == "ate.rmse")["unit"] == "m"

@@ -13,6 +13,7 @@ from slamhive.web.api import (
     configurations,
     datasets,
     experiments,
+    nodes,
     run_changes,
     runs,
     searches,
@@ -24,7 +25,7 @@ from slamhive.web.security import require_api_header
 
 __all__ = ["TABLE", "blueprint"]
 
-_FILLING = (runs, run_changes, searches, experiments, configurations, algorithms, datasets, analyses, server)
+_FILLING = (runs, run_changes, searches, experiments, configurations, algorithms, datasets, analyses, nodes, server)
 """Each adds its operations when it is imported."""
 
 blueprint = Blueprint("api", __name__, url_prefix=PREFIX)
