@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json, tell
 from slamhive.domain.sensors import SensorSetup
@@ -54,7 +55,7 @@ def import_(cli: CliContext, source: str, preview: bool, as_json: bool, **asked:
 
 
 @click.command("remove")
-@click.argument("name")
+@click.argument("name", shell_complete=offers.PACKAGE)
 @click.option("--executor", help="The executor that has the image; default: the one in force.")
 @pass_cli
 def remove(cli: CliContext, name: str, executor: str | None) -> None:

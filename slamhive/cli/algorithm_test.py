@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.waiting import run_to_end
@@ -19,7 +20,7 @@ COLUMNS = ("algorithm", "dataset", "run", "poses", "at least", "ATE m", "at most
 
 
 @click.command("test")
-@click.argument("names", nargs=-1)
+@click.argument("names", nargs=-1, shell_complete=offers.PACKAGE)
 @click.option("--all", "all_", is_flag=True, help="Test all packages.")
 @click.option("--dataset", "datasets", multiple=True, help="Only the bounds on these datasets.")
 @click.option("--executor", help="docker or process; default: the one in force.")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table
 from slamhive.domain.numbers import plural
@@ -17,7 +18,7 @@ _IDENTITY_DIGITS = 19
 
 
 @click.command("versions")
-@click.argument("name")
+@click.argument("name", shell_complete=offers.PACKAGE)
 @json_option
 @pass_cli
 def versions(cli: CliContext, name: str, as_json: bool) -> None:
@@ -41,7 +42,7 @@ def versions(cli: CliContext, name: str, as_json: bool) -> None:
 
 
 @click.command("verify")
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=offers.PACKAGE)
 @json_option
 @pass_cli
 def verify(cli: CliContext, name: str | None, as_json: bool) -> None:
@@ -58,7 +59,7 @@ def verify(cli: CliContext, name: str | None, as_json: bool) -> None:
 
 
 @click.command("export")
-@click.argument("version", metavar="NAME[@VERSION]")
+@click.argument("version", metavar="NAME[@VERSION]", shell_complete=offers.PACKAGE)
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 @click.option("--executor", help="The executor that has the image; default: the one in force.")
 @pass_cli
@@ -71,7 +72,7 @@ def export(cli: CliContext, version: str, file: Path, executor: str | None) -> N
 
 
 @click.command("remove-version")
-@click.argument("version", metavar="NAME@VERSION")
+@click.argument("version", metavar="NAME@VERSION", shell_complete=offers.PACKAGE)
 @click.option("--with-runs", is_flag=True, help="Also if runs used it: they stay, but cannot be repeated with it.")
 @pass_cli
 def remove_version(cli: CliContext, version: str, with_runs: bool) -> None:
@@ -81,7 +82,7 @@ def remove_version(cli: CliContext, version: str, with_runs: bool) -> None:
 
 
 @click.command("prune")
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=offers.PACKAGE)
 @click.option("--dry-run", is_flag=True, help="Only list what would be removed.")
 @pass_cli
 def prune(cli: CliContext, name: str | None, dry_run: bool) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.errors import InvalidInput
@@ -14,7 +15,7 @@ from slamhive.services.weights import StoredWeights, WeightsStore
 
 
 @click.command("weights")
-@click.argument("name")
+@click.argument("name", shell_complete=offers.PACKAGE)
 @click.option("--file", "file", type=click.Path(path_type=Path), help="Add this file, which you have downloaded.")
 @click.option("--as", "weights", metavar="WEIGHTS", help="The weights that --file holds.  [default: its file name]")
 @click.option("--fetch", is_flag=True, help="Download what is missing from where its authors publish it.")

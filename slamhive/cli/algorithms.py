@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.algorithm_import import IMPORT_COMMANDS
 from slamhive.cli.algorithm_test import test
 from slamhive.cli.algorithm_versions import VERSION_COMMANDS
@@ -64,7 +65,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
 
 
 @algorithm.command("show")
-@click.argument("name")
+@click.argument("name", shell_complete=offers.ALGORITHM)
 @json_option
 @pass_cli
 def show(cli: CliContext, name: str, as_json: bool) -> None:
@@ -88,7 +89,7 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
 
 
 @algorithm.command("build")
-@click.argument("names", nargs=-1)
+@click.argument("names", nargs=-1, shell_complete=offers.PACKAGE)
 @click.option("--all", "all_", is_flag=True, help="Build all packages.")
 @click.option("--executor", help="docker or process; default: the one in force.")
 @pass_cli

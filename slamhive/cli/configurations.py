@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from slamhive import strict_yaml
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.matching import print_match
 from slamhive.cli.output import print_json, print_table, tell
@@ -133,8 +134,8 @@ def show(cli: CliContext, reference: str, as_json: bool) -> None:
 
 
 @configuration.command("create")
-@click.argument("algorithm")
-@click.argument("dataset")
+@click.argument("algorithm", shell_complete=offers.ALGORITHM)
+@click.argument("dataset", shell_complete=offers.DATASET)
 @content_options()
 @label_options
 @json_option

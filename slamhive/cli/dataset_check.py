@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, progress_bar, tell
 from slamhive.domain.checks import Severity
@@ -11,7 +12,7 @@ from slamhive.schema.checks import DatasetCheck, Finding
 
 
 @click.command("check")
-@click.argument("name")
+@click.argument("name", shell_complete=offers.DATASET)
 @click.option("--strict", is_flag=True, help="Exit code 1 for warnings too.")
 @json_option
 @pass_cli

@@ -7,12 +7,13 @@ from pathlib import Path
 import click
 
 from slamhive.bags.exporters import SHIPPED, export_dataset, plan_export
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, progress_bar, tell
 
 
 @click.command("export")
-@click.argument("name")
+@click.argument("name", shell_complete=offers.DATASET)
 @click.option("--format", "format_name", required=True, help=f"One of {', '.join(SHIPPED)}, or that of a plug-in.")
 @click.option("--to", "folder", type=click.Path(path_type=Path), help="The new folder.  [default: NAME-FORMAT]")
 @click.option("--partial", is_flag=True, help="Leave out what the format cannot hold.")

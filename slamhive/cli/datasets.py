@@ -11,7 +11,7 @@ import click
 
 from slamhive.bags.importing import ImportOptions
 from slamhive.bags.room import RoomOptions
-from slamhive.cli import dataset_fetch
+from slamhive.cli import dataset_fetch, offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.dataset_check import check
 from slamhive.cli.dataset_export import export
@@ -171,7 +171,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
 
 
 @dataset.command("show")
-@click.argument("name")
+@click.argument("name", shell_complete=offers.DATASET)
 @click.option(
     "--plot",
     "picture",
@@ -211,7 +211,7 @@ def _motion_in_words(motion: MotionSummary) -> str:
 
 
 @dataset.command("remove")
-@click.argument("name")
+@click.argument("name", shell_complete=offers.DATASET)
 @click.confirmation_option(prompt="Delete the dataset's folder? Runs keep their results.")
 @pass_cli
 def remove(cli: CliContext, name: str) -> None:

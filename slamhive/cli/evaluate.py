@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
 from slamhive.cli.hints import hints_of, print_hints
@@ -31,7 +32,7 @@ _NAMED_RUNS = 20
 
 
 @click.command()
-@click.argument("run_ids", type=run_number, nargs=-1)
+@click.argument("run_ids", type=run_number, nargs=-1, shell_complete=offers.RUN)
 @click.option("--all-unevaluated", is_flag=True, help="All successful runs that are not evaluated yet.")
 @click.option("--where", metavar="FILTER", help="All successful runs that match, e.g. 'dataset ~ MH_*'.")
 @click.option("--protocol", metavar="NAME|FILE", help="See `slamhive protocol list`; default: chosen from the sensors.")

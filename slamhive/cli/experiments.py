@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.experiment_tables import print_preview, print_report, print_status, print_statuses
 from slamhive.cli.meanings import id_option
@@ -30,7 +31,7 @@ from slamhive.sweep.experiment_file import parse_experiment
 
 SUFFIXES = (".yaml", ".yml")
 MOST_NODES = 10_000
-name_argument = click.argument("name", metavar="NAME|FILE")
+name_argument = click.argument("name", metavar="NAME|FILE", shell_complete=offers.EXPERIMENT)
 
 
 @click.group()
@@ -127,7 +128,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
 
 
 @experiment.command("status")
-@click.argument("name", metavar="[NAME|FILE]", required=False)
+@click.argument("name", metavar="[NAME|FILE]", required=False, shell_complete=offers.EXPERIMENT)
 @json_option
 @pass_cli
 def status_(cli: CliContext, name: str | None, as_json: bool) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.groups import LazyGroup
 from slamhive.cli.mistakes import Answering
@@ -87,7 +88,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
 
 
 @gate.command()
-@click.argument("baseline_name", metavar="BASELINE")
+@click.argument("baseline_name", metavar="BASELINE", shell_complete=offers.BASELINE)
 @json_option
 @pass_cli
 def show(cli: CliContext, baseline_name: str, as_json: bool) -> None:
@@ -114,7 +115,7 @@ def show(cli: CliContext, baseline_name: str, as_json: bool) -> None:
 
 
 @gate.command()
-@click.argument("name")
+@click.argument("name", shell_complete=offers.BASELINE)
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 @pass_cli
 def export(cli: CliContext, name: str, file: Path) -> None:
@@ -124,7 +125,7 @@ def export(cli: CliContext, name: str, file: Path) -> None:
 
 
 @gate.command()
-@click.argument("name")
+@click.argument("name", shell_complete=offers.BASELINE)
 @pass_cli
 def remove(cli: CliContext, name: str) -> None:
     """Delete the baseline NAME; its runs stay."""
@@ -133,7 +134,7 @@ def remove(cli: CliContext, name: str) -> None:
 
 
 @gate.command()
-@click.argument("baseline_name", metavar="BASELINE")
+@click.argument("baseline_name", metavar="BASELINE", shell_complete=offers.BASELINE)
 @click.option("--where", metavar="FILTER", help="Check runs that exist; those of the baseline are left out.")
 @click.option(
     "--run",

@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 
 class LazyGroup(click.Group):
@@ -31,3 +32,8 @@ class LazyGroup(click.Group):
             return super().get_command(ctx, cmd_name)
         commands: tuple[click.Command, ...] = import_module(f"slamhive.cli.{self.modules[cmd_name]}").COMMANDS
         return next(command for command in commands if command.name == cmd_name)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem[str]]:
+        """Commands and options that begin so; commands without their help, which would import all modules."""
+        names = [CompletionItem(name) for name in self.list_commands(ctx) if name.startswith(incomplete)]
+        return [*names, *click.Command.shell_complete(self, ctx, incomplete)]

@@ -23,6 +23,7 @@ MODULES = {
     "cite": "cite",
     "cloud": "cloud",
     "compare": "compare",
+    "completion": "completion",
     "configuration": "configurations",
     "dataset": "datasets",
     "demo": "serving",

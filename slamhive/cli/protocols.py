@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json, print_table
@@ -67,7 +68,7 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
 
 @protocol.command("use")
 @click.argument("name", metavar="PROTOCOL")
-@click.argument("run_ids", type=run_number, nargs=-1, required=True)
+@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
 @pass_cli
 def use(cli: CliContext, name: str, run_ids: tuple[int, ...]) -> None:
     """Show the metrics of PROTOCOL (a name, fingerprint or file) for runs RUN_IDS in lists and pages.
@@ -81,7 +82,7 @@ def use(cli: CliContext, name: str, run_ids: tuple[int, ...]) -> None:
 
 
 @protocol.command("compare")
-@click.argument("run_id", type=run_number)
+@click.argument("run_id", type=run_number, shell_complete=offers.RUN)
 @json_option
 @pass_cli
 def compare(cli: CliContext, run_id: int, as_json: bool) -> None:

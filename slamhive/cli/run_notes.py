@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json
 from slamhive.domain.notes import NotesChange, RunNotes
@@ -11,7 +12,7 @@ from slamhive.errors import InvalidInput
 
 
 @click.command("note")
-@click.argument("run_id", type=run_number)
+@click.argument("run_id", type=run_number, shell_complete=offers.RUN)
 @click.argument("text")
 @json_option
 @pass_cli
@@ -21,7 +22,7 @@ def note(cli: CliContext, run_id: int, text: str, as_json: bool) -> None:
 
 
 @click.command("tag")
-@click.argument("run_ids", type=run_number, nargs=-1, required=True)
+@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
 @click.option("--add", multiple=True, metavar="TAG", help="Give the runs this tag.")
 @click.option("--remove", multiple=True, metavar="TAG", help="Take this tag away from them.")
 @json_option

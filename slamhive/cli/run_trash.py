@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.domain.numbers import plural
@@ -11,7 +12,7 @@ from slamhive.schema.api_answers import DeletedRun
 
 
 @click.command("delete")
-@click.argument("run_ids", type=run_number, nargs=-1, required=True)
+@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
 @pass_cli
 def delete(cli: CliContext, run_ids: tuple[int, ...]) -> None:
     """Move runs that have ended to the trash, with their files."""
@@ -21,7 +22,7 @@ def delete(cli: CliContext, run_ids: tuple[int, ...]) -> None:
 
 
 @click.command("restore")
-@click.argument("run_ids", type=run_number, nargs=-1, required=True)
+@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
 @pass_cli
 def restore(cli: CliContext, run_ids: tuple[int, ...]) -> None:
     """Take runs out of the trash, under their old numbers."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.matching import print_match
 from slamhive.cli.output import print_json, tell
@@ -19,8 +20,8 @@ from slamhive.services.configurations import unwatchable
 
 
 @click.command()
-@click.argument("algorithm")
-@click.argument("dataset")
+@click.argument("algorithm", shell_complete=offers.ALGORITHM)
+@click.argument("dataset", shell_complete=offers.DATASET)
 @submission_options()
 @click.option("--wait", is_flag=True, help="Wait until the runs have ended; run them here if there is no worker.")
 @click.option("--preview", is_flag=True, help="Only print which sensors are used and what is taken from them.")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
 from slamhive.cli.groups import LazyGroup
 from slamhive.cli.hints import hint_in_words
@@ -129,7 +130,7 @@ def _print_page(listing: Listing, *, as_json: bool) -> None:
 
 
 @runs.command("show")
-@click.argument("run_id", type=run_number)
+@click.argument("run_id", type=run_number, shell_complete=offers.RUN)
 @json_option
 @pass_cli
 def show(cli: CliContext, run_id: int, as_json: bool) -> None:
@@ -174,7 +175,7 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
 
 
 @runs.command("log")
-@click.argument("run_id", type=run_number)
+@click.argument("run_id", type=run_number, shell_complete=offers.RUN)
 @click.option(
     "--bytes",
     "max_bytes",
@@ -190,7 +191,7 @@ def log(cli: CliContext, run_id: int, max_bytes: int) -> None:
 
 
 @runs.command("cancel")
-@click.argument("run_ids", type=run_number, nargs=-1, required=True)
+@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
 @json_option
 @pass_cli
 def cancel(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
@@ -206,7 +207,7 @@ def cancel(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
 
 
 @runs.command("retry")
-@click.argument("run_ids", type=run_number, nargs=-1, required=True)
+@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
 @json_option
 @pass_cli
 def retry(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:

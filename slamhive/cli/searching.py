@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias
 
 import click
 
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.domain.metrics import CATALOGUE
@@ -200,7 +201,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
 
 
 @search_group.command("delete")
-@click.argument("name")
+@click.argument("name", shell_complete=offers.SEARCH)
 @pass_cli
 def delete(cli: CliContext, name: str) -> None:
     """Delete the saved search NAME."""

@@ -6,6 +6,7 @@ import click
 
 from slamhive.bags.variants.cache import VariantEntry
 from slamhive.bags.variants.rules import RegisteredSteps, describe_options, describe_step
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.cli.run_options import parse_steps, step_option
@@ -73,7 +74,7 @@ def list_(cli: CliContext, dataset: str | None, as_json: bool) -> None:
 
 
 @variants.command("make")
-@click.argument("dataset")
+@click.argument("dataset", shell_complete=offers.DATASET)
 @step_option
 @json_option
 @pass_cli

@@ -11,7 +11,11 @@ import pytest
 
 from slamhive import strict_yaml
 from slamhive.bags.kitti_sequence import velodyne_layout
+from slamhive.bags.room.description import sensors_of
+from slamhive.bags.room.options import RoomOptions
+from slamhive.bags.room.rig import make_rig
 from slamhive.bags.variants.rules import RegisteredSteps
+from slamhive.bags.variants.streams import treat
 from slamhive.catalogue.algorithm_file import load_algorithms
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.dataset import Dataset
@@ -58,9 +62,14 @@ def test_the_papers_experiment_is_1500_configurations():
 
 def test_a_cut_of_the_papers_experiment_runs_on_two_rooms():
     experiment = load(EXAMPLES / "paper-room.yaml")
-    size = count(experiment, with_shipped_packages(experiment))
+    view = with_shipped_packages(experiment)
+    size = count(experiment, view)
     assert (size.configurations, size.runs) == (180, 360)
     assert size.axes == {"algorithm": 10, "dataset": 2, "image_rate": 3, "image_resolution": 3}
+    variants = {(run.configuration.dataset, run.configuration.variant) for run in expand(experiment, view)}
+    assert len(variants) == 2 * 3 * 3
+    for name, variant in variants:
+        treat(view.datasets[name], variant)  # raises if the room has sensors that no longer fit each other
 
 
 def test_the_table_of_algorithms_has_all_that_run_in_real_time_without_a_gpu():
@@ -98,10 +107,13 @@ def with_shipped_packages(experiment: Experiment) -> CatalogueView:
 
 
 def _recorded(name: str) -> Dataset:
-    """Two cameras and an IMU; of KITTI the LiDAR, whose points have no time and no ring."""
+    """Two cameras and an IMU; of KITTI the LiDAR, whose points have no time and no ring; all sensors of rooms."""
     if name.startswith("kitti"):
         made = dataset(name, ("lidar0", LIDAR, 10))
         return replace(made, sensors=(replace(made.sensors[0], calibration=velodyne_layout().calibration()),))
+    if name.startswith("room"):
+        options = RoomOptions()
+        return replace(dataset(name), sensors=sensors_of(options, make_rig(640, 480, options.lidar_rate_hz)))
     return dataset(name, ("cam0", CAMERA, 20), ("cam1", CAMERA, 20), ("imu0", IMU, 200))
 
 
