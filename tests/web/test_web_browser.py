@@ -1,0 +1,391 @@
+"""Every page in a real browser: light, dark and on a phone, without scripts, by keyboard, and with axe-core."""
+
+from __future__ import annotations
+
+import html
+import re
+import shutil
+import threading
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from werkzeug.exceptions import HTTPException
+
+from slamhive.services.executors import Executors
+from slamhive.services.experiments import ExperimentSource
+from slamhive.settings import Mode
+from slamhive.store.records import RunSort, SavedSearchRecord
+from slamhive.web.serve import WebServer
+from tests.web import web_world as world
+from tests.web.test_web_experiments import TRIAL
+from tests.web.web_world import Web, make_web
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, BrowserContext, Page
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(CHROMIUM is None, reason="needs chromium"),
+    pytest.mark.timeout(500),
+]
+
+OPTIONS = (
+    *("--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),  # plots in 3D need WebGL, here without a GPU
+)
+DESK = {"width": 1280, "height": 900}
+PHONE = {"width": 390, "height": 844}
+LOOKS: dict[str, dict[str, Any]] = {
+    "light": {"viewport": DESK, "color_scheme": "light"},
+    "dark": {"viewport": DESK, "color_scheme": "dark"},
+    "phone": {"viewport": PHONE, "color_scheme": "light", "has_touch": True},
+}
+FIRST_VIEW_BYTES = 300_000
+ANALYSIS = """\
+name: All runs
+select: {all: {where: "id >= 1"}}
+forms:
+- {form: distributions, metrics: [duration]}
+- {form: table, metrics: [ate.rmse]}
+"""
+MORE = ("/runs/1", "/runs/3", "/runs/4", "/compare?runs=1,2")
+"""Pages that differ from others with the same endpoint."""
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    """One browser for all tests."""
+    from playwright.sync_api import sync_playwright  # noqa: PLC0415 - only this tier has it
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(OPTIONS))
+        yield browser
+        browser.close()
+
+
+@contextmanager
+def served(web: Web) -> Iterator[str]:
+    """The address of a server with these pages."""
+    server = WebServer(web.hive, "127.0.0.1", 0)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        yield server.url
+    finally:
+        server.close()
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def furnished(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of an installation with something behind every page."""
+    folder = tmp_path_factory.mktemp("furnished")
+    shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
+    hive = world.make_hive(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Executors, "choose", lambda _executors, asked=None: asked or "process")
+        hive.experiments.start(ExperimentSource(TRIAL))
+    hive.searches.save(SavedSearchRecord("good", "state = succeeded", ("duration",), RunSort("duration"), False))
+    hive.stored_analyses.create(ANALYSIS)
+    hive.analysis_jobs.work_once("tests", threading.Event())
+    hive.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def desk(furnished: Path, compiled: Path) -> Iterator[Web]:
+    """An installation to look at; no test may change it."""
+    web = make_web(world.make_hive(furnished), compiled)
+    yield web
+    web.hive.close()
+
+
+@pytest.fixture(scope="module")
+def archive(furnished: Path, compiled: Path) -> Iterator[Web]:
+    """The same, view-only."""
+    web = make_web(world.make_hive(furnished, Mode.VIEW_ONLY), compiled)
+    yield web
+    web.hive.close()
+
+
+@pytest.fixture
+def own(furnished: Path, tmp_path: Path, compiled: Path) -> Iterator[Web]:
+    """An installation of the test's own."""
+    shutil.copytree(furnished, tmp_path, symlinks=True, dirs_exist_ok=True)
+    web = make_web(world.make_hive(tmp_path), compiled)
+    yield web
+    web.hive.close()
+
+
+def addresses(web: Web) -> list[str]:
+    """One address of each kind of page that links lead to from the dashboard, and ``MORE``."""
+    adapter = web.app.url_map.bind("localhost")
+    found: dict[str, str] = {}
+    waiting = ["/"]
+    while waiting:
+        address = waiting.pop(0)
+        path, _, query = address.partition("?")
+        try:
+            endpoint = adapter.match(path, query_args=query)[0]
+        except HTTPException:
+            continue
+        if endpoint in found or endpoint == "static":
+            continue
+        answer = web.client.get(address)
+        if answer.status_code == 200 and answer.mimetype == "text/html":
+            found[endpoint] = address
+            waiting += [html.unescape(link) for link in re.findall(r'href="(/[^"#]*)', answer.text)]
+    return sorted({*found.values(), *MORE})
+
+
+class Faults:
+    """What went wrong on a page: errors of scripts, refused content, and requests that leave the server."""
+
+    def __init__(self, page: Page, server: str) -> None:
+        self.found: list[str] = []
+        page.on("console", lambda line: line.type == "error" and self.found.append(f"console: {line.text}"))
+        page.on("pageerror", lambda error: self.found.append(f"script: {error}"))
+        page.on(
+            "request",
+            lambda request: (
+                request.url.startswith((server, "data:", "blob:")) or self.found.append(f"request to {request.url}")
+            ),
+        )
+
+
+def visit(context: BrowserContext, server: str, address: str) -> tuple[Page, list[str]]:
+    """Open a page and wait until its plots are drawn; the faults that were seen."""
+    page = context.new_page()
+    faults = Faults(page, server)
+    page.goto(server + address, wait_until="load")
+    page.wait_for_function("!document.body.innerText.includes('Loading …')", timeout=60_000)
+    return page, faults.found
+
+
+def wide_parts(page: Page) -> list[str]:
+    """What makes the page scroll sideways."""
+    if not page.evaluate("document.documentElement.scrollWidth > innerWidth"):
+        return []
+    script = """() => [...document.querySelectorAll('main *')]
+        .filter((part) => part.getBoundingClientRect().right > innerWidth + 1)
+        .slice(0, 3).map((part) => part.outerHTML.slice(0, 80))"""
+    return [f"wider than the window: {part}" for part in page.evaluate(script) or ["something"]]
+
+
+def violations(page: Page) -> list[str]:
+    """What axe-core finds, by rule and place."""
+    from axe_playwright_python.sync_playwright import Axe  # noqa: PLC0415 - only this tier has it
+
+    found = Axe().run(page).response["violations"]
+    return [
+        f"axe {entry['id']}: {node['target']} {node['failureSummary'][:200]}"
+        for entry in found
+        for node in entry["nodes"][:3]
+    ]
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_every_page_is_drawn_without_faults(chromium: Browser, desk: Web, look: str) -> None:
+    faults: dict[str, list[str]] = defaultdict(list)
+    with served(desk) as server:
+        context = chromium.new_context(**LOOKS[look])
+        pages = addresses(desk)
+        assert len(pages) > 20
+        for address in pages:
+            page, found = visit(context, server, address)
+            faults[address] += [*found, *wide_parts(page), *violations(page)]
+            page.close()
+        context.close()
+    assert {address: found for address, found in faults.items() if found} == {}
+
+
+@pytest.mark.parametrize("scripts", [True, False], ids=["scripts", "no-scripts"])
+def test_every_page_of_an_archive(chromium: Browser, archive: Web, scripts: bool) -> None:
+    """View-only pages have no way to change anything, and can be read without scripts."""
+    faults: dict[str, list[str]] = defaultdict(list)
+    with served(archive) as server:
+        context = chromium.new_context(java_script_enabled=scripts, **LOOKS["light"])
+        for address in addresses(archive):
+            page = context.new_page()
+            seen = Faults(page, server).found
+            answer = page.goto(server + address, wait_until="load")
+            assert answer is not None
+            faults[address] += seen
+            if answer.status != 200:
+                faults[address].append(f"status {answer.status}")
+            if not scripts and page.get_by_text("Loading …").locator("visible=true").count():
+                faults[address].append("says Loading without scripts")
+            page.close()
+        context.close()
+    assert {address: found for address, found in faults.items() if found} == {}
+
+
+def test_the_first_view_is_light(chromium: Browser, desk: Web) -> None:
+    """Plotly, which is large, is loaded only where a plot is."""
+    with served(desk) as server:
+        context = chromium.new_context(**LOOKS["light"])
+        page = context.new_page()
+        sizes: dict[str, int] = {}
+        page.on("requestfinished", lambda request: sizes.update({request.url: request.sizes()["responseBodySize"]}))
+        page.goto(server + "/runs", wait_until="load")
+        page.wait_for_timeout(200)
+        context.close()
+    assert sum(sizes.values()) < FIRST_VIEW_BYTES, sizes
+    assert not [url for url in sizes if "plotly" in url]
+
+
+def test_the_keyboard_alone_leads_through_a_list(chromium: Browser, desk: Web) -> None:
+    with served(desk) as server:
+        context = chromium.new_context(**LOOKS["light"])
+        page = context.new_page()
+        page.goto(server + "/runs", wait_until="load")
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.textContent") == "Skip to content"
+        page.keyboard.press("Enter")
+        assert page.evaluate("document.activeElement.id") == "main"
+        reached = set()
+        for _ in range(80):
+            page.keyboard.press("Tab")
+            reached.add(page.evaluate("document.activeElement.getAttribute('href') || document.activeElement.name"))
+        assert "/runs/1" in reached
+        assert "where" in reached
+        context.close()
+
+
+def test_the_theme_is_kept(chromium: Browser, desk: Web) -> None:
+    with served(desk) as server:
+        context = chromium.new_context(**LOOKS["light"])
+        page = context.new_page()
+        page.goto(server + "/", wait_until="load")
+        page.click("#theme")
+        page.goto(server + "/runs", wait_until="load")
+        assert page.evaluate("document.documentElement.dataset.bsTheme") == "dark"
+        context.close()
+
+
+# -- journeys ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def browsing(chromium: Browser, own: Web, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
+    """A page on an installation that the test may change. Any fault on the way fails the test."""
+    monkeypatch.setattr(Executors, "choose", lambda _executors, asked=None: asked or "process")
+    with served(own) as server:
+        context = chromium.new_context(base_url=server, **LOOKS["light"])
+        page = context.new_page()
+        faults = Faults(page, server)
+        yield page
+        context.close()
+    assert faults.found == []
+
+
+def heading(page: Page) -> str:
+    return page.locator("h1").inner_text()
+
+
+def test_selected_runs_are_compared(browsing: Page) -> None:
+    browsing.goto("/runs")
+    compare = browsing.get_by_role("button", name="Compare")
+    assert not compare.is_enabled()
+    browsing.get_by_label("Run 1", exact=True).check()
+    assert "2" in browsing.locator("#why-not").inner_text()
+    browsing.get_by_label("Run 2", exact=True).check()
+    compare.click()
+    browsing.wait_for_selector("[data-figure=path_2d].js-plotly-plot", timeout=60_000)
+    assert browsing.url.endswith("/compare?run=1&run=2") or "runs=1,2" in browsing.url
+
+
+def test_a_filter_is_completed_while_typing(browsing: Page) -> None:
+    browsing.goto("/runs")
+    browsing.locator("#where").press_sequentially("sta")
+    browsing.get_by_role("option", name="state", exact=False).first.wait_for()
+    browsing.locator("#where").fill("state = failed")
+    browsing.locator("#where").press("Enter")
+    browsing.wait_for_url("**/runs?where=*")
+    rows = browsing.locator("#list tbody tr")
+    assert rows.count() == 1
+    assert "Run 3" in str(rows.locator("input").get_attribute("aria-label"))
+
+
+def test_a_deleted_run_comes_back(browsing: Page) -> None:
+    browsing.goto("/runs")
+    browsing.get_by_label("Run 2", exact=True).check()
+    browsing.get_by_role("button", name="Delete selected").click()
+    assert heading(browsing) == "Delete 1 run?"
+    browsing.get_by_role("button", name="Move to the trash").click()
+    assert browsing.get_by_label("Run 2", exact=True).count() == 0
+    browsing.get_by_role("button", name="Undo").click()
+    browsing.goto("/runs")
+    assert browsing.get_by_label("Run 2", exact=True).count() == 1
+
+
+def test_runs_get_tags_and_a_note(browsing: Page) -> None:
+    browsing.goto("/runs")
+    browsing.get_by_label("Run 1", exact=True).check()
+    browsing.get_by_role("button", name="Tag selected").click()
+    browsing.get_by_label("Tags to add").fill("paper, nice")
+    browsing.get_by_role("button", name="Store tags").click()
+    browsing.goto("/runs/1")
+    browsing.get_by_label("Note", exact=True).fill("best of all")
+    browsing.locator("form", has=browsing.locator("#note")).get_by_role("button").first.click()
+    browsing.goto("/runs?where=tag+%3D+paper")
+    assert browsing.locator("#list tbody tr").count() == 1
+    browsing.goto("/runs/1")
+    assert browsing.get_by_label("Note", exact=True).input_value() == "best of all"
+
+
+def test_a_run_is_started_from_the_form(browsing: Page) -> None:
+    browsing.goto("/start?algorithm=eye-slam-stereo&dataset=room")
+    browsing.get_by_role("button", name="Start", exact=True).click()
+    browsing.wait_for_url("**/runs/*")
+    assert "queued" in browsing.locator("main").inner_text().lower()
+
+
+def test_an_experiment_is_previewed_while_typing_and_started(browsing: Page) -> None:
+    browsing.goto("/new-experiment")
+    browsing.locator("#yaml").fill(TRIAL.replace("trial", "second"))
+    browsing.locator("#preview").get_by_text("12").first.wait_for()
+    browsing.get_by_role("button", name="Start", exact=True).click()
+    browsing.wait_for_url("**/experiments/second")
+    assert heading(browsing).startswith("second")
+
+
+def test_a_plot_type_is_inserted_into_a_new_analysis(browsing: Page) -> None:
+    browsing.goto("/analyses/new")
+    browsing.locator("summary", has_text="table").first.click()
+    browsing.get_by_role("button", name="Insert Table of metrics").click()
+    browsing.wait_for_function("document.getElementById('yaml').value.includes('form: table')")
+    browsing.locator("#yaml").fill("name: bad\nselect: {all: {where: 'id >= 1'}}\nforms: [{form: nope}]\n")
+    browsing.wait_for_function("document.getElementById('verdict').classList.contains('bad')")
+    assert "nope" in browsing.locator("#verdict").inner_text()
+
+
+def test_a_search_is_saved_and_used(browsing: Page) -> None:
+    browsing.goto("/runs?where=state+%3D+succeeded")
+    browsing.get_by_label("Name of the search").fill("fine")
+    browsing.get_by_role("button", name="Save this search").click()
+    browsing.get_by_role("link", name="fine", exact=True).click()
+    assert browsing.locator("#list tbody tr").count() == 2
+
+
+def test_a_queued_run_is_cancelled_and_retried(browsing: Page) -> None:
+    browsing.goto("/runs/5")
+    browsing.get_by_role("button", name="Cancel").first.click()
+    browsing.goto("/runs/5")
+    assert "cancelled" in browsing.locator("main").inner_text().lower()
+    browsing.get_by_role("button", name="Retry").first.click()
+    assert browsing.url.endswith("/runs/18") or browsing.url.rpartition("/")[2].isdigit()
+
+
+def test_runs_are_exported(browsing: Page) -> None:
+    browsing.goto("/runs")
+    with browsing.expect_download() as download:
+        browsing.get_by_role("link", name="CSV", exact=True).first.click()
+    lines = download.value.path().read_text().splitlines()
+    assert len(lines) > 5
+    assert "algorithm" in lines[0]
