@@ -32,6 +32,7 @@
       showTips: false,
     });
     if ("time" in place.dataset) linkTime(place);
+    if (key in origins()) pickTime(place, key);
     place.setAttribute("role", "group");
     place.setAttribute("aria-label", document.querySelector(`[data-caption="${key}"]`)?.textContent || key);
   }
@@ -47,6 +48,28 @@
         if (other !== place) Plotly.relayout(other, { "xaxis.range": [...range] });
       }
     });
+  }
+
+  /** {plot: timestamp at which its time axis is 0}, for plots over the time of a recording. */
+  const origins = () => content.timeline?.origins ?? {};
+
+  /** A click on a plot announces its moment; moment.js shows what the sensors saw then. */
+  function pickTime(place, key) {
+    if (place.dataset.picks) return;
+    place.dataset.picks = "1";
+    place.on("plotly_click", ({ points }) => {
+      document.dispatchEvent(new CustomEvent("moment", { detail: origins()[key] + Number(points[0].x) }));
+    });
+  }
+
+  /** A line at a moment in every plot over the time of the recording. */
+  function mark(timestamp) {
+    for (const [key, origin] of Object.entries(origins())) {
+      const place = document.querySelector(`[data-figure="${key}"].js-plotly-plot`);
+      const x = timestamp - origin;
+      const line = { type: "line", x0: x, x1: x, yref: "paper", y0: 0, y1: 1, line: { dash: "dot", width: 1.5, color: "#8a929a" } };
+      if (place) Plotly.relayout(place, { shapes: [line] });
+    }
   }
 
   function drawAll() {
@@ -82,6 +105,7 @@
     view ??= new URLSearchParams(location.hash.slice(1)).get("view") || content.best_plane;
     if (!(view in VIEWS)) view = content.best_plane;
     drawAll();
+    if (content.timeline) document.dispatchEvent(new CustomEvent("timeline", { detail: content.timeline }));
   }
 
   document.addEventListener("DOMContentLoaded", () => {
@@ -98,6 +122,7 @@
     load();
     setInterval(() => { if (document.querySelector("[data-active]")) load(); }, WHILE_ACTIVE_MS);
   });
+  document.addEventListener("moment", ({ detail }) => { if (content) mark(detail); });
   document.addEventListener("themechange", drawAll);
   document.addEventListener("pageswap", load);
 })();

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import cv2
@@ -14,11 +15,16 @@ from slamhive.bags.reader import decode, messages, open_bag
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.runtime.messages import SUPPORTED, PointCloud, convert, to_grey
+from slamhive.runtime.messages import SUPPORTED, PointCloud, convert, stamp_ns, to_grey
 
 FRAME_WIDTH, THUMBNAIL_WIDTH = 960, 160
 MOST_POINTS = 12_000
 _JPEG_QUALITY = 85
+_JITTER_NS = 1_000_000_000
+"""How much sooner or later after its timestamp a message may be received than the first one was."""
+_MOST_SEARCHED = 500
+_HALF_A_MS = 500_000
+"""Timestamps in files have fewer digits than those in headers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +73,31 @@ def sweep_at(dataset: Dataset, sensor: Sensor, time_s: float) -> SweepView | Non
         count = len(cloud.points_m)
         kept = np.linspace(0, count - 1, min(count, MOST_POINTS)).astype(np.int64)
         return SweepView(found_s, cloud.points_m[kept], count)
+    return None
+
+
+def received_s(dataset: Dataset, sensor: Sensor, timestamp_s: float) -> float | None:
+    """When the first message with this timestamp in its header, or a later one, was received.
+
+    Returns:
+        s from the start of the recording, as :func:`frames_at` and :func:`sweep_at` take them; None after the last.
+
+    Raises:
+        InvalidInput: The recording is absent or damaged.
+    """
+    path, wanted_ns = dataset.bag_path, round(timestamp_s * 1e9)
+    with open_bag(path) as reader:
+        start_ns = int(reader.start_time)
+        delay_ns = None
+        for connection, received_ns, raw in messages(reader, path, [sensor.topic]):
+            delay_ns = received_ns - stamp_ns(decode(reader, path, connection, raw))
+            break
+        if delay_ns is None:
+            return None
+        begin_ns = max(start_ns, wanted_ns + delay_ns - _JITTER_NS)
+        for connection, received_ns, raw in islice(messages(reader, path, [sensor.topic], begin_ns), _MOST_SEARCHED):
+            if stamp_ns(decode(reader, path, connection, raw)) >= wanted_ns - _HALF_A_MS:
+                return (received_ns - start_ns) * 1e-9
     return None
 
 

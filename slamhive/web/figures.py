@@ -45,8 +45,24 @@ def run_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
         figures["memory"] = _over_time(in_mb, name, colour, started, "memory in use [MB]")
     if series.latency is not None:
         in_ms = replace(series.latency, values=series.latency.values * 1e3)
-        figures["latency"] = _over_time(in_ms, name, colour, "recording time [s]", "latency per frame [ms]", dots=True)
+        figure = _over_time(in_ms, name, colour, "recording time [s]", "latency per frame [ms]", dots=True)
+        figures["latency"] = _with_dropped(figure, series.dropped_s)
     return figures
+
+
+def timeline(series: RunSeries) -> dict[str, Any] | None:
+    """The plots over the time of the recording, None without any.
+
+    ``origins`` is {plot: timestamp in s at which its time axis is 0}; ``from_s`` and ``until_s`` are the first and the
+    last timestamp of all of them.
+    """
+    plots = {"error": series.error, "latency": series.latency}
+    known = {key: at for key, at in plots.items() if at is not None and at.origin_s is not None}
+    if not known:
+        return None
+    origins = {key: at.origin_s or 0.0 for key, at in known.items()}
+    until_s = max(origins[key] + float(at.times_s.max()) for key, at in known.items())
+    return {"origins": origins, "from_s": min(origins.values()), "until_s": until_s}
 
 
 def still_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
@@ -126,7 +142,8 @@ def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
         texts["memory"] = f"n = {plural(series.cpu.count, 'sample')}, player included."
     if series.latency is not None:
         texts["latency"] = (
-            f"From arrival to result, n = {plural(series.latency.count, 'frame')}; dropped frames have none."
+            f"From arrival to result, n = {plural(series.latency.count, 'frame')}; dropped frames have none"
+            f"{' and are crosses at 0' if len(series.dropped_s) else ''}."
         )
     return texts
 
@@ -275,6 +292,24 @@ def _over_time(samples: Samples, name: str, colour: str, x_title: str, y_title: 
         xaxis={"title": {"text": x_title}}, yaxis={"title": {"text": y_title}, "rangemode": "tozero"}, showlegend=False
     )
     return _plain(go.Figure(traces, layout))
+
+
+def _with_dropped(figure: Figure, dropped_s: Array) -> Figure:
+    """The plot of latencies with a cross at 0 for each dropped frame."""
+    if len(dropped_s) == 0:
+        return figure
+    look = {"symbol": "x-thin", "size": 6, "line": {"width": 1.2}}
+    hover = "dropped at %{x:.2f} s<extra></extra>"
+    crosses = go.Scatter(
+        x=_short(dropped_s),
+        y=np.zeros(len(dropped_s)),
+        name="dropped",
+        mode="markers",
+        marker=look,
+        meta=THEMED,
+        hovertemplate=hover,
+    )
+    return {**figure, "data": [*figure["data"], json.loads(crosses.to_json())]}
 
 
 _LOST = "tracking lost"

@@ -181,10 +181,10 @@ def violations(page: Page) -> list[str]:
     """What axe-core finds, by rule and place."""
     from axe_playwright_python.sync_playwright import Axe  # noqa: PLC0415 - only this tier has it
 
-    found = Axe().run(page).response["violations"]
+    rules = Axe().run(page).response["violations"]
     return [
         f"axe {entry['id']}: {node['target']} {node['failureSummary'][:200]}"
-        for entry in found
+        for entry in rules
         for node in entry["nodes"][:3]
     ]
 
@@ -340,7 +340,7 @@ def test_runs_get_tags_and_a_note(browsing: Page) -> None:
 
 
 def test_a_run_is_started_from_the_form(browsing: Page) -> None:
-    browsing.goto("/start?algorithm=eye-slam-stereo&dataset=room")
+    browsing.goto("/runs/new?algorithm=eye-slam-stereo&dataset=room")
     browsing.get_by_role("button", name="Start", exact=True).click()
     browsing.wait_for_url("**/runs/*")
     assert "queued" in browsing.locator("main").inner_text().lower()

@@ -219,3 +219,70 @@ def test_motion_is_that_of_a_known_path():
     assert np.allclose(motion.angular_rates_radps, 0.5)
     assert not ((motion.times_s > 4.2) & (motion.times_s < 5.8)).any()
     assert len(motion_of(Poses(times_s[:1], positions_m[:1], quats[:1])).times_s) == 0
+
+
+# -- a moment of a run -------------------------------------------------------------------------------------------------
+
+
+def moment(web: Web, timestamp: object, run_id: int = 1):
+    return web.client.get(f"/runs/{run_id}/moment.json?timestamp={timestamp}")
+
+
+def test_a_moment_of_a_run_is_what_its_sensors_saw_then(recorded: Web):
+    content = moment(recorded, 1005.04).get_json()
+    assert content["words"].startswith("The position error is ")
+    assert content["words"].endswith(" m. The frame took 30.0 ms.")
+    left, right = content["views"]
+    assert (left["sensor"], left["time_s"]) == ("camera0", pytest.approx(5.0))
+    shown = recorded.client.get(left["frame"])
+    assert int(np.median(pixels_of(shown.data))) == pytest.approx(5 * 5, abs=2)
+    assert right == {"sensor": "camera1", "problem": "the recording has nothing at this time or later"}
+
+
+def test_a_dropped_frame_says_so(recorded: Web):
+    assert moment(recorded, 1004.92).get_json()["words"].endswith("This frame was dropped.")
+    assert moment(recorded, 990).get_json()["words"] == (
+        "No matched pose is near. The algorithm reported no frame near this time."
+    )
+
+
+def test_timestamps_of_headers_need_not_be_the_times_of_the_recording(tmp_path: Path, recorded: Web):
+    folder = recorded.hive.catalogue.dataset_folder("room")
+    with BagWriter(tmp_path / "late.bag") as late:
+        for number in range(20):
+            stamp_ns = START_NS + number * 100_000_000
+            late.points(LIDAR, stamp_ns, stamp_ns + 5_000_000_000_000, np.zeros(3, POINT))
+    (folder / "room.bag").write_bytes((tmp_path / "late.bag").read_bytes())
+    dataset = recorded.hive.catalogue.dataset("room")
+    seen = views.received_s(dataset, dataset.sensor("lidar0"), 1001.2004)
+    assert seen == pytest.approx(1.2)  # half a millisecond less than the timestamp of the header is that header
+    assert views.received_s(dataset, dataset.sensor("lidar0"), 1001.201) == pytest.approx(1.3)
+    assert views.received_s(dataset, dataset.sensor("lidar0"), 2000) is None
+
+
+@pytest.mark.parametrize("timestamp", ["", "x", "nan", "-1", "1e300"])
+def test_a_timestamp_that_is_none_is_one_line(web: Web, timestamp: str):
+    answer = moment(web, timestamp)
+    assert answer.status_code == 400
+    assert "is no time; give a header timestamp in s" in str(answer.get_json()["error"])
+
+
+def test_a_run_without_its_dataset_still_shows_its_error(web: Web):
+    web.hive.catalogue.remove_dataset("room")
+    content = moment(web, 1005.0).get_json()
+    assert content["words"].startswith("The position error is ")
+    assert [view.keys() for view in content["views"]] == [{"sensor", "problem"}]
+
+
+def test_the_plots_of_a_run_know_their_timestamps(shown: Web):
+    timeline = shown.client.get("/runs/1/figures.json").get_json()["timeline"]
+    assert timeline["origins"]["error"] == pytest.approx(1000.0)
+    assert timeline["origins"]["latency"] == pytest.approx(1000.1)
+    assert (timeline["from_s"], timeline["until_s"]) == (pytest.approx(1000.0), pytest.approx(1039.9))
+    assert shown.client.get("/runs/5/figures.json").get_json()["timeline"] is None
+
+
+def test_dropped_frames_are_crosses_in_the_plot_of_latencies(shown: Web):
+    content = shown.client.get("/runs/1/figures.json").get_json()
+    assert [trace["name"] for trace in content["figures"]["latency"]["data"]][-1] == "dropped"
+    assert "dropped frames have none and are crosses at 0." in content["captions"]["latency"]

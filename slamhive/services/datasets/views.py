@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from cachetools import LRUCache
 
-from slamhive.bags.views import FRAME_WIDTH, THUMBNAIL_WIDTH, FrameView, SweepView, frames_at, sweep_at
+from slamhive.bags.views import FRAME_WIDTH, THUMBNAIL_WIDTH, FrameView, SweepView, frames_at, received_s, sweep_at
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.trajectory.model import Trajectory
@@ -59,6 +59,14 @@ class DatasetViews:
             raise _after_the_end(dataset, sensor, time_s)
 
         return self._view(_key(dataset, sensor, time_s, FRAME_WIDTH), read)
+
+    def received_s(self, dataset: Dataset, sensor: str, timestamp_s: float) -> float | None:
+        """The time that :meth:`frame` and :meth:`sweep` take for the message with this header timestamp, or the next.
+
+        None after the last message. Raises as :meth:`frame`.
+        """
+        with self._turns:
+            return received_s(dataset, dataset.sensor(sensor), timestamp_s)
 
     def thumbnail(self, dataset: Dataset, sensor: str, number: int) -> FrameView:
         """Frame ``number`` of the overview, see :func:`strip_times_s`; all of them are read together."""

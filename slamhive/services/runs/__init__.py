@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         put_configurations,
         read_filed,
     )
+    from slamhive.services.runs.moments import FrameFate, Moment
     from slamhive.services.runs.notes import Notes
     from slamhive.services.runs.progress import RunProgress, untracked_s
     from slamhive.services.runs.record import (
@@ -67,7 +68,9 @@ __all__ = [
     "Array",
     "FolderRun",
     "FoundEvaluation",
+    "FrameFate",
     "Job",
+    "Moment",
     "Notes",
     "Places",
     "RecordKeeper",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -50,18 +50,20 @@ class Track:
 class Samples:
     """Values over time: ``times_s`` (n,) since the start of what is shown, ``values`` (n,).
 
-    ``count`` is their number before thinning; ``pieces`` (n,) numbers the pieces between gaps.
+    ``count`` is their number before thinning; ``pieces`` (n,) numbers the pieces between gaps. ``origin_s`` is the
+    header timestamp from which the times count; None if they count from the start of the run.
     """
 
     times_s: Array
     values: Array
     count: int
     pieces: Places
+    origin_s: float | None = None
 
     def thinned(self, most: int) -> Samples:
         """At most ``most`` samples, with every peak."""
         kept = thin_keeping_extremes(self.values, most)
-        return Samples(self.times_s[kept], self.values[kept], self.count, self.pieces[kept])
+        return replace(self, times_s=self.times_s[kept], values=self.values[kept], pieces=self.pieces[kept])
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +72,8 @@ class RunSeries:
 
     ``estimate`` lies in the ground truth's frame where ``aligned``, in the algorithm's own otherwise. ``cpu`` is in
     cores, ``memory`` in bytes, ``error`` in m, ``latency`` in s. A gap in the estimate longer than ``gap_s`` is a
-    gap; infinite where no protocol says how long that is.
+    gap; infinite where no protocol says how long that is. ``dropped_s`` (n,) are the times of dropped frames, on the
+    time axis of ``latency``.
     """
 
     estimate: Track | None
@@ -81,6 +84,7 @@ class RunSeries:
     cpu: Samples | None
     memory: Samples | None
     latency: Samples | None
+    dropped_s: Array
     reasons: dict[str, str]
 
 
@@ -99,14 +103,15 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
     found: dict[str, Any] = {
         "estimate": estimate or read_track(folder.trajectory, gap_s),
         "groundtruth": groundtruth,
-        "error": None if error is None else samples_of(error[:, 0] - error[0, 0], error[:, 1], gap_s),
+        "error": None if error is None else stamped_samples(error[:, 0], error[:, 1], gap_s),
         "cpu": None if usage is None else samples_of(usage[:, 0], usage[:, 1]),
         "memory": None if usage is None else samples_of(usage[:, 0], usage[:, 2]),
         "latency": latency_of(folder.frames),
     }
     explanations = _explanations(run)
     reasons = {name: explanations[name] for name, data in found.items() if data is None}
-    return RunSeries(**found, aligned=aligned, gap_s=gap_s, reasons=reasons)
+    dropped_s = dropped_of(folder.frames, found["latency"])
+    return RunSeries(**found, aligned=aligned, gap_s=gap_s, dropped_s=dropped_s, reasons=reasons)
 
 
 def gap_of(evaluation: Path) -> float:
@@ -186,6 +191,12 @@ def samples_of(times_s: Array, values: Array, gap_s: float = math.inf) -> Sample
     return Samples(times_s, values, len(values), _pieces(times_s, gap_s)).thinned(MAX_POINTS)
 
 
+def stamped_samples(timestamps_s: Array, values: Array, gap_s: float = math.inf) -> Samples:
+    """As :func:`samples_of`, over the time since the first timestamp."""
+    samples = samples_of(timestamps_s - timestamps_s[0], values, gap_s)
+    return replace(samples, origin_s=float(timestamps_s[0]))
+
+
 def _pieces(times_s: Array, gap_s: float) -> Places:
     return np.concatenate([[0], np.cumsum(np.diff(times_s) > gap_s)])
 
@@ -205,4 +216,15 @@ def latency_of(path: Path) -> Samples | None:
     rows = rows[rows[:, 2] >= rows[:, 1]]
     if len(rows) == 0:
         return None
-    return samples_of(rows[:, 0] - rows[0, 0], rows[:, 2] - rows[:, 1])
+    return stamped_samples(rows[:, 0], rows[:, 2] - rows[:, 1])
+
+
+def dropped_of(path: Path, latency: Samples | None) -> Array:
+    """The times of dropped frames on the time axis of ``latency``, at most ``MAX_POINTS``; none without it."""
+    if latency is None or latency.origin_s is None:
+        return np.empty(0)
+    rows = read_numeric_columns(path, ("timestamp", "dropped"), LIMIT_BYTES)
+    times_s = np.sort(rows[rows[:, 1] == 1, 0]) - latency.origin_s
+    kept = np.unique(np.linspace(0, len(times_s) - 1, min(len(times_s), MAX_POINTS)).astype(np.int64))
+    found: Array = times_s[kept]
+    return found

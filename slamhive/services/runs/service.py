@@ -21,6 +21,7 @@ from slamhive.services.configurations import Checked, Configurations, put_config
 from slamhive.services.datasets import check_writable
 from slamhive.services.evaluations import fitting_protocol, protocol_for
 from slamhive.services.executors import Executors
+from slamhive.services.runs.moments import Moment, moment_at
 from slamhive.services.runs.progress import RunProgress, run_progress
 from slamhive.services.runs.record import handle_from_json
 from slamhive.services.runs.retrying import check_retriable, retry_request
@@ -130,6 +131,10 @@ class Runs(StoredRuns):
     def series(self, run_id: int) -> RunSeries:
         """Trajectory, errors, resources and latencies of a run over time."""
         return run_series(self.get(run_id), self.folder(run_id))
+
+    def moment(self, run_id: int, timestamp_s: float) -> Moment:
+        """The error and the frame of a run at a header timestamp."""
+        return moment_at(self.get(run_id), self.folder(run_id), timestamp_s)
 
     def _fetch_log(self, run: RunRecord, path: Path) -> None:
         try:

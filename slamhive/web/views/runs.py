@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
 from typing import Any
@@ -13,7 +11,6 @@ from flask import (
     Blueprint,
     Response,
     flash,
-    jsonify,
     make_response,
     redirect,
     render_template,
@@ -22,7 +19,6 @@ from flask import (
 )
 from flask import url_for as address
 
-from slamhive.analysis.colours import colour_of
 from slamhive.domain.notes import NotesChange, split_tags
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import DEFAULT_RULE
@@ -37,7 +33,6 @@ from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.web.columns import Column, all_columns, column
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of, wants_json
-from slamhive.web.figures import best_plane, captions, figure_table, run_figures
 from slamhive.web.formatting import plural
 from slamhive.web.presenters import matching, protocols, scripts, search
 from slamhive.web.presenters import runs as presenter
@@ -188,40 +183,6 @@ def show(run_id: int) -> str:
         protocol_groups=protocols.protocol_groups(),
         scripts=scripts.run_scripts(run_id, services.settings),
     )
-
-
-@blueprint.get(f"/{RUN_ID}/figures.json")
-def figures(run_id: int) -> Response:
-    """All plots of a run, with captions and the reasons for missing ones."""
-    services = hive()
-    run = services.runs.get(run_id)
-    series = services.runs.series(run_id)
-    colour = colour_of(run.algorithm, (entry.name for entry in services.catalogue.algorithms()))
-    track = series.groundtruth or series.estimate
-    return make_response(
-        jsonify(
-            figures=run_figures(series, run.algorithm, colour),
-            captions=captions(series, None if run.protocol is None else run.protocol.label),
-            reasons=series.reasons,
-            best_plane="xy" if track is None else best_plane(track),
-        )
-    )
-
-
-@blueprint.get(f"/{RUN_ID}/figures/<figure>.csv")
-def figure_data(run_id: int, figure: str) -> Response:
-    """The data of one plot as CSV."""
-    table = figure_table(hive().runs.series(run_id), figure)
-    if table is None:
-        raise NotFound(f"run {run_id} has no data for the plot {figure!r}")
-    header, lines = table
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(lines)
-    response = Response(text.getvalue(), mimetype="text/csv")
-    response.headers["Content-Disposition"] = f'attachment; filename="run-{run_id}-{figure}.csv"'
-    return response
 
 
 @blueprint.get(f"/{RUN_ID}/files/<key>")
