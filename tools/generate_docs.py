@@ -30,6 +30,7 @@ from slamhive.schema.archive import Manifest, RunLine
 from slamhive.schema.checks import DatasetCheck
 from slamhive.schema.cloud import CloudPlan, CloudStatus
 from slamhive.schema.comparison import Comparison
+from slamhive.schema.finding import FoundThing
 from slamhive.schema.gate import Baseline, BaselineBrief, GateAnswer
 from slamhive.schema.imports import Import
 from slamhive.schema.ledger import LedgerLine
@@ -207,6 +208,7 @@ DOCUMENTS: dict[str, Any] = {
     "experiment-grid": experiment.Grid,
     "experiment-preview": experiment.ExperimentPreview,
     "experiment-status": experiment.ExperimentStatus,
+    "found": FoundThing,
     "gate-answer": GateAnswer,
     "gate-baseline": Baseline,
     "gate-baseline-brief": BaselineBrief,

@@ -51,6 +51,7 @@ LISTS = frozenset(
             "configuration list",
             "configuration show",
             "dataset list",
+            "find",
         ),
         *("experiment list", "experiment report", "experiment status", "protocol compare", "protocol list"),
         *("algorithm versions", "compare", "runs", "runs show", "search list", "variants list"),

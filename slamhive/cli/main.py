@@ -30,6 +30,7 @@ MODULES = {
     "doctor": "maintenance",
     "evaluate": "evaluate",
     "experiment": "experiments",
+    "find": "finding",
     "gate": "gates",
     "nodes": "nodes",
     "plugins": "plugins",

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from functools import lru_cache
+from html import unescape
 from pathlib import Path
 
 from flask import Blueprint, Response, render_template
 from flask import url_for as address
 from markupsafe import Markup
 
+from slamhive.domain.finding import Found, FoundKind
 from slamhive.errors import Unavailable, unknown
 from slamhive.services.markdown import markdown_html
 from slamhive.web.context import hive
@@ -39,6 +42,8 @@ EXTEND = "extend"
 """The page about plug-ins, which has a folder of its own for its examples."""
 
 _ADDRESS = re.compile(r"(?:\.\./|extend/)?(?P<name>[\w-]+)\.md(?P<part>#.*)?")
+_HEADING = re.compile(r"<h[23][^>]*>(.*?)</h[23]>", re.DOTALL)
+_TAG = re.compile(r"<[^>]*>")
 _EXAMPLE = re.compile(r"[\w-]+\.py|algorithm/algorithm\.yaml")
 
 
@@ -63,6 +68,14 @@ def example(name: str) -> Response:
     if name not in known:
         raise unknown("example", name[:100], list(known))
     return Response(known[name].read_text(encoding="utf-8"), mimetype="text/plain")
+
+
+def entries() -> Iterator[Found]:
+    """All pages with their titles and headings, for the search over everything."""
+    for name, path in sorted(_pages(hive().catalogue.project_root).items()):
+        title, html = _rendered(path, path.stat().st_mtime_ns)
+        headings = [unescape(_TAG.sub("", text)) for text in _HEADING.findall(html)]
+        yield Found(FoundKind.HELP, name, title, " · ".join(headings))
 
 
 def _pages(root: Path) -> dict[str, Path]:

@@ -1,0 +1,54 @@
+"""Something with a name that a search over everything found, and which of several fit best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+MOST_OF_A_KIND = 8
+
+
+class FoundKind(StrEnum):
+    """What was found, in the order in which it is shown."""
+
+    RUN = "run"
+    RUNS = "runs"
+    EXPERIMENT = "experiment"
+    ALGORITHM = "algorithm"
+    DATASET = "dataset"
+    CONFIGURATION = "configuration"
+    ANALYSIS = "analysis"
+    SEARCH = "search"
+    METRIC = "metric"
+    HELP = "help"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Something with a name. ``key`` is its address: a number, a name, a token, a filter of runs."""
+
+    kind: FoundKind
+    key: str
+    name: str
+    words: str = ""
+
+
+def best(text: str, entries: Iterable[Found], most: int = MOST_OF_A_KIND) -> tuple[Found, ...]:
+    """Those that hold every word of ``text``, the best first: same name, name that begins so, words in the name."""
+    wanted = text.casefold().split()
+    ranked = [(_rank(text.casefold().strip(), wanted, entry), entry.name, entry) for entry in entries]
+    found = sorted((entry for entry in ranked if entry[0] is not None), key=lambda entry: (entry[0] or 0, entry[1]))
+    return tuple(entry for _, _, entry in found[:most])
+
+
+def _rank(text: str, wanted: list[str], entry: Found) -> int | None:
+    name = entry.name.casefold()
+    everywhere = f"{name} {entry.key.casefold()} {entry.words.casefold()}"
+    if not wanted or not all(word in everywhere for word in wanted):
+        return None
+    if text == name:
+        return 0
+    if name.startswith(text):
+        return 1
+    return 2 if all(word in name for word in wanted) else 3
