@@ -21,7 +21,6 @@
   let busy = false;
   let badLine = null;
 
-  document.documentElement.classList.add("scripted");
   const parts = (root) => [...root.querySelectorAll("[data-part]")];
   const remember = () => parts(fields).forEach((part) => served.set(part.id, part.innerHTML));
 

@@ -3,7 +3,6 @@
 (() => {
   const SLOWER = 10;
   const LEAST_MS = 5000;
-  document.documentElement.classList.add("scripted");
 
   async function fetchPart(id, address) {
     const began = performance.now();

@@ -1,6 +1,7 @@
 // Light or dark: the choice stored in this browser, else the system's. Loaded before anything is drawn.
 "use strict";
 (() => {
+  document.documentElement.classList.add("scripted");
   const system = matchMedia("(prefers-color-scheme: dark)");
   let chosen = null;
   try { chosen = localStorage.getItem("theme"); } catch { /* storage may be forbidden: the system's choice holds */ }

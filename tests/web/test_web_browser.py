@@ -382,6 +382,55 @@ def test_a_queued_run_is_cancelled_and_retried(browsing: Page) -> None:
     assert browsing.url.endswith("/runs/18") or browsing.url.rpartition("/")[2].isdigit()
 
 
+def copied(page: Page, kind: str) -> list[str]:
+    page.locator("#list").get_by_role("button", name=kind).click()
+    page.get_by_text("Copied").wait_for()
+    return str(page.evaluate("navigator.clipboard.readText()")).splitlines()
+
+
+def test_tables_are_copied_as_csv_markdown_and_latex(browsing: Page) -> None:
+    browsing.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    browsing.goto("/runs?columns=id,algorithm,ate.rmse,cpu.mean&sort=id&order=asc")
+    assert copied(browsing, "CSV")[:2] == [
+        "Run,Algorithm,ATE RMSE [m],CPU mean [cores]",
+        "1,eye-slam-stereo,0.04567,1.25",
+    ]
+    head, line, first, *_ = copied(browsing, "Markdown")
+    assert line == "| ---: | --- | ---: | ---: |"
+    assert first.startswith("| 1 | eye-slam-stereo | 0.0457 ")
+    latex = copied(browsing, "LaTeX")
+    assert latex[:2] == ["\\begin{tabular}{rlrr}", "\\toprule"]
+    assert latex[4].startswith("1 & eye-slam-stereo & 0.0457 & ")
+    assert latex[4].endswith("\\\\")
+    assert head.count("|") == 5
+
+
+def test_the_keys_lead_everywhere(browsing: Page) -> None:
+    browsing.goto("/")
+    browsing.keyboard.press("?")
+    assert browsing.locator("#keys").is_visible()
+    browsing.keyboard.press("Escape")
+    browsing.keyboard.press("g")
+    browsing.keyboard.press("r")
+    browsing.wait_for_url("**/runs")
+    browsing.keyboard.press("/")
+    browsing.keyboard.type("eye-slam-mono")
+    browsing.keyboard.press("Enter")
+    browsing.get_by_role("link", name="eye-slam-mono").click()
+    assert heading(browsing).startswith("eye-slam-mono")
+
+
+def test_a_click_on_a_peak_shows_what_the_sensors_saw(browsing: Page) -> None:
+    browsing.goto("/runs/1")
+    browsing.wait_for_selector("[data-figure=error].js-plotly-plot", timeout=60_000)
+    panel = browsing.locator("[data-moment]")
+    browsing.evaluate("document.dispatchEvent(new CustomEvent('moment', { detail: 1005.0 }))")
+    panel.get_by_text("The frame took 30.0 ms.").wait_for()
+    assert panel.locator("figcaption").count() == 2
+    shapes = browsing.evaluate("document.querySelector('[data-figure=error]').layout.shapes[0].x0")
+    assert shapes == pytest.approx(5.0)
+
+
 def test_runs_are_exported(browsing: Page) -> None:
     browsing.goto("/runs")
     with browsing.expect_download() as download:

@@ -1,0 +1,67 @@
+// Copies the table above a group of buttons as CSV, Markdown or LaTeX.
+"use strict";
+(() => {
+  const SAID_MS = 2000;
+
+  const textOf = (cell) => cell.innerText.replace(/\s+/g, " ").trim();
+  const isNumber = (cell) => cell.classList.contains("number");
+
+  /** The cells of a table, row by row, without the column of check boxes. */
+  function rowsOf(table) {
+    return [...table.rows].map((row) => [...row.cells].filter((cell) => !cell.classList.contains("tick")));
+  }
+
+  /** Numbers in full, as their tooltip has them; commas, quotes and line ends in quotes. */
+  function csv(rows) {
+    const field = (cell) => {
+      const exact = cell.tagName === "TD" && isNumber(cell) && cell.title && !isNaN(cell.title) ? cell.title : textOf(cell);
+      return /[",\n]/.test(exact) ? `"${exact.replaceAll('"', '""')}"` : exact;
+    };
+    return rows.map((row) => row.map(field).join(",")).join("\n");
+  }
+
+  function markdown([head, ...body]) {
+    const line = (parts) => `| ${parts.join(" | ")} |`;
+    const cells = (row) => row.map((cell) => textOf(cell).replaceAll("|", "\\|"));
+    return [line(cells(head)), line(head.map((cell) => isNumber(cell) ? "---:" : "---")), ...body.map((row) => line(cells(row)))].join("\n");
+  }
+
+  const LATEX = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "±": "$\\pm$", "–": "--", "×": "$\\times$", "²": "$^2$", "°": "$^\\circ$", "µ": "$\\mu$", "▾": "", "▴": "" };
+
+  function latex([head, ...body]) {
+    const safe = (text) => text.replace(/[\\&%$#_{}~^±–×²°µ▾▴]/g, (sign) => LATEX[sign] ?? `\\${sign}`).trim();
+    const line = (row) => `${row.map((cell) => safe(textOf(cell))).join(" & ")} \\\\`;
+    const columns = head.map((cell) => isNumber(cell) ? "r" : "l").join("");
+    return [`\\begin{tabular}{${columns}}`, "\\toprule", line(head), "\\midrule", ...body.map(line), "\\bottomrule", "\\end{tabular}"].join("\n");
+  }
+
+  const KINDS = { csv, markdown, latex };
+
+  /** Pages that are not served from this machine over https have no clipboard, but can copy what is selected. */
+  async function copy(text) {
+    if (navigator.clipboard) return navigator.clipboard.writeText(text);
+    const area = document.createElement("textarea");
+    area.value = text;
+    document.body.append(area);
+    area.select();
+    const done = document.execCommand("copy");
+    area.remove();
+    if (!done) throw new Error("the browser does not allow it");
+  }
+
+  document.addEventListener("click", async (event) => {
+    const button = event.target.closest("[data-copy]");
+    if (!button) return;
+    event.preventDefault();
+    const group = button.closest(".copy");
+    const rows = rowsOf(group.previousElementSibling.querySelector("table"));
+    const status = group.querySelector("[role=status]");
+    try {
+      await copy(KINDS[button.dataset.copy](rows));
+      status.textContent = `Copied ${rows.length - 1} rows.`;
+    } catch (error) {
+      status.textContent = `Not copied: ${error.message}`;
+    }
+    setTimeout(() => { status.textContent = ""; }, SAID_MS);
+  });
+})();
