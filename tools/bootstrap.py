@@ -1,7 +1,7 @@
 """Makes ``.venv`` and installs SLAM Hive into it. Standard library only; needs Python >= 3.11.
 
 ``bootstrap.py demo`` installs what running needs, ``bootstrap.py test`` the development and documentation tools
-too. An environment made from the same files is used again. ``PIP_*`` variables and pip's own configuration are
+too, ``bootstrap.py browser`` also what drives a browser. An environment made from the same files is used again. ``PIP_*`` variables and pip's own configuration are
 honoured; nothing here names a package index.
 """
 
@@ -22,7 +22,7 @@ from steps import StepFailed, run_step, say
 ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / ".venv"
 STAMP = ENVIRONMENT / ".slamhive-stamp.json"
-EXTRAS: dict[str, tuple[str, ...]] = {"demo": (), "test": ("dev", "docs")}
+EXTRAS: dict[str, tuple[str, ...]] = {"demo": (), "test": ("dev", "docs"), "browser": ("browser", "dev", "docs")}
 SOURCES = ("pyproject.toml", "setup.py", "constraints.txt")
 COMPILE = (
     "import compileall, re, sysconfig;"
@@ -91,7 +91,7 @@ def bootstrap(purpose: str) -> None:
         make_environment()
         extras = wanted
     else:
-        extras = tuple({extra for known in EXTRAS.values() for extra in known})
+        extras = tuple({*json.loads(STAMP.read_text())["extras"], *wanted})
     STAMP.unlink(missing_ok=True)
     install(tuple(sorted(extras)))
     STAMP.write_text(json.dumps({"fingerprint": fingerprint(), "extras": sorted(extras)}) + "\n")

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import IO
 from unittest import mock
 
+import bootstrap
 import machine
 from steps import StepFailed
 
@@ -302,6 +303,7 @@ def prepare_libraries() -> str:
 
 def prepare_browser() -> str:
     """A browser without a screen, and what reads the PDF files that it prints."""
+    bootstrap.bootstrap("browser")
     return prepare_packages(BROWSER_PACKAGES)
 
 
