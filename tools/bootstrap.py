@@ -1,8 +1,8 @@
 """Makes ``.venv`` and installs SLAM Hive into it. Standard library only; needs Python >= 3.11.
 
 ``bootstrap.py demo`` installs what running needs, ``bootstrap.py test`` the development and documentation tools
-too, ``bootstrap.py browser`` also what drives a browser. An environment made from the same files is used again. ``PIP_*`` variables and pip's own configuration are
-honoured; nothing here names a package index.
+too, ``bootstrap.py browser`` also what drives a browser. An environment made from the same files is used again.
+``PIP_*`` variables and pip's own configuration are honoured; nothing here names a package index.
 """
 
 from __future__ import annotations
