@@ -3,7 +3,7 @@
 (() => {
   const SAID_MS = 2000;
 
-  const textOf = (cell) => cell.innerText.replace(/\s+/g, " ").trim();
+  const textOf = (cell) => cell.innerText.replace(/[▾▴]/g, "").replace(/\s+/g, " ").trim();
   const isNumber = (cell) => cell.classList.contains("number");
 
   /** The cells of a table, row by row, without the column of check boxes. */
@@ -14,8 +14,9 @@
   /** Numbers in full, as their tooltip has them; commas, quotes and line ends in quotes. */
   function csv(rows) {
     const field = (cell) => {
-      const exact = cell.tagName === "TD" && isNumber(cell) && cell.title && !isNaN(cell.title) ? cell.title : textOf(cell);
-      return /[",\n]/.test(exact) ? `"${exact.replaceAll('"', '""')}"` : exact;
+      const exact = cell.tagName === "TD" && isNumber(cell) && cell.title.match(/^-?\d+(\.\d+)?(e[+-]?\d+)?(?= |$)/i);
+      const text = exact ? exact[0] : textOf(cell);
+      return /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
     };
     return rows.map((row) => row.map(field).join(",")).join("\n");
   }
@@ -26,10 +27,10 @@
     return [line(cells(head)), line(head.map((cell) => isNumber(cell) ? "---:" : "---")), ...body.map((row) => line(cells(row)))].join("\n");
   }
 
-  const LATEX = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "±": "$\\pm$", "–": "--", "×": "$\\times$", "²": "$^2$", "°": "$^\\circ$", "µ": "$\\mu$", "▾": "", "▴": "" };
+  const LATEX = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "±": "$\\pm$", "–": "--", "×": "$\\times$", "²": "$^2$", "°": "$^\\circ$", "µ": "$\\mu$" };
 
   function latex([head, ...body]) {
-    const safe = (text) => text.replace(/[\\&%$#_{}~^±–×²°µ▾▴]/g, (sign) => LATEX[sign] ?? `\\${sign}`).trim();
+    const safe = (text) => text.replace(/[\\&%$#_{}~^±–×²°µ]/g, (sign) => LATEX[sign] ?? `\\${sign}`).trim();
     const line = (row) => `${row.map((cell) => safe(textOf(cell))).join(" & ")} \\\\`;
     const columns = head.map((cell) => isNumber(cell) ? "r" : "l").join("");
     return [`\\begin{tabular}{${columns}}`, "\\toprule", line(head), "\\midrule", ...body.map(line), "\\bottomrule", "\\end{tabular}"].join("\n");

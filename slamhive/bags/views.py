@@ -88,12 +88,12 @@ def received_s(dataset: Dataset, sensor: Sensor, timestamp_s: float) -> float | 
     path, wanted_ns = dataset.bag_path, round(timestamp_s * 1e9)
     with open_bag(path) as reader:
         start_ns = int(reader.start_time)
-        delay_ns = None
-        for connection, received_ns, raw in messages(reader, path, [sensor.topic]):
-            delay_ns = received_ns - stamp_ns(decode(reader, path, connection, raw))
-            break
-        if delay_ns is None:
+        first = next(messages(reader, path, [sensor.topic]), None)
+        if first is None:
             return None
+        connection, received_ns, raw = first
+        _check_shown(connection.msgtype, sensor)
+        delay_ns = received_ns - stamp_ns(decode(reader, path, connection, raw))
         begin_ns = max(start_ns, wanted_ns + delay_ns - _JITTER_NS)
         for connection, received_ns, raw in islice(messages(reader, path, [sensor.topic], begin_ns), _MOST_SEARCHED):
             if stamp_ns(decode(reader, path, connection, raw)) >= wanted_ns - _HALF_A_MS:
@@ -111,13 +111,17 @@ def _messages_at(dataset: Dataset, sensor: Sensor, times_s: Iterable[float]) -> 
             if found is None:
                 return
             connection, received_ns, raw = found
-            if connection.msgtype not in SUPPORTED:
-                raise InvalidInput(
-                    f"topic {sensor.topic} of sensor {sensor.name} holds {connection.msgtype}, which cannot be shown",
-                    f"messages of type {', '.join(SUPPORTED)} can",
-                )
+            _check_shown(connection.msgtype, sensor)
             message = decode(reader, path, connection, raw)
             yield (received_ns - start_ns) * 1e-9, message, connection.msgtype
+
+
+def _check_shown(kind: str, sensor: Sensor) -> None:
+    if kind not in SUPPORTED:
+        raise InvalidInput(
+            f"topic {sensor.topic} of sensor {sensor.name} holds {kind}, which cannot be shown",
+            f"messages of type {', '.join(SUPPORTED)} can",
+        )
 
 
 def _visible(pixels: Array, sensor: Sensor) -> Array:

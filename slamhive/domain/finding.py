@@ -26,12 +26,16 @@ class FoundKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Something with a name. ``key`` is its address: a number, a name, a token, a filter of runs."""
+    """Something with a name. ``key`` is its address: a number, a name, a token, a filter of runs.
+
+    ``words`` are shown beside the name; ``text`` is searched, but not shown.
+    """
 
     kind: FoundKind
     key: str
     name: str
     words: str = ""
+    text: str = ""
 
 
 def best(text: str, entries: Iterable[Found], most: int = MOST_OF_A_KIND) -> tuple[Found, ...]:
@@ -44,7 +48,7 @@ def best(text: str, entries: Iterable[Found], most: int = MOST_OF_A_KIND) -> tup
 
 def _rank(text: str, wanted: list[str], entry: Found) -> int | None:
     name = entry.name.casefold()
-    everywhere = f"{name} {entry.key.casefold()} {entry.words.casefold()}"
+    everywhere = f"{name} {entry.key} {entry.words} {entry.text}".casefold()
     if not wanted or not all(word in everywhere for word in wanted):
         return None
     if text == name:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import plotly
 from flask import Blueprint, Response, current_app, send_file, url_for
@@ -26,8 +28,15 @@ def asset_url(name: str) -> str:
 
 
 @blueprint.app_context_processor
-def _plotly_address() -> dict[str, str]:
-    return {"plotly_url": url_for("assets.plotly_js", version=get_plotlyjs_version())}
+def _plotly_address() -> dict[str, Any]:
+    address = url_for("assets.plotly_js", version=get_plotlyjs_version())
+    return {"plotly_url": address, "plotly_style_ids": _plotly_style_ids}
+
+
+@cache
+def _plotly_style_ids() -> tuple[str, ...]:
+    """Ids of the style elements that Plotly adds unless they are there: rules for maps, which our pages refuse."""
+    return tuple(re.findall(r'getElementById\("([0-9a-f]{64})"\)', PLOTLY_FILE.read_text(encoding="utf-8")))
 
 
 @blueprint.get("/assets/plotly-<version>.min.js")

@@ -101,6 +101,12 @@ def test_a_view_only_server_only_says_what_is_missing(web: Web, tmp_path, compil
     assert "<form" not in text
 
 
+def test_a_run_without_an_evaluation_does_not_hide_the_plots_of_others(shown: Web):
+    answer = shown.client.get("/compare/figures.json?runs=1,2,3")
+    assert answer.status_code == 200
+    assert "path_2d" in answer.get_json()["figures"]
+
+
 def test_runs_that_are_not_evaluated_say_so_in_place_of_plots(shown: Web):
     assert "None of these runs is evaluated" in shown.client.get("/compare?runs=2,5").text
     answer = shown.client.get("/compare/figures.json?runs=2,5")

@@ -225,7 +225,7 @@ def test_motion_is_that_of_a_known_path():
 
 
 def moment(web: Web, timestamp: object, run_id: int = 1):
-    return web.client.get(f"/runs/{run_id}/moment.json?timestamp={timestamp}")
+    return web.client.get(f"/runs/{run_id}/moment.json?timestamp={timestamp}", headers={"Accept": "application/json"})
 
 
 def test_a_moment_of_a_run_is_what_its_sensors_saw_then(recorded: Web):
@@ -264,7 +264,9 @@ def test_timestamps_of_headers_need_not_be_the_times_of_the_recording(tmp_path: 
 def test_a_timestamp_that_is_none_is_one_line(web: Web, timestamp: str):
     answer = moment(web, timestamp)
     assert answer.status_code == 400
-    assert "is no time; give a header timestamp in s" in str(answer.get_json()["error"])
+    error = answer.get_json()["error"]
+    assert error["message"] == f"timestamp={timestamp!r} is no time"
+    assert error["remedy"].startswith("give a header timestamp in s")
 
 
 def test_a_run_without_its_dataset_still_shows_its_error(web: Web):

@@ -39,7 +39,7 @@ def test_names_and_descriptions_are_found(shown: Web) -> None:
 
 def test_a_number_is_a_run(shown: Web) -> None:
     assert names(shown, "3")["run"] == ["Run 3"]
-    assert names(shown, "run 3") == {"run": ["Run 3"]}
+    assert names(shown, "run 3")["run"] == ["Run 3"]
     assert "run" not in names(shown, "99")
     assert "run" not in names(shown, "9" * 40)
 
@@ -47,7 +47,7 @@ def test_a_number_is_a_run(shown: Web) -> None:
 def test_a_filter_finds_runs(shown: Web) -> None:
     (found,) = find(shown.hive, "ate.rmse < 0.1")[FoundKind.RUNS]
     assert (found.key, found.words) == ("ate.rmse < 0.1", "1 run")
-    assert links(shown, "ate.rmse < 0.1") == ["/runs?where=ate.rmse+%3C+0.1"]
+    assert links(shown, "ate.rmse < 0.1")[0] == "/runs?where=ate.rmse+%3C+0.1"
 
 
 def test_tags_searches_and_analyses_are_found(web: Web) -> None:
@@ -81,14 +81,14 @@ def test_help_pages_are_found_by_their_headings(shown: Web) -> None:
 def test_what_is_typed_is_shown_as_text(shown: Web) -> None:
     page = shown.client.get("/find", query_string={"q": world.HOSTILE})
     assert world.HOSTILE not in page.text
-    assert "Nothing is called" in page.text
+    assert "&lt;/script&gt;" in page.text
 
 
 def test_the_command_prints_a_table_or_json(web: Web) -> None:
     data = str(web.hive.settings.data)
     call = ["--data", data, "find", "run", "3"]
     assert CliRunner().invoke(main, call).stdout.splitlines()[1].split()[:2] == ["run", "Run"]
-    (found,) = json.loads(CliRunner().invoke(main, [*call, "--json"]).stdout)
+    found, *_ = json.loads(CliRunner().invoke(main, [*call, "--json"]).stdout)
     assert found == {"kind": "run", "key": "3", "name": "Run 3", "words": "eye-slam-stereo on room, failed"}
     nothing = CliRunner().invoke(main, ["--data", data, "find", "no", "such"])
     assert (nothing.exit_code, nothing.stdout, nothing.stderr) == (0, "", "nothing is called 'no such'\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ class StoredRunFiles:
         protocols: The fingerprint of the evaluation that each run is shown with.
     """
 
-    def __init__(self, runs_folder: Path, protocols: dict[int, str | None]) -> None:
+    def __init__(self, runs_folder: Path, protocols: Mapping[int, str]) -> None:
         self._runs_folder = runs_folder
         self._protocols = protocols
 

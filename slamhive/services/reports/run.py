@@ -99,7 +99,8 @@ def run_analysis(
     compared = [request for request in analysis.plots if request.plot_type.all_protocols]
     compared_keys = {key for request in compared for key in request.plot_type.needs(request.options)}
     every = load_every_protocol(sources.store, compared_keys, run_ids)
-    protocols = dict(zip(table.frame["run_id"].tolist(), table.frame["protocol"].tolist(), strict=True))
+    pairs = zip(table.frame["run_id"].tolist(), table.frame["protocol"].tolist(), strict=True)
+    protocols = {run: fingerprint for run, fingerprint in pairs if isinstance(fingerprint, str)}  # pandas: None is NaN
     files = StoredRunFiles(sources.settings.runs_folder, protocols)
     outcomes = []
     for place, request in enumerate(analysis.plots):

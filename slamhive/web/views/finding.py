@@ -12,6 +12,7 @@ from slamhive.services.finding import LONGEST_TEXT, find
 from slamhive.web.context import hive
 from slamhive.web.presenters import search
 from slamhive.web.views import help as help_pages
+from slamhive.web.views.runs import list_address
 
 blueprint = Blueprint("finding", __name__)
 
@@ -35,7 +36,7 @@ _ADDRESSES: dict[FoundKind, Callable[[str], str]] = {
     FoundKind.DATASET: lambda key: address("datasets.show", name=key),
     FoundKind.CONFIGURATION: lambda key: address("configurations.show", configuration_id=int(key)),
     FoundKind.ANALYSIS: lambda key: address("analyses.show", token=key),
-    FoundKind.SEARCH: lambda key: address("runs.index", **search.saved_args(hive().searches.saved_named(key))),
+    FoundKind.SEARCH: lambda key: list_address(search.saved_args(hive().searches.saved_named(key))),
     FoundKind.METRIC: lambda _key: address("help.page", name="metrics"),
     FoundKind.HELP: lambda key: address("help.page", name=key),
 }

@@ -71,11 +71,20 @@ def example(name: str) -> Response:
 
 
 def entries() -> Iterator[Found]:
-    """All pages with their titles and headings, for the search over everything."""
+    """All pages with their headings and text, for the search over everything."""
     for name, path in sorted(_pages(hive().catalogue.project_root).items()):
-        title, html = _rendered(path, path.stat().st_mtime_ns)
-        headings = [unescape(_TAG.sub("", text)) for text in _HEADING.findall(html)]
-        yield Found(FoundKind.HELP, name, title, " · ".join(headings))
+        yield _entry(name, path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=100)
+def _entry(name: str, path: Path, modified_ns: int) -> Found:
+    title, html = _rendered(path, modified_ns)
+    headings = [_plain(text) for text in _HEADING.findall(html)]
+    return Found(FoundKind.HELP, name, title, " · ".join(headings), _plain(html))
+
+
+def _plain(html: str) -> str:
+    return unescape(_TAG.sub("", html))
 
 
 def _pages(root: Path) -> dict[str, Path]:

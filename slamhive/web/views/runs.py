@@ -265,7 +265,7 @@ def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:
         return []
 
 
-def list_address(args: Mapping[str, list[str]]) -> str:
+def list_address(args: Mapping[str, str | list[str]]) -> str:
     """The address of the list with these arguments, whatever their names are."""
     query = urlencode(args, doseq=True)
     return address("runs.index") + (f"?{query}" if query else "")
