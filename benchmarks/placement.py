@@ -168,8 +168,8 @@ def ours(runs: Sequence[Run], nodes: int) -> float:
     planned, short = split(runs, RESERVE_FRACTION)
     reserve = _Reserve(short)
     by_data: dict[str, list[Run]] = defaultdict(list)
-    for run in planned:
-        by_data[run.data].append(run)
+    for entry in planned:
+        by_data[entry.data].append(entry)
     cluster = []
     for plan in place(groups_of(planned, lambda run: run.expected_s), nodes):
         waiting = [by_data[placed.data][placed.index] for placed in reversed(plan.runs)]
