@@ -97,7 +97,8 @@ def _show_experiment(
             if status.standing is Standing.PAUSED and not status.counts[Phase.RUNNING]:
                 tell(f"experiment {name} is paused; `slamhive experiment resume {name}` lets it go on")
                 return
-            time_left = "" if status.left_s is None else f", {words(status.left_s)} left ({status.phase})"
+            phase = f" ({status.phase})" if status.phase else ""
+            time_left = "" if status.left_s is None else f", {words(status.left_s)} left{phase}"
             show(max(0, total - len(waiting)), f"{status.counts[Phase.FAILED]} failed{time_left}")
             if waiting:
                 # Looking at a large experiment takes a while: most of the time is left to what is looked at.
