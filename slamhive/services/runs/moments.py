@@ -1,4 +1,4 @@
-"""One moment of a run: the error there, and what became of the frame."""
+"""One moment of a run: the error there, and what happened to the frame."""
 
 from __future__ import annotations
 
