@@ -22,7 +22,7 @@ from tests.services.tiny_project import environment, make_dataset, make_project
 
 pytestmark = pytest.mark.quick
 
-NO_HIVE = {"settings", "archive verify", "variants steps"}
+NO_HIVE = {"settings", "archive verify", "completion install", "completion show", "variants steps"}
 """Commands that never look at the installation."""
 
 
