@@ -174,6 +174,7 @@ def test_a_worker_that_lost_its_lease_leaves_the_folder_alone(hive):
     thread = threading.Thread(target=worker.run)
     thread.start()
     eventually(lambda: hive.runs.record(run_id).get("state") == "running", "the run")
+    eventually(lambda: hive.runs.get(run_id).state is RunState.RUNNING, "the run in the database")
     hive.store.write(lambda t: t.queue.release_all(worker.owner))
     now = datetime.now(UTC)
     hive.store.write(lambda t: t.queue.claim(Lease("another", now, 60)))
