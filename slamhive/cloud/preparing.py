@@ -17,7 +17,7 @@ from slamhive.schema.cloud import CloudRecord
 ATTEMPTS = 60
 ATTEMPT_S = 5.0
 _SSH_FAILED = 255
-_SAVE_IMAGES = tuple(["docker", "save"])
+_SAVE_IMAGES = "docker save"
 """The program of the engine on this machine; executors are not asked."""
 
 
@@ -49,7 +49,7 @@ class Preparer:
         if prepare.datasets:
             self._copy_datasets(login, prepare.datasets)
         if prepare.images is not None:
-            self._pipe([*_SAVE_IMAGES, *prepare.images.names], [*login, _as_root(prepare.images.load)])
+            self._pipe([*_SAVE_IMAGES.split(), *prepare.images.names], [*login, _as_root(prepare.images.load)])
         for command in prepare.commands:
             self._run([*login, _as_root(command)], command)
         self._run([*login, _as_root(_sealed(record))], "the last step")
