@@ -43,7 +43,8 @@ EXTEND = "extend"
 
 _ADDRESS = re.compile(r"(?:\.\./|extend/)?(?P<name>[\w-]+)\.md(?P<part>#.*)?")
 _HEADING = re.compile(r"<h[23][^>]*>(.*?)</h[23]>", re.DOTALL)
-_TAG = re.compile(r"<[^>]*>")
+_TAG = re.compile(r"<[^>]*>|`|\s*\{#[\w-]+\}")
+"""What is no text: tags, and Markdown in titles and headings."""
 _EXAMPLE = re.compile(r"[\w-]+\.py|algorithm/algorithm\.yaml")
 
 
@@ -80,7 +81,7 @@ def entries() -> Iterator[Found]:
 def _entry(name: str, path: Path, modified_ns: int) -> Found:
     title, html = _rendered(path, modified_ns)
     headings = [_plain(text) for text in _HEADING.findall(html)]
-    return Found(FoundKind.HELP, name, title, " · ".join(headings), _plain(html))
+    return Found(FoundKind.HELP, name, _plain(title), " · ".join(headings), _plain(html))
 
 
 def _plain(html: str) -> str:
