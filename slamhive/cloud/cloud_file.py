@@ -83,9 +83,12 @@ class Prices(_Section):
 
 
 class Images(_Section):
-    """Container images that are copied from Docker here to the first machine."""
+    """Container images that are copied from here to the first machine."""
 
     names: tuple[Identifier, ...] = Field(min_length=1, max_length=100, description="As Docker names them.")
+    save: Command = Field(
+        "docker save", description="Command here that writes them to standard output; their names follow it."
+    )
     load: Command = Field("k3s ctr images import -", description="Command that reads them from standard input.")
 
 

@@ -17,8 +17,6 @@ from slamhive.schema.cloud import CloudRecord
 ATTEMPTS = 60
 ATTEMPT_S = 5.0
 _SSH_FAILED = 255
-_SAVE_IMAGES = "docker save"
-"""The program of the engine on this machine; executors are not asked."""
 
 
 class Preparer:
@@ -49,7 +47,8 @@ class Preparer:
         if prepare.datasets:
             self._copy_datasets(login, prepare.datasets)
         if prepare.images is not None:
-            self._pipe([*_SAVE_IMAGES.split(), *prepare.images.names], [*login, _as_root(prepare.images.load)])
+            source = [*shlex.split(prepare.images.save), *prepare.images.names]
+            self._pipe(source, [*login, _as_root(prepare.images.load)])
         for command in prepare.commands:
             self._run([*login, _as_root(command)], command)
         self._run([*login, _as_root(_sealed(record))], "the last step")
