@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import click
 from click.shell_completion import CompletionItem
 
+from slamhive.domain.numbers import plural
 from slamhive.errors import SlamHiveError
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def _experiments(hive: Hive) -> Iterable[Offer]:
 
 
 def _baselines(hive: Hive) -> Iterable[Offer]:
-    return ((entry.name, f"{entry.runs} runs") for entry in hive.gates.baselines.briefs())
+    return ((entry.name, plural(entry.runs, "run")) for entry in hive.gates.baselines.briefs())
 
 
 def _searches(hive: Hive) -> Iterable[Offer]:

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 from slamhive.domain.finding import MOST_OF_A_KIND, Found, FoundKind, best
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.numbers import plural
 from slamhive.errors import SlamHiveError
+from slamhive.search.binding import read_search
 from slamhive.store import ConfigurationFilter
 
 if TYPE_CHECKING:
@@ -48,14 +50,15 @@ def _numbered(hive: Hive, text: str) -> Iterator[Found]:
 
 def _matching(hive: Hive, text: str) -> Iterator[Found]:
     """The text as a filter of runs, and as a tag."""
+    vocabulary = hive.searches.vocabulary()
     for filter_text in (text, f"tag = {text}"):
         try:
-            wanted = hive.searches.read(filter_text)
+            wanted = read_search(filter_text, vocabulary)
         except SlamHiveError:
             continue
         count = hive.stored_runs.page(wanted, limit=1).count.number
         if wanted.tree is not None and count:
-            yield Found(FoundKind.RUNS, filter_text, filter_text, f"{count:,} runs" if count != 1 else "1 run")
+            yield Found(FoundKind.RUNS, filter_text, filter_text, plural(count, "run"))
 
 
 def _experiments(hive: Hive) -> Iterator[Found]:
