@@ -145,8 +145,8 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         ),
         Tier("mysql", marks="mysql and not docker", prepare=prepare_database, group="processes"),
         Tier("docker", marks=f"docker and not alone and {CHEAP}", engine=True, prepare=with_engine, group="processes"),
-        # Takes some 300 s of CPU time where nothing has been compiled before; it disturbs no other tier of the group.
-        Tier("images", marks="images", engine=True, prepare=with_engine, group="processes", asked_only=True),
+        # Takes some 300 s of CPU time where nothing has been compiled before. Its runs are played slowly.
+        Tier("images", marks="images", engine=True, prepare=with_engine, group="processes"),
         Tier("systems", marks=f"docker and alone and {CHEAP}", engine=True, prepare=with_engine),
         Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),
         Tier("classical", marks="classical", engine=True, prepare=with_engine, asked_only=True),
