@@ -32,6 +32,13 @@ from slamhive.analysis.density import failed_rows
 MOST_LEVEL_LABELS = 20
 """Labels of more bars than these would overlap, they stand upright."""
 
+_SMALLEST_CELL_TEXT, _LARGEST_CELL_TEXT = 6.0, 9.0
+"""Sizes of the text in the cells of a map, in points."""
+_MAP_SHARE = 0.8
+"""How much of the width of its axes a map has; the colour scale takes the rest."""
+_LETTER_WIDTH = 0.6
+"""The mean width of a letter in its size."""
+
 _REFERENCE_COLOUR = "#3d4247"
 _OPEN = "-open"
 _MARKERS = {
@@ -173,6 +180,7 @@ def _cells(axes: Any, mark: Cells, _chart: Chart) -> None:
     label = f"{mark.label} [{mark.unit}]" if mark.unit else mark.label
     axes.get_figure().colorbar(image, ax=axes, label=plain(label))
     axes.grid(visible=False)
+    points = _cell_text_points(axes, mark)
     for row, texts in enumerate(mark.texts):
         for column, text in enumerate(texts):
             value = mark.values[row, column]
@@ -183,9 +191,16 @@ def _cells(axes: Any, mark: Cells, _chart: Chart) -> None:
                 "\n".join(map(plain, text.split("\n"))),
                 ha="center",
                 va="center",
-                fontsize=6,
+                fontsize=points,
                 color="white" if dark else "black",
             )
+
+
+def _cell_text_points(axes: Any, mark: Cells) -> float:
+    """The size of the text in cells, in points: as large as the longest line allows."""
+    longest = max((len(line) for row in mark.texts for text in row for line in text.split("\n")), default=0)
+    cell_points = axes.bbox.width * 72 / axes.get_figure().dpi * _MAP_SHARE / mark.values.shape[1]
+    return min(_LARGEST_CELL_TEXT, max(_SMALLEST_CELL_TEXT, cell_points / (_LETTER_WIDTH * max(longest, 1))))
 
 
 def _segments(axes: Any, mark: Segments, _chart: Chart) -> None:

@@ -6,11 +6,13 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from slamhive.analysis.chart import PAPER_FORMATS, Axis, Chart, Line
+from slamhive.analysis.chart import PAPER_FORMATS, Axis, Cells, Chart, Line
 from slamhive.analysis.colours import MARKERS, RUN_COLOURS, algorithm_colours, colour_of, contrast, marker_of, on_dark
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import print_chart
+from slamhive.analysis.print_marks import draw_mark
 
 pytestmark = pytest.mark.integration  # matplotlib takes a second to load
 INSTALLED = [f"slam{place:02}" for place in range(40)]
@@ -36,6 +38,14 @@ def test_a_plot_for_a_paper_is_as_wide_as_its_columns_and_has_its_font():
         assert b"/Subtype /Image" not in pdf
     assert b"DejaVuSans" in print_chart(chart(), PAPER_FORMATS[0], "sans")
     assert size_mm(print_chart(chart(), "88mm.pdf"))[1] > 48, "the legend adds its height"
+
+
+@pytest.mark.parametrize(("columns", "points"), [(3, 9.0), (20, 6.0)])
+def test_the_text_in_cells_is_as_large_as_they_allow(columns, points):
+    axes = Figure(figsize=(6.4, 4.8)).add_subplot()
+    cells = Cells(np.ones((2, columns)), (("0.0107\n1 of 4 failed",) * columns,) * 2, label="ATE RMSE", unit="m")
+    draw_mark(axes, cells, chart())
+    assert {text.get_fontsize() for text in axes.texts} == {points}
 
 
 def test_an_algorithm_has_one_colour_wherever_it_appears():

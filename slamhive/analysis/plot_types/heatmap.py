@@ -107,7 +107,7 @@ def _cells(table: RunTable, options: HeatmapOptions, values: tuple[list[object],
         failed = base.failed_count(rows)
         summary = summarise(base.good_values(rows, options.metric))
         row, place = positions[1][y], positions[0][x]
-        parts = [] if summary is None else [f"{summary.mean:.3g}"]
+        parts = [] if summary is None else [f"{summary.mean:#.3g}".rstrip(".")]
         if failed:
             parts.append(f"{failed} of {len(rows)} failed")
         texts[row][place] = "\n".join(parts)
