@@ -199,7 +199,8 @@ def _cells(axes: Any, mark: Cells, _chart: Chart) -> None:
 def _cell_text_points(axes: Any, mark: Cells) -> float:
     """The size of the text in cells, in points: as large as the longest line allows."""
     longest = max((len(line) for row in mark.texts for text in row for line in text.split("\n")), default=0)
-    cell_points = axes.bbox.width * 72 / axes.get_figure().dpi * _MAP_SHARE / mark.values.shape[1]
+    axes_points = float(axes.bbox.width * 72 / axes.get_figure().dpi)
+    cell_points: float = axes_points * _MAP_SHARE / mark.values.shape[1]
     return min(_LARGEST_CELL_TEXT, max(_SMALLEST_CELL_TEXT, cell_points / (_LETTER_WIDTH * max(longest, 1))))
 
 

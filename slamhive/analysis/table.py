@@ -147,12 +147,21 @@ class RunTable:
             raise unknown("metric or parameter", key, known) from None
 
     def grouped_by(self, key: str) -> RunTable:
-        """The table with a text in every row of the column ``key``; raises NotFound, or InvalidInput for a metric."""
+        """The table with a text in every row of the column ``key``; raises NotFound, or InvalidInput for a metric.
+
+        Groups are in alphabetical order, those of a number in its order.
+        """
         column = self.column(key)
         if column.kind is ColumnKind.METRIC:
             raise InvalidInput(f"runs cannot be grouped by the metric {key}", "use a parameter or an attribute")
-        texts = [NOT_STATED if pd.isna(value) else _text(value) for value in self.frame[key]]
-        return self.with_rows(self.frame.assign(**{key: texts}))
+        values = self.frame[key].sort_values() if column.numeric else self.frame[key]
+        texts = values.map(lambda value: NOT_STATED if pd.isna(value) else _text(value)).astype(object)
+        groups = texts.unique() if column.numeric else sorted(texts.unique())
+        return self.with_rows(self.frame.assign(**{key: texts.astype(pd.CategoricalDtype(groups, ordered=True))}))
+
+    def groups(self, key: str) -> tuple[str, ...]:
+        """The groups of a table that is grouped by ``key``, in their order."""
+        return tuple(self.frame[key].cat.categories)
 
     def numeric(self, key: str, purpose: str) -> Column:
         """The column ``key``, which must be numeric; raises NotFound or InvalidInput."""

@@ -15,7 +15,7 @@ from slamhive.domain.metrics import Direction
 from slamhive.errors import InvalidInput
 from slamhive.services.markdown_table import table_markdown
 from slamhive.services.reports.tables import table_latex
-from tests.analysis.analysis_world import ALGORITHMS, DATASETS, data_of, sweep_table
+from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, data_of, sweep_table
 
 pytestmark = pytest.mark.integration  # plotting and statistics take seconds to load
 
@@ -28,6 +28,19 @@ def build(table: RunTable, **options: object) -> PlotResult:
 def shown(result: PlotResult) -> list[dict[str, object]]:
     table = result.tables[0]
     return [dict(zip((column.heading for column in table.columns), row, strict=True)) for row in table.rows]
+
+
+def test_groups_of_numbers_are_in_their_order() -> None:
+    table = sweep_table()
+    in_order = [f"{rate:g}" for rate in sorted(RATES)]
+    rows = [row[0] for row in build(table, metrics=["ate.rmse"], by="image_rate").tables[0].rows]
+    assert list(dict.fromkeys(rows)) == in_order
+    grid = build(table, metrics=["ate.rmse"], by="image_rate", columns="algorithms").tables[0]
+    assert [row[0] for row in grid.rows] == in_order
+    for name in ("by_algorithm", "distributions"):
+        chosen = PLOT_TYPES.get(name)
+        result = chosen.build(data_of(table), chosen.options.model_validate({"by": "image_rate"}))
+        assert result.charts[0].x.categories == tuple(in_order)
 
 
 def test_a_row_for_each_algorithm_and_dataset() -> None:

@@ -53,7 +53,7 @@ class ByAlgorithm(base.PlotType[ByAlgorithmOptions]):
         chosen = best_configurations(everything, options.metric)
         table = everything if options.of == "average" else everything.with_rows(_only(everything.frame, chosen))
         by = options.by
-        x = Axis(everything.column(by).label, categories=tuple(sorted(everything.frame[by].unique())))
+        x = Axis(everything.column(by).label, everything.column(by).unit, categories=everything.groups(by))
         shown = len(table.good().dropna(subset=[options.metric]))
         which = "all configurations" if options.of == "average" else "the best configuration of each"
         bars = tuple(_means(table, options.metric, x, by))

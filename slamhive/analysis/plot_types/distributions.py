@@ -48,7 +48,7 @@ class Distributions(base.PlotType[DistributionsOptions]):
 def _chart(table: RunTable, key: str, protocol: str | None, options: DistributionsOptions) -> Chart:
     column = table.column(key)
     shown = base.with_values(table, [key])
-    x = Axis(table.column(options.by).label, categories=tuple(sorted(table.frame[options.by].unique())))
+    x = Axis(table.column(options.by).label, table.column(options.by).unit, categories=table.groups(options.by))
     return Chart(
         key=f"distribution_{key}",
         title=options.title or f"{column.label} over runs",

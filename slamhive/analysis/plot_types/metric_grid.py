@@ -57,7 +57,7 @@ def grid_table(table: RunTable, column: Column, by: str, title: str | None) -> R
         file_key(f"grid_{column.key}"),
         f"{title}: {named}" if title else named,
         (
-            TableColumn(f"by.{first.key}", first.label),
+            TableColumn(f"by.{first.key}", first.label, first.unit),
             *(TableColumn(f"algorithm.{name}", name, figures=True) for name in algorithms),
         ),
         tuple((name, *(entry.text for entry in entries)) for name, entries in grid.items()),

@@ -92,7 +92,7 @@ _CAPTION = "Values: mean ± standard deviation (divisor n - 1) over the runs tha
 
 
 def _row_columns(table: RunTable, by: list[str]) -> tuple[TableColumn, ...]:
-    named = (TableColumn(key, table.column(key).label) for key in by)
+    named = (TableColumn(key, table.column(key).label, table.column(key).unit) for key in by)
     return (*named, TableColumn("runs", "Runs"), TableColumn("failed", "Failed"))
 
 
