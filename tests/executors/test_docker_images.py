@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import tarfile
+import tempfile
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import ExecutorContext, ImageMissing
 from slamhive.executors.cgroup import cgroup_of
 from slamhive.executors.docker import build as docker_build
-from slamhive.executors.docker.build import choose_base, follow_build
+from slamhive.executors.docker.build import choose_base, follow_build, packed_context
 from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.docker.image import find_image, make_image
 from slamhive.executors.docker.kept_images import kept_name
@@ -37,6 +38,17 @@ def test_build_tells_the_digest():
     ]
     assert follow_build(events, "demo", lambda line: None) == "sha256:abc"
     assert follow_build(events[:1], "demo", lambda line: None) is None
+
+
+def test_a_packed_context_has_no_name_that_a_killed_process_would_leave(tmp_path, monkeypatch):
+    (tmp_path / "part").mkdir()
+    (tmp_path / "part" / "Dockerfile").write_text("FROM base\n")
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    with packed_context(tmp_path, ["temporary"]) as packed:
+        assert list((tmp_path / "temporary").iterdir()) == []
+        with tarfile.open(fileobj=packed) as archive:
+            assert set(archive.getnames()) == {"part", "part/Dockerfile"}
 
 
 def test_base_script_needs_debootstrap_only(tmp_path):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import subprocess
+import tempfile
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import docker
 import docker.errors
+from docker.utils.build import tar
 
 from slamhive.catalogue.image_context import CONTENT_LABEL, BuildContext
 from slamhive.executors.base import ImageMissing, ProgressCallback
@@ -63,9 +66,10 @@ def build_image(
     arguments = dict(context.build_args)
     if BASE_ARGUMENT not in arguments:
         arguments[BASE_ARGUMENT] = choose_base(client, project_root, progress)
-    with engine_errors(f"building {name}", ImageMissing):
+    with engine_errors(f"building {name}", ImageMissing), packed_context(context.path) as packed:
         events = client.api.build(
-            path=str(context.path),
+            fileobj=packed,
+            custom_context=True,
             dockerfile=context.dockerfile,
             buildargs=arguments,
             labels={CONTENT_LABEL: content},
@@ -78,6 +82,17 @@ def build_image(
     if digest is None:
         raise ImageMissing(f"{name} was built, but the engine does not say where it is", "build it again")
     return digest
+
+
+@contextmanager
+def packed_context(folder: Path, exclude: Iterable[str] = ()) -> Iterator[IO[bytes]]:
+    """The files of a folder as the engine takes them; links stay links.
+
+    The archive has no name in the file system, so a killed process leaves nothing. The SDK's own has one.
+    """
+    with tempfile.TemporaryFile() as archive:
+        tar(str(folder), exclude=list(exclude), fileobj=archive)  # type: ignore[arg-type]
+        yield archive
 
 
 def name_image(client: docker.DockerClient, digest: str, name: str) -> None:

@@ -15,11 +15,10 @@ from typing import Any
 import docker
 import docker.errors
 import requests
-from docker.utils.build import tar as make_context
 
 from slamhive.catalogue.image_context import BuildContext
 from slamhive.executors.base import ImageMissing, ProgressCallback
-from slamhive.executors.docker.build import follow_build, get_image, name_image
+from slamhive.executors.docker.build import follow_build, get_image, name_image, packed_context
 from slamhive.executors.docker.engine import HARDENING, engine_errors, labels_of_helper
 from slamhive.executors.docker.kept_images import load_image
 from slamhive.executors.images import CompletedImage
@@ -91,7 +90,7 @@ class DockerImages:
         ignored = folder / ".dockerignore"
         lines = ignored.read_text(encoding="utf-8", errors="replace").splitlines() if ignored.is_file() else []
         exclude = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
-        with _context_of(folder, [*exclude, *_NOT_IN_CONTEXT, "!Dockerfile"]) as context:
+        with packed_context(folder, [*exclude, *_NOT_IN_CONTEXT, "!Dockerfile"]) as context:
             return self._build(context, name, progress)
 
     def complete(self, digest: str, modules: Collection[str], progress: ProgressCallback) -> CompletedImage:
@@ -160,7 +159,7 @@ class DockerImages:
             context = BuildContext(folder, "Dockerfile", {})
             (context.path / "Dockerfile").write_text("\n".join(lines) + "\n", encoding="utf-8")
             shutil.copytree(own_yaml(), folder / YAML, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
-            with _context_of(folder, []) as packed:
+            with packed_context(folder) as packed:
                 return self._build(packed, "the contract's needs", progress)
 
     def _probe(self, digest: str, modules: Collection[str]) -> dict[str, Any] | None:
@@ -188,11 +187,6 @@ class DockerImages:
             finally:
                 container.remove(force=True)
         return _answer(code, said)
-
-
-def _context_of(folder: Path, exclude: list[str]) -> Any:
-    """The files of a folder as the engine takes them; links stay links."""
-    return make_context(str(folder), exclude=exclude)  # type: ignore[arg-type]
 
 
 def _answer(code: int, said: str) -> dict[str, Any] | None:
