@@ -5,9 +5,10 @@ from __future__ import annotations
 import subprocess
 import tempfile
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, Any
 
 import docker
@@ -66,17 +67,22 @@ def build_image(
     arguments = dict(context.build_args)
     if BASE_ARGUMENT not in arguments:
         arguments[BASE_ARGUMENT] = choose_base(client, project_root, progress)
-    with engine_errors(f"building {name}", ImageMissing), packed_context(context.path) as packed:
+    options = {"dockerfile": context.dockerfile, "buildargs": arguments, "labels": {CONTENT_LABEL: content}}
+    with packed_context(context.path) as packed:
+        return build_packed(client, name, packed, progress, options)
+
+
+def build_packed(
+    client: docker.DockerClient,
+    name: str,
+    packed: IO[bytes],
+    progress: ProgressCallback,
+    options: Mapping[str, Any] = MappingProxyType({}),
+) -> str:
+    """Build a packed context; returns the digest. ``options`` are the SDK's. Raises ImageMissing."""
+    with engine_errors(f"building {name}", ImageMissing):
         events = client.api.build(
-            fileobj=packed,
-            custom_context=True,
-            dockerfile=context.dockerfile,
-            buildargs=arguments,
-            labels={CONTENT_LABEL: content},
-            network_mode="host",
-            rm=True,
-            forcerm=True,
-            decode=True,
+            fileobj=packed, custom_context=True, network_mode="host", rm=True, forcerm=True, decode=True, **options
         )
         digest = follow_build(events, name, progress)
     if digest is None:

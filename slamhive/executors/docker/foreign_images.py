@@ -18,7 +18,7 @@ import requests
 
 from slamhive.catalogue.image_context import BuildContext
 from slamhive.executors.base import ImageMissing, ProgressCallback
-from slamhive.executors.docker.build import follow_build, get_image, name_image, packed_context
+from slamhive.executors.docker.build import build_packed, get_image, name_image, packed_context
 from slamhive.executors.docker.engine import HARDENING, engine_errors, labels_of_helper
 from slamhive.executors.docker.kept_images import load_image
 from slamhive.executors.images import CompletedImage
@@ -91,7 +91,7 @@ class DockerImages:
         lines = ignored.read_text(encoding="utf-8", errors="replace").splitlines() if ignored.is_file() else []
         exclude = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
         with packed_context(folder, [*exclude, *_NOT_IN_CONTEXT, "!Dockerfile"]) as context:
-            return self._build(context, name, progress)
+            return build_packed(self._client, name, context, progress)
 
     def complete(self, digest: str, modules: Collection[str], progress: ProgressCallback) -> CompletedImage:
         """See that the image has python3 and PyYAML, or put them on top; look for ``modules`` too."""
@@ -140,16 +140,6 @@ class DockerImages:
             except docker.errors.ImageNotFound:
                 return
 
-    def _build(self, context: Any, name: str, progress: ProgressCallback) -> str:
-        with engine_errors(f"building {name}", ImageMissing):
-            events = self._client.api.build(
-                fileobj=context, custom_context=True, network_mode="host", rm=True, forcerm=True, decode=True
-            )
-            digest = follow_build(events, name, progress)
-        if digest is None:
-            raise ImageMissing(f"{name} was built, but the engine does not say where it is", "build it again")
-        return digest
-
     def _layer(self, digest: str, user: str, steps: list[str], progress: ProgressCallback) -> str:
         """Put steps of a Dockerfile on top of an image, as root; the new digest."""
         if user and not _USER.fullmatch(user):
@@ -160,7 +150,7 @@ class DockerImages:
             (context.path / "Dockerfile").write_text("\n".join(lines) + "\n", encoding="utf-8")
             shutil.copytree(own_yaml(), folder / YAML, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
             with packed_context(folder) as packed:
-                return self._build(packed, "the contract's needs", progress)
+                return build_packed(self._client, "the contract's needs", packed, progress)
 
     def _probe(self, digest: str, modules: Collection[str]) -> dict[str, Any] | None:
         """What the image's python3 says about modules; None if there is no python3. Runs hardened, as nobody."""
