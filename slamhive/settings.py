@@ -129,6 +129,9 @@ class Settings(BaseSettings):
     variant_cache_bytes: int = setting(
         50_000_000_000, "Room for pre-processed variants of datasets; unused ones go", unit="bytes", minimum=0
     )
+    uploads_max_bytes: int = setting(
+        100_000_000_000, "Most that uploads may have together; 0 means no uploads", unit="bytes", minimum=0
+    )
     analysis_max_runs: int = setting(200_000, "Most runs of one analysis on the web", minimum=1)
     analysis_time_limit_s: float = setting(600.0, "Longest that one analysis may compute", unit="s", minimum=1)
     analysis_memory_mb: int = setting(4000, "Most address space of a process that computes one", unit="MB", minimum=500)
@@ -215,6 +218,11 @@ class Settings(BaseSettings):
     def answers_folder(self) -> Path:
         """Where answers to requests with an ``Idempotency-Key`` lie for a day."""
         return self.ledger_folder / "answers"
+
+    @property
+    def uploads_folder(self) -> Path:
+        """Where files lie that programs send, until they are imported."""
+        return self.data / "uploads"
 
     @property
     def runs_folder(self) -> Path:

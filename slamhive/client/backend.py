@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from slamhive.schema import experiment as experiment_schema
     from slamhive.schema import run as run_schema
     from slamhive.schema.submission import Submission
+    from slamhive.schema.uploads import Imported
 
 LOG_BYTES = 200_000
 """How much of the end of a log is read."""
@@ -92,6 +94,15 @@ class Backend(Protocol):
 
     def change(self, name: str, change: Change) -> experiment_schema.ExperimentStatus:
         """Pause, resume or cancel an experiment, or queue its failed runs again."""
+
+    def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
+        """Make a dataset of a recording on this machine. ``options`` are those of :class:`DatasetUpload`.
+
+        ``groundtruth`` and ``calibration`` are paths here. Raises InvalidInput or Conflict naming the value.
+        """
+
+    def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
+        """Import the trajectories in a folder on this machine. ``options`` are those of :class:`RunsUpload`."""
 
     def working(self, what: Sequence[int] | str) -> AbstractContextManager[Callable[[], None]]:
         """While somebody waits for runs, or for the experiment of a name: work on them if nobody else does.

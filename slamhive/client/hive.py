@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
     from slamhive.client.backend import Backend
     from slamhive.client.experiments import Experiments
     from slamhive.client.runs import Runs
+    from slamhive.schema.uploads import Imported
 
 
 class Hive:
@@ -56,6 +57,22 @@ class Hive:
         from slamhive.client.experiments import Experiments  # noqa: PLC0415 - on first use
 
         return Experiments(self._backend)
+
+    def import_dataset(self, path: Path | str, *, progress: bool = True, **options: Any) -> Imported:
+        """Make a dataset of the recording at ``path``, a file or a folder of this machine.
+
+        It is sent to a server in parts; a broken connection costs one part at most. ``options`` are the fields of
+        :class:`~slamhive.schema.uploads.DatasetUpload`; ``groundtruth`` and ``calibration`` are paths. Raises NotFound,
+        InvalidInput or Conflict naming the value.
+        """
+        return self._backend.import_dataset(Path(path), options, progress=progress)
+
+    def import_runs(self, path: Path | str, *, progress: bool = True, **options: Any) -> Imported:
+        """Import the trajectories in the folder at ``path`` as runs; a worker evaluates them.
+
+        ``options`` are the fields of :class:`~slamhive.schema.uploads.RunsUpload`.
+        """
+        return self._backend.import_runs(Path(path), options, progress=progress)
 
     def close(self) -> None:
         """Close the database or the connection."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from slamhive.client import requests
 from slamhive.client.backend import LOG_BYTES, Change, RunQuery
 from slamhive.client.requests import HEADERS, PREFIX, Request, raise_for
+from slamhive.client.uploading import import_from, send_file
 from slamhive.errors import InvalidInput, Unavailable
 
 if TYPE_CHECKING:
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from slamhive.schema.experiment import Cell, ExperimentStatus
     from slamhive.schema.run import Run, RunWith
     from slamhive.schema.submission import Submission
+    from slamhive.schema.uploads import Imported
 
 T = TypeVar("T")
 P = TypeVar("P", "RunPage", "CellPage")
@@ -47,7 +50,9 @@ def load_httpx() -> Any:
 
 def message_of(request: Request[Any]) -> dict[str, Any]:
     """What a client of httpx sends for a request."""
-    body = {} if request.body is None else {"json": request.body}
+    body: dict[str, Any] = {} if request.body is None else {"json": request.body}
+    if request.data is not None:
+        body = {"content": request.data, "headers": {"Content-Type": "application/octet-stream"}}
     return {"method": request.method, "url": request.path, "params": dict(request.arguments), **body}
 
 
@@ -143,6 +148,23 @@ class HttpBackend:
     def change(self, name: str, change: Change) -> ExperimentStatus:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.change(name, change))
+
+    def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        known = dict(options)
+        if "groundtruth" in known:
+            known["groundtruth"] = send_file(self._send, Path(known["groundtruth"])).token
+        if "calibration" in known:
+            known["calibration"] = [send_file(self._send, Path(file)).token for file in known["calibration"]]
+        return import_from(
+            self._send, path, lambda token: requests.import_upload("datasets", token, known), progress=progress
+        )
+
+    def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return import_from(
+            self._send, path, lambda token: requests.import_upload("runs", token, options), progress=progress
+        )
 
     @contextmanager
     def working(self, what: Sequence[int] | str) -> Iterator[Callable[[], None]]:  # noqa: ARG002 - servers have workers

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.client.backend import LOG_BYTES, Change, RunQuery
+from slamhive.client.waiting import percent_bar
 from slamhive.errors import Forbidden
 from slamhive.schema.experiment import Cell, ExperimentStatus
+from slamhive.schema.model import load
 from slamhive.schema.run import Run, RunWith
+from slamhive.schema.uploads import DatasetUpload, Imported, RunsUpload
 from slamhive.services.data_root import DataRoot
 from slamhive.services.hive import Hive, check_indexed, open_hive
 from slamhive.settings import Mode
@@ -20,6 +23,8 @@ if TYPE_CHECKING:
     from slamhive.schema.submission import Submission
 
 PAGE = 1000
+_NO_UPLOAD = "0" * 32
+"""Files of this machine are imported where they lie."""
 
 
 class LocalBackend:
@@ -144,6 +149,27 @@ class LocalBackend:
         }
         changes[change](name)
         return self.experiment(name)
+
+    def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        from slamhive.services.uploads import import_dataset  # noqa: PLC0415 - loads the importers
+
+        given = dict(options)
+        files = {key: given.pop(key) for key in ("groundtruth", "calibration") if key in given}
+        request = load(DatasetUpload, {"upload": _NO_UPLOAD, **given})
+        truth = None if "groundtruth" not in files else Path(files["groundtruth"])
+        hive = self._writing()
+        with percent_bar(path.name, progress=progress) as show:
+            return import_dataset(hive.catalogue, request, path, truth, map(Path, files.get("calibration", ())), show)
+
+    def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        from slamhive.services.uploads import import_runs  # noqa: PLC0415 - loads the importers
+
+        request = load(RunsUpload, {"upload": _NO_UPLOAD, **options})
+        hive = self._writing()
+        with percent_bar(path.name, progress=progress) as show:
+            return import_runs(hive.imports, hive.evaluations, request, path, show)
 
     @contextmanager
     def working(self, what: Sequence[int] | str) -> Iterator[Callable[[], None]]:

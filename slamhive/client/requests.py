@@ -16,6 +16,7 @@ from slamhive.schema.model import Document, dump
 from slamhive.schema.problems import STATUS
 from slamhive.schema.run import Run, RunWith
 from slamhive.schema.submission import Submission
+from slamhive.schema.uploads import Upload
 
 if TYPE_CHECKING:
     from slamhive.client.backend import Change, RunQuery
@@ -40,6 +41,7 @@ class Request(Generic[T]):
         read: Reads the bytes of the answer.
         arguments: Of the address.
         body: JSON; requests with one are POST.
+        data: Bytes instead of JSON.
         changes: Whether it is POST.
     """
 
@@ -47,6 +49,7 @@ class Request(Generic[T]):
     read: Callable[[bytes], T]
     arguments: Mapping[str, str] = field(default_factory=dict)
     body: Any = None
+    data: bytes | None = None
     changes: bool = False
 
     @property
@@ -148,6 +151,27 @@ def start(text: str, executor: str | None) -> Request[ExperimentStatus]:
 def change(name: str, change: Change) -> Request[ExperimentStatus]:
     """Change an experiment."""
     return _post(f"/experiments/{quote(name, safe='')}/{change.value}", ExperimentStatus)
+
+
+def create_upload(name: str, size_bytes: int, sha256: str) -> Request[Upload]:
+    """Begin an upload."""
+    return _post("/uploads", Upload, {"name": name, "size_bytes": size_bytes, "sha256": sha256})
+
+
+def upload(token: str) -> Request[Upload]:
+    """One upload."""
+    return _get(f"/uploads/{token}", Upload)
+
+
+def send_part(token: str, offset_bytes: int, data: bytes) -> Request[Upload]:
+    """Add bytes to an upload."""
+    arguments = {"offset": str(offset_bytes)}
+    return Request(f"/uploads/{token}/parts", _document(Upload), arguments, data=data, changes=True)
+
+
+def import_upload(kind: str, token: str, options: Mapping[str, Any]) -> Request[Upload]:
+    """Import an upload as ``datasets``, ``runs`` or ``algorithms``."""
+    return _post(f"/{kind}/import", Upload, {"upload": token, **options})
 
 
 def cursor(following: str | None) -> str | None:

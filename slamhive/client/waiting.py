@@ -66,6 +66,18 @@ def _ended(status: ExperimentStatus) -> int:
 
 
 @contextmanager
+def percent_bar(title: str, *, progress: bool) -> Iterator[Callable[[float, str], None]]:
+    """A bar for work whose fraction is known; yields what shows the fraction and the current activity."""
+    if not progress:
+        yield lambda _fraction, _text: None
+        return
+    from slamhive.cli.output import progress_bar  # noqa: PLC0415 - loads rich
+
+    with progress_bar(title) as show:
+        yield show
+
+
+@contextmanager
 def _bar(title: str, total: int, *, progress: bool) -> Iterator[Show]:
     if not progress:
         yield lambda _done, _text: None

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from slamhive.services.runs import Notes, Runs, StoredRuns
     from slamhive.services.searches import Searches
     from slamhive.services.trash import Trash
+    from slamhive.services.uploads import UploadImports, Uploads
     from slamhive.services.versions import Versions
     from slamhive.services.worker import Worker
     from slamhive.store import Store
@@ -280,6 +281,22 @@ class Hive:
         from slamhive.services.kept_answers import KeptAnswers
 
         return KeptAnswers(self.settings.answers_folder)
+
+    @cached_property
+    def uploads(self) -> Uploads:
+        """Files that programs send."""
+        from slamhive.services.uploads import Uploads
+
+        return Uploads(self.settings)
+
+    @cached_property
+    def upload_imports(self) -> UploadImports:
+        """Datasets, runs and algorithms from those files."""
+        from slamhive.services.uploads import UploadImports
+
+        return UploadImports(
+            self.uploads, self.catalogue, self.imports, self.evaluations, self.algorithms, self.versions, self.executors
+        )
 
     @cached_property
     def nodes(self) -> Nodes:

@@ -36,6 +36,7 @@ RULES = {
     "analyses.create": Rule(change=Action.ANALYSE),
     "analyses.check": Rule(change=Action.ANALYSE),
     "trash.empty": Rule(change=Action.ADMINISTER),
+    "api.import_algorithm": Rule(change=Action.ADMINISTER),
     "api.empty_trash": Rule(change=Action.ADMINISTER),
     **dict.fromkeys(("nodes", "api.drain_node", "api.undrain_node"), Rule(change=Action.ADMINISTER)),
     "accounts": Rule(Action.OWN, Action.OWN),

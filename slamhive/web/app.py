@@ -35,6 +35,7 @@ from slamhive.web.presenters import catalogue as catalogue_presenter
 from slamhive.web.rates import visitor_limits
 from slamhive.web.security import protect, secret_key
 from slamhive.web.sign_in_limits import SignInLimits
+from slamhive.web.upload_work import UploadWork
 from slamhive.web.views import (
     accounts,
     administration,
@@ -111,6 +112,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     app.extensions[context.LIVE_EXTENSION] = LiveHub(hive, MOST_STREAMS)
     app.extensions[context.VARIANTS_EXTENSION] = VariantMaker(hive)
     app.extensions[context.CHECKS_EXTENSION] = DatasetChecker(hive)
+    app.extensions[context.UPLOADS_EXTENSION] = UploadWork(hive)
     app.extensions[context.COMPUTER_EXTENSION] = _analysis_computer(hive)
     app.extensions[context.FILES_EXTENSION] = AnalysisFiles(hive)
     app.extensions[context.RATES_EXTENSION] = visitor_limits(hive.settings.analyses_per_hour_per_address)

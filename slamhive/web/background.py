@@ -1,4 +1,4 @@
-"""Long work on datasets that a page starts, one piece at a time in the background."""
+"""Long work on datasets and uploads that a request starts, one piece at a time in the background."""
 
 from __future__ import annotations
 
@@ -16,11 +16,15 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """The latest request. ``fraction`` is from 0 to 1; ``problem`` says why it failed."""
+    """The latest request. ``fraction`` is from 0 to 1; ``problem`` says why it failed.
+
+    ``dataset`` is what is worked on: the name of a dataset, or the token of an upload.
+    """
 
     dataset: str
     details: tuple[str, ...] = ()
     fraction: float = 0.0
+    activity: str = ""
     done: bool = False
     problem: str | None = None
 
@@ -57,8 +61,8 @@ class Background:
         return work
 
     def _run(self, work: Work, task: Callable[[Progress], object]) -> None:
-        def progress(fraction: float, _text: str) -> None:
-            self._latest = replace(work, fraction=fraction)
+        def progress(fraction: float, text: str) -> None:
+            self._latest = replace(work, fraction=fraction, activity=text)
 
         problem = None
         try:

@@ -16,11 +16,13 @@ if TYPE_CHECKING:
     from slamhive.web.live import LiveHub
     from slamhive.web.rates import RateLimit
     from slamhive.web.sign_in_limits import SignInLimits
+    from slamhive.web.upload_work import UploadWork
 
 EXTENSION = "slamhive"
 LIVE_EXTENSION = "slamhive-live"
 VARIANTS_EXTENSION = "slamhive-variants"
 CHECKS_EXTENSION = "slamhive-dataset-checks"
+UPLOADS_EXTENSION = "slamhive-uploads"
 COMPUTER_EXTENSION = "slamhive-analyses"
 FILES_EXTENSION = "slamhive-analysis-files"
 RATES_EXTENSION = "slamhive-rates"
@@ -46,6 +48,11 @@ def variant_maker() -> VariantMaker:
 def dataset_checker() -> DatasetChecker:
     """The background checker of datasets."""
     return cast("DatasetChecker", current_app.extensions[CHECKS_EXTENSION])
+
+
+def upload_work() -> UploadWork:
+    """The background importer of uploads."""
+    return cast("UploadWork", current_app.extensions[UPLOADS_EXTENSION])
 
 
 def analysis_computer() -> AnalysisComputer | None:

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from slamhive.client import Hive
-from slamhive.errors import Conflict, InvalidInput, NotFound
+from slamhive.client.requests import Request
+from slamhive.client.uploading import send_file
+from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
+from slamhive.schema.uploads import Upload as UploadDocument
+from slamhive.schema.uploads import UploadRequest
+from slamhive.services.hive import Hive as ServedHive
 from slamhive.services.hive import open_hive
+from tests.bags.format_world import make_tum_rgbd
 from tests.client.conftest import serving
+from tests.services.imports.world import trajectory, write
 from tests.services.tiny_project import environment, make_dataset, make_project
 
 pytestmark = pytest.mark.integration
@@ -73,6 +84,59 @@ def test_a_server_takes_changes(address: str, data: Path) -> None:
 def test_a_data_root_takes_changes(data: Path) -> None:
     with Hive.open(data, writable=True) as hive:
         change(hive)
+
+
+@pytest.mark.parametrize("through", ["files", "server"])
+def test_recordings_and_trajectories_are_imported(data: Path, through: str, request: pytest.FixtureRequest) -> None:
+    desk = make_tum_rgbd(data.parent / "desk")
+    results = data.parent / "results"
+    write(results / "mine" / "walk" / "1.txt", trajectory())
+    write(results / "walk" / "groundtruth.txt", trajectory())
+    files = through == "files"
+    with Hive.open(data, writable=True) if files else Hive.connect(request.getfixturevalue("address")) as hive:
+        assert hive.import_dataset(desk, name="desk2", progress=False).datasets == ("desk2",)
+        report = hive.import_runs(results, sensors={"": "stereo"}, progress=False).runs
+        assert report is not None
+        assert (report.runs, report.problems) == ((1,), ())
+        assert hive.runs.get(1).algorithm == "mine"
+        with pytest.raises(InvalidInput, match="formt"):
+            hive.import_dataset(desk, formt="tum", progress=False)
+        with pytest.raises((NotFound, InvalidInput), match="nothing-here"):
+            hive.import_dataset(data / "nothing-here", progress=False)
+
+
+class Weak:
+    """A connection that breaks in the middle of every second part, after some of it has arrived."""
+
+    def __init__(self, hive: ServedHive) -> None:
+        self.hive = hive
+        self.parts = 0
+
+    def send(self, request: Request[Any]) -> Any:
+        uploads = self.hive.uploads
+        if request.path == "/uploads":
+            made = uploads.create(UploadRequest(**request.body), "")
+            return UploadDocument.of(replace(made, part_bytes=1000), work=None)
+        token = request.path.split("/")[2]
+        if request.data is not None:
+            self.parts += 1
+            broken = self.parts % 2 == 1
+            data = request.data[:300] if broken else request.data
+            uploads.folder(token, "").append(int(request.arguments["offset"]), io.BytesIO(data))
+            if broken:
+                raise Unavailable("the connection broke")
+        return UploadDocument.of(replace(uploads.get(token, ""), part_bytes=1000), work=None)
+
+
+def test_an_upload_survives_connections_that_break(data: Path, tmp_path: Path) -> None:
+    file = tmp_path / "walk.bag"
+    file.write_bytes(bytes(range(256)) * 20)
+    with closing(open_hive({"data": str(data)})) as opened:
+        weak = Weak(opened)
+        sent = send_file(weak.send, file)
+        with opened.uploads.folder(sent.token, "").complete(lambda _done, _text: None) as content:
+            assert content.read_bytes() == file.read_bytes()
+    assert weak.parts >= 6
 
 
 def change(hive: Hive) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 
+from slamhive.schema.uploads import UploadRequest
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
@@ -82,6 +83,12 @@ def token(target: Web) -> str:
 
 
 @pytest.fixture(scope="module")
+def upload(target: Web) -> str:
+    """The token of an upload that waits for its first byte."""
+    return target.hive.uploads.create(UploadRequest(name="walk.bag", size_bytes=1000, sha256="0" * 64), "").token
+
+
+@pytest.fixture(scope="module")
 def fuzz(target: Web) -> Fuzz:
     import schemathesis  # noqa: PLC0415 - takes a second, which other tiers should not pay when they collect
     from schemathesis.specs.openapi import checks  # noqa: PLC0415
@@ -98,10 +105,11 @@ def fuzz(target: Web) -> Fuzz:
     )
 
 
-def places_of(operation: Operation, token: str) -> dict[str, Any]:
+def places_of(operation: Operation, token: str, upload: str) -> dict[str, Any]:
     """Values for the places in its path, which something has."""
     names = {Section.CATALOGUE: "eye-slam-mono", Section.EXPERIMENTS: "trial", Section.SEARCHES: "slow-ones"}
     values = {"run_id": 1, "configuration_id": 1, "key": "traj.txt", "format": "ndjson", "action": "pause"}
+    values["upload"] = upload
     known = {**values, "name": names.get(operation.section, "room"), "token": token}
     if operation.section is Section.ANALYSES:
         known["key"] = "analysis.yaml"
@@ -124,11 +132,13 @@ def whole(target: Web) -> Any:
 
 
 @pytest.mark.parametrize("operation", LOOKING_FIRST, ids=attrgetter("name"))
-def test_every_answer_is_one_that_the_description_promises(fuzz: Fuzz, token: str, operation: Operation) -> None:
+def test_every_answer_is_one_that_the_description_promises(
+    fuzz: Fuzz, token: str, upload: str, operation: Operation
+) -> None:
     described = fuzz.schema.find_operation_by_id(operation.name)
     valid, broken = fuzz.modes
     query = {"runs": "1,2"} if operation.name == "comparison" else None
-    found = described.as_strategy(valid, path_parameters=places_of(operation, token), query=query)
+    found = described.as_strategy(valid, path_parameters=places_of(operation, token, upload), query=query)
     statuses = set()
 
     @given(case=found | described.as_strategy(valid) | described.as_strategy(broken))

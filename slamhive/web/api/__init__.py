@@ -18,6 +18,7 @@ from slamhive.web.api import (
     runs,
     searches,
     server,
+    uploads,
 )
 from slamhive.web.api.operation import PREFIX
 from slamhive.web.api.table import TABLE
@@ -25,7 +26,19 @@ from slamhive.web.security import require_api_header
 
 __all__ = ["TABLE", "blueprint"]
 
-_FILLING = (runs, run_changes, searches, experiments, configurations, algorithms, datasets, analyses, nodes, server)
+_FILLING = (
+    runs,
+    run_changes,
+    searches,
+    experiments,
+    configurations,
+    algorithms,
+    datasets,
+    uploads,
+    analyses,
+    nodes,
+    server,
+)
 """Each adds its operations when it is imported."""
 
 blueprint = Blueprint("api", __name__, url_prefix=PREFIX)

@@ -8,6 +8,7 @@ from typing import Any
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trust import TrustLevel
 from slamhive.schema.api_requests import LARGEST_RUN_ID
+from slamhive.schema.uploads import HEXADECIMAL, LARGEST_UPLOAD_BYTES
 from slamhive.services.exports import Format
 from slamhive.web.api.operation import Argument, Place
 from slamhive.web.configuration_query import LARGEST_PAGE, PAGE_LENGTH
@@ -35,6 +36,7 @@ PLACES = {
     "name": Place("string", TEXT, "The name."),
     "key": Place("string", TEXT, "The key, from the list."),
     "token": Place("string", {"type": "string", "pattern": "^[0-9a-f]{32}$"}, "The token of the analysis."),
+    "upload": Place("string", {"type": "string", "pattern": f"^{HEXADECIMAL}$"}, "The token of the upload."),
     "action": Place(f"any({', '.join(map(repr, _CHANGES))})", _choice(*_CHANGES), "What to do."),
     "format": Place(f"any({','.join(Format)})", _choice(*Format), "The format of the file."),
 }
@@ -93,6 +95,14 @@ COMPARISON_ARGUMENTS = (
     Argument("group", "One column for all repeats.", _choice("configuration")),
 )
 PUBLIC_ARGUMENTS = (Argument("words", "Only sequences that all these words fit.", TEXT),)
+PART_ARGUMENTS = (
+    Argument(
+        "offset",
+        "Where the part begins: `received_bytes` of the upload.",
+        {"type": "integer", "minimum": 0, "maximum": LARGEST_UPLOAD_BYTES},
+        required=True,
+    ),
+)
 LOG_ARGUMENTS = (
     Argument(
         "bytes",

@@ -14,7 +14,7 @@ from slamhive import __version__
 from slamhive.schema.api_answers import Problem
 from slamhive.schema.model import adapter
 from slamhive.web.api.idempotency import KEY_HEADER
-from slamhive.web.api.operation import PREFIX, Argument, Operation, Place, Table
+from slamhive.web.api.operation import OCTETS, PREFIX, Argument, Bytes, Operation, Place, Table
 from slamhive.web.security import API_HEADER
 
 Schemas: TypeAlias = Mapping[tuple[Any, JsonSchemaMode], dict[str, Any]]
@@ -82,7 +82,7 @@ def _schemas(operations: Iterable[Operation]) -> tuple[Schemas, dict[str, Any]]:
     """The schema of each model by (model, mode), and the definitions that they refer to."""
     kinds: dict[tuple[Any, JsonSchemaMode], TypeAdapter[Any]] = {(Problem, "serialization"): adapter(Problem)}
     for operation in operations:
-        if operation.body is not None:
+        if operation.body is not None and not isinstance(operation.body, Bytes):
             kinds[operation.body, "validation"] = adapter(operation.body)
         if not isinstance(operation.answer, tuple):
             kinds[operation.answer, "serialization"] = adapter(operation.answer)
@@ -95,8 +95,8 @@ def _operation(operation: Operation, places: Mapping[str, Place], schemas: Schem
     changes = operation.method == "POST"
     parameters = [_place(name, places[name]) for name in operation.places]
     parameters += [_argument(entry) for entry in operation.arguments]
-    parameters += _change_headers() if changes else []
-    body = {} if operation.body is None else {"requestBody": _body(schemas[operation.body, "validation"])}
+    parameters += _change_headers(once=operation.once) if changes else []
+    body = {} if operation.body is None else {"requestBody": _body(operation.body, schemas)}
     problems = (*_ALWAYS, *(_CHANGES if changes else ()))
     return {
         "operationId": operation.name,
@@ -136,27 +136,28 @@ def _argument(argument: Argument) -> dict[str, Any]:
     }
 
 
-def _change_headers() -> list[dict[str, Any]]:
-    return [
-        {
-            "name": API_HEADER,
-            "in": "header",
-            "required": False,
-            "description": "Needed unless an API token is sent. A page of another site cannot send it.",
-            "schema": {"type": "string", "const": "1"},
-        },
-        {
-            "name": KEY_HEADER,
-            "in": "header",
-            "required": False,
-            "description": "A key of your own, unique for each change. A repetition answers as the first request did.",
-            "schema": {"type": "string", "minLength": 1, "maxLength": 255, "pattern": "^[!-~]+$"},
-        },
-    ]
+def _change_headers(*, once: bool) -> list[dict[str, Any]]:
+    ours = {
+        "name": API_HEADER,
+        "in": "header",
+        "required": False,
+        "description": "Needed unless an API token is sent. A page of another site cannot send it.",
+        "schema": {"type": "string", "const": "1"},
+    }
+    key = {
+        "name": KEY_HEADER,
+        "in": "header",
+        "required": False,
+        "description": "A key of your own, unique for each change. A repetition answers as the first request did.",
+        "schema": {"type": "string", "minLength": 1, "maxLength": 255, "pattern": "^[!-~]+$"},
+    }
+    return [ours, key] if once else [ours]
 
 
-def _body(schema: Mapping[str, Any]) -> dict[str, Any]:
-    return {"required": True, "content": {_JSON: {"schema": schema}}}
+def _body(kind: Any, schemas: Schemas) -> dict[str, Any]:
+    if isinstance(kind, Bytes):
+        return {"required": True, "content": {OCTETS: {}}, "description": f"At most {kind.most_bytes:,} bytes."}
+    return {"required": True, "content": {_JSON: {"schema": schemas[kind, "validation"]}}}
 
 
 def _problems(schemas: Schemas) -> dict[str, Any]:

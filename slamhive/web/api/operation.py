@@ -8,15 +8,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import wraps
-from typing import Any, ParamSpec, TypeAlias
+from typing import IO, Any, ParamSpec, TypeAlias
 
-from flask import Blueprint, Response
+from flask import Blueprint, Response, request
 
+from slamhive.errors import InvalidInput
 from slamhive.schema.model import Document
 from slamhive.web.api.idempotency import once
 from slamhive.web.json_exchange import answer, read_body
 
 PREFIX = "/api/v1"
+OCTETS = "application/octet-stream"
 P = ParamSpec("P")
 View: TypeAlias = Callable[P, Document | Response]
 _PLACE = re.compile(r"\{(\w+)\}")
@@ -33,6 +35,7 @@ class Section(StrEnum):
     CONFIGURATIONS = "Configurations"
     CATALOGUE = "Catalogue"
     DATASETS = "Datasets"
+    UPLOADS = "Uploads"
     ANALYSES = "Analyses"
 
 
@@ -65,6 +68,24 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
+class Bytes:
+    """A body that is a part of a file. Views get it as a stream.
+
+    Such a request cannot have an ``Idempotency-Key``, for which the body would be read twice: its arguments have to say
+    where the part belongs, so that it changes nothing when it is sent again.
+    """
+
+    most_bytes: int
+
+    def stream(self) -> IO[bytes]:
+        """The body of this request; raises InvalidInput for another media type. A longer one is refused with 413."""
+        request.max_content_length = self.most_bytes
+        if request.mimetype != OCTETS:
+            raise InvalidInput("the body is not bytes", f"send it with Content-Type: {OCTETS}")
+        return request.stream
+
+
+@dataclass(frozen=True, slots=True)
 class Operation:
     """One method at one path.
 
@@ -75,7 +96,7 @@ class Operation:
         section: The heading that it is listed under.
         words: What it does: a summary, and more after it.
         arguments: Of the address.
-        body: The model of the request's body; None if it has none.
+        body: The model of the request's body, or :class:`Bytes`; None if it has none.
         answer: The model of the answer, or the media types of a file.
         status: Of a success.
     """
@@ -94,6 +115,11 @@ class Operation:
     def summary(self) -> str:
         """The first sentence of its words."""
         return self.words.partition("\n")[0]
+
+    @property
+    def once(self) -> bool:
+        """Whether an ``Idempotency-Key`` is heeded."""
+        return self.method == "POST" and not isinstance(self.body, Bytes)
 
     @property
     def places(self) -> list[str]:
@@ -133,12 +159,19 @@ class Table:
         return declare
 
     def post(
-        self, section: Section, path: str, answers: type[Document], *, body: Any = None, status: int = 200
+        self,
+        section: Section,
+        path: str,
+        answers: type[Document],
+        *,
+        arguments: Sequence[Argument] = (),
+        body: Any = None,
+        status: int = 200,
     ) -> Callable[[View[P]], View[P]]:
         """Declare an operation that changes something."""
 
         def declare(view: View[P]) -> View[P]:
-            self._add(view, Operation(*_said(view, "POST", path, section), (), body, answers, status))
+            self._add(view, Operation(*_said(view, "POST", path, section), tuple(arguments), body, answers, status))
             return view
 
         return declare
@@ -151,13 +184,14 @@ class Table:
     def _add(self, view: Callable[..., Document | Response], operation: Operation) -> None:
         @wraps(view)
         def respond(**values: Any) -> Response:
-            if operation.body is not None:
+            if isinstance(operation.body, Bytes):
+                values["body"] = operation.body.stream()
+            elif operation.body is not None:
                 values["body"] = read_body(operation.body)
             found = view(**values)
             return found if isinstance(found, Response) else answer(found.content, operation.status)
 
-        changes = operation.method == "POST"
-        self.entries.append((operation, once(respond) if changes else respond))
+        self.entries.append((operation, once(respond) if operation.once else respond))
 
 
 def _said(view: Callable[..., Any], method: str, path: str, section: Section) -> tuple[str, str, str, Section, str]:

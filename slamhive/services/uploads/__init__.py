@@ -1,0 +1,8 @@
+"""Files that programs send in parts, and what is imported from them."""
+
+from __future__ import annotations
+
+from slamhive.services.uploads.importing import UploadImports, import_dataset, import_runs
+from slamhive.services.uploads.stored import PART_BYTES, StoredUpload, Uploads
+
+__all__ = ["PART_BYTES", "StoredUpload", "UploadImports", "Uploads", "import_dataset", "import_runs"]

@@ -1,0 +1,96 @@
+"""Files that programs send in parts, and imports from them."""
+
+from __future__ import annotations
+
+from typing import IO
+
+from flask import request
+
+from slamhive.input_bounds import whole_number
+from slamhive.schema.api_answers import Removal
+from slamhive.schema.uploads import (
+    LARGEST_UPLOAD_BYTES,
+    AlgorithmUpload,
+    DatasetUpload,
+    RunsUpload,
+    Upload,
+    UploadRequest,
+    Uploads,
+)
+from slamhive.services.uploads import PART_BYTES
+from slamhive.web.api.arguments import PART_ARGUMENTS
+from slamhive.web.api.operation import Bytes, Section
+from slamhive.web.api.table import TABLE
+from slamhive.web.context import hive, upload_work
+from slamhive.web.upload_work import owner, shown
+
+
+@TABLE.get(Section.UPLOADS, "/uploads", Uploads)
+def uploads() -> Uploads:
+    """The uploads of the caller, the newest first."""
+    return Uploads(uploads=tuple(shown(upload.token) for upload in hive().uploads.listed(owner())))
+
+
+@TABLE.get(Section.UPLOADS, "/uploads/{upload}", Upload)
+def upload(upload: str) -> Upload:
+    """One upload: how much has arrived, how far its import is, and what it has become."""
+    return shown(upload)
+
+
+@TABLE.post(Section.UPLOADS, "/uploads", Upload, body=UploadRequest, status=201)
+def create_upload(body: UploadRequest) -> Upload:
+    """Begin an upload. Then send its bytes in parts."""
+    made = hive().uploads.create(body, owner())
+    hive().store.note_act()
+    return shown(made.token)
+
+
+@TABLE.post(
+    Section.UPLOADS, "/uploads/{upload}/parts", Upload, arguments=PART_ARGUMENTS, body=Bytes(PART_BYTES), status=201
+)
+def send_part(upload: str, body: IO[bytes]) -> Upload:
+    """Add bytes to the end of one upload.
+
+    If a connection breaks, ask for the upload and continue at `received_bytes`. A part that begins elsewhere changes
+    nothing (409).
+    """
+    offset = whole_number(request.args.get("offset", ""), "offset", 0, LARGEST_UPLOAD_BYTES)
+    hive().check_writable()
+    hive().uploads.folder(upload, owner()).append(offset, body)
+    return shown(upload)
+
+
+@TABLE.post(Section.UPLOADS, "/uploads/{upload}/delete", Removal)
+def delete_upload(upload: str) -> Removal:
+    """Remove one upload. What was imported from it stays."""
+    hive().uploads.remove(upload, owner())
+    hive().store.note_act()
+    return Removal(removed=upload)
+
+
+@TABLE.post(Section.UPLOADS, "/datasets/import", Upload, body=DatasetUpload, status=202)
+def import_dataset(body: DatasetUpload) -> Upload:
+    """Start making a dataset of an upload: one file, or a zip or tar archive of a folder."""
+    imports, mine = hive().upload_imports, owner()
+    upload_work().start(body, mine, lambda progress: imports.dataset(body, mine, progress))
+    return shown(body.upload)
+
+
+@TABLE.post(Section.UPLOADS, "/runs/import", Upload, body=RunsUpload, status=202)
+def import_runs(body: RunsUpload) -> Upload:
+    """Start importing the trajectories in an uploaded archive as runs."""
+    imports, mine = hive().upload_imports, owner()
+    upload_work().start(body, mine, lambda progress: imports.runs(body, mine, progress))
+    return shown(body.upload)
+
+
+@TABLE.post(Section.UPLOADS, "/algorithms/import", Upload, body=AlgorithmUpload, status=202)
+def import_algorithm(body: AlgorithmUpload) -> Upload:
+    """Start importing an algorithm from an upload; only for admins.
+
+    A zip archive of a folder is built where its Dockerfile says so. A tar file is an image that `docker save` wrote, or
+    what `slamhive algorithm export` wrote.
+    """
+    imports, mine = hive().upload_imports, owner()
+    upload_work().start(body, mine, lambda progress: imports.algorithm(body, mine, progress))
+    return shown(body.upload)
