@@ -16,6 +16,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import installer
 import machine
 from steps import StepFailed, run_step, say
 
@@ -28,7 +29,7 @@ COMPILE = (
     "import compileall, re, sysconfig;"
     "compileall.compile_dir(sysconfig.get_path('purelib'), quiet=2, workers=0, rx=re.compile('packages/.*/tests/'))"
 )
-"""Compiles modules on all cores. pip takes twice as long: it uses one core, and compiles the tests of libraries too."""
+"""Compiles modules on all cores. pip takes twice as long: it uses one core. Both it and uv compile tests of libraries."""
 
 
 def fingerprint() -> str:
@@ -74,8 +75,7 @@ def install(extras: tuple[str, ...]) -> None:
     environment.pop("PYTHONPATH", None)
     label = f"install SLAM Hive{' and ' + ', '.join(extras) + ' tools' if extras else ''}"
     python = str(ENVIRONMENT / "bin" / "python")
-    command = [python, "-m", "pip", "install", "--no-compile", "-e", project, "-c", str(ROOT / "constraints.txt")]
-    run_step(label, command, environment)
+    installer.install(label, python, ["-e", project, "-c", str(ROOT / "constraints.txt")], environment, ROOT)
     run_step("compile what was installed", [python, "-c", COMPILE], environment)
 
 

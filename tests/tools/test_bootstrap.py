@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ TOOLS = Path(__file__).resolve().parents[2] / "tools"
 sys.path.insert(0, str(TOOLS))
 
 import bootstrap  # noqa: E402
+import installer  # noqa: E402
 import machine  # noqa: E402
 import steps  # noqa: E402
 
@@ -66,10 +68,61 @@ def test_failed_install_leaves_no_stamp(project, capsys, monkeypatch):
     def refuse(label, command, environment=None):
         raise steps.StepFailed("no network")
 
+    (project / "constraints.txt").write_text("")
     monkeypatch.setattr(bootstrap, "run_step", refuse)
+    monkeypatch.setattr(installer, "run_step", refuse)
     assert bootstrap.main(["test"]) == 1
     assert not bootstrap.STAMP.exists()
     assert "no network" in capsys.readouterr().err
+
+
+def test_uv_gets_the_configuration_of_pip():
+    words, variables = installer.translated(
+        [("extra-index-url", "file:///a file:///b"), ("cert", "/ca.crt"), ("find-links", "/old"), ("find-links", "/new"),
+         ("constraint", "/limits.txt"), ("retries", "3"), ("timeout", "60")]
+    )  # fmt: skip
+    assert words == [
+        "--index",
+        "file:///a",
+        "--index",
+        "file:///b",
+        "--find-links",
+        "/new",
+        "--constraints",
+        "/limits.txt",
+    ]
+    assert variables == {"SSL_CERT_FILE": "/ca.crt", "UV_HTTP_TIMEOUT": "60"}
+
+
+def test_what_uv_cannot_follow_is_left_to_pip():
+    with pytest.raises(installer.CannotFollow, match="proxy"):
+        installer.translated([("proxy", "http://proxy:3128")])
+
+
+def test_variables_are_stronger_than_files(tmp_path):
+    (tmp_path / "pip.conf").write_text(
+        "[global]\ntimeout = 5\n[install]\ntimeout = 6\nretries = 2\n[list]\nformat = json\n"
+    )
+    environment = {"PIP_CONFIG_FILE": str(tmp_path / "pip.conf"), "PIP_RETRIES": "4", "HOME": str(tmp_path)}
+    found = dict(installer.pip_configuration(sys.executable, environment))
+    assert (found["timeout"], found["retries"]) == ("6", "4")
+    assert "format" not in found
+
+
+def test_pip_installs_what_uv_does_not(project, monkeypatch, capsys):
+    (project / "constraints.txt").write_text("uv==0.0.0\n")
+    ran = []
+
+    def run(label, command, environment=None):
+        ran.append([str(part) for part in command])
+        if "uv" in Path(command[0]).name:
+            raise steps.StepFailed("uv has no index")
+
+    monkeypatch.setattr(installer, "run_step", run)
+    monkeypatch.setattr(installer, "uv_command", lambda *_: nullcontext((["/tmp/uv", "pip", "install"], {})))
+    installer.install("install", "python", ["x"], {}, project)
+    assert ran == [["/tmp/uv", "pip", "install", "x"], ["python", "-m", "pip", "install", "--no-compile", "x"]]
+    assert "trying pip" in capsys.readouterr().out
 
 
 def test_step_shows_the_end_of_the_output_when_it_fails():
