@@ -29,7 +29,7 @@ COMPILE = (
     "import compileall, re, sysconfig;"
     "compileall.compile_dir(sysconfig.get_path('purelib'), quiet=2, workers=0, rx=re.compile('packages/.*/tests/'))"
 )
-"""Compiles modules on all cores. pip takes twice as long: it uses one core. Both it and uv compile tests of libraries."""
+"""Compiles modules on all cores, but not the tests of libraries, as pip and uv would."""
 
 
 def fingerprint() -> str:

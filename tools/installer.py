@@ -75,7 +75,7 @@ def uv_command(python: str, environment: Mapping[str, str], root: Path) -> Itera
 
 
 def uv_requirement(root: Path) -> str:
-    """uv in the version of ``constraints.txt``."""
+    """The requirement of uv in the version of ``constraints.txt``."""
     for line in (root / "constraints.txt").read_text(encoding="utf-8").splitlines():
         if line.startswith("uv=="):
             return line

@@ -48,6 +48,9 @@ SLURM_PACKAGES = ("slurm-wlm", "munge", "charliecloud")
 ENGINE_PACKAGES = ("docker.io", "iptables", "debootstrap")
 COMPOSE_PACKAGES = ("docker-compose-v2", "docker-compose-plugin", "docker-compose")
 CLIENT_PACKAGE = "docker-cli"
+LONGEST_FILES = 6
+LONG_FILE_S = 10.0
+"""Tiers in which no module takes longer do not say which take longest."""
 NO_BYTECODE = "PYTHONDONTWRITEBYTECODE"
 SHARED_FOLDER = "TESTS_SHARE_IN"
 """The variable that names the folder in which all tiers share what takes long to make, see ``tests/sharing.py``."""
@@ -70,6 +73,8 @@ class Outcome:
     passed: int = 0
     failed: int = 0
     skipped: list[str] = field(default_factory=list)
+    file_s: dict[str, float] = field(default_factory=dict)
+    """Time of the tests by module, with what was made for them."""
 
 
 @dataclass(frozen=True)
@@ -270,6 +275,8 @@ def read_report(path: Path) -> Outcome:
         return Outcome("failed", "pytest left no report")
     outcome = Outcome()
     for case in ET.parse(path).getroot().iter("testcase"):  # noqa: S314 - our own pytest wrote it
+        module = case.get("classname", "").removeprefix("tests.")
+        outcome.file_s[module] = outcome.file_s.get(module, 0.0) + float(case.get("time", 0))
         skipped = case.find("skipped")
         if skipped is not None:
             outcome.skipped.append(skipped.get("message", "") or "no reason given")
@@ -361,6 +368,9 @@ def report(outcomes: dict[str, Outcome], seconds: float, *, strict: bool) -> int
         print(f"{name:<12} {outcome.state:<8} {outcome.seconds:7.1f} s   {counts:<28} {outcome.note}".rstrip())
         for reason in sorted(set(outcome.skipped)):
             print(f"{'':<12} skipped {outcome.skipped.count(reason)}: {reason}")
+        longest = sorted(outcome.file_s.items(), key=lambda entry: -entry[1])[:LONGEST_FILES]
+        if longest and longest[0][1] > LONG_FILE_S:
+            print(f"{'':<12} longest: {', '.join(f'{name} {took_s:.0f} s' for name, took_s in longest)}")
     if strict and bad:
         print("CI=true: what did not run counts as failed")
     _last_line(outcomes, bad, seconds)

@@ -78,9 +78,16 @@ def test_failed_install_leaves_no_stamp(project, capsys, monkeypatch):
 
 def test_uv_gets_the_configuration_of_pip():
     words, variables = installer.translated(
-        [("extra-index-url", "file:///a file:///b"), ("cert", "/ca.crt"), ("find-links", "/old"), ("find-links", "/new"),
-         ("constraint", "/limits.txt"), ("retries", "3"), ("timeout", "60")]
-    )  # fmt: skip
+        [
+            ("extra-index-url", "file:///a file:///b"),
+            ("cert", "/ca.crt"),
+            ("find-links", "/old"),
+            ("find-links", "/new"),
+            ("constraint", "/limits.txt"),
+            ("retries", "3"),
+            ("timeout", "60"),
+        ]
+    )
     assert words == [
         "--index",
         "file:///a",

@@ -25,7 +25,7 @@ def runner():
 
 
 REPORT = """<testsuites><testsuite>
-<testcase name="a"/><testcase name="b"/>
+<testcase classname="tests.web.test_x" name="a" time="20"/><testcase classname="tests.web.test_x" name="b" time="5"/>
 <testcase name="c"><failure message="no"/></testcase>
 <testcase name="d"><error message="no"/></testcase>
 <testcase name="e"><skipped message="../shared/data is not here"/></testcase>
@@ -37,6 +37,16 @@ def test_report_is_counted(runner, tmp_path):
     path.write_text(REPORT)
     outcome = runner.read_report(path)
     assert (outcome.passed, outcome.failed, outcome.skipped) == (2, 2, ["../shared/data is not here"])
+    assert outcome.file_s["web.test_x"] == 25
+
+
+def test_modules_that_take_long_are_named(runner, capsys):
+    quick = runner.Outcome(passed=1, file_s={"domain.test_a": 0.5})
+    slow = runner.Outcome(passed=1, file_s={"web.test_b": 12.4, "web.test_c": 40.0})
+    runner.report({"unit": quick, "quick": slow}, 1.0, strict=False)
+    text = capsys.readouterr().out
+    assert "longest: web.test_c 40 s, web.test_b 12 s" in text
+    assert "test_a" not in text
 
 
 def test_missing_report_is_a_failure(runner, tmp_path):

@@ -1,4 +1,4 @@
-"""Uploads over the web API: parts, checksums, imports; broken connections and files that are not what they should be."""
+"""Uploads over the web API: parts, checksums, imports, broken connections, and files that are wrong or hostile."""
 
 from __future__ import annotations
 
