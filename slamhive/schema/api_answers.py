@@ -172,6 +172,12 @@ class Algorithms(Document):
     algorithms: tuple[catalogue.Algorithm, ...]
 
 
+class PackageVersions(Document):
+    """The versions of a package, the newest first."""
+
+    versions: tuple[catalogue.Version, ...]
+
+
 class Datasets(Document):
     """All datasets."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,6 +14,7 @@ import plotly.graph_objects as go
 
 from slamhive.analysis.plotly_values import THEMED, with_dark_colours
 from slamhive.bags.views import SweepView
+from slamhive.errors import NotFound
 from slamhive.services.runs import Array, Places, RunSeries, Samples, Track, samples_of
 from slamhive.trajectory.motion import Motion
 from slamhive.web.formatting import plural, significant
@@ -146,6 +149,23 @@ def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
             f"{' and are crosses at 0' if len(series.dropped_s) else ''}."
         )
     return texts
+
+
+PLOTS_WITH_DATA = ("path", "error", "cpu", "memory", "latency")
+"""The plots of a run whose data can be had."""
+
+
+def figure_csv(series: RunSeries, figure: str) -> str:
+    """The data of a plot as CSV; raises NotFound if there is none."""
+    table = figure_table(series, figure)
+    if table is None:
+        raise NotFound(f"this run has no data for the plot {figure[:40]!r}", f"use {', '.join(PLOTS_WITH_DATA)}")
+    header, lines = table
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(lines)
+    return text.getvalue()
 
 
 def figure_table(series: RunSeries, figure: str) -> tuple[list[str], list[Sequence[float | str]]] | None:

@@ -28,8 +28,8 @@ from tests.web.web_world import Web, make_web
 pytestmark = pytest.mark.integration
 
 EXAMPLES = 4
-NOTHING_THERE = {"dataset_check", "analysis_report"}
-"""Nobody has checked the dataset, and no worker has computed the analysis."""
+NOTHING_THERE = {"dataset_check", "analysis_report", "dataset_frame", "dataset_sweep"}
+"""Nobody has checked the dataset, no worker has computed the analysis, and the recording holds no images or points."""
 LOOKING_FIRST = sorted(TABLE.operations, key=attrgetter("method"))
 """Changes come last: they remove what others look at."""
 
@@ -109,7 +109,7 @@ def places_of(operation: Operation, token: str, upload: str) -> dict[str, Any]:
     """Values for the places in its path, which something has."""
     names = {Section.CATALOGUE: "eye-slam-mono", Section.EXPERIMENTS: "trial", Section.SEARCHES: "slow-ones"}
     values = {"run_id": 1, "configuration_id": 1, "key": "traj.txt", "format": "ndjson", "action": "pause"}
-    values["upload"] = upload
+    values |= {"upload": upload, "plot": "error", "sensor": "cam0"}
     known = {**values, "name": names.get(operation.section, "room"), "token": token}
     if operation.section is Section.ANALYSES:
         known["key"] = "analysis.yaml"
@@ -137,7 +137,7 @@ def test_every_answer_is_one_that_the_description_promises(
 ) -> None:
     described = fuzz.schema.find_operation_by_id(operation.name)
     valid, broken = fuzz.modes
-    query = {"runs": "1,2"} if operation.name == "comparison" else None
+    query = {"comparison": {"runs": "1,2"}, "run_moment": {"timestamp": 1.5}}.get(operation.name)
     found = described.as_strategy(valid, path_parameters=places_of(operation, token, upload), query=query)
     statuses = set()
 

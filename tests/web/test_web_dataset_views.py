@@ -288,3 +288,26 @@ def test_dropped_frames_are_crosses_in_the_plot_of_latencies(shown: Web):
     content = shown.client.get("/runs/1/figures.json").get_json()
     assert [trace["name"] for trace in content["figures"]["latency"]["data"]][-1] == "dropped"
     assert "dropped frames have none and are crosses at 0." in content["captions"]["latency"]
+
+
+# -- the same for programs ---------------------------------------------------------------------------------------------
+
+
+def test_programs_get_frames_sweeps_and_moments(recorded: Web):
+    frame = recorded.client.get("/api/v1/datasets/room/frames/camera0?time=11.4")
+    assert (frame.mimetype, float(frame.headers["X-Frame-Time"])) == ("image/jpeg", pytest.approx(12.0))
+    sweep = recorded.client.get("/api/v1/datasets/room/sweeps/lidar0?time=3").get_json()
+    assert (sweep["time_s"], sweep["points"], len(sweep["positions_m"])) == (3.0, 20_000, views.MOST_POINTS)
+    assert sweep["positions_m"][-1] == [19_999.0, 0.0, 0.0]
+    dropped = recorded.client.get("/api/v1/runs/1/moment?timestamp=1004.92").get_json()
+    assert dropped["frame"]["dropped"]
+    assert recorded.client.get("/api/v1/runs/1/moment?timestamp=soon").status_code == 400
+    assert recorded.client.get("/api/v1/datasets/room/frames/none").status_code == 404
+
+
+def test_programs_get_the_data_of_plots(shown: Web):
+    page = shown.client.get("/runs/1/figures/error.csv").data
+    assert shown.client.get("/api/v1/runs/1/plots/error").data == page
+    assert page.startswith(b"time_s,error_m\n")
+    refused = shown.client.get("/api/v1/runs/1/plots/voltage")
+    assert (refused.status_code, "error" in refused.get_json()["remedy"]) == (404, True)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.schema.api_answers import Algorithms, Metric, Metrics
-from slamhive.schema.catalogue import Algorithm
+from slamhive.schema.api_answers import Algorithms, Metric, Metrics, PackageVersions
+from slamhive.schema.catalogue import Algorithm, Version
 from slamhive.schema.protocol import Protocols
 from slamhive.services.evaluations import protocols_document
 from slamhive.web.api.operation import Section
@@ -22,6 +22,12 @@ def algorithms() -> Algorithms:
 def algorithm(name: str) -> Algorithm:
     """One algorithm: what it needs, and its parameters."""
     return Algorithm.of(hive().catalogue.algorithm(name))
+
+
+@TABLE.get(Section.CATALOGUE, "/algorithms/{name}/versions", PackageVersions)
+def algorithm_versions(name: str) -> PackageVersions:
+    """The versions of the package of one algorithm, with their number of runs."""
+    return PackageVersions(versions=tuple(map(Version.of, hive().versions.reports(name))))
 
 
 @TABLE.get(Section.CATALOGUE, "/metrics", Metrics)

@@ -13,6 +13,7 @@ from slamhive.services.exports import Format
 from slamhive.web.api.operation import Argument, Place
 from slamhive.web.configuration_query import LARGEST_PAGE, PAGE_LENGTH
 from slamhive.web.experiment_page import CELLS_LENGTH, MOST_CELLS, MOST_NUMBER
+from slamhive.web.figures import PLOTS_WITH_DATA
 from slamhive.web.run_query import DEFAULT_LIMIT, EXPORT_LIMIT
 
 TEXT: Mapping[str, Any] = {"type": "string"}
@@ -37,6 +38,8 @@ PLACES = {
     "key": Place("string", TEXT, "The key, from the list."),
     "token": Place("string", {"type": "string", "pattern": "^[0-9a-f]{32}$"}, "The token of the analysis."),
     "upload": Place("string", {"type": "string", "pattern": f"^{HEXADECIMAL}$"}, "The token of the upload."),
+    "plot": Place("string", _choice(*PLOTS_WITH_DATA), "The plot."),
+    "sensor": Place("string", TEXT, "The name of the sensor."),
     "action": Place(f"any({', '.join(map(repr, _CHANGES))})", _choice(*_CHANGES), "What to do."),
     "format": Place(f"any({','.join(Format)})", _choice(*Format), "The format of the file."),
 }
@@ -95,6 +98,12 @@ COMPARISON_ARGUMENTS = (
     Argument("group", "One column for all repeats.", _choice("configuration")),
 )
 PUBLIC_ARGUMENTS = (Argument("words", "Only sequences that all these words fit.", TEXT),)
+TIMESTAMP_ARGUMENTS = (
+    Argument("timestamp", "A header timestamp in s.", {"type": "number", "minimum": 0}, required=True),
+)
+TIME_ARGUMENTS = (
+    Argument("time", "From the start of the recording, in s; its middle by default.", {"type": "number", "minimum": 0}),
+)
 PART_ARGUMENTS = (
     Argument(
         "offset",

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from flask import request
+from flask import Response, request
 
 from slamhive.errors import NotFound
 from slamhive.schema.api_answers import BackgroundWork, Datasets, DatasetWork, PublicDatasets, Removal, Variants
 from slamhive.schema.api_requests import VariantRequest
 from slamhive.schema.catalogue import Dataset
 from slamhive.schema.checks import DatasetCheck
+from slamhive.schema.looks import Sweep
 from slamhive.schema.variant import CachedVariant
 from slamhive.services.datasets import dataset_document
-from slamhive.web.api.arguments import PUBLIC_ARGUMENTS
+from slamhive.web.api.arguments import PUBLIC_ARGUMENTS, TIME_ARGUMENTS
 from slamhive.web.api.operation import Section
 from slamhive.web.api.table import TABLE
 from slamhive.web.background import Work
 from slamhive.web.context import dataset_checker, hive, variant_maker
 from slamhive.web.dataset_work import begin_check, begin_variant, drop_variant
+from slamhive.web.views.datasets import asked_time_s, frame_answer
 
 
 @TABLE.get(Section.DATASETS, "/datasets", Datasets)
@@ -29,6 +31,21 @@ def datasets() -> Datasets:
 def dataset(name: str) -> Dataset:
     """One dataset."""
     return dataset_document(hive().catalogue.dataset(name))
+
+
+@TABLE.get(Section.DATASETS, "/datasets/{name}/frames/{sensor}", ("image/jpeg",), TIME_ARGUMENTS)
+def dataset_frame(name: str, sensor: str) -> Response:
+    """The frame of a camera at a time of the recording, or the next one; `X-Frame-Time` says when it was received."""
+    return frame_answer(hive().catalogue.dataset(name), sensor)
+
+
+@TABLE.get(Section.DATASETS, "/datasets/{name}/sweeps/{sensor}", Sweep, TIME_ARGUMENTS)
+def dataset_sweep(name: str, sensor: str) -> Sweep:
+    """The sweep of a LiDAR at a time of the recording, or the next one."""
+    services = hive()
+    dataset = services.catalogue.dataset(name)
+    view = services.dataset_views.sweep(dataset, sensor, asked_time_s(dataset))
+    return Sweep.of(view, positions_m=view.positions_m.round(4).tolist())
 
 
 @TABLE.get(Section.DATASETS, "/datasets/{name}/check", DatasetCheck)

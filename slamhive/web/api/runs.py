@@ -8,16 +8,25 @@ from slamhive.errors import InvalidInput
 from slamhive.input_bounds import whole_number
 from slamhive.schema.api_answers import Download, Progress, ProtocolMetrics, RunFiles, RunPage
 from slamhive.schema.comparison import Comparison
+from slamhive.schema.looks import RunMoment
 from slamhive.schema.run import Run, RunWith
 from slamhive.services.exports import Format
 from slamhive.services.run_comparison import read_run_ids
 from slamhive.services.runs import list_downloads, open_download
-from slamhive.web.api.arguments import COMPARISON_ARGUMENTS, EXPORT_ARGUMENTS, LOG_ARGUMENTS, RUN_ARGUMENTS
+from slamhive.web.api.arguments import (
+    COMPARISON_ARGUMENTS,
+    EXPORT_ARGUMENTS,
+    LOG_ARGUMENTS,
+    RUN_ARGUMENTS,
+    TIMESTAMP_ARGUMENTS,
+)
 from slamhive.web.api.operation import Section
 from slamhive.web.api.table import TABLE
 from slamhive.web.context import hive
 from slamhive.web.exports import export_file
+from slamhive.web.figures import figure_csv
 from slamhive.web.run_query import EXPORT_LIMIT, RunQuery
+from slamhive.web.views.run_plots import asked_timestamp_s
 
 MOST_LOG_BYTES = 200_000
 FILE_TYPES = (
@@ -102,6 +111,20 @@ def run_file(run_id: int, key: str) -> Response:
     response.content_length = status.st_size
     response.make_conditional(request, accept_ranges=True, complete_length=status.st_size)
     return response
+
+
+@TABLE.get(Section.RUNS, "/runs/{run_id}/plots/{plot}", ("text/csv",))
+def run_plot(run_id: int, plot: str) -> Response:
+    """The data of one plot of one run, as CSV with units in its header."""
+    services = hive()
+    services.runs.get(run_id)
+    return Response(figure_csv(services.runs.series(run_id), plot), mimetype="text/csv")
+
+
+@TABLE.get(Section.RUNS, "/runs/{run_id}/moment", RunMoment, TIMESTAMP_ARGUMENTS)
+def run_moment(run_id: int) -> RunMoment:
+    """What is known of one run at a timestamp: the position error, and what became of the frame."""
+    return RunMoment.of(hive().runs.moment(run_id, asked_timestamp_s()))
 
 
 @TABLE.get(Section.RUNS, "/comparison", Comparison, COMPARISON_ARGUMENTS)

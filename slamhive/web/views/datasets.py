@@ -5,6 +5,7 @@ from __future__ import annotations
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, url_for
 
 from slamhive.analysis.colours import OKABE_ITO
+from slamhive.bags.views import FrameView
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput, NotFound
@@ -78,7 +79,7 @@ def show(name: str) -> str:
         step_kinds=step_kinds(),
         runs=runs.records,
         strip_times_s=strip_times_s(dataset),
-        time_s=_time_s(dataset),
+        time_s=asked_time_s(dataset),
         motion=_motion(dataset),
     )
 
@@ -145,9 +146,16 @@ def frame(name: str, sensor: str) -> Response:
     dataset = services.catalogue.dataset(name)
     number = request.args.get("overview", type=int)
     if number is None:
-        view = services.dataset_views.frame(dataset, sensor, _time_s(dataset))
-    else:
-        view = services.dataset_views.thumbnail(dataset, sensor, number)
+        return frame_answer(dataset, sensor)
+    return _jpeg(services.dataset_views.thumbnail(dataset, sensor, number))
+
+
+def frame_answer(dataset: Dataset, sensor: str) -> Response:
+    """The frame of a camera at the time that the request states."""
+    return _jpeg(hive().dataset_views.frame(dataset, sensor, asked_time_s(dataset)))
+
+
+def _jpeg(view: FrameView) -> Response:
     response = make_response(view.jpeg)
     response.mimetype = "image/jpeg"
     response.headers["X-Frame-Time"] = f"{view.time_s:.6f}"
@@ -159,7 +167,7 @@ def sweep(name: str, sensor: str) -> Response:
     """The sweep of a LiDAR at ``time`` in s from the start, as a plot."""
     services = hive()
     dataset = services.catalogue.dataset(name)
-    view = services.dataset_views.sweep(dataset, sensor, _time_s(dataset))
+    view = services.dataset_views.sweep(dataset, sensor, asked_time_s(dataset))
     shown = "" if view.points == len(view.positions_m) else f", {len(view.positions_m)} of them shown"
     return make_response(
         jsonify(
@@ -169,7 +177,7 @@ def sweep(name: str, sensor: str) -> Response:
     )
 
 
-def _time_s(dataset: Dataset) -> float:
+def asked_time_s(dataset: Dataset) -> float:
     """``time`` of the request; the middle of the recording without it or if it is no number."""
     time_s = request.args.get("time", type=float)
     if time_s is None or not 0 <= time_s <= dataset.duration_s:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
-
 from flask import Blueprint, Response, jsonify, make_response, request
 
 from slamhive.analysis.colours import colour_of
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.errors import InvalidInput
 from slamhive.web.context import hive
-from slamhive.web.figures import best_plane, captions, figure_table, run_figures, timeline
+from slamhive.web.figures import best_plane, captions, figure_csv, run_figures, timeline
 from slamhive.web.presenters import moments
 from slamhive.web.views.runs import RUN_ID
 
@@ -41,30 +38,27 @@ def figures(run_id: int) -> Response:
 @blueprint.get(f"/{RUN_ID}/moment.json")
 def moment(run_id: int) -> Response:
     """The error, the frame, and what the sensors saw at ``timestamp``, a header timestamp in s."""
+    services = hive()
+    run = services.runs.get(run_id)
+    found = services.runs.moment(run_id, asked_timestamp_s())
+    views = moments.sensor_views(services, run, found.shown_at_s)
+    return make_response(jsonify(words=moments.words(found), views=views))
+
+
+def asked_timestamp_s() -> float:
+    """``timestamp`` of the request; raises InvalidInput."""
     timestamp_s = request.args.get("timestamp", type=float)
     if timestamp_s is None or not 0 <= timestamp_s <= LATEST_TIMESTAMP_S:
         raise InvalidInput(
             f"timestamp={request.args.get('timestamp', '')[:40]!r} is no time",
             f"give a header timestamp in s, up to {LATEST_TIMESTAMP_S:g}",
         )
-    services = hive()
-    run = services.runs.get(run_id)
-    found = services.runs.moment(run_id, timestamp_s)
-    views = moments.sensor_views(services, run, found.shown_at_s)
-    return make_response(jsonify(words=moments.words(found), views=views))
+    return timestamp_s
 
 
 @blueprint.get(f"/{RUN_ID}/figures/<figure>.csv")
 def figure_data(run_id: int, figure: str) -> Response:
     """The data of one plot as CSV."""
-    table = figure_table(hive().runs.series(run_id), figure)
-    if table is None:
-        raise NotFound(f"run {run_id} has no data for the plot {figure!r}")
-    header, lines = table
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(lines)
-    response = Response(text.getvalue(), mimetype="text/csv")
+    response = Response(figure_csv(hive().runs.series(run_id), figure), mimetype="text/csv")
     response.headers["Content-Disposition"] = f'attachment; filename="run-{run_id}-{figure}.csv"'
     return response
