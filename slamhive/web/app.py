@@ -121,6 +121,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     add_compression(app)
     add_caching(app)
     app.extensions[context.SIGN_IN_EXTENSION] = SignInLimits()
+    _allow_parts_of_files(app)
     callers = protect(app, hive, host or hive.settings.host)
     if hive.settings.mode is Mode.VIEW_ONLY:
         keep_pages(app, PageCache())
@@ -136,6 +137,17 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     _add_template_words(app, hive)
     app.jinja_env.globals["needs_account"] = callers.needed
     return app
+
+
+def _allow_parts_of_files(app: Flask) -> None:
+    """Let uploads have larger bodies than other requests, before anything looks at a body."""
+    limits = {f"{api.blueprint.name}.{name}": most for name, most in api.TABLE.body_limits.items()}
+
+    @app.before_request
+    def allow() -> None:
+        most = limits.get(request.endpoint or "")
+        if most is not None:
+            request.max_content_length = most
 
 
 def _show_one_moment(app: Flask, store: Store) -> None:

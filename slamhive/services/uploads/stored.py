@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -13,7 +14,7 @@ from slamhive.domain.names import check_name
 from slamhive.errors import Conflict, NotFound, Unavailable
 from slamhive.fetch.download import check_space
 from slamhive.files import TEMPORARY, make_shared_folder, remedy_of, sweep_folder
-from slamhive.schema.uploads import Imported, UploadRequest
+from slamhive.schema.uploads import HEXADECIMAL, Imported, UploadRequest
 from slamhive.services.datasets import check_writable
 from slamhive.services.uploads.folder import Promise, UploadFolder
 from slamhive.settings import Settings
@@ -22,6 +23,7 @@ PART_BYTES = 8_000_000
 """The most that one request sends: little is lost with a connection, and nothing has to wait long."""
 KEPT = timedelta(hours=24)
 MOST_UPLOADS = 1000
+_TOKEN = re.compile(HEXADECIMAL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +98,7 @@ class Uploads:
     def folder(self, token: str, owner: str) -> UploadFolder:
         """The folder of one upload; raises NotFound."""
         folder = UploadFolder(self.root / token)
-        if folder.promise.owner != owner:
+        if not _TOKEN.fullmatch(token) or folder.promise.owner != owner:
             raise folder.unknown
         return folder
 

@@ -78,8 +78,7 @@ class Bytes:
     most_bytes: int
 
     def stream(self) -> IO[bytes]:
-        """The body of this request; raises InvalidInput for another media type. A longer one is refused with 413."""
-        request.max_content_length = self.most_bytes
+        """The body of this request; raises InvalidInput for another media type."""
         if request.mimetype != OCTETS:
             raise InvalidInput("the body is not bytes", f"send it with Content-Type: {OCTETS}")
         return request.stream
@@ -175,6 +174,12 @@ class Table:
             return view
 
         return declare
+
+    @property
+    def body_limits(self) -> dict[str, int]:
+        """{name of an operation: the most bytes of its body}, where that is more than for other requests."""
+        found = [operation for operation, _ in self.entries if isinstance(operation.body, Bytes)]
+        return {operation.name: operation.body.most_bytes for operation in found}
 
     def register(self, blueprint: Blueprint) -> None:
         """Add all operations to a blueprint."""
