@@ -34,6 +34,14 @@ class Auth(StrEnum):
     NONE = "none"
 
 
+class NewAccounts(StrEnum):
+    """The role of accounts that are made when somebody signs in whom only the provider knows."""
+
+    NONE = "none"
+    READER = "reader"
+    MEMBER = "member"
+
+
 def setting(
     default: Any,
     help_text: str,
@@ -66,6 +74,16 @@ class Settings(BaseSettings):
     auth: Auth = setting(
         Auth.AUTO,
         "Who may use the web server: accounts, none (all who reach it), or auto (accounts unless HOST is loopback)",
+    )
+    oidc_issuer: str = setting(
+        "", "Address of a provider of OpenID Connect whose users may sign in; empty for none. Needs slamhive[oidc]"
+    )
+    oidc_client_id: str = setting("", "What the provider calls this server")
+    oidc_client_secret: str = setting("", "The secret that the provider gave this server", secret=True)
+    oidc_title: str = setting("your organisation", "The provider's name on the page to sign in")
+    oidc_new_accounts: NewAccounts = setting(
+        NewAccounts.NONE,
+        "Role of new accounts for unknown users of the provider: none (makes no account), reader or member",
     )
     trusted_proxy: str = setting(
         "", "Address of a reverse proxy whose X-Forwarded-For, -Host and -Proto headers are believed; empty for none"

@@ -10,7 +10,7 @@ from slamhive.cli.account_tokens import token
 from slamhive.cli.acting import acting
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
-from slamhive.domain.accounts import Role
+from slamhive.domain.accounts import Identity, Role
 from slamhive.errors import InvalidInput
 from slamhive.input_bounds import check_text
 from slamhive.schema.accounts import Account, AuditLine
@@ -91,6 +91,31 @@ def enable(cli: CliContext, name: str, as_json: bool) -> None:
     """Let a disabled account be used again, with its tokens."""
     with acting(cli, name) as accounts:
         _show(accounts.enable(name), as_json=as_json)
+
+
+@account.command("link")
+@click.argument("name")
+@click.argument("subject")
+@click.option("--issuer", help="Address of the provider.  [default: OIDC_ISSUER]")
+@json_option
+@pass_cli
+def link(cli: CliContext, name: str, subject: str, issuer: str | None, as_json: bool) -> None:
+    """Let the user SUBJECT of a provider of OpenID Connect use the account NAME. SUBJECT is the provider's `sub`."""
+    issuer = issuer or cli.hive().settings.oidc_issuer
+    if not issuer:
+        raise InvalidInput("no provider is named", "give --issuer, or set OIDC_ISSUER")
+    with acting(cli, f"{name} to {subject}") as accounts:
+        _show(accounts.link(name, Identity(issuer, subject)), as_json=as_json)
+
+
+@account.command("unlink")
+@click.argument("name")
+@json_option
+@pass_cli
+def unlink(cli: CliContext, name: str, as_json: bool) -> None:
+    """Let nobody from a provider use the account NAME any more. Ends its sessions."""
+    with acting(cli, name) as accounts:
+        _show(accounts.unlink(name), as_json=as_json)
 
 
 @account.command("audit")

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from urllib.parse import urlsplit
 
 from slamhive.errors import InvalidInput
 
 LEAST_PASSWORD = 12
 LONGEST_PASSWORD = 200
 LONGEST_NAME = 64
+LONGEST_ISSUER = 500
+LONGEST_SUBJECT = 255
 _LEAST_BESIDE_NAME = 10
 _LEAST_DISTINCT = 6
 _NAME = re.compile(rf"[a-z0-9][a-z0-9_.-]{{0,{LONGEST_NAME - 1}}}")
@@ -65,6 +69,24 @@ _SCOPE_ALLOWS = {
 
 
 @dataclass(frozen=True, slots=True)
+class Identity:
+    """Who somebody is at a provider of OpenID Connect.
+
+    Only issuer and subject together identify a person (OpenID Connect Core 1.0, section 5.7). ``name`` is what the
+    provider calls them, which they may be able to change.
+    """
+
+    issuer: str
+    subject: str
+    name: str = ""
+
+    @property
+    def digest(self) -> str:
+        """Identifies the pair."""
+        return hashlib.sha256(f"{self.issuer}\n{self.subject}".encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
 class Caller:
     """Who sends a request, and what they may do.
 
@@ -91,6 +113,35 @@ def check_account_name(name: str) -> str:
             f"use 1 to {LONGEST_NAME} small letters, digits, '_', '.' or '-', the first a letter or digit",
         )
     return name
+
+
+def check_identity(identity: Identity) -> Identity:
+    """Return ``identity``; raise InvalidInput for one that no provider gives."""
+    if not identity.subject.isprintable() or not 1 <= len(identity.subject) <= LONGEST_SUBJECT:
+        raise InvalidInput(
+            f"subject {identity.subject[:80]!r} is not allowed",
+            f"use the provider's `sub`, 1 to {LONGEST_SUBJECT} letters",
+        )
+    if not is_provider_address(identity.issuer):
+        raise InvalidInput(f"{identity.issuer[:200]!r} is no issuer", "use its address, beginning with https://")
+    return identity
+
+
+def is_provider_address(text: str) -> bool:
+    """Whether ``text`` may be the address of a provider: https, or http on this machine."""
+    try:
+        parts = urlsplit(text)
+    except ValueError:
+        return False
+    safe = parts.scheme == "https" or (parts.scheme == "http" and parts.hostname in {"127.0.0.1", "localhost", "::1"})
+    return safe and bool(parts.hostname) and not parts.query and not parts.fragment and len(text) <= LONGEST_ISSUER
+
+
+def account_name_of(text: str) -> str:
+    """An account name like ``text``, which a provider gave; raises InvalidInput if nothing of it is allowed."""
+    local = text.partition("@")[0].casefold()
+    name = re.sub(r"[^a-z0-9_.-]+", "-", local).strip("-._")[:LONGEST_NAME]
+    return check_account_name(name)
 
 
 def check_password(name: str, password: str) -> str:

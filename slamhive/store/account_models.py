@@ -41,6 +41,18 @@ class AccountKey(Base):
     used_at: Mapped[datetime | None]
 
 
+class AccountIdentity(Base):
+    """Who somebody is at a provider of OpenID Connect; ``digest`` identifies issuer and subject together."""
+
+    __tablename__ = "account_identities"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    account_id: Mapped[int] = mapped_column(ForeignKey("accounts.id"), index=True)
+    digest: Mapped[str] = mapped_column(String(64), unique=True)
+    issuer: Mapped[str] = mapped_column(String(500))
+    subject: Mapped[str] = mapped_column(String(255))
+    created_at: Mapped[datetime]
+
+
 class AuditLine(Base):
     """Who asked for what. The name of the account is text, so that the line needs no other row."""
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from sqlalchemy import Row, Select, delete, select, update
 
-from slamhive.domain.accounts import Role, Scope
+from slamhive.domain.accounts import Identity, Role, Scope
 from slamhive.errors import Conflict, NotFound, unknown
 from slamhive.store import account_models as models
 from slamhive.store.account_records import Account, Credentials, Key, KeyKind, NewKey
@@ -17,6 +17,7 @@ MOST_SESSIONS = 20
 """Of one account; a further one ends the oldest."""
 _ACCOUNTS = models.Account.__table__
 _KEYS = models.AccountKey.__table__
+_IDENTITIES = models.AccountIdentity.__table__
 
 
 class AccountRepository(Repository):
@@ -71,6 +72,37 @@ class AccountRepository(Repository):
 
     def _update(self, name: str, **values: Any) -> None:
         self._session.execute(update(_ACCOUNTS).where(_ACCOUNTS.c.name == name).values(values))
+
+    # -- who somebody is elsewhere -----------------------------------------------------------------------------------
+
+    def known_as(self, identity: Identity) -> Credentials | None:
+        """The account that this identity belongs to."""
+        query = select(_ACCOUNTS).join(_IDENTITIES, _IDENTITIES.c.account_id == _ACCOUNTS.c.id)
+        row = self._session.execute(query.where(_IDENTITIES.c.digest == identity.digest)).one_or_none()
+        return None if row is None else Credentials(_account(row), row.password_hash)
+
+    def link(self, account_id: int, identity: Identity, now: datetime) -> None:
+        """Let an identity belong to an account; raises Conflict if it belongs to another one."""
+        values = {
+            "account_id": account_id,
+            "issuer": identity.issuer,
+            "subject": identity.subject,
+            "created_at": now,
+        }
+        get_or_insert(self._session, models.AccountIdentity, {"digest": identity.digest}, values)
+        found = self.known_as(identity)
+        if found is None or found.account.id != account_id:
+            owner = "nobody" if found is None else found.account.name
+            raise Conflict(f"{identity.subject!r} belongs to the account {owner}", "unlink it first")
+
+    def identities(self, account_id: int) -> list[Identity]:
+        """The identities of an account."""
+        query = select(_IDENTITIES.c.issuer, _IDENTITIES.c.subject).where(_IDENTITIES.c.account_id == account_id)
+        return [Identity(row.issuer, row.subject) for row in self._session.execute(query.order_by(_IDENTITIES.c.id))]
+
+    def unlink(self, account_id: int) -> None:
+        """Remove all identities of an account."""
+        self._session.execute(delete(_IDENTITIES).where(_IDENTITIES.c.account_id == account_id))
 
     # -- sessions and tokens -----------------------------------------------------------------------------------------
 

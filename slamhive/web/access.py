@@ -41,6 +41,7 @@ RULES = {
     **dict.fromkeys(("nodes", "api.drain_node", "api.undrain_node"), Rule(change=Action.ADMINISTER)),
     "accounts": Rule(Action.OWN, Action.OWN),
     LOGIN: Rule(look=Action.SIGN_IN),
+    **dict.fromkeys(("accounts.to_provider", "accounts.from_provider"), Rule(look=Action.SIGN_IN)),
     "accounts.sign_in": Rule(change=Action.SIGN_IN),
     "administration": Rule(Action.ADMINISTER, Action.ADMINISTER),
 }

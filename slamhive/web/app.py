@@ -30,6 +30,7 @@ from slamhive.web.compression import add_compression
 from slamhive.web.dataset_work import DatasetChecker, VariantMaker
 from slamhive.web.errors import handle_errors
 from slamhive.web.live import LiveHub
+from slamhive.web.oidc import find_provider
 from slamhive.web.pages import register_pages
 from slamhive.web.presenters import catalogue as catalogue_presenter
 from slamhive.web.rates import visitor_limits
@@ -130,7 +131,9 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     csrf = CSRFProtect(app)
     csrf.exempt(api.blueprint)
     handle_errors(app)
+    app.extensions[context.PROVIDER_EXTENSION] = None
     if callers.needed:
+        app.extensions[context.PROVIDER_EXTENSION] = find_provider(app, hive.settings)
         for blueprint in _ACCOUNT_BLUEPRINTS:
             app.register_blueprint(blueprint)
     register_blueprints(app)

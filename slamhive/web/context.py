@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from slamhive.web.callers import Callers
     from slamhive.web.dataset_work import DatasetChecker, VariantMaker
     from slamhive.web.live import LiveHub
+    from slamhive.web.oidc import Provider
     from slamhive.web.rates import RateLimit
     from slamhive.web.sign_in_limits import SignInLimits
     from slamhive.web.upload_work import UploadWork
@@ -22,6 +23,7 @@ EXTENSION = "slamhive"
 LIVE_EXTENSION = "slamhive-live"
 VARIANTS_EXTENSION = "slamhive-variants"
 CHECKS_EXTENSION = "slamhive-dataset-checks"
+PROVIDER_EXTENSION = "slamhive-oidc"
 UPLOADS_EXTENSION = "slamhive-uploads"
 COMPUTER_EXTENSION = "slamhive-analyses"
 FILES_EXTENSION = "slamhive-analysis-files"
@@ -78,6 +80,11 @@ def callers() -> Callers:
 def caller() -> Caller:
     """Who sends this request, found before any page code runs."""
     return cast("Caller", g.get("caller") or callers().unknown)
+
+
+def provider() -> Provider | None:
+    """The provider of OpenID Connect; None if the settings name none."""
+    return cast("Provider | None", current_app.extensions[PROVIDER_EXTENSION])
 
 
 def sign_in_limits() -> SignInLimits:

@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 
 from slamhive.clock import utc_now
-from slamhive.domain.accounts import Role, Scope
+from slamhive.domain.accounts import Identity, Role, Scope
 from slamhive.domain.notes import NotesChange
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import RunState
@@ -171,5 +171,6 @@ def _add_accounts(hive: Hive) -> None:
         hive.accounts.add("anna", Role.ADMIN, PASSWORD)
     hive.accounts.sign_in("anna", PASSWORD)
     hive.accounts.create_token("anna", TokenRequest("ci", [Scope.READ]))
+    hive.accounts.link("anna", Identity("https://idp.example", "248"))
     hive.accounts.add("ben", Role.READER, PASSWORD)
     hive.accounts.disable("ben")

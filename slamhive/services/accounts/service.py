@@ -12,9 +12,12 @@ from slamhive.clock import utc_now
 from slamhive.domain.accounts import (
     MAY,
     Caller,
+    Identity,
     Role,
     Scope,
+    account_name_of,
     check_account_name,
+    check_identity,
     check_password,
     token_may,
 )
@@ -130,6 +133,64 @@ class Accounts:
         key = self._new_key(KeyKind.SESSION, secret, SESSION_LASTS)
         self._store.write(lambda t: _open_session(t, found, key, renewed))
         return Session(secret, _session_caller(found.account))
+
+    def sign_in_as(self, identity: Identity, new: Role | None = None) -> Session:
+        """Begin a session for somebody whom a provider vouches for.
+
+        Args:
+            identity: Who they are there.
+            new: The role of an account that is made for somebody unknown; None makes none.
+
+        Raises:
+            Unauthenticated: No account belongs to them, or it is disabled.
+            Conflict: The name that a new account would have is taken.
+        """
+        check_identity(identity)
+        found = self._store.read(lambda t: t.accounts.known_as(identity))
+        if found is None:
+            if new is None:
+                raise Unauthenticated(
+                    f"no account here belongs to {identity.name or identity.subject!r}",
+                    "ask an admin, who links one with slamhive account link",
+                )
+            found = self._join(identity, new)
+        secret = secrets.token_urlsafe(_SECRET_BYTES)
+        key, known = self._new_key(KeyKind.SESSION, secret, SESSION_LASTS), found
+        self._store.write(lambda t: _open_session(t, known, key, None))
+        return Session(secret, _session_caller(found.account))
+
+    def _join(self, identity: Identity, role: Role) -> Credentials:
+        """A new account for an identity. It has a password that nobody knows."""
+        name, now = account_name_of(identity.name or identity.subject), self._now()
+        password_hash = passwords.hash_password(secrets.token_urlsafe(_SECRET_BYTES))
+
+        def work(t: Transaction) -> Credentials:
+            if t.accounts.find(name, locked=True) is not None:
+                raise Conflict(f"the name {name!r} is taken here", "ask an admin to link it (slamhive account link)")
+            account = t.accounts.add(name, role, password_hash, now)
+            t.accounts.link(account.id, identity, now)
+            return Credentials(account, password_hash)
+
+        return self._store.write(work)
+
+    def link(self, name: str, identity: Identity) -> Account:
+        """Let somebody whom a provider vouches for use an account; raises NotFound, InvalidInput or Conflict."""
+        check_identity(identity)
+        now = self._now()
+        return self._changed(name, lambda t, account: t.accounts.link(account.id, identity, now))
+
+    def unlink(self, name: str) -> Account:
+        """Nobody comes from a provider to this account any more. Its sessions end."""
+
+        def work(t: Transaction, account: Account) -> None:
+            t.accounts.unlink(account.id)
+            t.accounts.end_sessions(account.id)
+
+        return self._changed(name, work)
+
+    def identities(self, name: str) -> Sequence[Identity]:
+        """Who may use an account from a provider; raises NotFound."""
+        return self._store.read(lambda t: t.accounts.identities(t.accounts.named(name).id))
 
     def check_own_password(self, name: str, password: str) -> None:
         """Raise Unauthenticated unless this is the password of the account."""

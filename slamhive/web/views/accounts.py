@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from urllib.parse import urlsplit
 
-from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
+from flask import Blueprint, Response, flash, make_response, redirect, render_template, request, session
 from flask import url_for as address
 
-from slamhive.domain.accounts import Action, Scope
-from slamhive.errors import InvalidInput, SlamHiveError, TooManyRequests, Unauthenticated
+from slamhive.domain.accounts import Action, Role, Scope
+from slamhive.errors import InvalidInput, NotFound, SlamHiveError, TooManyRequests, Unauthenticated
 from slamhive.input_bounds import whole_number
 from slamhive.services.accounts import LONGEST_TOKEN_DAYS, TokenRequest
+from slamhive.settings import NewAccounts
 from slamhive.web import acts
 from slamhive.web.access import LONGEST_NEXT
-from slamhive.web.context import caller, callers, hive, sign_in_limits
+from slamhive.web.context import caller, callers, hive, provider, sign_in_limits
 from slamhive.web.errors import status_of
+from slamhive.web.oidc import Provider
 
 blueprint = Blueprint("accounts", __name__)
 
@@ -41,6 +43,27 @@ def sign_in() -> Response:
         return make_response(_login(request.form.get(_NEXT, ""), error), status_of(error))
     callers().begin(opened)
     return _to_next(request.form.get(_NEXT, ""))
+
+
+@blueprint.get("/login/provider")
+def to_provider() -> Response:
+    """Go to the provider of OpenID Connect, which asks who somebody is and sends them back."""
+    session[_NEXT] = request.args.get(_NEXT, "")[:LONGEST_NEXT]
+    return _provider().go(address("accounts.from_provider", _external=True))
+
+
+@blueprint.get("/login/provider/back")
+def from_provider() -> Response:
+    """Begin a session for whom the provider vouches for, and go on to the page that was asked for."""
+    services, following = hive(), session.get(_NEXT, "")
+    try:
+        identity = _provider().returned()
+        with acts.signing_in(services.store, identity.name or identity.subject):
+            opened = services.accounts.sign_in_as(identity, _role_of_new_accounts())
+    except SlamHiveError as error:
+        return make_response(_login(following, error), status_of(error))
+    callers().begin(opened)
+    return _to_next(following)
 
 
 @blueprint.post("/logout")
@@ -97,9 +120,28 @@ def revoke_token(token_id: int) -> Response:
     return _to_account()
 
 
+def _provider() -> Provider:
+    """The provider of the settings; raises NotFound if there is none."""
+    found = provider()
+    if found is None:
+        raise NotFound("this server knows no provider of OpenID Connect", "sign in with name and password")
+    return found
+
+
+def _role_of_new_accounts() -> Role | None:
+    chosen = hive().settings.oidc_new_accounts
+    return None if chosen is NewAccounts.NONE else Role(chosen.value)
+
+
 def _login(following: str, error: SlamHiveError | None = None) -> Response:
     return make_response(
-        render_template("accounts/login.html", following=following, error=error, nobody=not hive().accounts.exist())
+        render_template(
+            "accounts/login.html",
+            following=following,
+            error=error,
+            nobody=not hive().accounts.exist(),
+            provider=hive().settings.oidc_title if provider() is not None else "",
+        )
     )
 
 
