@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from page_notebook import notebook_of
 
 from slamhive import cli
 from slamhive.analysis.analysis_file import analysis_schema
@@ -233,6 +234,7 @@ DOCUMENTS: dict[str, Any] = {
 """What commands, the web API, run folders and archives write."""
 
 PAGES: dict[str, Callable[[], str]] = {
+    "examples/python.ipynb": lambda: notebook_of((DOCS / "python.md").read_text(encoding="utf-8"), "../"),
     "settings.md": settings_page,
     "algorithms.md": algorithms_page,
     "cli.md": cli_page,

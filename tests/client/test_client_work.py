@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import ast
+import asyncio
+import inspect
 import io
+import json
 import re
 from collections.abc import Iterator
 from contextlib import closing
@@ -27,7 +31,8 @@ from tests.services.tiny_project import environment, make_dataset, make_project
 
 pytestmark = pytest.mark.integration
 
-PAGE = Path(__file__).parents[2] / "docs" / "python.md"
+NOTEBOOK = Path(__file__).parents[2] / "docs" / "examples" / "python.ipynb"
+"""The examples of ``docs/python.md`` as a notebook, which ``tools/generate_docs.py`` writes."""
 NAMES = {"kiss-icp": "tiny", "voxel_size": "seconds", "0.5 | 1.0": "0.0 | 0.05"}
 """Names and values in the documentation, and those of an algorithm that needs no packages."""
 
@@ -53,12 +58,17 @@ def address(data: Path) -> Iterator[str]:
 
 
 def test_the_examples_of_the_documentation_work(address: str, capsys: pytest.CaptureFixture[str]) -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    for name, replacement in {**NAMES, "http://127.0.0.1:5000": address}.items():
-        text = text.replace(name, replacement)
+    cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     found: dict[str, object] = {}
-    for block in re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
-        exec(compile(block, PAGE.name, "exec"), found)
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            text = "".join(cell["source"])
+            for name, replacement in {**NAMES, "http://127.0.0.1:5000": address}.items():
+                text = text.replace(name, replacement)
+            code = compile(text, NOTEBOOK.name, "exec", flags=ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
+            waits = eval(code, found)
+            if inspect.iscoroutine(waits):
+                asyncio.run(waits)
     shown = capsys.readouterr()
     assert re.search(r"^succeeded \d", shown.out)
     assert "2/2" in shown.err
