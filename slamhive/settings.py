@@ -42,6 +42,14 @@ class NewAccounts(StrEnum):
     MEMBER = "member"
 
 
+class MailSecurity(StrEnum):
+    """How the connection to a mail server is protected."""
+
+    STARTTLS = "starttls"
+    TLS = "tls"
+    NONE = "none"
+
+
 def setting(
     default: Any,
     help_text: str,
@@ -88,6 +96,24 @@ class Settings(BaseSettings):
     trusted_proxy: str = setting(
         "", "Address of a reverse proxy whose X-Forwarded-For, -Host and -Proto headers are believed; empty for none"
     )
+    public_url: str = setting("", "Address at which people reach the web server, for links in messages; empty for none")
+    notify_webhook: str = setting(
+        "", "Address that is sent a message when an experiment ends or fails; empty for none", secret=True
+    )
+    notify_webhook_secret: str = setting("", "Signs these messages (HMAC-SHA256); empty for no signature", secret=True)
+    notify_mail_to: str = setting("", "E-mail addresses for the same messages, with commas; empty for none")
+    notify_mail_from: str = setting("", "Sender of these e-mails; empty means SMTP_USER")
+    notify_failures: int = setting(
+        3,
+        "An experiment is failing once so many runs in a row have failed; 0: no message",
+        minimum=0,
+        maximum=1000,
+    )
+    smtp_host: str = setting("", "Server that sends e-mail")
+    smtp_port: int = setting(587, "Its port", minimum=1, maximum=65535)
+    smtp_security: MailSecurity = setting(MailSecurity.STARTTLS, "Protects the connection: starttls, tls or none")
+    smtp_user: str = setting("", "User name there; empty for none")
+    smtp_password: str = setting("", "Password there", secret=True)
     executor: str = setting(
         "auto", "auto (Docker if an engine answers, else process), docker, process, slurm or kubernetes"
     )

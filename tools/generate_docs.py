@@ -37,6 +37,7 @@ from slamhive.schema.imports import Import
 from slamhive.schema.ledger import LedgerLine
 from slamhive.schema.matching import Match
 from slamhive.schema.model import json_schema
+from slamhive.schema.notice import Notice
 from slamhive.schema.plugin import PlugIn
 from slamhive.schema.protocol import Protocols, ToolMetrics
 from slamhive.schema.record import RunFile
@@ -218,6 +219,7 @@ DOCUMENTS: dict[str, Any] = {
     "link-report": collection.LinkReport,
     "match": Match,
     "nodes": nodes.Overview,
+    "notice": Notice,
     "plug-in": PlugIn,
     "protocols": Protocols,
     "public-sequence": collection.PublicSequence,

@@ -33,6 +33,7 @@ MODULES = {
     "find": "finding",
     "gate": "gates",
     "nodes": "nodes",
+    "notify": "notify",
     "plugins": "plugins",
     "protocol": "protocols",
     "reindex": "maintenance",

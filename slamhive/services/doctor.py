@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from slamhive.errors import NotFound, SlamHiveError, Unavailable
+from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.executors.energy import read_packages
 from slamhive.executors.gpu import list_gpus
 from slamhive.executors.host_counters import HostCounters, read_or_why, sources
@@ -17,6 +17,7 @@ from slamhive.executors.registry import open_all
 from slamhive.registry import Origin
 from slamhive.services.data_root import REMEDY
 from slamhive.services.hive import Hive
+from slamhive.services.notices import channels_of
 
 _CPU = "load of others and steal"
 
@@ -191,6 +192,17 @@ def _worker(hive: Hive) -> list[Check]:
     return [Check("worker", Verdict.WARNING, "does not run", "slamhive worker, or slamhive serve, starts one")]
 
 
+def _notices(hive: Hive) -> list[Check]:
+    try:
+        channels = channels_of(hive.settings)
+    except InvalidInput as error:
+        return [Check("notifications", Verdict.FAILED, error.message, error.remedy)]
+    names = ", ".join(channel.name for channel in channels)
+    return [
+        Check("notifications", Verdict.OK, names or "none set", "slamhive notify test tries them" if names else None)
+    ]
+
+
 _EXAMINATIONS: tuple[Callable[[Hive], list[Check]], ...] = (
     _python,
     _data_root,
@@ -204,4 +216,5 @@ _EXAMINATIONS: tuple[Callable[[Hive], list[Check]], ...] = (
     _broken_folders,
     _datasets,
     _worker,
+    _notices,
 )

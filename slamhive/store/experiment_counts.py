@@ -46,6 +46,20 @@ class ExperimentCounts(Repository):
         repeated = Counter(row.experiment_id for row in self._all_retried(experiment_id) if row.disturbed_by)
         return {number: count - repeated[number] for number, count in found.items()}
 
+    def last_ended(self, experiment_id: int, most: int) -> list[bool]:
+        """Whether the runs that ended last have failed, the latest first."""
+        query = (
+            select(_RUNS.c.id, _RUNS.c.state)
+            .where(_RUNS.c.experiment_id == experiment_id, _RUNS.c.ended_at.is_not(None))
+            .where(_RUNS.c.state != RunState.CANCELLED)
+            .order_by(_RUNS.c.ended_at.desc(), _RUNS.c.id.desc())
+            .limit(most)
+        )
+        rows = self._session.execute(query).all()
+        kinds = self._kinds([row.id for row in rows if row.state is RunState.SUCCEEDED])
+        judged = {run_id: kind is not None and kind.failed for run_id, kind in kinds.items()}
+        return [row.state is RunState.FAILED or judged.get(row.id, False) for row in rows]
+
     def _parted(self, place: ColumnElement[int], experiment_id: int | None) -> dict[int, list[StateCount]]:
         """The counts of each place, with retried runs counted separately."""
         retried = self._all_retried(experiment_id)

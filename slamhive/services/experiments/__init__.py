@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from slamhive.services.experiments.reporting import NO_FIGURES, csv_text, failures_text, varying
     from slamhive.services.experiments.restoring import Restored
     from slamhive.services.experiments.service import Experiments
-    from slamhive.services.experiments.status import METRICS
+    from slamhive.services.experiments.status import METRICS, is_failing, status_of
     from slamhive.services.experiments.views import (
         ENDED,
         Cell,
@@ -59,6 +59,8 @@ __all__ = [
     "csv_text",
     "failure_words",
     "failures_text",
+    "is_failing",
+    "status_of",
     "varying",
 ]
 

@@ -103,6 +103,11 @@ class Experiments:
         """All experiments, the newest first, without the time left."""
         return self._context.store.read(statuses.all_statuses)
 
+    def is_failing(self, found: ExperimentStatus) -> bool:
+        """Whether the latest runs of an experiment that goes on have all failed (NOTIFY_FAILURES)."""
+        wanted = self._context.settings.notify_failures
+        return self._context.store.read(lambda t: statuses.is_failing(t, found, wanted))
+
     def status(self, name: str) -> ExperimentStatus:
         """The progress of an experiment; raises NotFound."""
         return self._context.store.read(lambda t: statuses.status(t, name, self._time_left))

@@ -96,6 +96,14 @@ def standing_of(record: ExperimentRecord, counts: Mapping[Phase, int]) -> Standi
     return _STANDINGS[record.state]
 
 
+def is_failing(t: Transaction, found: ExperimentStatus, wanted: int) -> bool:
+    """Whether the last ``wanted`` runs of an experiment that goes on have all failed; never if that is 0."""
+    if not wanted or found.counts[Phase.FAILED] < wanted or found.standing in (Standing.FINISHED, Standing.CANCELLED):
+        return False
+    ends = t.experiment_counts.last_ended(found.id, wanted)
+    return len(ends) == wanted and all(ends)
+
+
 # -- cells -----------------------------------------------------------------------------------------------------------
 
 

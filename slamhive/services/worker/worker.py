@@ -21,6 +21,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.analyses import AnalysisJobs
 from slamhive.services.datasets import Catalogue, Variants
 from slamhive.services.evaluations import Evaluations
+from slamhive.services.notices import notices_of
 from slamhive.services.runs import RecordKeeper
 from slamhive.services.worker.context import DriverContext, WorkerStopping
 from slamhive.services.worker.driver import RunDriver
@@ -29,6 +30,7 @@ from slamhive.services.worker.heartbeat import Heartbeat
 from slamhive.services.worker.held_runs import HeldRuns
 from slamhive.services.worker.leftovers import sweep_leftovers
 from slamhive.services.worker.lock import WorkerLock
+from slamhive.services.worker.noticing import noticing
 from slamhive.services.worker.slots import share_cores
 from slamhive.services.worker.turns import AbsentExecutors, OneAtATime, Turns
 from slamhive.settings import Settings
@@ -101,7 +103,7 @@ class Worker:
         """
         slots = self._settings.worker_slots
         cores = share_cores(slots) if self._takes_cores_here() else [None] * slots
-        with WorkerLock(self._settings.data):
+        with WorkerLock(self._settings.data), noticing(notices_of(self._settings, self._store)):
             self._take_over_from_the_dead()
             self._store.recheck()
             self._sweep()

@@ -70,6 +70,7 @@ def show(name: str) -> str:
         "experiments/show.html",
         status=status,
         failed=status.ended_badly,
+        failing=experiments.is_failing(status),
         rule=DEFAULT_RULE.words,
         axes=list(axes),
         shown_axes=shown_axes,
