@@ -11,7 +11,7 @@ Position = tuple[float, float, float]
 
 
 class FrameFate(Document):
-    """What became of a frame that an algorithm was given."""
+    """The end of a frame that an algorithm was given."""
 
     timestamp_s: Annotated[float, described("Its timestamp in the recording.")]
     dropped: bool

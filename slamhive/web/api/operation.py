@@ -71,7 +71,7 @@ class Place:
 class Bytes:
     """A body that is a part of a file. Views get it as a stream.
 
-    Such a request cannot have an ``Idempotency-Key``, for which the body would be read twice: its arguments have to say
+    Such a request cannot have an ``Idempotency-Key``, for which the body would be read twice. Its arguments have to say
     where the part belongs, so that it changes nothing when it is sent again.
     """
 

@@ -123,7 +123,7 @@ def run_plot(run_id: int, plot: str) -> Response:
 
 @TABLE.get(Section.RUNS, "/runs/{run_id}/moment", RunMoment, TIMESTAMP_ARGUMENTS)
 def run_moment(run_id: int) -> RunMoment:
-    """What is known of one run at a timestamp: the position error, and what became of the frame."""
+    """What is known of one run at a timestamp: the position error, and whether the frame was dropped."""
     return RunMoment.of(hive().runs.moment(run_id, asked_timestamp_s()))
 
 
