@@ -16,6 +16,7 @@ from urllib.parse import quote
 
 from pydantic import Field
 
+from slamhive.bags.variants.locks import Busy, exclusive
 from slamhive.clock import utc_now
 from slamhive.domain.numbers import plural
 from slamhive.errors import SlamHiveError, Unavailable
@@ -34,6 +35,7 @@ from slamhive.store.experiment_records import ExperimentRecord
 logger = logging.getLogger(__name__)
 
 RECORD = "notices.json"
+LOCK = ".notices.lock"
 SINCE = "notices-since"
 _FAILING = "failing"
 FIRST_PAUSE = timedelta(seconds=30)
@@ -84,7 +86,14 @@ class Notices:
 
     def _send_due(self, experiment: ExperimentRecord) -> int:
         status = self._store.read(lambda t: _status(t, experiment))
-        path = self._settings.experiments_folder / status.name / RECORD
+        folder = self._settings.experiments_folder / status.name
+        try:
+            with exclusive(folder / LOCK):
+                return self._send_in_turn(status, folder / RECORD)
+        except Busy:  # another worker, perhaps on another machine, sends them now
+            return 0
+
+    def _send_in_turn(self, status: ExperimentStatus, path: Path) -> int:
         record = NoticeRecord.read(read_record(path)) if path.exists() else NoticeRecord()
         arrived = 0
         for key, event in self._due(status, record):
