@@ -106,6 +106,7 @@ def test_what_uv_cannot_follow_is_left_to_pip():
         installer.translated([("proxy", "http://proxy:3128")])
 
 
+@pytest.mark.integration  # asks pip
 def test_variables_are_stronger_than_files(tmp_path):
     (tmp_path / "pip.conf").write_text(
         "[global]\ntimeout = 5\n[install]\ntimeout = 6\nretries = 2\n[list]\nformat = json\n"
