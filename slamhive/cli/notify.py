@@ -51,3 +51,6 @@ def test(cli: CliContext, as_json: bool) -> None:
             tell(f"{name}: sent" if problem is None else problem)
     if any(problems.values()):
         raise click.exceptions.Exit(1)
+
+
+COMMANDS = (notify,)

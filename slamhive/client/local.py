@@ -11,7 +11,7 @@ from slamhive.client.backend import LOG_BYTES, Change, RunQuery
 from slamhive.client.waiting import percent_bar
 from slamhive.errors import Forbidden
 from slamhive.schema.experiment import Cell, ExperimentStatus
-from slamhive.schema.model import load
+from slamhive.schema.model import parse
 from slamhive.schema.run import Run, RunWith
 from slamhive.schema.uploads import DatasetUpload, Imported, RunsUpload
 from slamhive.services.data_root import DataRoot
@@ -156,7 +156,7 @@ class LocalBackend:
 
         given = dict(options)
         files = {key: given.pop(key) for key in ("groundtruth", "calibration") if key in given}
-        request = load(DatasetUpload, {"upload": _NO_UPLOAD, **given})
+        request = parse(DatasetUpload, {"upload": _NO_UPLOAD, **given})
         truth = None if "groundtruth" not in files else Path(files["groundtruth"])
         hive = self._writing()
         with percent_bar(path.name, progress=progress) as show:
@@ -166,7 +166,7 @@ class LocalBackend:
         """See :class:`~slamhive.client.backend.Backend`."""
         from slamhive.services.uploads import import_runs  # noqa: PLC0415 - loads the importers
 
-        request = load(RunsUpload, {"upload": _NO_UPLOAD, **options})
+        request = parse(RunsUpload, {"upload": _NO_UPLOAD, **options})
         hive = self._writing()
         with percent_bar(path.name, progress=progress) as show:
             return import_runs(hive.imports, hive.evaluations, request, path, show)

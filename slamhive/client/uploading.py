@@ -40,7 +40,8 @@ def import_from(send: Send, path: Path, request: Callable[[str], Request[Upload]
             show((1 + upload.work.fraction) / 2, upload.work.activity)
             time.sleep(PAUSE_S)
             upload = send(requests.upload(upload.token))
-        return upload.imported
+        made: Imported = upload.imported
+        return made
 
 
 def send_file(send: Send, path: Path, show: Callable[[float], None] = lambda _share: None) -> Upload:

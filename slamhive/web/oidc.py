@@ -62,10 +62,11 @@ class Provider:
     @contextmanager
     def _explained(self) -> Iterator[None]:
         from authlib.common.errors import AuthlibBaseError  # noqa: PLC0415 - optional
+        from joserfc.errors import JoseError  # noqa: PLC0415 - comes with Authlib
 
         try:
             yield
-        except AuthlibBaseError as error:
+        except (AuthlibBaseError, JoseError) as error:
             said = error.description or error.error or type(error).__name__
             raise Unauthenticated(f"signing in at {self._issuer} failed: {said[:_SHOWN]}", "try again") from None
         except requests.RequestException as error:

@@ -24,7 +24,7 @@ from slamhive.schema.uploads import Upload as UploadDocument
 from slamhive.schema.uploads import UploadRequest
 from slamhive.services.hive import Hive as ServedHive
 from slamhive.services.hive import open_hive
-from tests.bags.format_world import make_tum_rgbd
+from tests.bags.format_world import make_euroc
 from tests.client.conftest import serving
 from tests.services.imports.world import trajectory, write
 from tests.services.tiny_project import environment, make_dataset, make_project
@@ -98,7 +98,7 @@ def test_a_data_root_takes_changes(data: Path) -> None:
 
 @pytest.mark.parametrize("through", ["files", "server"])
 def test_recordings_and_trajectories_are_imported(data: Path, through: str, request: pytest.FixtureRequest) -> None:
-    desk = make_tum_rgbd(data.parent / "desk")
+    desk = make_euroc(data.parent / "desk")
     results = data.parent / "results"
     write(results / "mine" / "walk" / "1.txt", trajectory())
     write(results / "walk" / "groundtruth.txt", trajectory())

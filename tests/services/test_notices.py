@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
+import socket
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -132,7 +133,7 @@ def test_an_experiment_that_fails_says_so_before_it_ends(hive: Hive, inbox: Inbo
     hive.worker().run(until_idle=True)
     assert sending.work_once() == 1
     assert [body["event"] for body in inbox.bodies] == ["failing", "finished"]
-    assert inbox.bodies[0]["failures"] == {"crash": 3}
+    assert inbox.bodies[0]["failures"] == {"nonzero_exit": 3}
 
 
 def test_what_does_not_arrive_is_sent_again_but_not_for_ever(hive: Hive, inbox: Inbox) -> None:
@@ -202,9 +203,11 @@ class Post:
 @pytest.fixture
 def post() -> Iterator[tuple[Post, int]]:
     handler = Post()
-    controller = Controller(handler, hostname="127.0.0.1", port=0)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    controller = Controller(handler, hostname="127.0.0.1", port=port)
     controller.start()
-    yield handler, controller.server.sockets[0].getsockname()[1]
+    yield handler, port
     controller.stop()
 
 

@@ -18,7 +18,7 @@ from slamhive.schema.uploads import UploadRequest
 from slamhive.services.uploads import PART_BYTES, Uploads
 from slamhive.web.api.operation import OCTETS, PREFIX
 from slamhive.web.security import API_HEADER
-from tests.bags.format_world import make_tum_rgbd
+from tests.bags.format_world import make_euroc
 from tests.services.imports.world import trajectory, write
 from tests.waiting import eventually
 from tests.web.web_world import Web
@@ -72,7 +72,7 @@ def tar_of(folder: Path) -> bytes:
 
 
 def test_a_recording_arrives_in_parts_and_becomes_a_dataset(empty: Web, tmp_path: Path) -> None:
-    data = tar_of(make_tum_rgbd(tmp_path / "desk"))
+    data = tar_of(make_euroc(tmp_path / "desk"))
     made = create(empty, data)
     token = made.get_json()["token"]
     assert (made.status_code, made.get_json()["part_bytes"]) == (201, PART_BYTES)
@@ -110,7 +110,7 @@ def test_trajectories_become_runs_that_wait_for_evaluation(empty: Web, tmp_path:
 
 
 def test_other_bytes_than_promised_are_refused_and_can_be_sent_again(empty: Web, tmp_path: Path) -> None:
-    data = tar_of(make_tum_rgbd(tmp_path / "desk"))
+    data = tar_of(make_euroc(tmp_path / "desk"))
     token = create(empty, data).get_json()["token"]
     send(empty, token, data[:-1] + b"x")
     start(empty, "datasets", token, name="desk")

@@ -117,11 +117,17 @@ class UploadFolder:
                             f"{promise.name} has more than the {promise.size_bytes:,} bytes that were promised",
                             "create the upload again with its real size",
                         )
-                    _write(file, piece)
-            except OSError as error:
-                raise Unavailable(f"{self.root} cannot be written: {error.strerror}", remedy_of(error)) from None
+                    self._write(file, piece)
             finally:
                 os.fdatasync(file)
+
+    def _write(self, file: int, piece: bytes) -> None:
+        view = memoryview(piece)
+        try:
+            while view:
+                view = view[os.write(file, view) :]
+        except OSError as error:
+            raise Unavailable(f"{self.root} cannot be written: {error.strerror}", remedy_of(error)) from None
 
     @contextmanager
     def complete(self, progress: Progress) -> Iterator[Path]:
@@ -178,12 +184,6 @@ class UploadFolder:
             raise Conflict(f"{self.promise.name} is in use by another request", "wait for it to end") from None
         finally:
             os.close(file)
-
-
-def _write(file: int, piece: bytes) -> None:
-    view = memoryview(piece)
-    while view:
-        view = view[os.write(file, view) :]
 
 
 def _sha256(path: Path, size_bytes: int, progress: Progress) -> str:

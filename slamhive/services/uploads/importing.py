@@ -207,7 +207,7 @@ def _runs_request(request: RunsUpload, folder: Path) -> ImportRequest:
         truth_told=_convention(request.groundtruth_time_unit, request.groundtruth_quaternion_order),
         duplicates=request.duplicates,
         trajectory=request.trajectory,
-        **{key: text for key, text in given.items() if text is not None},  # type: ignore[arg-type]
+        **{key: text for key, text in given.items() if text is not None},
     )
 
 
