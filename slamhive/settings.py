@@ -132,6 +132,9 @@ class Settings(BaseSettings):
     )
     cloud_endpoint: str = setting("", "Server that speaks the API of EC2 or ECS; empty means the provider's own")
     worker_slots: int = setting(1, "Runs at a time; more than 1 gives each slot cores of its own", minimum=1)
+    any_cpu: bool = setting(
+        False, "Runs may leave the CPU model on which their experiment began, such as on a new machine: true or false"
+    )
     run_cpu_cores: float = setting(0.0, "CPU limit of a run; 0 means all cores of the slot", unit="cores", minimum=0)
     run_memory_mb: int = setting(0, "Memory limit of a run; 0 means what the algorithm asks for", unit="MB", minimum=0)
     run_pids: int = setting(512, "Most processes and threads of a run", minimum=16)

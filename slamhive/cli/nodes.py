@@ -54,7 +54,8 @@ def undrain(cli: CliContext, node: str, executor: str | None) -> None:
 def _print(found: Overview) -> None:
     rows = [(engine.executor, *_row(node)) for engine in found.engines for node in engine.nodes]
     if rows:
-        print_table(("executor", "node", "state", "CPU", "cores", "GB", "runs"), rows, right=("cores", "GB"))
+        headings = ("executor", "node", "state", "CPU", "cores", "GB", "runs/h", "left", "runs")
+        print_table(headings, rows, right=("cores", "GB", "runs/h", "left"))
     for engine in found.engines:
         if engine.problem is not None:
             tell(f"{engine.executor}: {engine.problem}", style="yellow")
@@ -72,7 +73,9 @@ def _print(found: Overview) -> None:
 
 def _row(node: NodeView) -> tuple[object, ...]:
     memory_gb = None if node.memory_bytes is None else f"{node.memory_bytes / 1e9:.1f}"
-    return node.name, node.state, node.cpu_model, node.cpu_count, memory_gb, _runs(node.runs)
+    left = None if node.left_s is None else f"{node.left_s / 60:.0f} min"
+    rates = (f"{node.runs_per_hour:.1f}", left)
+    return (node.name, node.state, node.cpu_model, node.cpu_count, memory_gb, *rates, _runs(node.runs))
 
 
 def _runs(runs: tuple[NodeRun, ...]) -> str | None:

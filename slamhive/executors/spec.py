@@ -121,6 +121,31 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
+class Placing:
+    """Hints about the place of a run for an engine with several nodes. It decides; one machine ignores all of it.
+
+    Attributes:
+        cpu_model: The node must have this processor; None if any will do.
+        other_nodes: Nodes that are known to have another one, in order. The run must not start there.
+        near_nodes: Nodes that had a run on the same data lately, in order; they may hold it still.
+        expected_s: How long the run is expected to take. Of runs that wait, the longest should start first.
+    """
+
+    cpu_model: str | None = None
+    other_nodes: tuple[str, ...] = ()
+    near_nodes: tuple[str, ...] = ()
+    expected_s: float | None = None
+
+    @property
+    def nobody(self) -> str:
+        """Why a run cannot start if all nodes are ``other_nodes``, in words."""
+        return f"no node has {self.cpu_model}, the CPU model of its experiment"
+
+
+ANYWHERE = Placing()
+
+
+@dataclass(frozen=True, slots=True)
 class RunSpec:
     """Everything an executor needs to start one run. It is stored in the run folder before the start.
 
@@ -139,6 +164,7 @@ class RunSpec:
         timeout_s: The wall-clock limit. The worker enforces it; executors with ``Limit.TIME`` do so on their own too.
         gpu: The UUID of the GPU that the run has; None for none.
         shm_bytes: The size of ``/dev/shm``; None for the default of the executor.
+        placing: Where an engine with several nodes should start it. It is found out at the start, and not stored.
         work: A folder on the controller for the executor's own use, removed when the run is over.
         user: Who the run is in its container. Executors without containers take ``worker`` only.
     """
@@ -159,6 +185,7 @@ class RunSpec:
     user: RunUser = RunUser.WORKER
     gpu: str | None = None
     shm_bytes: int | None = None
+    placing: Placing = ANYWHERE
 
     def output(self, name: str) -> RunOutput:
         """The output called ``name``."""

@@ -105,6 +105,8 @@ class ExperimentStatus(Document):
     failed_if: Annotated[str, described("When a run counts as failed.")] = DEFAULT_RULE.words
     left_s: Annotated[float | None, described("Estimated time left; null if nothing was measured.", unit="s")]
     phase: Annotated[str, described("What happens now, such as a build; empty if nothing is left.")] = ""
+    same_cpu: Annotated[bool, described("All runs are measured on one CPU model.")] = False
+    cpu_model: Annotated[str | None, described("That CPU model; null while it is not known.")] = None
 
 
 class CellRun(Document):

@@ -18,6 +18,7 @@ class NodeRun(Document):
     dataset: str
     state: str
     node: Annotated[str | None, described("Null while it is not known where it runs.")]
+    left_s: Annotated[float | None, described("By earlier runs of its configuration; null without.", unit="s")] = None
 
 
 class Node(Document):
@@ -31,6 +32,10 @@ class Node(Document):
     memory_bytes: Annotated[int | None, described("Memory that runs can have; null if unknown.", unit="bytes")]
     cpu_model: CpuModel
     runs: Annotated[tuple[NodeRun, ...], described("The runs of this installation there.")]
+    runs_per_hour: Annotated[float, described("Runs that ended there in the last 24 hours, by time.", unit="1/h")] = 0.0
+    left_s: Annotated[
+        float | None, described("Until its runs in progress should be over; null if not known.", unit="s")
+    ] = None
 
 
 class Engine(Document):

@@ -78,6 +78,13 @@ RepeatDisturbed = Annotated[
     ),
 ]
 
+SameCpu = Annotated[
+    bool,
+    described(
+        "All runs of the experiment are measured on one CPU model; false allows several.", title="Same CPU model"
+    ),
+]
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:

@@ -29,6 +29,7 @@ from slamhive.store.records import (
     RunSort,
     VersionRecord,
 )
+from slamhive.store.same_cpu import Machine
 from slamhive.store.store import AbsentStore, Store, open_store
 from slamhive.store.transaction import Transaction
 
@@ -53,6 +54,7 @@ __all__ = [
     "KeyKind",
     "Lease",
     "LeaseLost",
+    "Machine",
     "NewKey",
     "Page",
     "ParameterCondition",

@@ -27,6 +27,7 @@ class ExperimentRecord:
 
     The uids of its runs follow from ``uid`` (32 hex digits). ``repeats`` is for each seed and may have grown since.
     ``cells`` and ``runs`` (without retries) are upper bounds until all are stored, that is, until it is ``complete``.
+    ``cpu_model``: that of all its runs, empty while none has been measured, None if any will do.
     """
 
     id: int
@@ -43,6 +44,7 @@ class ExperimentRecord:
     runs: int
     complete: bool
     created_at: datetime
+    cpu_model: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

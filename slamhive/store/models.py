@@ -191,6 +191,7 @@ class Experiment(Base):
     """An experiment as its file describes it. Until it is ``complete``, its cells and runs are still being stored.
 
     ``repeats`` may have grown since. ``cells`` and ``runs`` are counts, or upper bounds until it is complete.
+    ``cpu_model``: see :mod:`slamhive.store.same_cpu`.
     """
 
     __tablename__ = "experiments"
@@ -208,6 +209,7 @@ class Experiment(Base):
     runs: Mapped[int]
     complete: Mapped[bool]
     created_at: Mapped[datetime]
+    cpu_model: Mapped[str | None] = mapped_column(String(190))
 
 
 class ExperimentCell(Base):

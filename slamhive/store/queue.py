@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Collection, Iterable
 
-from sqlalchemy import ColumnElement, and_, false, func, insert, select, union_all
+from sqlalchemy import ColumnElement, and_, false, func, insert, or_, select, union_all
 
 from slamhive.domain.affinity import same_data
 from slamhive.domain.run import FailureReason, RunState
@@ -14,6 +14,7 @@ from slamhive.store.models import Evaluation, Run
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.records import RunRecord
 from slamhive.store.runs import RunRepository
+from slamhive.store.same_cpu import Machine, SameCpu
 
 logger = logging.getLogger(__name__)
 
@@ -29,7 +30,12 @@ class RunQueue(LeaseQueue[int]):
     working = ACTIVE
 
     def claim(
-        self, lease: Lease, only: Collection[int] | None = None, near: str = "", away: Collection[str] = ()
+        self,
+        lease: Lease,
+        only: Collection[int] | None = None,
+        near: str = "",
+        away: Collection[str] = (),
+        machine: Machine | None = None,
     ) -> RunRecord | None:
         """The next run to work on: an orphan if there is one, else the first of the queue; None if there is none.
 
@@ -38,11 +44,17 @@ class RunQueue(LeaseQueue[int]):
             only: Restricts the choice to these runs.
             near: The affinity of the run that the owner did last, see :meth:`claim_queued`.
             away: Executors that do not answer; their queued runs stay where they are.
+            machine: Of the owner; it gets no run whose experiment stays on another CPU model. None gets any.
         """
-        return self.adopt(lease, only) or self.claim_queued(lease, only, near, away)
+        return self.adopt(lease, only, machine) or self.claim_queued(lease, only, near, away, machine)
 
     def claim_queued(
-        self, lease: Lease, only: Collection[int] | None = None, near: str = "", away: Collection[str] = ()
+        self,
+        lease: Lease,
+        only: Collection[int] | None = None,
+        near: str = "",
+        away: Collection[str] = (),
+        machine: Machine | None = None,
     ) -> RunRecord | None:
         """Take a queued run that is not held back, and move it to ``preparing``.
 
@@ -50,20 +62,30 @@ class RunQueue(LeaseQueue[int]):
         the same data, then the oldest of all.
         """
         queued = and_(_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), *_among(only), *_not_on(away))
+        queued = and_(queued, *self._allowed(machine))
         while (run_id := self._first(queued, near)) is not None:
-            if self._take(run_id, lease, queued, state=RunState.PREPARING):
+            other = None if machine is None else SameCpu(self._session).admits(run_id, machine)
+            if other is not None:
+                queued = and_(queued, *_not_of([other]))
+            elif self._take(run_id, lease, queued, state=RunState.PREPARING):
                 event = {"from_state": RunState.QUEUED, "to_state": RunState.PREPARING}
                 why = f"claimed by {lease.owner}"
                 self._session.execute(insert(EventRow.__table__).values(run_id=run_id, at=lease.at, why=why, **event))
                 return RunRepository(self._session).get(run_id)
         return None
 
-    def adopt(self, lease: Lease, only: Collection[int] | None = None) -> RunRecord | None:
-        """Take over an active run whose worker gave it back or went silent, in the state it is in."""
+    def adopt(
+        self, lease: Lease, only: Collection[int] | None = None, machine: Machine | None = None
+    ) -> RunRecord | None:
+        """Take over an active run whose worker gave it back or went silent, in the state it is in.
+
+        One that has not started stays where it is if its experiment does not let ``machine`` measure it.
+        """
         # One state at a time: asked for five at once, SQLite may read the whole table once it has statistics.
         each = [select(_RUNS.c.id).where(_RUNS.c.state == state) for state in ACTIVE]
         active = self._column(union_all(*each))
-        orphaned = and_(_RUNS.c.id.in_(active), self._orphaned(lease.now), *_among(only))
+        begun = [or_(_RUNS.c.state != RunState.PREPARING, allowed) for allowed in self._allowed(machine)]
+        orphaned = and_(_RUNS.c.id.in_(active), self._orphaned(lease.now), *_among(only), *begun)
         first = select(_RUNS.c.id).where(orphaned).order_by(_RUNS.c.priority.desc(), _RUNS.c.id).limit(1)
         while (run_id := self._session.execute(first).scalar_one_or_none()) is not None:
             if self._take(run_id, lease, orphaned):
@@ -102,6 +124,11 @@ class RunQueue(LeaseQueue[int]):
         )
         return self._number(failed)
 
+    def _allowed(self, machine: Machine | None) -> list[ColumnElement[bool]]:
+        """Excludes the experiments that do not let the machine measure their runs; empty if there is none."""
+        barred = [] if machine is None else SameCpu(self._session).barred(machine)
+        return _not_of([entry.experiment_id for entry in barred])
+
     def _first(self, queued: ColumnElement[bool], near: str) -> int | None:
         """The run to take next. Each question is one step through an index: the queue may hold 100,000 runs."""
         highest = self._session.execute(select(func.max(_RUNS.c.priority)).where(queued)).scalar_one()
@@ -126,6 +153,11 @@ class RunQueue(LeaseQueue[int]):
         """Those of these runs that a user has cancelled."""
         wanted = select(_RUNS.c.id).where(_RUNS.c.id.in_(list(run_ids)), _RUNS.c.cancel_requested)
         return set(self._column(wanted))
+
+
+def _not_of(experiment_ids: Collection[int]) -> list[ColumnElement[bool]]:
+    of = _RUNS.c.experiment_id
+    return [or_(of.is_(None), of.not_in(sorted(experiment_ids)))] if experiment_ids else []
 
 
 def _not_on(away: Collection[str]) -> list[ColumnElement[bool]]:

@@ -29,9 +29,11 @@ from slamhive.store.leases import Lease
 from slamhive.store.ledger import LedgerRepository
 from slamhive.store.metrics import MetricRepository
 from slamhive.store.notes import NoteRepository
+from slamhive.store.placing import PlacingRepository
 from slamhive.store.queue import RunQueue
 from slamhive.store.run_table import RunTableRepository
 from slamhive.store.runs import RunRepository
+from slamhive.store.same_cpu import SameCpu
 from slamhive.store.searches import SearchRepository
 from slamhive.store.versions import VersionRepository
 
@@ -54,6 +56,8 @@ class Transaction:
         # Runs, and what waits for a worker.
         self.runs = RunRepository(session)
         self.queue = RunQueue(session)
+        self.same_cpu = SameCpu(session)
+        self.placing = PlacingRepository(session)
         self.evaluations = EvaluationRepository(session)
         self.analyses = AnalysisRepository(session)
         # What came out.

@@ -45,7 +45,7 @@ class UtcDateTime(TypeDecorator[datetime]):
 class JsonText(TypeDecorator[Any]):
     """A JSON value kept as text.
 
-    We avoid the native type: MySQL's reorders keys, MariaDB has none, and nothing searches inside these values.
+    We avoid the native type: MySQL's reorders keys, and MariaDB has none. Only the count of runs by node looks inside.
     """
 
     impl = LongText

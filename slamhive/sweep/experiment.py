@@ -112,6 +112,7 @@ class Experiment:
     """The content of an experiment file.
 
     ``repeat_disturbed``: how often a run is repeated at most because it was measured on a disturbed machine.
+    ``same_cpu``: all runs are measured on one CPU model.
     The combinations are algorithms x datasets x steps x parameters x playback, each of them run with every seed,
     ``repeats`` times. ``algorithms`` and ``datasets`` are axes of names. ``map`` is the number or uid of the run whose
     map all runs start with.
@@ -135,6 +136,7 @@ class Experiment:
     executor: str | None = None
     priority: int = 0
     repeat_disturbed: int = 0
+    same_cpu: bool = True
     sensors: tuple[SensorChoice, ...] = ()
     map: str | None = None
 
@@ -148,7 +150,12 @@ class Experiment:
         return content_hash in {self.content_hash, _hash(_content(self, yaml_1_1=True))}
 
 
-_LATER: tuple[tuple[str, object], ...] = (("repeat_disturbed", 0), ("sensors", ()), ("map", None))
+_LATER: tuple[tuple[str, object], ...] = (
+    ("repeat_disturbed", 0),
+    ("same_cpu", True),
+    ("sensors", ()),
+    ("map", None),
+)
 """Fields that came later, at their defaults: experiments that were stored before keep their hash."""
 
 

@@ -71,6 +71,7 @@ def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experimen
         seeds=model.seeds,
         repeats=model.repeats,
         repeat_disturbed=model.repeat_disturbed,
+        same_cpu=model.same_cpu,
         map=model.map,
         playback=PlaybackAxes(model.playback.mode, model.playback.rate),
         stop_when=model.stop_when,

@@ -20,6 +20,7 @@ from slamhive.schema.submission import (
     Priority,
     RepeatDisturbed,
     RequestedAlignment,
+    SameCpu,
     StartingMap,
     StopWhen,
 )
@@ -206,6 +207,7 @@ class ExperimentModel(_Model):
     seeds: Seeds = Field(default=(0,), description="Each configuration is run with each seed.")
     repeats: int = Field(default=1, ge=1, le=MAX_REPEATS, description="How often, with each seed.")
     repeat_disturbed: RepeatDisturbed = 0
+    same_cpu: SameCpu = True
     playback: PlaybackModel = Field(default_factory=PlaybackModel)
     map: StartingMap = None
     stop_when: StopWhen = NEVER

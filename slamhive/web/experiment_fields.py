@@ -27,7 +27,7 @@ MOST_STEPS = 50
 _WORDS = ("name", "description", "executor")
 """Fields with plain text."""
 
-_VALUES = ("seeds", "repeats", "repeat_disturbed", "priority")
+_VALUES = ("seeds", "repeats", "repeat_disturbed", "same_cpu", "priority")
 _SECTIONS = {
     "playback": ("mode", "rate"),
     "stop_when": RULES,
@@ -147,7 +147,7 @@ def yaml_from_fields(fields: ExperimentFields) -> str:
     for name in _SETS:
         content[name] = [[word.strip() for word in line.split(",")] for line in _lines(fields.value(name))]
     content["where"] = _one_or_list(_lines(fields.value("where")))
-    content |= {name: _value(fields.value(name)) for name in _VALUES[:3]}
+    content |= {name: _value(fields.value(name)) for name in _VALUES[:-1]}
     for section, keys in _SECTIONS.items():
         content[section] = {key: _value(fields.value(f"{section}/{key}")) for key in keys}
     content["evaluate"] = _evaluation_content(fields)

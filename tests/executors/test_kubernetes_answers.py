@@ -107,6 +107,16 @@ def test_which_request_no_node_meets(asked, wanted, part):
     assert found == part if part is None else part in str(found)
 
 
+@pytest.mark.parametrize(
+    ("names", "wanted", "found"),
+    [((), {}, False), (("a",), {}, False), (("a", "b", "gone"), {}, True), (("b",), {"disk": "ssd"}, True)],
+)
+def test_whether_all_nodes_that_fit_are_known_to_have_another_processor(names, wanted, found):
+    fast = node("b")
+    fast["metadata"]["labels"] = {"disk": "ssd"}
+    assert answers.all_among([node("a"), fast], wanted, names) is found
+
+
 def test_nodes_as_pages_show_them():
     gib = 2**30
     free, cordoned, silent = (

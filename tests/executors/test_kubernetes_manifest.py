@@ -16,7 +16,7 @@ from slamhive.executors.kubernetes.archive import MODULES, supervisor_archive
 from slamhive.executors.kubernetes.manifest import Who, job_manifest, job_name, label_value, resources, selector
 from slamhive.executors.kubernetes.options import Options, read_options
 from slamhive.executors.kubernetes.places import Place, places_of, prepare_inputs, volumes_of
-from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
+from slamhive.executors.spec import Limits, Placing, RunInput, RunOutput, RunSpec
 
 MIB = 1024 * 1024
 DATA = Path("/data")
@@ -227,3 +227,29 @@ def test_the_supervisor_runs_in_old_images():
     vermin = [str(Path(sys.executable).with_name("vermin")), "--target=3.7-", "--no-tips", "--violations"]
     found = subprocess.run([*vermin, *paths], check=False, capture_output=True, text=True)
     assert found.returncode == 0, found.stdout
+
+
+def named(operator, name):
+    return {"key": "metadata.name", "operator": operator, "values": [name]}
+
+
+def test_a_run_avoids_nodes_with_another_processor():
+    found = pod_of(manifest(placing=Placing("X", ("a", "b"))))["affinity"]
+    fields = [named("NotIn", "a"), named("NotIn", "b")]
+    required = {"nodeSelectorTerms": [{"matchFields": fields}]}
+    assert found == {"nodeAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": required}}
+
+
+def test_a_run_prefers_its_data_and_a_node_of_its_own_alike():
+    found = pod_of(manifest(placing=Placing("X", ("a",), ("b", "c"), 5.0)))["affinity"]
+    assert "requiredDuringSchedulingIgnoredDuringExecution" in found["nodeAffinity"]
+    near = found["nodeAffinity"]["preferredDuringSchedulingIgnoredDuringExecution"]
+    assert near == [{"weight": 100, "preference": {"matchFields": [named("In", name)]}} for name in ("b", "c")]
+    (apart,) = found["podAntiAffinity"]["preferredDuringSchedulingIgnoredDuringExecution"]
+    assert apart["weight"] == 100
+    labels = apart["podAffinityTerm"]["labelSelector"]["matchLabels"]
+    assert labels.items() <= manifest()["spec"]["template"]["metadata"]["labels"].items()
+
+
+def test_a_run_without_hints_may_be_anywhere():
+    assert "affinity" not in pod_of(manifest(placing=Placing("X", expected_s=5.0)))

@@ -14,7 +14,7 @@ from slamhive.executors.slurm import command
 from slamhive.executors.slurm.command import Job, parse_jobs, read_options
 from slamhive.executors.slurm.executor import Queue
 from slamhive.executors.slurm.job import job_limits, job_options, job_script
-from slamhive.executors.spec import Limits, RunSpec
+from slamhive.executors.spec import Limits, Placing, RunSpec
 
 OUTPUTS = Path(__file__).parent / "slurm_outputs"
 RECORDED = (OUTPUTS / "squeue-22.05.json").read_text()
@@ -113,6 +113,29 @@ def test_options_of_a_job():
     assert "--mem=1145M" in options
     assert "--no-requeue" in options
     assert options[-1] == "--partition=gpu"
+
+
+def placed(*options, **hints):
+    """The options of a job with these hints that it would not have without them."""
+    plain = set(job_options(SPEC, "home", []))
+    return [
+        entry for entry in job_options(replace(SPEC, placing=Placing(**hints)), "home", options) if entry not in plain
+    ]
+
+
+def test_nodes_with_another_processor_are_excluded_with_those_of_the_user():
+    assert placed("--exclude=n[1-3]", "--exclusive", cpu_model="X", other_nodes=("n7", "n9")) == [
+        "--exclusive",
+        "--exclude=n[1-3],n7,n9",
+    ]
+    assert placed(cpu_model="X", other_nodes=("n7",)) == ["--exclude=n7"]
+    assert placed("--exclude=n1") == ["--exclude=n1"]
+    assert placed(cpu_model="X", near_nodes=("n7",)) == []
+
+
+@pytest.mark.parametrize(("expected_s", "nice"), [(0.0, 60), (59.0, 60), (60.0, 59), (3600.0, 0), (1e6, 0)])
+def test_the_longest_run_is_the_least_nice(expected_s, nice):
+    assert placed(expected_s=expected_s) == [f"--nice={nice}"]
 
 
 def test_slurm_chooses_the_cores():

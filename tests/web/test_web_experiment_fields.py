@@ -46,6 +46,7 @@ where: [features >= 2, 'dataset in [room, hall]']
 seeds: 1:3
 repeats: 2
 repeat_disturbed: 3
+same_cpu: false
 playback: {mode: realtime | sequential, rate: 1 | .5}
 stop_when: {lost_tracking_s: 3.5, failures_of_configuration: 2}
 limits: {memory_mb: 1000, timeout_s: 60}

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import platform
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
 
+from slamhive.clock import utc_now
 from slamhive.executors.host import describe_host
 from slamhive.executors.process.executor import ProcessExecutor
 from slamhive.schema.nodes import Overview
@@ -34,6 +36,18 @@ def test_the_overview_as_json(shown: Web) -> None:
     assert (node["name"], node["takes_runs"], engine["drains"]) == (platform.node(), True, False)
     assert shown.runs["running"] in [run["id"] for run in node["runs"]]
     assert content["queued"] == sum(shown.hive.store.read(lambda t: t.durations.queued()).values())
+
+
+def test_throughput_and_time_left_of_a_node(shown: Web) -> None:
+    hive = shown.hive
+    overview = hive.nodes.overview()
+    (engine,) = [entry for entry in overview.engines if entry.executor == "process"]
+    (node,) = engine.nodes
+    ended = hive.store.read(lambda t: t.placing.ended_on(utc_now() - timedelta(hours=24)))
+    assert node.runs_per_hour == ended.get(("process", None), 0) / 24
+    left = [run.left_s for run in node.runs if run.left_s is not None]
+    assert node.left_s == max(left, default=None)
+    assert f'<td class="number">{node.runs_per_hour:.1f}</td>' in shown.client.get("/nodes").text
 
 
 @pytest.mark.parametrize(

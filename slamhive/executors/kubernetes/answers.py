@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from typing import Any
@@ -198,6 +198,11 @@ def unmeetable(asked: Mapping[str, str], wanted: Mapping[str, str], nodes: list[
         if quantity(text) > most:
             return f"it asks for {_shown(name, quantity(text))}, but the largest node has {_shown(name, most)}"
     return None
+
+
+def all_among(nodes: list[Document], wanted: Mapping[str, str], names: Collection[str]) -> bool:
+    """Whether all nodes with the labels ``wanted`` are among these ``names``; there is at least one name."""
+    return bool(names) and {str(node["metadata"]["name"]) for node in nodes if has_labels(node, wanted)} <= set(names)
 
 
 def has_labels(node: Document, wanted: Mapping[str, str]) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from slamhive.executors.kubernetes.options import Options
-from slamhive.executors.spec import ROS_ENVIRONMENT, Limits, RunSpec
+from slamhive.executors.spec import ROS_ENVIRONMENT, Limits, Placing, RunSpec
 
 KEY_LABEL = "slamhive.key"
 RUN_LABEL = "slamhive.run"
@@ -29,6 +29,9 @@ NODE_PATIENCE_S = 60
 TERMINATION_GRACE_S = 30
 _LATEST_END_S = 300
 """The supervisor ends a late run by itself. The kubelet does so this much later, if the supervisor cannot."""
+_APP_LABEL, _APP = "app.kubernetes.io/name", "slamhive-run"
+_AT_START = "DuringSchedulingIgnoredDuringExecution"
+_WEIGHT = 100
 _LONGEST_NAME = 63
 _LONGEST_JOB_NAME = 52
 """The Job controller adds to it for the name of the pod."""
@@ -88,7 +91,7 @@ def job_manifest(
         volumes: What :func:`slamhive.executors.kubernetes.places.volumes_of` returned.
     """
     labels = {
-        "app.kubernetes.io/name": "slamhive-run",
+        _APP_LABEL: _APP,
         INSTALLATION_LABEL: label_value(installation),
         KEY_LABEL: label_value(spec.key),
         RUN_LABEL: str(spec.run_id),
@@ -135,6 +138,7 @@ def _pod(
             "seccompProfile": {"type": "RuntimeDefault"},
         },
         **({"nodeSelector": options.node} if options.node else {}),
+        **affinity(spec.placing),
         "tolerations": [
             {
                 "key": f"node.kubernetes.io/{state}",
@@ -147,6 +151,30 @@ def _pod(
         "containers": [_container(spec, options, volumes[1])],
         "volumes": [*volumes[0], {"name": "shm", "emptyDir": shm}],
     }
+
+
+def affinity(placing: Placing) -> dict[str, Any]:
+    """Where the scheduler may, and should rather, put the pod; empty if nothing is known.
+
+    A node that may hold the data counts as much as one without another run, so that runs do not crowd on it.
+    """
+    node: dict[str, Any] = {}
+    if placing.other_nodes:
+        # A node is in question by its name; labels of host names need not be equal to it.
+        refused = [_of_name("NotIn", name) for name in placing.other_nodes]
+        node[f"required{_AT_START}"] = {"nodeSelectorTerms": [{"matchFields": refused}]}
+    if not placing.near_nodes:
+        return {"affinity": {"nodeAffinity": node}} if node else {}
+    node[f"preferred{_AT_START}"] = [
+        {"weight": _WEIGHT, "preference": {"matchFields": [_of_name("In", name)]}} for name in placing.near_nodes
+    ]
+    apart = {"labelSelector": {"matchLabels": {_APP_LABEL: _APP}}, "topologyKey": "kubernetes.io/hostname"}
+    pods = {f"preferred{_AT_START}": [{"weight": _WEIGHT, "podAffinityTerm": apart}]}
+    return {"affinity": {"nodeAffinity": node, "podAntiAffinity": pods}}
+
+
+def _of_name(operator: str, name: str) -> dict[str, Any]:
+    return {"key": "metadata.name", "operator": operator, "values": [name]}
 
 
 def _container(spec: RunSpec, options: Options, mounts: list[dict[str, Any]]) -> dict[str, Any]:

@@ -146,9 +146,13 @@ class RunJobs:
         return found.unschedulable
 
     def _refuse_unmeetable(self, spec: RunSpec) -> None:
-        """Raise StartFailed for a run that no node could take, even if it were empty."""
+        """Raise StartFailed for a run that no node could take, even if it were empty; if nodes may be listed."""
         nodes = self._cluster.nodes()
-        never = None if nodes is None else answers.unmeetable(resources(spec.limits), self._options.node, nodes)
+        if nodes is None:
+            return
+        never = answers.unmeetable(resources(spec.limits), self._options.node, nodes)
+        if never is None and answers.all_among(nodes, self._options.node, spec.placing.other_nodes):
+            raise StartFailed(f"run {spec.run_id}: {spec.placing.nobody}", "same_cpu: false allows others")
         if never is not None:
             raise StartFailed(f"no node can ever take run {spec.run_id}: {never}", "change its limits, or add a node")
 

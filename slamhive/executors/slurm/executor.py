@@ -170,9 +170,16 @@ class SlurmExecutor(ProcessExecutor):
         """Submit the job of the run unless Slurm has one. A second job would find the lock of the first and end."""
         if any(not job.over for job in self._jobs(spec.key, 0.0)):
             return
+        self._check_nodes(spec)
         self._give_orders(replace(spec, limits=job_limits(spec.limits)), work)
         command.submit(job_options(spec, self._context.installation, self._options), job_script(work))
         self._queue.forget()
+
+    def _check_nodes(self, spec: RunSpec) -> None:
+        """Raise StartFailed if each node is known to have another CPU model than the run needs."""
+        others = set(spec.placing.other_nodes)
+        if others and others.issuperset(node.name for node in command.list_nodes(self._options)):
+            raise StartFailed(f"run {spec.run_id}: {spec.placing.nobody}", "same_cpu: false allows others")
 
     def _give_orders(self, spec: RunSpec, work: Path) -> None:
         """Write into the work folder what the job starts. Raises ImageMissing."""

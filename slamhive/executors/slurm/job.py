@@ -10,11 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import slamhive
-from slamhive.executors.spec import Limits, RunSpec
+from slamhive.executors.spec import Limits, Placing, RunSpec
 
 ERRORS_FILE = "shim-errors.txt"
 _SUPERVISOR_BYTES = 200_000_000
 """Slurm counts the supervisor and the process that measures with the run."""
+_EXCLUDE = "--exclude="
+_MOST_NICE = 60
 _LATEST_END_S = 120.0
 """The worker enforces the time limit. Slurm ends a run so much later if the worker is away."""
 
@@ -51,7 +53,27 @@ def job_options(spec: RunSpec, installation: str, options: Sequence[str]) -> lis
         chosen.append(f"--cpus-per-task={math.ceil(limits.cpu_cores)}")
     if limits.memory_bytes is not None:
         chosen.append(f"--mem={math.ceil((limits.memory_bytes + _SUPERVISOR_BYTES) / 2**20)}M")
-    return [*chosen, *options]
+    return [*chosen, *place_options(spec.placing, options)]
+
+
+def place_options(placing: Placing, options: Sequence[str]) -> list[str]:
+    """``options`` of the user, with what they and ``placing`` exclude in one option: the last one would win.
+
+    Nodes of unknown CPU model are not excluded. A run that comes to one and does not fit starts again elsewhere.
+    """
+    asked = [option.removeprefix(_EXCLUDE) for option in options if option.startswith(_EXCLUDE)]
+    rest = [option for option in options if not option.startswith(_EXCLUDE)]
+    excluded = [*asked[-1:], *placing.other_nodes]
+    nice = [] if placing.expected_s is None else [f"--nice={niceness(placing.expected_s)}"]
+    return [*nice, *rest, *([_EXCLUDE + ",".join(excluded)] if excluded else [])]
+
+
+def niceness(expected_s: float) -> int:
+    """A point for each minute that a run is shorter than an hour: of the runs that wait, the longest starts first.
+
+    So few points order the runs of one worker, and mean little against the jobs of others.
+    """
+    return max(0, _MOST_NICE - int(expected_s / 60))
 
 
 def job_script(work: Path) -> str:

@@ -22,6 +22,8 @@ from slamhive.services.experiments import ExperimentFolder, StoredExperiment
 from slamhive.settings import Settings
 from slamhive.store import Store, Transaction
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
+from slamhive.store.same_cpu import NOT_KNOWN
+from slamhive.sweep.experiment_file import parse_experiment
 
 T = TypeVar("T")
 _CHUNK = 500
@@ -199,7 +201,8 @@ class Surroundings:
         settled = replace(record, name=name, state=self._settled_state(record))
         if settled.state is not record.state:
             self._notes.append(f"experiment {name} counts as cancelled: the archive has not all of its runs")
-        values = asdict(settled)
+        same_cpu = parse_experiment(record.source, f"experiment {record.name} of the archive").same_cpu
+        values = asdict(settled) | {"cpu_model": NOT_KNOWN if same_cpu else None}
         for key in ("id", "uid", "name"):
             del values[key]
         folder = ExperimentFolder(self._settings.experiments_folder / name)

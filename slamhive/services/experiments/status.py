@@ -82,6 +82,8 @@ def status_of(
         disturbed=disturbed,
         left_s=None if left is None else left.seconds,
         phase="" if left is None else left.phase,
+        same_cpu=record.cpu_model is not None,
+        cpu_model=record.cpu_model or None,
     )
 
 

@@ -20,6 +20,7 @@ from slamhive.services.runs import run_uid
 from slamhive.store import Transaction
 from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
 from slamhive.store.records import RunRequest
+from slamhive.store.same_cpu import NOT_KNOWN
 from slamhive.sweep.expand import Expansion, PlannedRun
 from slamhive.sweep.experiment import Experiment
 
@@ -45,6 +46,7 @@ def put_experiment(
         "runs": runs,
         "complete": False,
         "created_at": stored.created_at,
+        "cpu_model": NOT_KNOWN if experiment.same_cpu else None,
     }
     return context.store.write(lambda t: t.experiments.get_or_create(stored.uid, stored.name, **values))
 

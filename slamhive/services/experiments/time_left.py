@@ -67,7 +67,8 @@ class TimeLeft:
         evaluations_s = (evaluations + waiting * means.evaluated_fraction) * means.of_evaluation
         elapsed_s = sum(self._elapsed_s(run, means.of_run) for run in active if not _builds(run, means))
         runs_s = max(0.0, waiting * means.of_run - elapsed_s)
-        return Left((builds_s + runs_s + evaluations_s) / self._slots, _phase(active, tuple(building), evaluations))
+        phase = _phase(active, tuple(building), evaluations) or _waiting(record.cpu_model)
+        return Left((builds_s + runs_s + evaluations_s) / self._slots, phase)
 
     def _elapsed_s(self, run: ActiveRun | None, expected_s: float) -> float:
         """How much of the time of a run has passed; one that takes longer than expected is taken to end soon."""
@@ -101,14 +102,18 @@ def _builds(run: ActiveRun, means: _Means) -> bool:
 
 
 def _phase(active: Sequence[ActiveRun], building: Sequence[str], evaluations: int) -> str:
-    """What happens now: ``building aloam, 2 runs under way, 3 evaluations to do``."""
+    """What happens now: ``building aloam, 2 runs under way, 3 evaluations to do``; empty for nothing."""
     under_way = [run for run in active if run.state is not RunState.PREPARING]
     preparing = len(active) - len(under_way) - len(building)
     parts = [f"building {', '.join(building)}"] if building else []
     parts += [f"preparing {plural(preparing, 'run')}"] if preparing > 0 else []
     parts += [f"{plural(len(under_way), 'run')} under way"] if under_way else []
     parts += [f"{plural(evaluations, 'evaluation')} to do"] if evaluations else []
-    return ", ".join(parts) or "waiting for a worker"
+    return ", ".join(parts)
+
+
+def _waiting(cpu_model: str | None) -> str:
+    return f"waiting for a worker, runs stay on {cpu_model}" if cpu_model else "waiting for a worker"
 
 
 def _total_s(t: Transaction, experiment_id: int, waiting: Mapping[Pairing, Unfinished]) -> float:

@@ -193,6 +193,7 @@ class ExperimentStatus:
     of the counted runs were measured on a disturbed machine.
     ``failures``: {reason: runs}. ``left_s`` is the estimated time left with builds and evaluations, None if it was
     not asked for; ``phase`` says what happens now. ``missing`` runs are not stored, because the start was interrupted.
+    With ``same_cpu`` all runs are measured on ``cpu_model``, which is None while it is not known.
     """
 
     id: int
@@ -212,6 +213,8 @@ class ExperimentStatus:
     disturbed: int
     left_s: float | None
     phase: str = ""
+    same_cpu: bool = False
+    cpu_model: str | None = None
 
     @property
     def ended(self) -> int:

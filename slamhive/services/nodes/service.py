@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from datetime import timedelta
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from datetime import datetime, timedelta
 
 from slamhive.clock import utc_now
 from slamhive.errors import SlamHiveError, unknown
@@ -17,11 +17,10 @@ from slamhive.services.nodes.answers import EngineAnswers
 from slamhive.services.nodes.views import Engine, Machine, NodeRun, NodeView, Overview
 from slamhive.settings import Mode, Settings
 from slamhive.store import RunRecord, Store
+from slamhive.store.placing import NODE
 
 HOURS = 24.0
 """Throughput and disturbance are those of this time."""
-NODE = "node"
-"""Where executors on several machines note the node of a run, in its handle."""
 
 
 class Nodes:
@@ -52,14 +51,16 @@ class Nodes:
 
     def overview(self) -> Overview:
         """Nodes, runs, throughput and time left. A view-only installation asks no engine."""
-        since = utc_now() - timedelta(hours=HOURS)
+        now = utc_now()
+        since = now - timedelta(hours=HOURS)
         active, queued = self._store.read(lambda t: (t.runs.active(), t.durations.queued()))
         measured = self._store.read(lambda t: t.durations.by_machine(since))
         asks = self._settings.mode is not Mode.VIEW_ONLY
-        runs = [_run(record) for record in active]
+        expected_s = self._store.read(lambda t: {run.id: t.placing.measured_s(run.configuration_id) for run in active})
+        runs = [_run(record, expected_s[record.id], now) for record in active]
         names = {run.executor for run in runs} | set(queued)
         return Overview(
-            engines=tuple(self._engines(names, runs)) if asks else tuple(_unasked(names, runs)),
+            engines=tuple(self._engines(names, runs, since)) if asks else tuple(_unasked(names, runs)),
             machines=tuple(Machine.of(entry, HOURS) for entry in measured),
             queued=sum(queued.values()),
             left_s=self._left_s(),
@@ -85,24 +86,33 @@ class Nodes:
             self._answers.forget(executor)
         self._store.note_act()
 
-    def _engines(self, names: Collection[str], runs: Sequence[NodeRun]) -> Iterator[Engine]:
+    def _engines(self, names: Collection[str], runs: Sequence[NodeRun], since: datetime) -> Iterator[Engine]:
         """The executors that have runs, and the one that new runs get."""
+        ended = self._store.read(lambda t: t.placing.ended_on(since))
         chosen = self._settings.executor
         try:
             chosen = self._answers.of(AUTO, self._executors.choose) if chosen == AUTO else chosen
         except SlamHiveError as error:
             yield Engine(chosen, (), problem=str(error))
         for name in sorted({*names, chosen} - {AUTO}):
-            yield self._engine(name, [run for run in runs if run.executor == name])
+            rates = {node: count / HOURS for (executor, node), count in ended.items() if executor == name}
+            yield self._engine(name, [run for run in runs if run.executor == name], rates)
 
-    def _engine(self, name: str, runs: Sequence[NodeRun]) -> Engine:
+    def _engine(self, name: str, runs: Sequence[NodeRun], rates: Mapping[str | None, float]) -> Engine:
         try:
             executor = self._executors.get(name)
             nodes = self._answers.of(name, lambda: self._ask(executor))
         except SlamHiveError as error:
             return Engine(name, (), tuple(runs), problem=str(error))
         here = executor.capabilities.takes_cores_here
-        views = [NodeView.of(node, (run for run in runs if here or run.node == node.name)) for node in nodes]
+        views = [
+            NodeView.of(
+                node,
+                (run for run in runs if here or run.node == node.name),
+                rates.get(None if here else node.name, 0.0),
+            )
+            for node in nodes
+        ]
         placed = {run.id for view in views for run in view.runs}
         elsewhere = tuple(run for run in runs if run.id not in placed)
         return Engine(name, tuple(views), elsewhere, executor.capabilities.drains)
@@ -125,7 +135,10 @@ def _unasked(names: Collection[str], runs: Sequence[NodeRun]) -> Iterator[Engine
         yield Engine(name, (), tuple(run for run in runs if run.executor == name))
 
 
-def _run(record: RunRecord) -> NodeRun:
+def _run(record: RunRecord, expected_s: float | None, now: datetime) -> NodeRun:
     node = ((record.handle or {}).get("data") or {}).get(NODE)
     model = None if record.host is None or node is None else record.host.cpu_model
-    return NodeRun(record.id, record.algorithm, record.dataset, record.state, record.executor, node, model)
+    left_s = None
+    if expected_s is not None and record.started_at is not None:
+        left_s = max(0.0, expected_s - (now - record.started_at).total_seconds())
+    return NodeRun(record.id, record.algorithm, record.dataset, record.state, record.executor, node, model, left_s)

@@ -11,7 +11,10 @@ from slamhive.store.durations import MachineRuns
 
 @dataclass(frozen=True, slots=True)
 class NodeRun:
-    """A run that a worker has claimed. ``node`` is None while it is not known where it runs."""
+    """A run that a worker has claimed. ``node`` is None while it is not known where it runs.
+
+    ``left_s``: how long it needs by earlier runs of its configuration; None if it has not started, or there are none.
+    """
 
     id: int
     algorithm: str
@@ -20,11 +23,16 @@ class NodeRun:
     executor: str
     node: str | None
     cpu_model: str | None
+    left_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class NodeView:
-    """A node with the runs of this installation on it; for the rest see :class:`slamhive.executors.nodes.Node`."""
+    """A node with the runs of this installation on it; for the rest see :class:`slamhive.executors.nodes.Node`.
+
+    ``runs_per_hour`` are runs that ended there lately. ``left_s``: until its runs in progress should be over, None if
+    that is not known of any.
+    """
 
     name: str
     state: str
@@ -34,9 +42,11 @@ class NodeView:
     memory_bytes: int | None
     cpu_model: str | None
     runs: tuple[NodeRun, ...]
+    runs_per_hour: float = 0.0
+    left_s: float | None = None
 
     @classmethod
-    def of(cls, node: Node, runs: Iterable[NodeRun]) -> NodeView:
+    def of(cls, node: Node, runs: Iterable[NodeRun], runs_per_hour: float) -> NodeView:
         """The CPU model is that of the engine, else what a run on the node has recorded."""
         runs = tuple(runs)
         return cls(
@@ -48,6 +58,8 @@ class NodeView:
             memory_bytes=node.memory_bytes,
             cpu_model=node.cpu_model or next((run.cpu_model for run in runs if run.cpu_model), None),
             runs=runs,
+            runs_per_hour=runs_per_hour,
+            left_s=max((run.left_s for run in runs if run.left_s is not None), default=None),
         )
 
 

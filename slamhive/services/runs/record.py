@@ -27,8 +27,9 @@ def events_to_json(events: Iterable[RunEvent]) -> list[dict[str, Any]]:
 
 
 def spec_to_json(spec: RunSpec) -> dict[str, Any]:
-    """The specification, paths as text."""
+    """The specification, paths as text. Each start finds out where the run should be."""
     content: dict[str, Any] = dump(RunSpec, spec)
+    del content["placing"]
     return content
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 
 from slamhive.clock import utc_now
@@ -12,6 +12,7 @@ from slamhive.domain.protocol import Protocol
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Executor
 from slamhive.services.datasets import Catalogue, Variants
+from slamhive.services.worker.other_cpus import OtherCpus
 from slamhive.settings import Settings
 from slamhive.store import Store
 from slamhive.store.records import RunRecord
@@ -35,4 +36,5 @@ class DriverContext:
     cancel_requested: Callable[[int], bool]
     protocol_of: Callable[[RunRecord], Protocol]
     variants: Variants
+    other_cpus: OtherCpus = field(default_factory=OtherCpus)
     now: Callable[[], datetime] = utc_now

@@ -22,6 +22,7 @@ from slamhive.services.worker.context import DriverContext
 from slamhive.services.worker.disk import remove_scratch, settle_result
 from slamhive.services.worker.evidence import ENGINE_AWAY
 from slamhive.services.worker.gpu import hold_gpu
+from slamhive.services.worker.placing import leave_other_cpu, place
 from slamhive.services.worker.preparing import Preparing
 from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
 from slamhive.services.worker.watching import Watch
@@ -107,7 +108,7 @@ class RunDriver:
         if hand.cancel_requested():
             hand.move(RunState.CANCELLING, CANCELLED_BY_USER)
             return
-        spec = hand.spec
+        spec = place(hand)
         try:
             handle = hand.executor.start(spec)
         except ImageMissing as error:
@@ -117,6 +118,7 @@ class RunDriver:
             hand.executor.discard(spec)
             hand.fail(FailureReason.START_ERROR, str(error))
             return
+        leave_other_cpu(hand, spec, handle)
         stored = handle_to_json(handle)
         started_at = _start_time(handle, self._context.now())
         protections = {} if handle.protections is None else {"protections": asdict(handle.protections)}

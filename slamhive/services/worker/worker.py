@@ -24,6 +24,7 @@ from slamhive.services.evaluations import Evaluations
 from slamhive.services.notices import notices_of
 from slamhive.services.runs import RecordKeeper
 from slamhive.services.worker.context import DriverContext, WorkerStopping
+from slamhive.services.worker.cpu_type import CpuType
 from slamhive.services.worker.driver import RunDriver
 from slamhive.services.worker.engine_sweep import EngineSweep
 from slamhive.services.worker.heartbeat import Heartbeat
@@ -78,6 +79,7 @@ class Worker:
         self.owner = worker_identity()
         self._absent = AbsentExecutors(executors, TROUBLE_PAUSE_S)
         self._one_at_a_time = OneAtATime(executors)
+        self._cpu_type = CpuType(settings, store, executors)
         self._engine_sweep = EngineSweep(settings.executor, store, executors)
         self._context = DriverContext(
             settings=settings,
@@ -163,12 +165,15 @@ class Worker:
         """Do one run whose executor is not ``away``, or one batch of evaluations; returns whether there was one."""
         self._engine_sweep.sweep_if_due()
         near, lease_s = turns.near, self._settings.lease_s
-        run = self._store.write(lambda t: t.queue.claim(t.lease(self.owner, lease_s), self._only, near, away))
+        machine = self._cpu_type.machine
+        run = self._store.write(lambda t: t.queue.claim(t.lease(self.owner, lease_s), self._only, near, away, machine))
         if run is not None:
             turns.took(run)
             self._drive(run, cores)
             if monotonic_s() < self._next_evaluation_s:
                 return True
+        else:
+            self._cpu_type.tell_what_waits()
         # Evaluate between runs, not beside them, and not after each run: one engine start serves many runs.
         self._next_evaluation_s = monotonic_s() + EVALUATION_INTERVAL_S
         evaluated = self._evaluations.work_once(self.owner, self._stopping, self._only, cores=cores)
