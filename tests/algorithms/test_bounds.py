@@ -29,8 +29,8 @@ SLOW_RATE = 0.15
 
 
 LAGGING = {"loam", "lego-loam"}
-"""The odometry of both goes 5 % of the way at each step, and ends at the first step below 0.1 degrees and 1 mm. So it is
-late where the motion changes: earlier timestamps fit better, although those of the poses are right."""
+"""The odometry of both goes 5 % of the way at each step, and ends at the first step below 0.1 degrees and 1 mm. So it
+is late where the motion changes, and earlier timestamps fit better than those that the sources state."""
 
 
 def all_tests() -> list[Any]:
