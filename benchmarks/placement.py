@@ -248,7 +248,10 @@ def measure(count: int, nodes: int, draws: int) -> dict[str, object]:
     drawn = [with_stragglers(planned, seed) for seed in range(FIRST_SEED, FIRST_SEED + draws)] or [planned]
     bounds_s = [lower_bound_s(groups_of(runs, lambda run: run.actual_s), nodes) for runs in drawn]
     bound_s = fmean(bounds_s)
-    methods: dict[str, Callable[..., float]] = {**METHODS, "ours": partial(ours, expects_stragglers=draws > 0)}
+    methods: dict[str, Callable[[Sequence[Run], int], float]] = {
+        **METHODS,
+        "ours": partial(ours, expects_stragglers=draws > 0),
+    }
     ends_s = {name: fmean(method(runs, nodes) for runs in drawn) for name, method in methods.items()}
     if draws:
         earliest_s = lower_bound_s(groups_of(planned, lambda run: run.expected_s), nodes)

@@ -98,7 +98,7 @@ def estimate(slots: int) -> tuple[Durations, list[float], Callable[[int], Left]]
     t = cast("Any", SimpleNamespace(durations=durations, catalogue=SimpleNamespace(datasets=list)))
     clock = Clock(utc_now=lambda: NOON + timedelta(seconds=now_s[0]), monotonic_s=lambda: now_s[0])
     left = TimeLeft(slots, clock)
-    return durations, now_s, lambda waiting: left.of(t, cast("Any", SimpleNamespace(id=7)), waiting)
+    return durations, now_s, lambda waiting: left.of(t, cast("Any", SimpleNamespace(id=7, cpu_model=None)), waiting)
 
 
 def time_left(slots: int) -> tuple[Durations, list[float], Callable[[int], float]]:

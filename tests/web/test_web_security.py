@@ -27,6 +27,8 @@ VALUES = {
     "key": "log.txt",
     "version": "1",
     "sensor": "camera",
+    "plot": "error",
+    "upload": "0" * 32,
     "filename": "theme.js",
     "token": "0" * 32,
     "format": "csv",
