@@ -69,8 +69,6 @@ def models_of(description: Mapping[str, Any]) -> list[ShownModel]:
 
 def _operation(path: str, method: str, entry: Mapping[str, Any]) -> ShownOperation:
     status, success = next(iter(entry["responses"].items()))
-    content = success["content"]
-    answer = _type(content[_JSON]["schema"]) if "schema" in content.get(_JSON, {}) else Type(", ".join(content))
     body = entry.get("requestBody")
     return ShownOperation(
         name=entry["operationId"],
@@ -83,10 +81,15 @@ def _operation(path: str, method: str, entry: Mapping[str, Any]) -> ShownOperati
             for argument in entry["parameters"]
             if argument["in"] != "header"
         ),
-        body=None if body is None else _type(body["content"][_JSON]["schema"]),
+        body=None if body is None else _content(body["content"]),
         status=status,
-        answer=answer,
+        answer=_content(success["content"]),
     )
+
+
+def _content(content: Mapping[str, Any]) -> Type:
+    """A model for JSON; the media types of anything else."""
+    return _type(content[_JSON]["schema"]) if "schema" in content.get(_JSON, {}) else Type(", ".join(content))
 
 
 def _model(name: str, schema: Mapping[str, Any]) -> ShownModel:
