@@ -49,6 +49,7 @@ from slamhive.settings_sources import describe
 from slamhive.sweep.experiment_file import experiment_schema
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
+PYTHON_PAGE = DOCS / "python.md"
 HELP_WIDTH = 100
 NOTE = "<!-- Written by tools/generate_docs.py; change the code, not this page. -->\n"
 
@@ -236,7 +237,7 @@ DOCUMENTS: dict[str, Any] = {
 """What commands, the web API, run folders and archives write."""
 
 PAGES: dict[str, Callable[[], str]] = {
-    "examples/python.ipynb": lambda: notebook_of((DOCS / "python.md").read_text(encoding="utf-8"), "../"),
+    "examples/python.ipynb": lambda: notebook_of(PYTHON_PAGE.read_text(encoding="utf-8"), "../"),
     "settings.md": settings_page,
     "algorithms.md": algorithms_page,
     "cli.md": cli_page,

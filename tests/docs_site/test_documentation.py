@@ -19,6 +19,7 @@ DOCS = ROOT / "docs"
 
 @pytest.fixture(scope="module")
 def generator():
+    sys.path.insert(0, str(ROOT / "tools"))  # as for a script
     spec = importlib.util.spec_from_file_location("slamhive_generate_docs", ROOT / "tools" / "generate_docs.py")
     assert spec is not None
     assert spec.loader is not None

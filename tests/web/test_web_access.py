@@ -19,6 +19,7 @@ from tests.web.test_web_security import VALUES
 pytestmark = pytest.mark.integration
 
 FOR_EVERYBODY = {
+    *("accounts.to_provider", "accounts.from_provider"),
     *("static", "bootstrap.static", "assets.plotly_js", "dashboard.health"),
     *("accounts.form", "accounts.sign_in"),
 }
@@ -28,7 +29,7 @@ CHANGED_BY_ADMINS = {
     "api.empty_trash",
     "nodes.drain",
     "nodes.undrain",
-    *("api.drain_node", "api.undrain_node"),
+    *("api.drain_node", "api.undrain_node", "api.import_algorithm"),
 }
 ONES_OWN = {
     *("accounts.sign_out", "accounts.show", "accounts.change_password", "accounts.create_token"),

@@ -8,7 +8,7 @@ from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
     from slamhive.services.experiments.context import ExperimentContext, Progress
-    from slamhive.services.experiments.expected import GUESSED_START_S
+    from slamhive.services.experiments.expected import GUESSED_START_S, guessed_duration_s
     from slamhive.services.experiments.folder import RECORD, SOURCE, ExperimentFolder, StoredExperiment
     from slamhive.services.experiments.reporting import NO_FIGURES, csv_text, failures_text, varying
     from slamhive.services.experiments.restoring import Restored
@@ -59,6 +59,7 @@ __all__ = [
     "csv_text",
     "failure_words",
     "failures_text",
+    "guessed_duration_s",
     "is_failing",
     "status_of",
     "varying",

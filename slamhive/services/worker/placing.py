@@ -10,7 +10,7 @@ from slamhive.domain.affinity import same_data
 from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.spec import Placing, RunSpec
 from slamhive.executors.status import RunHandle
-from slamhive.services.experiments.expected import guessed_duration_s
+from slamhive.services.experiments import guessed_duration_s
 from slamhive.services.worker.run_in_hand import RunInHand
 from slamhive.store import RunRecord, Transaction
 from slamhive.store.placing import NODE, NodeSeen
