@@ -12,6 +12,7 @@ from slamhive.client.backend import LOG_BYTES, Change, RunQuery
 from slamhive.client.requests import HEADERS, PREFIX, Request, raise_for
 from slamhive.client.uploading import import_from, send_file
 from slamhive.errors import InvalidInput, Unavailable
+from slamhive.schema.uploads import OCTETS
 
 if TYPE_CHECKING:
     import httpx
@@ -52,7 +53,7 @@ def message_of(request: Request[Any]) -> dict[str, Any]:
     """What a client of httpx sends for a request."""
     body: dict[str, Any] = {} if request.body is None else {"json": request.body}
     if request.data is not None:
-        body = {"content": request.data, "headers": {"Content-Type": "application/octet-stream"}}
+        body = {"content": request.data, "headers": {"Content-Type": OCTETS}}
     return {"method": request.method, "url": request.path, "params": dict(request.arguments), **body}
 
 

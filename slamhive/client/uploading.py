@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from slamhive.client import requests
 from slamhive.client.requests import Request
@@ -17,9 +17,7 @@ from slamhive.client.waiting import PAUSE_S, percent_bar
 from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
 from slamhive.schema.uploads import Imported, Upload
 
-T = TypeVar("T")
 Send = Callable[[Request[Any]], Any]
-_PIECE_BYTES = 1_000_000
 _AGAIN = 5
 """How often in succession a part is sent again after the connection broke."""
 
@@ -89,8 +87,5 @@ def _as_file(path: Path) -> Iterator[Path]:
 
 
 def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
     with path.open("rb") as stream:
-        while piece := stream.read(_PIECE_BYTES):
-            digest.update(piece)
-    return digest.hexdigest()
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -15,6 +15,7 @@ LEAST_PASSWORD = 12
 LONGEST_PASSWORD = 200
 LONGEST_NAME = 64
 LONGEST_ISSUER = 500
+LOOPBACK_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
 LONGEST_SUBJECT = 255
 _LEAST_BESIDE_NAME = 10
 _LEAST_DISTINCT = 6
@@ -133,7 +134,7 @@ def is_provider_address(text: str) -> bool:
         parts = urlsplit(text)
     except ValueError:
         return False
-    safe = parts.scheme == "https" or (parts.scheme == "http" and parts.hostname in {"127.0.0.1", "localhost", "::1"})
+    safe = parts.scheme == "https" or (parts.scheme == "http" and parts.hostname in LOOPBACK_HOSTS)
     return safe and bool(parts.hostname) and not parts.query and not parts.fragment and len(text) <= LONGEST_ISSUER
 
 

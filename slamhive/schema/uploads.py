@@ -15,6 +15,8 @@ from slamhive.schema.fields import described
 from slamhive.schema.imports import Import
 from slamhive.schema.model import Document
 
+OCTETS = "application/octet-stream"
+"""The media type of a part."""
 HEXADECIMAL = "[0-9a-f]{32}"
 LARGEST_UPLOAD_BYTES = 2**53 - 1
 

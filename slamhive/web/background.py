@@ -72,4 +72,8 @@ class Background:
         except Exception:
             logger.exception("work on %s failed (%s)", work.dataset, self._kind)
             problem = "an unexpected error; see the server's log"
-        self._latest = replace(work, fraction=1.0, done=True, problem=problem)
+        self._end(replace(work, fraction=1.0, done=True, problem=problem))
+
+    def _end(self, work: Work) -> None:
+        """Note how a piece of work has ended. Other work can begin from now on."""
+        self._latest = work

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 
 from slamhive.schema.uploads import AlgorithmUpload, DatasetUpload, Imported, ImportProgress, RunsUpload, Upload
 from slamhive.services.hive import Hive
+from slamhive.services.uploads import StoredUpload
 from slamhive.web import acts
 from slamhive.web.background import Background, Progress, Work
 from slamhive.web.context import caller, hive, upload_work
@@ -31,26 +33,22 @@ class UploadWork(Background):
         """Start an import whose uploads are complete; raises Conflict while another one is in progress."""
         self._hive.check_writable()
         self._hive.upload_imports.check(asked, owner)
-        act = acts.acting(self._hive.store, caller()) if owner else None
+        act = acts.acting(self._hive.store, caller()) if owner else nullcontext()
 
         def work(progress: Progress) -> None:
-            if act is None:
-                task(progress)
-                return
             with act:
                 task(progress)
                 self._hive.store.note_act()
 
         self.begin(Work(asked.upload), work)
-        self._failed.pop(asked.upload, None)
 
-    def _run(self, work: Work, task: Callable[[Progress], object]) -> None:
-        super()._run(work, task)
-        ended = super().latest(work.dataset)
-        if ended is not None:
-            self._failed[work.dataset] = ended
+    def _end(self, work: Work) -> None:
+        self._failed.pop(work.dataset, None)
+        if work.problem is not None:
+            self._failed[work.dataset] = work
             if len(self._failed) > _MOST_FAILED:
                 del self._failed[next(iter(self._failed))]
+        super()._end(work)
 
 
 def owner() -> str:
@@ -60,6 +58,10 @@ def owner() -> str:
 
 def shown(token: str) -> Upload:
     """An upload with its import; raises NotFound."""
-    upload = hive().uploads.get(token, owner())
-    work = upload_work().latest(token)
+    return document(hive().uploads.get(token, owner()))
+
+
+def document(upload: StoredUpload) -> Upload:
+    """An upload with its import."""
+    work = upload_work().latest(upload.token)
     return Upload.of(upload, work=None if work is None or upload.imported else ImportProgress.of(work))

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from slamhive.clock import utc_now
-from slamhive.schema.uploads import UploadRequest
+from slamhive.schema.uploads import OCTETS, UploadRequest
 from slamhive.services.uploads import PART_BYTES, Uploads
-from slamhive.web.api.operation import OCTETS, PREFIX
+from slamhive.web.api.operation import PREFIX
 from slamhive.web.security import API_HEADER
 from tests.bags.format_world import make_euroc
 from tests.services.imports.world import trajectory, write

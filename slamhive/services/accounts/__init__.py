@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.accounts.need import LOOPBACK_HOSTS, accounts_needed
+    from slamhive.domain.accounts import LOOPBACK_HOSTS
+    from slamhive.services.accounts.need import accounts_needed
     from slamhive.services.accounts.service import LONGEST_TOKEN_DAYS, Accounts, Session, TokenRequest
 
 __all__ = [

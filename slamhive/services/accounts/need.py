@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from slamhive.domain.accounts import LOOPBACK_HOSTS
 from slamhive.settings import Auth, Mode, Settings
-
-LOOPBACK_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
 
 
 def accounts_needed(settings: Settings, host: str) -> bool:

@@ -85,12 +85,12 @@ class UploadImports:
         def show(line: str) -> None:
             progress(_UNPACKED, line)
 
-        with self._file(request.upload, owner, progress) as path, ExitStack() as opened:
+        with self._file(request.upload, owner, progress) as path:
             if is_export(path):
                 executor = self.executors.get(self.executors.choose(request.executor))
                 version, record = self.versions.load(path, executor)
                 return self._finish(request, owner, Imported(algorithms=(version.package.name,), notes=(record.label,)))
-            source = opened.enter_context(_unpacked_zip(path)) if kind_of(path.name) is FileKind.ZIP else path
+            source = _unpack(path) if kind_of(path.name) is FileKind.ZIP else path
             asked = AlgorithmRequest(
                 name=request.name, setup=request.setup, replace=request.replace, executor=request.executor
             )
@@ -128,17 +128,12 @@ class UploadImports:
 
 
 def _unpack(path: Path) -> Path:
-    """Unpack an archive beside itself; the folder that holds everything, however deep in the archive it begins."""
+    """Unpack an archive beside itself; the only folder in it, or all of it if there is more."""
     folder = path.parent / "unpacked" / _stem(path.name)
     folder.mkdir(parents=True)
     unpack(path, kind_of(path.name), folder)
     entries = list(folder.iterdir())
     return entries[0] if len(entries) == 1 and entries[0].is_dir() else folder
-
-
-@contextmanager
-def _unpacked_zip(path: Path) -> Iterator[Path]:
-    yield _unpack(path)
 
 
 def _stem(name: str) -> str:

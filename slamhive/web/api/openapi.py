@@ -13,8 +13,9 @@ from pydantic.json_schema import JsonSchemaMode
 from slamhive import __version__
 from slamhive.schema.api_answers import Problem
 from slamhive.schema.model import adapter
+from slamhive.schema.uploads import OCTETS
 from slamhive.web.api.idempotency import KEY_HEADER
-from slamhive.web.api.operation import OCTETS, PREFIX, Argument, Bytes, Operation, Place, Table
+from slamhive.web.api.operation import PREFIX, Argument, Bytes, Operation, Place, Table
 from slamhive.web.security import API_HEADER
 
 Schemas: TypeAlias = Mapping[tuple[Any, JsonSchemaMode], dict[str, Any]]

@@ -14,11 +14,11 @@ from flask import Blueprint, Response, request
 
 from slamhive.errors import InvalidInput
 from slamhive.schema.model import Document
+from slamhive.schema.uploads import OCTETS
 from slamhive.web.api.idempotency import once
 from slamhive.web.json_exchange import answer, read_body
 
 PREFIX = "/api/v1"
-OCTETS = "application/octet-stream"
 P = ParamSpec("P")
 View: TypeAlias = Callable[P, Document | Response]
 _PLACE = re.compile(r"\{(\w+)\}")

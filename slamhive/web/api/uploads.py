@@ -22,13 +22,13 @@ from slamhive.web.api.arguments import PART_ARGUMENTS
 from slamhive.web.api.operation import Bytes, Section
 from slamhive.web.api.table import TABLE
 from slamhive.web.context import hive, upload_work
-from slamhive.web.upload_work import owner, shown
+from slamhive.web.upload_work import document, owner, shown
 
 
 @TABLE.get(Section.UPLOADS, "/uploads", Uploads)
 def uploads() -> Uploads:
     """The uploads of the caller, the newest first."""
-    return Uploads(uploads=tuple(shown(upload.token) for upload in hive().uploads.listed(owner())))
+    return Uploads(uploads=tuple(map(document, hive().uploads.listed(owner()))))
 
 
 @TABLE.get(Section.UPLOADS, "/uploads/{upload}", Upload)
