@@ -91,6 +91,13 @@ class SameCpu(Repository):
         stored = self._session.scalar(select(_EXPERIMENTS.c.cpu_model).where(_EXPERIMENTS.c.id == experiment_id))
         return self._measured(experiment_id) if stored == NOT_KNOWN else stored
 
+    def settle(self, experiment_id: int) -> None:
+        """Store the CPU model that the runs of an experiment show, if it has to have one and none is stored."""
+        measured = self._measured(experiment_id)
+        if measured is not None:
+            waits = (_EXPERIMENTS.c.id == experiment_id, _EXPERIMENTS.c.cpu_model == NOT_KNOWN)
+            self._session.execute(update(_EXPERIMENTS).where(*waits).values(cpu_model=measured))
+
     def _measured(self, experiment_id: int) -> str | None:
         """The CPU model of the run that started first."""
         query = (

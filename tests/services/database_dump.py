@@ -34,7 +34,7 @@ FREE_NUMBERS = {
 IN_ORDER = {"run_events": "run_id", "evaluations": "run_id"}
 """Tables whose rows have no name: only the order of those of one run is compared."""
 
-IN_NO_FILE = {"accounts", "account_keys", "audit_log"}
+IN_NO_FILE = {"accounts", "account_identities", "account_keys", "audit_log"}
 """Tables of which no file holds anything, so that they are lost with a database."""
 
 NOT_COMPARED = {"lease_owner", "lease_expires_at", "owner"}

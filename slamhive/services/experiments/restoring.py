@@ -75,10 +75,11 @@ def _repeat_disturbed(t: Transaction, experiment_id: int) -> None:
 
 
 def _follow(context: ExperimentContext, record: ExperimentRecord) -> None:
-    """Hold or cancel its runs if the experiment is paused or cancelled."""
+    """Hold or cancel its runs if the experiment is paused or cancelled; they stay on the CPU model of earlier ones."""
     now = utc_now()
 
     def work(t: Transaction) -> None:
+        t.same_cpu.settle(record.id)
         if record.state is ExperimentState.CANCELLED:
             t.experiments.cancel(record.id, now, WHY_CANCELLED)
         else:

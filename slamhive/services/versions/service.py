@@ -18,7 +18,7 @@ from slamhive.services.executors import Executors
 from slamhive.services.versions.exporting import export_version
 from slamhive.services.versions.importing import ImportedVersion, import_version
 from slamhive.services.versions.keeping import find_version, keep_version
-from slamhive.settings import Settings
+from slamhive.settings import Mode, Settings
 from slamhive.store import AlgorithmVersion, Store, VersionRecord
 
 
@@ -68,8 +68,11 @@ class Versions:
         return self._store.read(lambda t: t.versions.of(package))
 
     def reports(self, package: str) -> tuple[VersionReport, ...]:
-        """The versions of a package with what is here of them. Executors that do not answer are left out."""
-        executors = self._usable()
+        """The versions of a package with what is here of them. Executors that do not answer are left out.
+
+        In view-only mode none is asked: asking may make files in the data root.
+        """
+        executors = [] if self._settings.mode is Mode.VIEW_ONLY else self._usable()
         return tuple(
             VersionReport(
                 record,
